@@ -1,0 +1,71 @@
+# Two commands do all: `make demo` and `make test`.
+SHELL := /bin/bash
+VENV := .venv
+BIN := $(VENV)/bin
+# The first interpreter of a supported version, unless one is named: make test PYTHON=python3.12
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help demo test lint bench install install-dev mosquitto lock clean
+
+help:
+	@echo "make demo    emulated suit -> gateway -> embedded broker -> live orientations and their error"
+	@echo "make test    install what the tests need (mosquitto too, where apt may) and run them"
+	@echo "make lint    ruff and mypy"
+	@echo "make bench   measure, and rewrite the figures in docs/"
+	@echo "make lock    pin the dependencies anew"
+
+$(VENV)/pyvenv.cfg:
+	@test -n "$(PYTHON)" || { echo "No Python 3.11, 3.12 or 3.13 found. Install one (Debian: apt install python3 python3-venv) or name it: make $(MAKECMDGOALS) PYTHON=/path/to/python"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) 2>/dev/null || { rm -rf $(VENV); \
+		if $(PYTHON) -m pip --version >/dev/null 2>&1; then \
+			$(PYTHON) -m venv --without-pip $(VENV) && $(PYTHON) -m pip --python $(BIN)/python install -q pip; \
+		elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+			apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq python3-venv >/dev/null && $(PYTHON) -m venv $(VENV); \
+		else echo "$(PYTHON) cannot make a virtual environment. Debian: sudo apt install python3-venv"; exit 1; fi; }
+
+$(VENV)/.runtime: requirements/runtime.lock pyproject.toml | $(VENV)/pyvenv.cfg
+	@echo "Installing what the gateway needs ..."
+	@$(BIN)/python -m pip install -q --require-hashes -r requirements/runtime.lock
+	@$(BIN)/python -c 'import pathlib, sysconfig; pathlib.Path(sysconfig.get_path("purelib"), "mocap_gateway_tree.pth").write_text(str(pathlib.Path.cwd()))'
+	@printf '#!/bin/sh\nexec "$(CURDIR)/$(BIN)/python" -m gateway "$$@"\n' > $(BIN)/mocap-gateway && chmod +x $(BIN)/mocap-gateway
+	@touch $@
+
+$(VENV)/.dev: requirements/dev.lock $(VENV)/.runtime
+	@echo "Installing what the tests need ..."
+	@$(BIN)/python -m pip install -q --require-hashes -r requirements/dev.lock
+	@touch $@
+
+install: $(VENV)/.runtime
+install-dev: $(VENV)/.dev
+
+mosquitto:
+	@command -v mosquitto >/dev/null || [ -x /usr/sbin/mosquitto ] || { \
+		if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then sudo=""; \
+		elif sudo -n true 2>/dev/null && command -v apt-get >/dev/null; then sudo="sudo"; \
+		else echo "mosquitto is not installed and may not be: the tests that need it will be skipped (apt install mosquitto)"; exit 0; fi; \
+		echo "Installing mosquitto ..."; \
+		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive RUNLEVEL=1 apt-get install -y -qq --no-install-recommends mosquitto >/dev/null; }
+
+demo: install
+	@$(BIN)/python -m gateway demo $(DEMO)
+
+lint: install-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: install-dev mosquitto lint
+	$(BIN)/python -m pytest $(TESTS)
+
+bench: install-dev mosquitto
+	$(BIN)/python -m benchmarks all --write-docs
+
+lock:
+	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv
+	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev -o requirements/dev.lock
+	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml -c requirements/dev.lock -o requirements/runtime.lock
+
+clean:
+	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,1 @@
+"""Speed, latency and accuracy, measured side by side with peers: ``python -m benchmarks <suite>``."""

@@ -1,0 +1,86 @@
+"""What a suite gives: figures with their targets, and tables for the documentation."""
+
+from __future__ import annotations
+
+import operator
+import platform
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+_COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured number. ``target`` such as ``<=5``, or empty where nothing is aimed at."""
+
+    name: str
+    value: float
+    unit: str
+    target: str = ""
+    note: str = ""
+    """What exactly was measured, for the documentation."""
+
+    @property
+    def verdict(self) -> str:
+        """``met``, ``short``, or ``-`` without a target."""
+        if not self.target:
+            return "-"
+        sign = "<=" if self.target.startswith("<=") else ">=" if self.target.startswith(">=") else "<"
+        return "met" if _COMPARISONS[sign](self.value, float(self.target.removeprefix(sign))) else "short"
+
+    def line(self) -> str:
+        """The one line that a suite ends with."""
+        return (
+            f"figure {self.name} {self.value:.4g} {self.unit} target {self.target or 'none'} {self.verdict}"
+        )
+
+
+@dataclass
+class Report:
+    """All that a suite found out."""
+
+    suite: str
+    figures: list[Figure] = field(default_factory=list)
+    tables: list[str] = field(default_factory=list)
+    """Markdown, each with its own heading."""
+
+    def as_json(self) -> dict[str, object]:
+        """For ``--json``."""
+        return {
+            "suite": self.suite,
+            "machine": machine(),
+            "figures": [asdict(figure) | {"verdict": figure.verdict} for figure in self.figures],
+        }
+
+    def markdown(self) -> str:
+        """The suite's page section."""
+        rows = "\n".join(
+            f"| `{f.name}` | {f.value:.4g} | {f.unit} | {f.target or '–'} | {f.verdict} | {f.note} |"
+            for f in self.figures
+        )
+        head = f"Machine: {machine()}. Command: `python -m benchmarks {self.suite}`.\n\n"
+        table = "| figure | value | unit | target | | what |\n|---|---:|---|---|---|---|\n" + rows
+        return "\n\n".join([head + table, *self.tables]) + "\n"
+
+
+def machine() -> str:
+    """What the figures were measured on."""
+    cores = model = ""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        lines = info.read_text().splitlines()
+        cores = f"{sum(line.startswith('processor') for line in lines)} cores, "
+        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
+    return f"{cores}{model or platform.machine()}, Python {platform.python_version()}, shared virtual machine"
+
+
+def write_docs(report: Report, page: Path) -> None:
+    """Replace the suite's section of a page, between its markers; everything else stays."""
+    begin, end = f"<!-- begin {report.suite} -->", f"<!-- end {report.suite} -->"
+    text = page.read_text(encoding="utf-8")
+    if begin not in text or end not in text:
+        raise SystemExit(f"{page}: the markers '{begin}' and '{end}' are missing")
+    before, rest = text.split(begin, 1)
+    after = rest.split(end, 1)[1]
+    page.write_text(f"{before}{begin}\n{report.markdown()}{end}{after}", encoding="utf-8")

@@ -1,0 +1,116 @@
+"""How long the gateway's own work takes, on one core, without input and output."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from vqf import VQF
+
+from benchmarks.emulated_stream import LINK, relay_chunks, suit_17
+from benchmarks.figures import Figure, Report
+from devices.link import Framing
+from firmware_protocol import FrameDecoder, PacketDecoder
+from gateway.assembly import AssemblyParams, FrameAssembler
+from gateway.frames import ImuFrame, LocalReading
+from gateway.pipeline import Pipeline
+from gateway.reconstruction import RECONSTRUCTORS
+from gateway.stream import ClockMode, Stream
+
+PARAMS = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
+REPEATS = 5
+
+
+def run() -> Report:
+    """Decode, reconstruct, and the whole pipeline."""
+    suit, motion = suit_17()
+    chunks = relay_chunks(motion, seconds=20.0)
+    singles = relay_chunks(motion, seconds=10.0, has_relay=False)
+    frames = _imu_frames(suit.module_ids, chunks)
+
+    def decode(data: list[bytes]) -> Callable[[], int]:
+        def work() -> int:
+            decoder = PacketDecoder(FrameDecoder())
+            for piece in data:
+                decoder.feed(piece)
+            return decoder.accepted
+
+        return work
+
+    def reconstruct(name: str) -> Callable[[], int]:
+        reconstructor = RECONSTRUCTORS[name](suit, 0.01)
+
+        def work() -> int:
+            reconstructor.reset()
+            for frame in frames:
+                reconstructor.update(frame)
+            return len(frames)
+
+        return work
+
+    def vqf_alone() -> int:
+        filters = [VQF(0.01) for _ in suit.module_ids]
+        for frame in frames:
+            for one, gyr, acc, mag in zip(
+                filters, frame.angular_rate, frame.specific_force, frame.magnetic_field, strict=True
+            ):
+                one.update(gyr, acc, mag)
+        return len(frames)
+
+    def pipeline(name: str) -> Callable[[], int]:
+        def work() -> int:
+            whole = Pipeline(suit, PARAMS, name, ClockMode.ESTIMATED)
+            whole.add_link(LINK, Framing.BYTE_STREAM)
+            return sum(len(whole.feed(chunk)) for chunk in chunks)
+
+        return work
+
+    vqf_us = _best_us(vqf_alone)
+    literal_us = _best_us(reconstruct("articulated"))
+    report = Report("speed")
+    report.figures = [
+        Figure(
+            "decode_packets_per_s", 1e6 / _best_us(decode([c.data for c in chunks])), "1/s", ">=128000",
+            "packets of 17 modules in relay batches; 64 modules at 1000 Hz in half a core is the target",
+        ),
+        Figure(
+            "decode_single_packets_per_s", 1e6 / _best_us(decode([c.data for c in singles])), "1/s", "",
+            "the same, every packet in a wire frame and chunk of its own",
+        ),
+        Figure("frame_17_us", literal_us, "µs", "<=100", "`articulated`, 17 segments, one frame"),
+        Figure("frame_17_ratio_vqf", literal_us / vqf_us, "", "", "the same over 17 single `vqf` updates"),
+        Figure("vqf_17_us", vqf_us, "µs", "", "17 single updates of the library vqf, from Python"),
+        Figure(
+            "offline_x_realtime", 1e6 / _best_us(pipeline("articulated")) / 100, "×", ">=100",
+            "bytes to skeleton of 17 modules at 100 Hz, `articulated`, whole pipeline",
+        ),
+        Figure(
+            "offline_independent_x_realtime", 1e6 / _best_us(pipeline("independent")) / 100, "×", "",
+            "the same with `independent`",
+        ),
+    ]  # fmt: skip
+    return report
+
+
+def _best_us(work: Callable[[], int]) -> float:
+    """Least time of one unit of work, µs: the machine is shared, and noise only ever adds."""
+    times = []
+    for _ in range(REPEATS):
+        begin = time.perf_counter()
+        count = work()
+        times.append((time.perf_counter() - begin) / count * 1e6)
+    return float(np.min(times))
+
+
+def _imu_frames(module_ids: tuple[int, ...], chunks: list) -> list[ImuFrame]:  # type: ignore[type-arg]
+    stream, assembler = Stream(ClockMode.SHARED), FrameAssembler(module_ids, PARAMS)
+    stream.add_link(LINK, Framing.BYTE_STREAM)
+    frames: list[ImuFrame] = []
+    for chunk in chunks:
+        for reading in stream.receive(chunk):
+            if isinstance(reading, LocalReading):
+                assembler.add_local(reading)
+            else:
+                frames += assembler.add(reading, chunk.arrived_ns)
+    return frames

@@ -1,0 +1,92 @@
+"""The queue between a link's receive callback and whoever iterates the link."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from typing import Self
+
+from devices.link import Chunk, LinkError
+
+# More than a minute of the busiest serial line. A reader that is further behind has failed; keeping
+# more would only trade memory for data that is too old to use.
+LIMIT_BYTES = 8 * 1024 * 1024
+
+
+class Arrivals:
+    """Chunks in the order they arrived, for one reader; ``put`` never waits.
+
+    When the reader is more than ``limit_bytes`` behind, the oldest chunks are dropped and counted.
+    Chunks that arrived before the end are handed out before the end is told.
+    """
+
+    def __init__(self, link: str, limit_bytes: int = LIMIT_BYTES) -> None:
+        self.dropped_chunks = 0
+        self.dropped_bytes = 0
+        self._link = link
+        self._limit_bytes = limit_bytes
+        self._chunks: deque[Chunk] = deque()
+        self._waiting_bytes = 0
+        self._has_ended = False
+        self._error: LinkError | None = None
+        self._reader: asyncio.Future[None] | None = None
+
+    @classmethod
+    def never_opened(cls, link: str) -> Self:
+        """What iterating a link that was never opened gives: ``LinkError``."""
+        arrivals = cls(link)
+        arrivals.end(LinkError(f"{link} is not open: call open() before reading"))
+        return arrivals
+
+    @property
+    def has_ended(self) -> bool:
+        """No more chunks will be put."""
+        return self._has_ended
+
+    @property
+    def error(self) -> LinkError | None:
+        """Why the link was lost; None while it is open and after an orderly end."""
+        return self._error
+
+    def put(self, data: bytes, arrived_ns: int) -> None:
+        """Add a chunk. After the end nothing is added."""
+        if self._has_ended:
+            return
+        self._chunks.append(Chunk(data, arrived_ns, self._link))
+        self._waiting_bytes += len(data)
+        while self._waiting_bytes > self._limit_bytes and len(self._chunks) > 1:
+            oldest = self._chunks.popleft()
+            self._waiting_bytes -= len(oldest.data)
+            self.dropped_chunks += 1
+            self.dropped_bytes += len(oldest.data)
+        self._wake()
+
+    def end(self, error: LinkError | None = None) -> None:
+        """End the stream, with the reason when it was lost. The first call counts."""
+        if self._has_ended:
+            return
+        self._has_ended = True
+        self._error = error
+        self._wake()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Chunk:
+        while not self._chunks:
+            if self._error is not None:
+                raise self._error
+            if self._has_ended:
+                raise StopAsyncIteration
+            self._reader = asyncio.get_running_loop().create_future()
+            try:
+                await self._reader
+            finally:
+                self._reader = None
+        chunk = self._chunks.popleft()
+        self._waiting_bytes -= len(chunk.data)
+        return chunk
+
+    def _wake(self) -> None:
+        if self._reader is not None and not self._reader.done():
+            self._reader.set_result(None)

@@ -1,0 +1,154 @@
+"""Any CAN interface that python-can drives (virtual, PCAN, Kvaser, gs_usb, …) as a link."""
+
+from __future__ import annotations
+
+import asyncio
+import difflib
+from collections.abc import AsyncIterator
+from typing import Any
+
+import can
+
+from devices.arrivals import Arrivals
+from devices.link import Chunk, Framing, LinkError
+from devices.reader_thread import ReaderThread, open_in_thread
+from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
+
+# How long the reading thread may take to notice that the link is being closed.
+_RECEIVE_TIMEOUT_S = 0.05
+_SEND_TIMEOUT_S = 1.0
+# What waits is read as one chunk with one arrival time; so few frames pass in well under a millisecond.
+_BATCH = 64
+
+
+class CanLink:
+    """CAN frame records of one python-can bus, read in a thread of its own.
+
+    (python-can's own asyncio reader takes one frame a wake-up and falls behind in bursts.)
+    """
+
+    framing = Framing.CAN
+
+    def __init__(
+        self,
+        interface: str,
+        channel: str,
+        *,
+        bitrate: int | None = None,
+        fd: bool = False,
+        data_bitrate: int | None = None,
+        name: str | None = None,
+    ) -> None:
+        """``bitrate`` and ``data_bitrate`` in bit/s; None leaves the interface's own setting.
+
+        Raises ValueError for an interface that python-can does not know.
+        """
+        if interface not in can.VALID_INTERFACES:
+            raise ValueError(_unknown_interface(interface))
+        self.name = name or f"can://{interface}/{channel}"
+        self.interface = interface
+        self.channel = channel
+        wanted = {"bitrate": bitrate, "data_bitrate": data_bitrate, "fd": fd or None}
+        self._settings: dict[str, Any] = {key: value for key, value in wanted.items() if value is not None}
+        self._arrivals = Arrivals.never_opened(self.name)
+        self._bus: can.BusABC | None = None
+        self._reader: ReaderThread | None = None
+
+    @property
+    def dropped_bytes(self) -> int:
+        """Bytes of records dropped since opening because the reader was too far behind."""
+        return self._arrivals.dropped_bytes
+
+    async def open(self) -> None:
+        if self._bus is not None:
+            raise LinkError(f"{self.name} is already open")
+        bus = await open_in_thread(self._open_bus, can.BusABC.shutdown)
+        self._bus = bus
+        self._arrivals = Arrivals(self.name)
+        self._reader = ReaderThread(self.name, lambda: _waiting_records(bus), self._arrivals)
+
+    def __aiter__(self) -> AsyncIterator[Chunk]:
+        return self._arrivals
+
+    async def write(self, data: bytes) -> None:
+        """Send CAN frame records. Raises ``LinkError`` when the bus is closed, lost or does not take them."""
+        if self._bus is None or self._arrivals.has_ended:
+            raise self._arrivals.error or LinkError(f"{self.name} is closed")
+        messages = [_message(frame) for frame in unpack_can_records(data)]
+        try:
+            await asyncio.to_thread(_send_all, self._bus, messages)
+        except (can.CanError, OSError) as error:
+            raise LinkError(
+                f"{self.name} did not send ({error}): is another node on the bus, at the same bit rate?"
+            ) from error
+
+    async def close(self) -> None:
+        bus, reader = self._bus, self._reader
+        self._bus = self._reader = None
+        self._arrivals.end()
+        try:
+            if reader is not None:
+                await reader.stop()
+        finally:
+            if bus is not None:
+                await asyncio.to_thread(bus.shutdown)
+
+    def _open_bus(self) -> can.BusABC:
+        try:
+            return can.Bus(interface=self.interface, channel=self.channel, **self._settings)
+        except can.CanInterfaceNotImplementedError as error:
+            raise LinkError(
+                f"{self.name} does not work here ({error}): install the adapter's driver"
+            ) from error
+        except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+            raise LinkError(
+                f"{self.name} cannot be opened ({error}): check the adapter, its driver and channel"
+            ) from error
+
+
+def _waiting_records(bus: can.BusABC) -> bytes:
+    """What has arrived, at most ``_BATCH`` messages, as records; waits a little for the first."""
+    messages = []
+    message = bus.recv(_RECEIVE_TIMEOUT_S)
+    while message is not None:
+        messages.append(message)
+        if len(messages) == _BATCH:
+            break
+        message = bus.recv(0)
+    return pack_can_records(map(_can_frame, messages))
+
+
+def _unknown_interface(interface: str) -> str:
+    known = sorted(can.VALID_INTERFACES)
+    near = difflib.get_close_matches(interface, known, 1)
+    hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+    return f"unknown CAN interface '{interface}': {hint}"
+
+
+def _send_all(bus: can.BusABC, messages: list[can.Message]) -> None:
+    for message in messages:
+        bus.send(message, _SEND_TIMEOUT_S)
+
+
+def _can_frame(message: can.Message) -> CanFrame:
+    return CanFrame(
+        identifier=message.arbitration_id,
+        data=bytes(message.data),
+        is_extended=message.is_extended_id,
+        is_fd=message.is_fd,
+        is_remote=message.is_remote_frame,
+        is_error=message.is_error_frame,
+        bitrate_switch=message.bitrate_switch,
+    )
+
+
+def _message(frame: CanFrame) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.identifier,
+        data=frame.data,
+        is_extended_id=frame.is_extended,
+        is_fd=frame.is_fd,
+        is_remote_frame=frame.is_remote,
+        is_error_frame=frame.is_error,
+        bitrate_switch=frame.bitrate_switch,
+    )

@@ -1,0 +1,172 @@
+"""Seeded motions of an articulated body with exact derivatives; any instant can be asked for.
+
+``BodyMotion.state(t)`` gives the whole body; ``BodyMotion.module_state`` gives every module's
+segment at that module's own instants. The kinds of motion are the functions below it: each chooses
+the waves of the joint angles and of the root's path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from devices.emulators.bodies import NO_PARENT, EmulatedBody, FloatArray, IntArray
+from devices.emulators.kinematics_truth import MotionState, TreeKinematics
+from devices.emulators.walking import WALKING_ROOT, walking_terms
+from devices.emulators.waves import Fade, Waves, waves
+
+ISB_ORDER = (2, 0, 1)
+"""Rotations about z, x', y'': flexion, adduction, axial rotation of ISB axes."""
+
+_FITTING_SPAN_S = 40.0
+_FITTING_ROUNDS = 8
+
+
+class BodyMotion:
+    """A body with its motion. World ENU, SI; times in seconds, motion time 0 is the start of the rest."""
+
+    def __init__(
+        self,
+        body: EmulatedBody,
+        joint_angles: Waves,
+        root_path: Waves | None = None,
+        fade: Fade | None = None,
+        rotation_order: tuple[int, int, int] = ISB_ORDER,
+    ) -> None:
+        """
+        joint_angles: S rows, rotations of each segment against its parent about x, y, z of its own axes, rad.
+        root_path: one row, the root's joint in the world, m. Default: it stays at the origin.
+        fade: how long the body rests in its reference posture and how it sets off.
+        rotation_order: order of the rotations of a joint.
+        """
+        self.body = body
+        path = waves(1, []) if root_path is None else root_path
+        self._kinematics = TreeKinematics(body, joint_angles, path, fade or Fade(), rotation_order)
+
+    def state(self, t: ArrayLike) -> MotionState:
+        """All segments at the times t (T,), s: arrays (T, S, …)."""
+        times = np.atleast_1d(np.asarray(t, dtype=float))
+        n = self.body.n_segments
+        return self._kinematics.state(np.arange(n), np.broadcast_to(times[:, None], (len(times), n)))
+
+    def module_state(self, segments: IntArray, times: FloatArray) -> MotionState:
+        """The given segments (M,), each at its own times (T, M), s: arrays (T, M, …)."""
+        return self._kinematics.state(segments, times)
+
+
+def peak_rates(motion: BodyMotion, span_s: float = _FITTING_SPAN_S) -> tuple[float, float]:
+    """The largest |ω| (rad/s) and |ω̇| (rad/s²) of any segment within the span."""
+    state = motion.state(np.arange(0.0, span_s, 0.02))
+    return (
+        float(np.linalg.norm(state.angular_rate, axis=2).max()),
+        float(np.linalg.norm(state.angular_acceleration, axis=2).max()),
+    )
+
+
+def generic_motion(
+    body: EmulatedBody,
+    seed: int,
+    *,
+    peak_angular_rate: float = 3.0,
+    peak_angular_acceleration: float = 20.0,
+    root_travel_m: float = 0.0,
+    fade: Fade | None = None,
+) -> BodyMotion:
+    """Every joint about all its axes at random; reaches the asked peaks (of any segment, absolute).
+
+    peak_angular_rate: rad/s. peak_angular_acceleration: rad/s²; their ratio sets the frequencies.
+    root_travel_m: amplitude of the root's path along each world axis (0: the root's joint is fixed).
+    """
+    rng = np.random.default_rng([seed, 1])
+    shape = (body.n_segments, 3, 3)
+    joint_angles = Waves(rng.uniform(0.3, 1.0, shape), rng.uniform(0.25, 1.2, shape), _phases(rng, shape))
+    still_root = (body.parents == NO_PARENT) & (root_travel_m == 0.0)
+    joint_angles.amplitude[still_root] *= 0.6  # all others ride on it
+    path_shape = (1, 3, 2)
+    path_frequency = rng.uniform(0.1, 0.6, path_shape)
+    path = Waves(np.full(path_shape, root_travel_m / 2), path_frequency, _phases(rng, path_shape))
+
+    def build(angles: Waves) -> BodyMotion:
+        return BodyMotion(body, angles, path, fade)
+
+    return build(_fitted_to_peaks(joint_angles, build, peak_angular_rate, peak_angular_acceleration))
+
+
+def robot_arm_motion(body: EmulatedBody, seed: int, fade: Fade | None = None) -> BodyMotion:
+    """A fixed base and all joints at work: peaks of 3 rad/s and 20 rad/s²."""
+    return generic_motion(body, seed, peak_angular_rate=3.0, peak_angular_acceleration=20.0, fade=fade)
+
+
+def pendulum_motion(body: EmulatedBody, seed: int, fade: Fade | None = None) -> BodyMotion:
+    """A chain that swings about a fixed pivot as gravity would have it, mostly in the plane east-up.
+
+    The first two modes of a hanging chain: all links together, slow and wide; and link against
+    link, faster and narrow. Whatever the segments' axes are, the swing is about world axes.
+    """
+    rng = np.random.default_rng([seed, 2])
+    axes = Rotation.from_quat(body.reference_posture, scalar_first=True).as_matrix()
+    about_east, about_north = axes[:, 0, :], axes[:, 1, :]  # (S, 3): shares of the segment's own axes
+    slow, fast = rng.uniform(0.6, 0.75), rng.uniform(1.6, 2.0)
+    slow_phase, fast_phase = _phases(rng, (2,))
+    width = np.where(body.parents == NO_PARENT, 0.6, 0.2) * rng.uniform(0.9, 1.1, body.n_segments)
+    against = np.where(np.arange(body.n_segments) % 2, 0.12, -0.12)
+    swing, sway = width[:, None] * about_north, 0.15 * width[:, None] * about_east
+    # (S, 3, 3 terms): swing, sway a little out of step with it, link against link
+    amplitude = np.stack([swing, sway, against[:, None] * about_north], axis=2)
+    frequency = np.broadcast_to([slow, slow, fast], amplitude.shape)
+    phase = np.broadcast_to([slow_phase, slow_phase + 1.2, fast_phase], amplitude.shape)
+    return BodyMotion(body, Waves(amplitude, frequency, phase), fade=fade)
+
+
+def walking_motion(body: EmulatedBody, seed: int, fade: Fade | None = None) -> BodyMotion:
+    """Walking to and fro: hips, knees, ankles, swinging arms, a bobbing pelvis.
+
+    Segments are known by their ISB names (``left_thigh``, …) with x anterior, y up and z right in the
+    reference posture; segments of other names only tremble a little.
+    """
+    rng = np.random.default_rng([seed, 3])
+    stride_hz = rng.uniform(0.85, 0.95)
+    terms = [
+        (n, axis, amplitude * rng.uniform(0.92, 1.08), harmonic * stride_hz, phase + rng.normal(0.0, 0.05))
+        if harmonic
+        else (n, axis, amplitude, 0.0, phase)
+        for n, name in enumerate(body.segment_names)
+        for axis, amplitude, harmonic, phase in walking_terms(name)
+    ]
+    heading = Rotation.from_quat(body.reference_posture[0], scalar_first=True).as_matrix()
+    root: list[tuple[int, int, float, float, float]] = []
+    for axis, amplitude, multiple, phase in WALKING_ROOT:  # in the root's axes: the walk is along its x
+        root += [
+            (0, world, amplitude * heading[world, axis], multiple * stride_hz, phase)
+            for world in range(3)
+            if abs(heading[world, axis]) > 1e-9
+        ]
+    return BodyMotion(body, waves(body.n_segments, terms), waves(1, root), fade)
+
+
+MOTIONS: dict[str, Callable[[EmulatedBody, int, Fade | None], BodyMotion]] = {
+    "arm": robot_arm_motion,
+    "pendulum": pendulum_motion,
+    "walking": walking_motion,
+    "generic": lambda body, seed, fade: generic_motion(body, seed, fade=fade),
+}
+"""Kinds of motion by name: (body, seed, fade) to the motion."""
+
+
+def _phases(rng: Generator, shape: tuple[int, ...]) -> FloatArray:
+    return rng.uniform(0.0, 2.0 * np.pi, shape)
+
+
+def _fitted_to_peaks(
+    angles: Waves, build: Callable[[Waves], BodyMotion], peak_rate: float, peak_acceleration: float
+) -> Waves:
+    """Rates go with amplitude × frequency, accelerations with amplitude × frequency²: solve by iteration."""
+    for _ in range(_FITTING_ROUNDS):
+        rate, acceleration = peak_rates(build(angles))
+        faster = (peak_acceleration / peak_rate) / (acceleration / rate)
+        angles = angles.scaled(amplitude=peak_rate / (rate * faster), frequency=faster)
+    return angles

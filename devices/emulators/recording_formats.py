@@ -1,0 +1,189 @@
+"""Readers of the public data sets that the gateway is measured on: folder or file to ``Recording``.
+
+All give SI units and wxyz quaternions to a world with Z up. Magnetic readings in arbitrary units are
+scaled so that each module's mean norm is ``NOMINAL_FIELD_UT``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat
+from scipy.spatial.transform import Rotation
+
+from devices.emulators.bodies import FloatArray
+from devices.emulators.ideal_sensors import POSITION
+from devices.emulators.recordings import (
+    NOMINAL_FIELD_UT,
+    LocalTrack,
+    ModuleTrack,
+    Recording,
+    ReferenceTrack,
+)
+
+LOCAL_DEVICE = 60
+"""Module id under which optical positions are sent as those of a local measuring device."""
+
+RING_OPTICAL_LAG_S = 0.02
+"""How much later than the modules the optical system of ``ring_chain5`` shows the same motion, s."""
+
+_OPTICAL_SIGMA_M = 0.001
+_FLIPPED_RATE = 12.0  # rad/s, beyond what the pendulum does: its optical reference has flipped
+_SHORTEST_INTERVAL_S = 0.001  # time stamps are in ms and some are given twice
+_BROAD_INTERVAL_S = 0.0035
+
+MTW_SEGMENTS = {
+    0x23: "right_hand",
+    0x24: "right_foot",
+    0x25: "left_shoulder_girdle",
+    0x26: "left_upper_arm",
+    0x27: "left_forearm",
+    0x28: "left_hand",
+    0x29: "head",
+    0x2A: "thorax",
+    0x2B: "right_thigh",
+    0x2C: "left_thigh",
+    0x2D: "pelvis",
+    0x2E: "right_shank",
+    0x2F: "right_shoulder_girdle",
+    0x30: "right_forearm",
+    0x31: "left_foot",
+    0x33: "left_shank",
+    0x34: "right_upper_arm",
+}
+"""Last byte of the module's serial number, which is its module id here, to the segment that wears it."""
+
+
+def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None = None) -> Recording:
+    """Five modules at 40 Hz on a chain, an optical reference at 30 Hz, and the root's position.
+
+    trial: folder of the trial. kind: ``rigid`` or ``nonrigid`` (modules on foam).
+    root_marker: marker 1 to 4 of segment 1 that gives the position of the local device; None: their mean.
+    Modules are numbered and named as the segments, 1 to 5. Optical times are moved by
+    ``RING_OPTICAL_LAG_S`` onto those of the modules, so the first is negative.
+    """
+    imu = _named_columns(trial / f"imu_{kind}.csv", header_row=2)
+    optical = _named_columns(trial / "omc.csv", header_row=2)
+    times = np.arange(len(imu)) / 40.0
+    optical_times = np.arange(len(optical)) / 30.0 - RING_OPTICAL_LAG_S
+
+    def triple(table: Any, prefix: str) -> FloatArray:
+        return np.stack([table[f"{prefix}_{axis}"] for axis in "xyz"], axis=1)
+
+    modules, references = [], []
+    for segment in range(1, 6):
+        name = f"segment_{segment}"
+        acc, gyr, mag = (triple(imu, f"seg{segment}_{sensor}") for sensor in ("acc", "gyr", "mag"))
+        modules.append(_track(segment, name, times, acc, gyr, mag))
+        q_wb = np.stack([optical[f"seg{segment}_quat_{axis}"] for axis in "wxyz"], axis=1)
+        references.append(ReferenceTrack(name, optical_times, q_wb))
+    markers = range(1, 5) if root_marker is None else [root_marker]
+    root = np.mean([triple(optical, f"seg1_marker{marker}") for marker in markers], axis=0)
+    local = LocalTrack(LOCAL_DEVICE, "root", optical_times, POSITION, root, _OPTICAL_SIGMA_M)
+    return Recording(f"ring_chain5_{kind}", 40.0, tuple(modules), tuple(references), (local,))
+
+
+def read_broad(path: Path) -> Recording:
+    """A BROAD trial (.mat): module 1 at 285.714 Hz; optical orientation and position at the same instants."""
+    trial = loadmat(path, squeeze_me=True)
+    times: FloatArray = np.arange(len(trial["imu_acc"]), dtype=np.float64) * _BROAD_INTERVAL_S
+    module = ModuleTrack(1, "module", times, trial["imu_acc"], trial["imu_gyr"], trial["imu_mag"])
+    reference = ReferenceTrack("module", times, trial["opt_quat"])
+    local = LocalTrack(LOCAL_DEVICE, "module", times, POSITION, trial["opt_pos"], _OPTICAL_SIGMA_M)
+    return Recording(f"broad_{path.stem}", 1.0 / _BROAD_INTERVAL_S, (module,), (reference,), (local,))
+
+
+def read_repoimu_tstick(path: Path) -> Recording:
+    """A RepoIMU T-stick trial: module 1 at 100 Hz with optical orientation."""
+    track, reference = _read_repoimu(path, 1, "module")
+    return Recording(f"repoimu_{path.stem}", 100.0, (track,), (reference,))
+
+
+def read_repoimu_pendulum(folder: Path) -> Recording:
+    """The three segments of a RepoIMU pendulum trial, modules 1 to 3, about 50 Hz.
+
+    The logger repeated what had not changed: rows without a new angular rate are dropped, and the
+    accelerometer and the magnetometer, which changed more rarely still, are interpolated between their
+    own changes. Reference rows with a flip of the optical markers are NaN.
+    """
+    paths = sorted(folder.glob("*_Segment_[123].csv"))
+    if len(paths) != 3:
+        raise FileNotFoundError(f"{len(paths)} segments of a pendulum in {folder}; three are needed")
+    pairs = [_read_repoimu(path, n, f"segment_{n}") for n, path in enumerate(paths, start=1)]
+    modules = tuple(module for module, _ in pairs)
+    references = tuple(_without_flips(reference) for _, reference in pairs)
+    return Recording("repoimu_pendulum", 50.0, modules, references)
+
+
+def read_hipose_mtw17(folder: Path) -> Recording:
+    """Seventeen Xsens modules on a whole body at 60 Hz, with the orientations of Xsens' own filter.
+
+    The references' world, north-west-up, is turned to east-north-up. They are orientations of the
+    module (sensor axes), not of the segment.
+    """
+    tables = {}
+    for path in sorted(folder.glob("*_00b45c*.csv")):
+        tables[int(path.stem[-2:], 16)] = np.genfromtxt(path, delimiter=";", skip_header=5)
+    if not tables:
+        raise FileNotFoundError(f"no file of an MTw module in {folder}")
+    first = min(table[0, 0] for table in tables.values())
+    east_north_up = Rotation.from_euler("z", 90, degrees=True)
+    modules, references = [], []
+    for module, table in tables.items():
+        name, times = MTW_SEGMENTS[module], (table[:, 0] - first) / 60.0
+        modules.append(_track(module, name, times, table[:, 1:4], table[:, 4:7], table[:, 7:10]))
+        q = east_north_up * Rotation.from_quat(table[:, 10:14], scalar_first=True)
+        references.append(ReferenceTrack(name, times, q.as_quat(scalar_first=True)))
+    return Recording("hipose_mtw17", 60.0, tuple(modules), tuple(references))
+
+
+def _track(
+    module: int, name: str, times: FloatArray, acc: FloatArray, gyr: FloatArray, mag: FloatArray
+) -> ModuleTrack:
+    scale = NOMINAL_FIELD_UT / float(np.nanmean(np.linalg.norm(mag, axis=1)))
+    return ModuleTrack(module, name, times, acc, gyr, mag * scale, scale)
+
+
+def _named_columns(path: Path, header_row: int) -> Any:
+    return np.genfromtxt(path, delimiter=",", skip_header=header_row, names=True)
+
+
+def _read_repoimu(path: Path, module: int, name: str) -> tuple[ModuleTrack, ReferenceTrack]:
+    lines = path.read_text().splitlines()[2:]
+    table = np.array([_numbers(line) for line in lines if line.strip(";")])
+    times, q_wb = table[:, 0], table[:, 1:5]
+    acc, gyr, mag = table[:, 5:8], table[:, 8:11], table[:, 11:14]
+    fresh = _changes(gyr) & (np.diff(times, prepend=-np.inf) > 0.0)
+    at = times[fresh]
+    acc, mag = _between_changes(times, acc, at), _between_changes(times, mag, at)
+    track = _track(module, name, at, acc, gyr[fresh], mag)
+    return track, ReferenceTrack(name, times, q_wb)
+
+
+def _numbers(line: str) -> list[float]:
+    """Fields of a line; numbers with exponents may have decimal commas."""
+    return [float(text.replace(",", ".")) for text in line.strip().strip(";").split(";")]
+
+
+def _changes(values: FloatArray) -> Any:
+    """(n,) whether a row differs from the one before; the first does."""
+    return np.concatenate([[True], (np.diff(values, axis=0) != 0.0).any(axis=1)])
+
+
+def _between_changes(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    fresh = _changes(values)
+    return np.stack([np.interp(at, times[fresh], column) for column in values[fresh].T], axis=1)
+
+
+def _without_flips(track: ReferenceTrack) -> ReferenceTrack:
+    """Rows next to a turn faster than the pendulum can be, replaced by NaN."""
+    rotation = Rotation.from_quat(track.q_wb, scalar_first=True)
+    turn = (rotation[:-1].inv() * rotation[1:]).magnitude()
+    is_flip = turn > _FLIPPED_RATE * np.maximum(np.diff(track.times), _SHORTEST_INTERVAL_S)
+    q_wb = track.q_wb.copy()
+    q_wb[:-1][is_flip] = np.nan
+    q_wb[1:][is_flip] = np.nan
+    return replace(track, q_wb=q_wb)

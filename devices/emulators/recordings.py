@@ -1,0 +1,138 @@
+"""Real recordings as one kind of value, and played as if their modules sent them. Sans-I/O.
+
+The readers of the data sets are in ``recording_formats``.
+"""
+
+from __future__ import annotations
+
+import heapq
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from devices.emulators.bodies import FloatArray
+from devices.emulators.delivery import Encoding, Transmission
+from devices.emulators.emulated_module import device_info
+from devices.emulators.sample_encoding import SENSORS, SampleEncoder
+from firmware_protocol import InertialSampleFine, LocalMeasurement, WireFrame, encode_packet
+
+NOMINAL_FIELD_UT = 50.0
+"""Mean norm that magnetic readings in arbitrary units are scaled to, module by module, µT."""
+
+CLOCK_START_US = 1_000_000
+"""What every module's counter shows at time 0 of a recording (some data begin before it)."""
+
+
+@dataclass(frozen=True)
+class ModuleTrack:
+    """All samples of one module, sensor axes. A row with a NaN was lost: it is not sent, yet counted."""
+
+    module: int
+    name: str
+    """Segment or place that wears it."""
+    times: FloatArray  # (n,) s, increasing
+    specific_force: FloatArray  # (n, 3) m/s²
+    angular_rate: FloatArray  # (n, 3) rad/s
+    magnetic_field: FloatArray  # (n, 3) µT; all NaN: the module has no magnetometer
+    magnetic_scale: float = 1.0
+    """µT for one unit of the source: what the magnetic readings were multiplied by."""
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Sensors that gave any value at all, in wire order."""
+        return tuple(name for name in SENSORS if np.isfinite(getattr(self, name)).any())
+
+
+@dataclass(frozen=True)
+class ReferenceTrack:
+    """Reference orientation of what a module sits on. NaN rows where it is not known."""
+
+    name: str
+    """As the module's."""
+    times: FloatArray  # (n,) s, on the clock of the module's times
+    q_wb: FloatArray  # (n, 4) wxyz, to a world with Z up
+
+
+@dataclass(frozen=True)
+class LocalTrack:
+    """All readings of a local measuring device, world axes. NaN rows were not measured."""
+
+    module: int
+    name: str
+    times: FloatArray  # (n,) s
+    quantity: int
+    """As on the wire: 1 acceleration (m/s²), 2 velocity (m/s), 3 position (m)."""
+    values: FloatArray  # (n, 3)
+    sigma: float
+    """Standard deviation of each component that the device claims, in the quantity's unit."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A capture as its modules delivered it, with what else is known of the motion."""
+
+    name: str
+    sampling_rate_hz: float
+    modules: tuple[ModuleTrack, ...]
+    references: tuple[ReferenceTrack, ...] = field(default=())
+    local: tuple[LocalTrack, ...] = field(default=())
+
+    @property
+    def module_ids(self) -> tuple[int, ...]:
+        """Inertial modules, in order."""
+        return tuple(track.module for track in self.modules)
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last sample of any module, s."""
+        return max(float(track.times[-1]) for track in self.modules)
+
+    def reference(self, name: str) -> ReferenceTrack:
+        """Reference of a segment by name. Raises ``KeyError`` naming those there are."""
+        for track in self.references:
+            if track.name == name:
+                return track
+        raise KeyError(f"no reference for {name!r}; there are {[track.name for track in self.references]}")
+
+
+def play(recording: Recording, encoding: Encoding | None = None) -> Iterator[Transmission]:
+    """What the modules would have sent, in order of time: (time in s, bytes) without any delay.
+
+    Every module introduces itself, then sends its samples as ``InertialSampleFine``. The same recording
+    always gives the same bytes.
+    """
+    encode = (encoding or Encoding()).encode
+    senders = [_module_frames(track, recording.sampling_rate_hz) for track in recording.modules]
+    senders += [_local_frames(track) for track in recording.local]
+    for time_s, frame in heapq.merge(*senders, key=lambda timed: timed[0]):
+        yield Transmission(time_s, encode(frame))
+
+
+def _module_frames(track: ModuleTrack, sampling_rate_hz: float) -> Iterator[tuple[float, WireFrame]]:
+    sensors = track.sensors
+    readings = {name: getattr(track, name) for name in sensors}
+    is_whole = np.isfinite(np.hstack(list(readings.values()))).all(axis=1)
+    rows = np.flatnonzero(is_whole)
+    encoder = SampleEncoder(InertialSampleFine, sensors)
+    bodies = encoder.encode({name: values[rows] for name, values in readings.items()})
+    first_s = float(track.times[0])
+    info = device_info(struct.pack("<8sI", b"RECORDED", track.module), sampling_rate_hz, sensors)
+    yield first_s, WireFrame(info.KIND, track.module, 0, _clock_us(first_s), encode_packet(info))
+    for row, time_s, body in zip(rows.tolist(), track.times[rows].tolist(), bodies, strict=True):
+        yield time_s, WireFrame(encoder.kind, track.module, row % 2**16, _clock_us(time_s), body)
+
+
+def _local_frames(track: LocalTrack) -> Iterator[tuple[float, WireFrame]]:
+    sigma = (track.sigma,) * 3
+    kind = LocalMeasurement.KIND
+    for row in np.flatnonzero(np.isfinite(track.values).all(axis=1)).tolist():
+        time_s = float(track.times[row])
+        x, y, z = track.values[row].tolist()
+        body = encode_packet(LocalMeasurement(track.quantity, (x, y, z), sigma))
+        yield time_s, WireFrame(kind, track.module, row % 2**16, _clock_us(time_s), body)
+
+
+def _clock_us(time_s: float) -> int:
+    return (CLOCK_START_US + round(time_s * 1e6)) % 2**32

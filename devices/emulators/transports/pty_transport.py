@@ -1,0 +1,120 @@
+"""A pseudo-terminal in place of a USB receiver's serial port."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import select
+import termios
+import tty
+from collections.abc import Callable
+from pathlib import Path
+
+from devices.link import Framing
+
+_POLL_INTERVAL_S = 0.005
+_READ_SIZE = 4096
+
+
+class PtyTransport:
+    """Creates a pseudo-terminal; a gateway opens its slave side as it would a serial port.
+
+    The reader may come, go and come again. While nobody has the port open, what is offered is
+    refused, and what a reader left unread is discarded: a closed port receives nothing.
+    """
+
+    framing = Framing.BYTE_STREAM
+
+    def __init__(
+        self, link_path: str | Path | None = None, on_receive: Callable[[bytes], None] | None = None
+    ) -> None:
+        """
+        link_path: where to put a symbolic link to the slave side, so that its name is known beforehand.
+        on_receive: called with what the host writes; without it that is discarded.
+        """
+        self.path = ""
+        """Path of the slave side (the symbolic link if one was asked for), once open."""
+        self._link_path = None if link_path is None else Path(link_path)
+        self._on_receive = on_receive or (lambda data: None)
+        self._master = -1
+        self._slave_path = ""
+        self._rest = b""
+        self._has_reader = False
+        self._poll = select.poll()
+        self._poller: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Create the pseudo-terminal. Raises ``FileExistsError`` when the link's path is something else."""
+        self._master, slave = os.openpty()
+        os.set_blocking(self._master, False)
+        tty.setraw(slave)
+        self._slave_path = self.path = os.ttyname(slave)
+        os.close(slave)  # only then can the master tell whether a reader is there
+        self._poll.register(self._master, select.POLLIN)
+        if self._link_path is not None:
+            if self._link_path.is_symlink():
+                self._link_path.unlink()
+            self._link_path.symlink_to(self._slave_path)
+            self.path = str(self._link_path)
+        self._poller = asyncio.create_task(self._keep_polling())
+
+    def offer(self, data: bytes) -> bool:
+        """Write data if a reader is there and has taken what was written before."""
+        if self._master < 0 or not self._look():
+            return False
+        if self._rest:
+            self._rest = self._rest[self._write(self._rest) :]
+            if self._rest:
+                return False
+        written = self._write(data)
+        if data and not written:
+            return False
+        self._rest = data[written:]
+        return True
+
+    async def close(self) -> None:
+        """Remove the pseudo-terminal; the reader sees a lost port."""
+        if self._poller is not None:
+            self._poller.cancel()
+            self._poller = None
+        if self._master >= 0:
+            self._poll.unregister(self._master)
+            os.close(self._master)
+            self._master = -1
+        self._rest, self._has_reader = b"", False
+        if self._link_path is not None and self._link_path.is_symlink():
+            self._link_path.unlink()
+
+    async def _keep_polling(self) -> None:
+        # Not by the event loop's readiness: while nobody has the slave open that would fire without end.
+        while True:
+            self._look()
+            await asyncio.sleep(_POLL_INTERVAL_S)
+
+    def _look(self) -> bool:
+        """Whether there is a reader; takes in what it wrote."""
+        events = self._poll.poll(0)
+        state = events[0][1] if events else 0
+        if state & select.POLLIN:
+            with contextlib.suppress(OSError):  # EIO: the reader has just gone
+                self._on_receive(os.read(self._master, _READ_SIZE))
+        has_reader = not state & select.POLLHUP
+        if self._has_reader and not has_reader:
+            self._discard_unread()
+        self._has_reader = has_reader
+        return has_reader
+
+    def _write(self, data: bytes) -> int:
+        """How many bytes went out."""
+        try:
+            return os.write(self._master, data)
+        except OSError:  # full, or the reader has just gone
+            return 0
+
+    def _discard_unread(self) -> None:
+        self._rest = b""
+        slave = os.open(self._slave_path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        with contextlib.suppress(termios.error):
+            termios.tcflush(slave, termios.TCIFLUSH)
+        os.close(slave)

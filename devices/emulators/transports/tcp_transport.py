@@ -1,0 +1,72 @@
+"""A receiver with an Ethernet socket: a TCP server that gateways connect to."""
+
+from __future__ import annotations
+
+import asyncio
+
+from devices.link import Framing
+
+_BUFFER_LIMIT = 64 * 1024
+
+
+class TcpTransport:
+    """Sends the same bytes to whoever is connected; clients come after one another or side by side.
+
+    A client too slow for the stream misses whole chunks.
+    """
+
+    framing = Framing.BYTE_STREAM
+
+    def __init__(self, port: int = 0, host: str = "127.0.0.1") -> None:
+        """port: 0 takes a free one."""
+        self.host = host
+        self.port = port
+        """Port listened on, once open."""
+        self.connections_made = 0
+        """Clients accepted so far."""
+        self._clients: set[asyncio.Transport] = set()
+        self._server: asyncio.Server | None = None
+
+    async def open(self) -> None:
+        """Listen. Raises ``OSError`` when the port is taken."""
+        loop = asyncio.get_running_loop()
+        self._server = await loop.create_server(lambda: _Client(self), self.host, self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    def offer(self, data: bytes) -> bool:
+        """Send to every client that keeps up; False when there is none."""
+        ready = [client for client in self._clients if client.get_write_buffer_size() < _BUFFER_LIMIT]
+        for client in ready:
+            if data:
+                client.write(data)
+        return bool(ready)
+
+    async def close(self) -> None:
+        """Stop listening and disconnect after what was accepted is sent."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        for client in tuple(self._clients):
+            client.close()
+
+    def joined(self, client: asyncio.Transport) -> None:
+        """A client has connected."""
+        self.connections_made += 1
+        self._clients.add(client)
+
+    def left(self, client: asyncio.Transport) -> None:
+        """A client has gone."""
+        self._clients.discard(client)
+
+
+class _Client(asyncio.Protocol):
+    def __init__(self, server: TcpTransport) -> None:
+        self._server = server
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self._server.joined(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._server.left(self._transport)

@@ -1,0 +1,188 @@
+"""One string for every kind of link.
+
+========================================================  ============================================
+``serial:///dev/ttyUSB0?baud=1000000``, ``/dev/ttyUSB0``  serial port or pseudo-terminal
+``rfc2217://host:port?baud=1000000``                      serial port of another computer
+``tcp://host:port`` (also ``socket://``)                  TCP connection made by the gateway
+``udp://host:port``, ``udp://:port``                      datagrams received (this computer's only)
+``slcan:///dev/ttyACM0?bitrate=1000000&fd=1``             CAN adapter that speaks slcan
+``can://socketcan/can0?fd=1``                             CAN interface of the Linux kernel
+``can://virtual/suit``, ``can://pcan/PCAN_USBBUS1``       any other interface of python-can
+``replay:///path?speed=max&link=suit``                    recorded chunks
+========================================================  ============================================
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
+
+from devices.can_link import CanLink
+from devices.link import Link, LinkError
+from devices.replay_link import ReplayLink
+from devices.rfc2217_link import Rfc2217Link
+from devices.serial_link import DEFAULT_BAUD, SerialLink
+from devices.slcan_link import SlcanLink
+from devices.socketcan_link import SocketCanLink
+from devices.tcp_link import TcpLink
+from devices.udp_link import LOOPBACK, UdpLink
+
+
+class EndpointError(LinkError, ValueError):
+    """An endpoint string that cannot be meant; says which part, and what comes nearest."""
+
+
+def link_from_url(url: str, *, name: str | None = None) -> Link:
+    """The link, not yet open, that ``url`` describes; ``name`` is what its chunks are to be called.
+
+    Raises ``EndpointError`` for an unknown scheme or parameter, a missing part or a bad value.
+    """
+    try:
+        parts = urlsplit(f"serial://{url}" if url.startswith("/") else url)
+    except ValueError as error:
+        raise EndpointError(f"{url} is no URL: {error}") from error
+    scheme = _SCHEMES.get(parts.scheme)
+    if scheme is None:
+        raise EndpointError(_unknown_scheme(url, parts.scheme))
+    try:
+        return scheme.build(parts, _parameters(parts.query, scheme), name)
+    except ValueError as error:
+        raise EndpointError(f"{url}: {error}; write it like {scheme.example}") from error
+
+
+def _whole_number(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise ValueError("a whole number above 0 is needed")
+    return int(text)
+
+
+def _flag(text: str) -> bool:
+    values = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
+    if text.lower() not in values:
+        raise ValueError("1 or 0 is needed")
+    return values[text.lower()]
+
+
+def _speed(text: str) -> float | None:
+    if text == "max":
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = math.nan
+    if not 0 < speed < math.inf:
+        raise ValueError("a number above 0, or max, is needed")
+    return speed
+
+
+@dataclass(frozen=True, slots=True)
+class _Scheme:
+    example: str
+    build: Callable[[SplitResult, dict[str, Any], str | None], Link]
+    parameters: Mapping[str, Callable[[str], Any]]
+
+
+def _serial(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    return SerialLink(_path(parts), name=name, **parameters)
+
+
+def _rfc2217(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    return Rfc2217Link(_host(parts), _port(parts), name=name, **parameters)
+
+
+def _tcp(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    return TcpLink(_host(parts), _port(parts), name=name, **parameters)
+
+
+def _udp(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    return UdpLink(parts.hostname or LOOPBACK, _port(parts), name=name, **parameters)
+
+
+def _slcan(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    path = _path(parts)
+    stream = SerialLink(path, baud=parameters.pop("baud", DEFAULT_BAUD), name=name or f"slcan://{path}")
+    return SlcanLink(stream, name=name, **parameters)
+
+
+def _can(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    channel = unquote(parts.path).strip("/")
+    if not parts.netloc or not channel:
+        raise ValueError("an interface and a channel are needed")
+    if parts.netloc == "socketcan":
+        parameters.pop("data_bitrate", None)  # set with the interface by the system, as is bitrate
+        return SocketCanLink(channel, name=name, **parameters)
+    return CanLink(parts.netloc, channel, name=name, **parameters)
+
+
+def _replay(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    return ReplayLink(_path(parts), name=name, **parameters)
+
+
+_CAN_PARAMETERS = {"bitrate": _whole_number, "fd": _flag, "data_bitrate": _whole_number}
+_SCHEMES = {
+    "serial": _Scheme("serial:///dev/ttyUSB0?baud=1000000", _serial, {"baud": _whole_number}),
+    "rfc2217": _Scheme("rfc2217://host:port?baud=1000000", _rfc2217, {"baud": _whole_number}),
+    "tcp": _Scheme("tcp://host:port", _tcp, {}),
+    "socket": _Scheme("socket://host:port", _tcp, {}),
+    "udp": _Scheme("udp://host:port", _udp, {}),
+    "slcan": _Scheme(
+        "slcan:///dev/ttyACM0?bitrate=1000000&fd=1", _slcan, {"baud": _whole_number, **_CAN_PARAMETERS}
+    ),
+    "can": _Scheme("can://socketcan/can0?fd=1", _can, _CAN_PARAMETERS),
+    "replay": _Scheme("replay:///path?speed=max", _replay, {"speed": _speed, "link": str}),
+}
+
+
+def _parameters(query: str, scheme: _Scheme) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for key, text in parse_qsl(query, keep_blank_values=True):
+        if key not in scheme.parameters:
+            raise ValueError(f"unknown parameter '{key}'{_nearest(key, scheme.parameters)}")
+        if key in values:
+            raise ValueError(f"parameter '{key}' is given twice")
+        try:
+            values[key] = scheme.parameters[key](text)
+        except ValueError as error:
+            raise ValueError(f"{key}={text}: {error}") from error
+    return values
+
+
+def _path(parts: SplitResult) -> str:
+    if parts.netloc:
+        raise ValueError("a path on this computer begins with a third slash")
+    if parts.path in ("", "/"):
+        raise ValueError("the path is missing")
+    return unquote(parts.path)
+
+
+def _host(parts: SplitResult) -> str:
+    if not parts.hostname:
+        raise ValueError("the host is missing")
+    return parts.hostname
+
+
+def _port(parts: SplitResult) -> int:
+    if parts.path not in ("", "/"):
+        raise ValueError(f"'{parts.path}' after the port means nothing")
+    if parts.port is None:  # raises ValueError itself when it is no number up to 65535
+        raise ValueError("the port is missing")
+    return parts.port
+
+
+def _unknown_scheme(url: str, scheme: str) -> str:
+    if not scheme:
+        examples = ", ".join(known.example for known in _SCHEMES.values())
+        return f"'{url}' is neither a path (/dev/ttyUSB0) nor a URL; write one like: {examples}"
+    return f"{url}: unknown scheme '{scheme}'{_nearest(scheme, _SCHEMES)}"
+
+
+def _nearest(word: str, known: Iterable[str]) -> str:
+    known = list(known)
+    if not known:
+        return "; there are none here"
+    near = difflib.get_close_matches(word, known, 1)
+    return f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(known)}"

@@ -1,0 +1,71 @@
+"""What a link is: bytes out of a serial port, CAN bus, socket or recording, and bytes back in.
+
+A link opens, reads, writes and closes. It interprets no byte of what the modules say, and it
+stamps every chunk in its receive callback, before any queue, so that a busy consumer cannot smear
+the arrival times that the clock estimation rests on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+# Gateway time is the monotonic clock shifted once, at import, to read like UTC. It therefore never
+# steps when the host's wall clock is set.
+_UTC_ANCHOR_NS = time.time_ns() - time.monotonic_ns()
+
+
+def gateway_time_ns() -> int:
+    """Now, in gateway time: nanoseconds since the Unix epoch as of process start, never stepping."""
+    return time.monotonic_ns() + _UTC_ANCHOR_NS
+
+
+class Framing(Enum):
+    """How the bytes of a link are to be taken apart."""
+
+    BYTE_STREAM = "byte_stream"
+    """COBS wire frames in a stream of bytes (serial, TCP, UDP)."""
+
+    CAN = "can"
+    """CAN frame records as packed by ``firmware_protocol.can_framing.pack_can_records``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Bytes as a link gave them."""
+
+    data: bytes
+    arrived_ns: int
+    """Gateway time of the receive callback, ns."""
+    link: str
+    """Name of the link it came from."""
+
+
+class LinkError(Exception):
+    """A link could not be opened, or was lost.
+
+    ``str(error)`` is one line that says what was found and what would do.
+    """
+
+
+class Link(Protocol):
+    """An open-able source of chunks.
+
+    ``open`` raises ``LinkError`` when the port is absent, busy or forbidden. Iterating yields
+    chunks until the other side closes (end of iteration) or is lost (``LinkError``). A closed link
+    can be opened again.
+    """
+
+    name: str
+    framing: Framing
+
+    async def open(self) -> None: ...
+
+    def __aiter__(self) -> AsyncIterator[Chunk]: ...
+
+    async def write(self, data: bytes) -> None: ...
+
+    async def close(self) -> None: ...

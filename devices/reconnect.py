@@ -1,0 +1,193 @@
+"""Keeps a link open for ever.
+
+States: ``CLOSED`` → ``CONNECTING`` → ``UP`` ⇄ ``DOWN`` (being retried) → ``CLOSED``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from devices.link import Chunk, Link, LinkError
+
+_log = logging.getLogger(__name__)
+
+FIRST_DELAY_S = 0.1
+LONGEST_DELAY_S = 2.0
+
+
+class LinkState(Enum):
+    """Where a link that is kept open stands."""
+
+    CLOSED = "closed"
+    CONNECTING = "connecting"
+    UP = "up"
+    DOWN = "down"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatus:
+    """The state, and when it is ``DOWN`` the reason: one line that says what would do."""
+
+    state: LinkState
+    reason: str = ""
+
+
+class BackOff:
+    """Delays between attempts, s: doubling from the first to the longest."""
+
+    def __init__(self, first: float = FIRST_DELAY_S, longest: float = LONGEST_DELAY_S) -> None:
+        self.longest = longest
+        self._first = first
+        self._next = first
+
+    def next_delay(self) -> float:
+        delay = self._next
+        self._next = min(2 * delay, self.longest)
+        return delay
+
+    def reset(self) -> None:
+        self._next = self._first
+
+
+class ReconnectingLink:
+    """A link that is opened again whenever it is lost; iterating it ends only when it is closed.
+
+    ``on_change`` is called, and one line logged, at every change of status and not at every attempt.
+    A connection counts as a success, which makes the back-off start anew, once a chunk came or it
+    held for the longest delay: a server that accepts and hangs up at once is not hammered.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        *,
+        strict: bool = False,
+        back_off: BackOff | None = None,
+        on_change: Callable[[LinkStatus], None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
+        """``strict``: the first ``open`` raises ``LinkError`` rather than go on trying. ``clock`` in s."""
+        self.link = link
+        self.name = link.name
+        self.framing = link.framing
+        self.status = LinkStatus(LinkState.CLOSED)
+        self.reconnections = 0
+        """How often the link came up again since it was opened."""
+        self._strict = strict
+        self._back_off = back_off or BackOff()
+        self._on_change = on_change
+        self._clock = clock
+        self._sleep = sleep
+        self._closing: asyncio.Event | None = None
+        self._transition = asyncio.Lock()
+
+    @property
+    def state(self) -> LinkState:
+        return self.status.state
+
+    async def open(self) -> None:
+        """One attempt; when it fails, iterating goes on trying (``strict``: raises ``LinkError``)."""
+        if self.state is not LinkState.CLOSED:
+            raise LinkError(f"{self.name} is already open")
+        self._closing = asyncio.Event()
+        self._back_off.reset()
+        self.reconnections = 0
+        self._set(LinkStatus(LinkState.CONNECTING))
+        try:
+            await self._until_closed(self._attempt())
+            if self._strict and self.status.state is LinkState.DOWN:
+                raise LinkError(self.status.reason)
+        except BaseException:
+            self._closing = None
+            self._set(LinkStatus(LinkState.CLOSED))
+            raise
+
+    async def __aiter__(self) -> AsyncIterator[Chunk]:
+        if self._closing is None:
+            raise LinkError(f"{self.name} is not open: call open() before reading")
+        while not self._closing.is_set():
+            if self.state is not LinkState.UP:
+                await self._until_closed(self._retry())
+                continue
+            up_since = self._clock()
+            has_received = False
+            reason = "the other side closed it"
+            try:
+                async for chunk in self.link:
+                    has_received = True
+                    yield chunk
+            except LinkError as error:
+                reason = str(error)
+            if not self._closing.is_set():
+                if has_received or self._clock() - up_since >= self._back_off.longest:
+                    self._back_off.reset()
+                await self._give_up(reason)
+
+    async def write(self, data: bytes) -> None:
+        """As the link does; raises ``LinkError`` while it is not up."""
+        if self.state is not LinkState.UP:
+            raise LinkError(
+                f"{self.name} is {self.state.value}{self.status.reason and ': '}{self.status.reason}"
+            )
+        await self.link.write(data)
+
+    async def close(self) -> None:
+        if self._closing is None or self._closing.is_set():
+            return
+        self._closing.set()
+        async with self._transition:  # an attempt under way is being cancelled
+            await self.link.close()
+        self._set(LinkStatus(LinkState.CLOSED))
+
+    async def _retry(self) -> None:
+        await self._sleep(self._back_off.next_delay())
+        await self._attempt()
+        if self.state is LinkState.UP:
+            self.reconnections += 1
+
+    async def _attempt(self) -> None:
+        async with self._transition:
+            try:
+                await self.link.open()
+            except LinkError as error:
+                self._set(LinkStatus(LinkState.DOWN, str(error)))
+            else:
+                self.framing = self.link.framing
+                self._set(LinkStatus(LinkState.UP))
+
+    async def _give_up(self, reason: str) -> None:
+        async with self._transition:
+            await self.link.close()
+            self._set(LinkStatus(LinkState.DOWN, reason))
+
+    async def _until_closed(self, step: Coroutine[Any, Any, None]) -> None:
+        """Run ``step``; when the link is closed meanwhile, cancel it."""
+        assert self._closing is not None
+        running = asyncio.ensure_future(step)
+        closed = asyncio.ensure_future(self._closing.wait())
+        try:
+            await asyncio.wait((running, closed), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            closed.cancel()
+            if not running.done():
+                running.cancel()
+        if running.done():
+            running.result()
+
+    def _set(self, status: LinkStatus) -> None:
+        if status == self.status:
+            return
+        self.status = status
+        if status.state is LinkState.DOWN:
+            _log.warning("%s: down, trying again: %s", self.name, status.reason)
+        else:
+            _log.info("%s: %s", self.name, status.state.value)
+        if self._on_change is not None:
+            self._on_change(status)

@@ -1,0 +1,70 @@
+"""A CAN adapter that speaks slcan over a byte stream (serial port, pseudo-terminal, TCP) as a link."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+
+from devices.link import Chunk, Framing, Link, LinkError
+from devices.slcan import CLOSE_COMMAND, SlcanDecoder, encode_slcan, open_commands
+from firmware_protocol.can_framing import pack_can_records, unpack_can_records
+
+DEFAULT_DATA_BITRATE = 2_000_000
+_COMMAND_TIMEOUT_S = 1.0
+
+
+class SlcanLink:
+    """CAN frame records of one slcan adapter.
+
+    ``stream`` carries the text; its arrival times stand. Malformed lines and refused commands are
+    counted in ``decoder``; a refused first command is ordinary (the channel was closed already).
+    """
+
+    framing = Framing.CAN
+
+    def __init__(
+        self,
+        stream: Link,
+        *,
+        bitrate: int = 1_000_000,
+        fd: bool = False,
+        data_bitrate: int = DEFAULT_DATA_BITRATE,
+        name: str | None = None,
+    ) -> None:
+        """``bitrate`` and (FD) ``data_bitrate`` in bit/s. Raises ValueError when slcan has no such rate."""
+        self.name = name or stream.name
+        self.decoder = SlcanDecoder()
+        self._stream = stream
+        self._open_commands = open_commands(bitrate, data_bitrate if fd else None)
+
+    async def open(self) -> None:
+        await self._stream.open()
+        self.decoder = SlcanDecoder()
+        try:
+            for command in self._open_commands:
+                await asyncio.wait_for(self._stream.write(command), _COMMAND_TIMEOUT_S)
+        except TimeoutError as error:
+            await self._stream.close()
+            raise LinkError(f"{self.name} takes no commands: is it an slcan adapter, and alive?") from error
+        except BaseException:
+            await self._stream.close()
+            raise
+
+    async def __aiter__(self) -> AsyncIterator[Chunk]:
+        async for chunk in self._stream:
+            frames = self.decoder.feed(chunk.data)
+            if frames:
+                yield Chunk(pack_can_records(frames), chunk.arrived_ns, self.name)
+
+    async def write(self, data: bytes) -> None:
+        """Send CAN frame records. Raises ValueError for a frame that CAN does not have."""
+        await self._stream.write(b"".join(encode_slcan(frame) for frame in unpack_can_records(data)))
+
+    async def close(self) -> None:
+        try:
+            # An adapter that is gone, or never was there, need not be told.
+            with contextlib.suppress(LinkError, TimeoutError):
+                await asyncio.wait_for(self._stream.write(CLOSE_COMMAND), _COMMAND_TIMEOUT_S)
+        finally:
+            await self._stream.close()

@@ -1,0 +1,220 @@
+"""A CAN interface of the Linux kernel (``can0``, ``vcan0``) as a link.
+
+Read straight from a raw socket: a burst is drained in one wake-up, the receive buffer is large
+enough for it, and what the kernel had to drop is counted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import os
+import socket
+import struct
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from devices.arrivals import Arrivals
+from devices.link import Chunk, Framing, LinkError, gateway_time_ns
+from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
+
+# linux/can.h and asm-generic/socket.h; Python's socket module lacks the last three.
+_CAN_FRAME = struct.Struct("=IB3x8s")
+_CANFD_FRAME = struct.Struct("=IBB2x64s")
+_FD_BITRATE_SWITCH = 0x01
+_EXTENDED, _REMOTE, _ERROR = 1 << 31, 1 << 30, 1 << 29
+_IDENTIFIER = (1 << 29) - 1
+_SO_RXQ_OVFL = 40
+_SO_RCVBUFFORCE = 33
+_INTERFACE_TYPE_CAN = "280"
+
+# The kernel's default holds some 300 frames; a burst of a full suit was lost by more than half.
+_RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024
+_BATCH = 64
+_SEND_RETRY_S = 0.001
+_SEND_RETRIES = 1000
+
+
+class SocketCanLink:
+    """CAN frame records of one kernel interface. Its bit rate is the system's to set (``ip link``)."""
+
+    framing = Framing.CAN
+
+    def __init__(
+        self, channel: str, *, fd: bool = False, bitrate: int = 1_000_000, name: str | None = None
+    ) -> None:
+        """``bitrate`` [bit/s] only serves to spell out the command when the interface is down."""
+        self.name = name or f"can://socketcan/{channel}"
+        self.channel = channel
+        self.kernel_dropped = 0
+        """Frames the kernel dropped since opening because its receive buffer was full."""
+        self._fd = fd
+        self._bitrate = bitrate
+        self._arrivals = Arrivals.never_opened(self.name)
+        self._socket: socket.socket | None = None
+
+    @property
+    def dropped_bytes(self) -> int:
+        """Bytes of records dropped since opening because the reader was too far behind."""
+        return self._arrivals.dropped_bytes
+
+    async def open(self) -> None:
+        if self._socket is not None:
+            raise LinkError(f"{self.name} is already open")
+        try:
+            self._socket = open_can_socket(self.channel, self._fd)
+        except OSError as error:
+            raise self._open_error(error) from error
+        set_receive_buffer(self._socket)
+        self.kernel_dropped = 0
+        self._arrivals = Arrivals(self.name)
+        asyncio.get_running_loop().add_reader(self._socket, self._receive, self._socket)
+
+    def __aiter__(self) -> AsyncIterator[Chunk]:
+        return self._arrivals
+
+    async def write(self, data: bytes) -> None:
+        """Send CAN frame records, waiting up to a second for room in the transmit queue."""
+        for frame in unpack_can_records(data):
+            await self._send(kernel_bytes(frame))
+
+    async def close(self) -> None:
+        self._release(None)
+
+    def _receive(self, bus: socket.socket) -> None:
+        frames: list[CanFrame] = []
+        lost: OSError | None = None
+        try:
+            while len(frames) < _BATCH:
+                data, ancillary, _, _ = bus.recvmsg(_CANFD_FRAME.size, socket.CMSG_SPACE(4))
+                frames.append(frame_from_kernel(data))
+                for _, kind, content in ancillary:
+                    if kind == _SO_RXQ_OVFL:
+                        self.kernel_dropped = int.from_bytes(content, sys.byteorder)
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            lost = error
+        if frames:
+            # Stamped after the last was taken: no frame seems to have come before it did.
+            self._arrivals.put(pack_can_records(frames), gateway_time_ns())
+        if lost is not None:
+            self._release(self._lost_error(lost))
+
+    async def _send(self, data: bytes) -> None:
+        for _ in range(_SEND_RETRIES):
+            if self._socket is None:
+                raise self._arrivals.error or LinkError(f"{self.name} is closed")
+            try:
+                self._socket.send(data)
+            except OSError as error:
+                # A full queue (ENOBUFS) does not show in the socket's readiness: it must be asked again.
+                if error.errno not in (errno.EAGAIN, errno.ENOBUFS):
+                    raise self._lost_error(error) from error
+                await asyncio.sleep(_SEND_RETRY_S)
+            else:
+                return
+        raise LinkError(
+            f"{self.name}: the transmit queue stays full; is another node on the bus, at the same bit rate?"
+        )
+
+    def _release(self, error: LinkError | None) -> None:
+        if self._socket is None:
+            return
+        asyncio.get_running_loop().remove_reader(self._socket)
+        self._socket.close()
+        self._socket = None
+        self._arrivals.end(error)
+
+    def _up_command(self) -> str:
+        return f"sudo ip link set {self.channel} up type can bitrate {self._bitrate}"
+
+    def _open_error(self, error: OSError) -> LinkError:
+        if error.errno in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
+            return LinkError(
+                f"{self.name}: this kernel has no CAN sockets; run 'sudo modprobe can_raw', "
+                "or use an slcan adapter or can://virtual"
+            )
+        if error.errno == errno.ENODEV:
+            present = ", ".join(can_interfaces())
+            found = f"CAN interfaces present: {present}" if present else "no CAN interface is present"
+            return LinkError(
+                f"no CAN interface '{self.channel}'; {found}; plug it in, then '{self._up_command()}'"
+            )
+        return LinkError(f"{self.name} cannot be opened: {error.strerror}; try '{self._up_command()}'")
+
+    def _lost_error(self, error: OSError) -> LinkError:
+        if error.errno == errno.ENETDOWN:
+            return LinkError(f"{self.channel} is down: run '{self._up_command()}'")
+        if error.errno in (errno.EINVAL, errno.EMSGSIZE):
+            return LinkError(
+                f"{self.channel} takes no FD frames: set it up with 'fd on', or send classic ones"
+            )
+        return LinkError(f"{self.name} was lost: {error.strerror}; plug it in, then '{self._up_command()}'")
+
+
+def open_can_socket(channel: str, fd: bool) -> socket.socket:
+    """A non-blocking raw socket on the interface. Raises OSError."""
+    if not hasattr(socket, "AF_CAN"):
+        raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
+    bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
+    try:
+        if fd:
+            bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+        bus.bind((channel,))
+    except OSError:
+        bus.close()
+        raise
+    return bus
+
+
+def set_receive_buffer(bus: socket.socket) -> None:
+    """Raise the receive buffer, past the system's limit where allowed, and have drops reported."""
+    try:
+        bus.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
+    except PermissionError:
+        bus.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+    bus.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+
+
+def can_interfaces() -> list[str]:
+    """Names of the CAN interfaces that the kernel has."""
+    names = []
+    for path in sorted(Path("/sys/class/net").glob("*/type")):
+        with contextlib.suppress(OSError):
+            if path.read_text().strip() == _INTERFACE_TYPE_CAN:
+                names.append(path.parent.name)
+    return names
+
+
+def frame_from_kernel(data: bytes) -> CanFrame:
+    """A ``struct can_frame`` (16 bytes) or ``struct canfd_frame`` (72 bytes)."""
+    is_fd = len(data) == _CANFD_FRAME.size
+    flags = 0
+    if is_fd:
+        flagged, length, flags, content = _CANFD_FRAME.unpack(data)
+    else:
+        flagged, length, content = _CAN_FRAME.unpack(data)
+    return CanFrame(
+        identifier=flagged & _IDENTIFIER,
+        data=content[:length],
+        is_extended=bool(flagged & _EXTENDED),
+        is_fd=is_fd,
+        is_remote=bool(flagged & _REMOTE),
+        is_error=bool(flagged & _ERROR),
+        bitrate_switch=bool(flags & _FD_BITRATE_SWITCH),
+    )
+
+
+def kernel_bytes(frame: CanFrame) -> bytes:
+    """The inverse of ``frame_from_kernel``."""
+    flagged = (
+        frame.identifier | _EXTENDED * frame.is_extended | _REMOTE * frame.is_remote | _ERROR * frame.is_error
+    )
+    if frame.is_fd:
+        return _CANFD_FRAME.pack(
+            flagged, len(frame.data), _FD_BITRATE_SWITCH * frame.bitrate_switch, frame.data
+        )
+    return _CAN_FRAME.pack(flagged, len(frame.data), frame.data)

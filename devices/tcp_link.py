@@ -1,0 +1,136 @@
+"""A TCP connection to a relay unit, serial server or emulator as a link."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+from collections.abc import AsyncIterator
+
+from devices.arrivals import Arrivals
+from devices.link import Chunk, Framing, LinkError, gateway_time_ns
+
+CONNECT_TIMEOUT_S = 5.0
+
+# A peer that vanishes without a word (power, radio) is noticed after 5 + 3 × 2 s of silence.
+_KEEPALIVE = (
+    (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 5),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 2),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3),
+)
+
+
+class TcpLink:
+    """Bytes of one TCP connection that the gateway makes, without delay in either direction."""
+
+    framing = Framing.BYTE_STREAM
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        name: str | None = None,
+        connect_timeout: float = CONNECT_TIMEOUT_S,
+    ) -> None:
+        self.name = name or f"tcp://{host}:{port}"
+        self.host = host
+        self.port = port
+        self._connect_timeout = connect_timeout
+        self._arrivals = Arrivals.never_opened(self.name)
+        self._connection: _Connection | None = None
+
+    @property
+    def dropped_bytes(self) -> int:
+        """Bytes dropped since opening because the reader was too far behind."""
+        return self._arrivals.dropped_bytes
+
+    async def open(self) -> None:
+        if self._connection is not None and not self._arrivals.has_ended:
+            raise LinkError(f"{self.name} is already open")
+        arrivals = Arrivals(self.name)
+        connecting = asyncio.get_running_loop().create_connection(
+            lambda: _Connection(arrivals, f"{self.host}:{self.port}"), self.host, self.port
+        )
+        try:
+            _, self._connection = await asyncio.wait_for(connecting, self._connect_timeout)
+        except OSError as error:  # TimeoutError and gaierror among them
+            raise self._open_error(error) from error
+        self._arrivals = arrivals
+
+    def __aiter__(self) -> AsyncIterator[Chunk]:
+        return self._arrivals
+
+    async def write(self, data: bytes) -> None:
+        """Send ``data``, waiting while the peer does not take it. Raises ``LinkError`` when it is gone."""
+        if self._connection is None or self._arrivals.has_ended:
+            raise self._arrivals.error or LinkError(f"{self.name} is closed")
+        await self._connection.send(data)
+
+    async def close(self) -> None:
+        if self._connection is not None:
+            await self._connection.close()
+            self._connection = None
+
+    def _open_error(self, error: OSError) -> LinkError:
+        place = f"{self.host}:{self.port}"
+        if isinstance(error, socket.gaierror):
+            return LinkError(f"unknown host '{self.host}': correct the name or give its address")
+        if isinstance(error, TimeoutError):
+            return LinkError(f"{place} does not answer: check the address, the network and the firewall")
+        if isinstance(error, ConnectionRefusedError):
+            return LinkError(
+                f"{place} refused the connection: start what should listen there, or correct the port"
+            )
+        if error.errno in (errno.EHOSTUNREACH, errno.ENETUNREACH):
+            return LinkError(f"{place} is unreachable: connect this computer to the network of the device")
+        return LinkError(f"{place} cannot be connected: {error.strerror or error}")
+
+
+class _Connection(asyncio.Protocol):
+    """Stamps what arrives, and holds writers back while the peer does not take it."""
+
+    def __init__(self, arrivals: Arrivals, place: str) -> None:
+        self._arrivals = arrivals
+        self._place = place
+        self._transport: asyncio.Transport | None = None
+        self._may_write = asyncio.Event()
+        self._may_write.set()
+        self._gone = asyncio.Event()
+
+    async def send(self, data: bytes) -> None:
+        await self._may_write.wait()
+        if self._transport is None or self._arrivals.has_ended:
+            raise self._arrivals.error or LinkError(f"{self._place} closed the connection")
+        self._transport.write(data)
+        await self._may_write.wait()
+
+    async def close(self) -> None:
+        self._arrivals.end()
+        if self._transport is not None:
+            self._transport.abort()
+            await self._gone.wait()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        connected = transport.get_extra_info("socket")
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for level, option, value in _KEEPALIVE:
+            connected.setsockopt(level, option, value)
+
+    def data_received(self, data: bytes) -> None:
+        self._arrivals.put(data, gateway_time_ns())
+
+    def connection_lost(self, error: Exception | None) -> None:
+        lost = LinkError(f"connection to {self._place} was lost: {error}") if error is not None else None
+        self._arrivals.end(lost)
+        self._gone.set()
+        self._may_write.set()
+
+    def pause_writing(self) -> None:
+        self._may_write.clear()
+
+    def resume_writing(self) -> None:
+        self._may_write.set()

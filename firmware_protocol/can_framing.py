@@ -1,0 +1,214 @@
+"""Wire frames on a CAN bus, classic and FD, cut into pieces under 29-bit identifiers.
+
+Identifier, most significant bit first::
+
+    [priority:3] [kind:8] [module:8] [version:4] [last:1] [index:5]
+
+What the pieces of one wire frame hold, joined in the order of ``index``::
+
+    [sequence:2] [module_time_us:4] [body_length:1] [body:body_length] [crc32:4] [padding, FD only]
+
+``crc32`` is that of the same wire frame on a byte stream, so it covers what the identifier says too.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from itertools import pairwise
+
+from firmware_protocol.can_records import (
+    CLASSIC_DATA_SIZE,
+    ERROR,
+    EXTENDED,
+    FD,
+    REMOTE,
+    CanFrame,
+    data_limit,
+    pack_can_records,
+    split_records,
+    unpack_can_records,
+)
+from firmware_protocol.fields import BYTE_ORDER, WireField
+from firmware_protocol.framing import (
+    CHECKSUM_FIELD,
+    HEADER_FIELDS,
+    PROTOCOL_VERSION,
+    Defect,
+    WireFrame,
+    parse,
+    serialize,
+)
+from firmware_protocol.kinds import CAN_PRIORITY, LOWEST_CAN_PRIORITY
+
+__all__ = ["CanFrame", "CanFrameDecoder", "fragment", "pack_can_records", "unpack_can_records"]
+
+IDENTIFIER_BITS = (("priority", 3), ("kind", 8), ("module", 8), ("version", 4), ("last", 1), ("index", 5))
+"""Parts of the identifier and their bits, most significant first."""
+
+IDENTIFIER_MEANINGS = {
+    "priority": "Urgency of the kind, 0 the highest; receivers ignore it.",
+    "kind": "As in the wire frame.",
+    "module": "As in the wire frame.",
+    "version": "Protocol version, 1.",
+    "last": "1 on the last piece.",
+    "index": "Number of the piece, from 0.",
+}
+
+HEAD_FIELDS = (*HEADER_FIELDS[3:], WireField(name="body_length", code="B", sentence="Bytes of the body."))
+"""What comes before the body in the joined pieces."""
+
+FD_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+"""Lengths that a CAN FD frame can have, bytes."""
+
+MAX_PIECES = 32
+MAX_CAN_BODY_SIZE = 255
+MAX_PARTIAL_FRAMES = 256
+"""Wire frames in reassembly at one time: 64 modules, each interrupting itself up to three times."""
+
+_WIDTHS = [bits for _, bits in IDENTIFIER_BITS]
+IDENTIFIER_SHIFT = {name: sum(_WIDTHS[place + 1 :]) for place, (name, _) in enumerate(IDENTIFIER_BITS)}
+"""Place of the lowest bit of each part."""
+
+_MASK = {name: ((1 << bits) - 1) << IDENTIFIER_SHIFT[name] for name, bits in IDENTIFIER_BITS}
+_LAST, _INDEX_MASK = _MASK["last"], _MASK["index"]
+_STREAM_SHIFT, _STREAM_MASK = IDENTIFIER_SHIFT["module"], _MASK["kind"] | _MASK["module"]
+
+# Ours is what has a long identifier, is neither remote nor an error, and is of our version.
+_OWN_MASK = EXTENDED | REMOTE | ERROR | _MASK["version"]
+_OWN_PATTERN = EXTENDED | PROTOCOL_VERSION << IDENTIFIER_SHIFT["version"]
+
+_IDENTITY = struct.Struct("<BBB")
+_HEAD = struct.Struct(BYTE_ORDER + "".join(f.struct_format for f in HEAD_FIELDS))
+_LENGTH_OFFSET = _HEAD.size - 1
+_OVERHEAD = _HEAD.size + CHECKSUM_FIELD.size
+_MAX_PADDING = max(longer - shorter for shorter, longer in pairwise(FD_LENGTHS)) - 1
+MAX_CLASSIC_BODY_SIZE = MAX_PIECES * CLASSIC_DATA_SIZE - _OVERHEAD
+
+
+def fragment(frame: WireFrame, fd: bool = False) -> list[CanFrame]:
+    """The CAN frames that carry a wire frame, in the order to be sent.
+
+    Raises ValueError when the body exceeds 255 bytes (classic: 245, the most that 32 pieces hold) or
+    a number does not fit its field.
+    """
+    limit = MAX_CAN_BODY_SIZE if fd else MAX_CLASSIC_BODY_SIZE
+    if len(frame.body) > limit:
+        raise ValueError(f"body of {len(frame.body)} bytes: CAN{' FD' if fd else ''} carries at most {limit}")
+    payload = _payload(frame)
+    size = data_limit(fd)
+    pieces = [payload[start : start + size] for start in range(0, len(payload), size)]
+    if fd:
+        pieces[-1] = pieces[-1].ljust(_fd_length(len(pieces[-1])), b"\x00")
+    base = _identifier_base(frame)
+    last = len(pieces) - 1
+    return [
+        CanFrame(base | (_LAST if index == last else 0) | index, piece, is_fd=fd, bitrate_switch=fd)
+        for index, piece in enumerate(pieces)
+    ]
+
+
+def _payload(frame: WireFrame) -> bytes:
+    raw = serialize(frame)
+    head_end = _IDENTITY.size + _LENGTH_OFFSET
+    return raw[_IDENTITY.size : head_end] + bytes([len(frame.body)]) + raw[head_end:]
+
+
+def _identifier_base(frame: WireFrame) -> int:
+    parts = {
+        "priority": CAN_PRIORITY.get(frame.kind, LOWEST_CAN_PRIORITY),
+        "kind": frame.kind,
+        "module": frame.module,
+        "version": frame.version,
+    }
+    too_large = [name for name, part in parts.items() if part << IDENTIFIER_SHIFT[name] > _MASK[name]]
+    if too_large:
+        raise ValueError(f"{frame}: {too_large[0]} does not fit a CAN identifier")
+    return sum(part << IDENTIFIER_SHIFT[name] for name, part in parts.items())
+
+
+def _fd_length(size: int) -> int:
+    return min(length for length in FD_LENGTHS if length >= size)
+
+
+class CanFrameDecoder:
+    """Reassembles wire frames from the CAN frames of a bus, those of many modules interleaved.
+
+    A chunk is a run of whole records. ``feed`` never raises, it counts what it drops: a wire frame
+    of which a piece is missing counts once. At most ``MAX_PARTIAL_FRAMES`` wire frames of 2 kB each
+    are in reassembly; the one begun longest ago gives way to a new one.
+    """
+
+    def __init__(self) -> None:
+        self.dropped: Counter[Defect] = Counter()
+        """What was dropped, by reason."""
+        self.accepted = 0
+        """Wire frames handed out."""
+        # By (kind, module): the pieces so far, or None while the rest of a spoilt frame passes.
+        self._partial: dict[int, list[bytes] | None] = {}
+
+    def feed(self, chunk: bytes) -> list[WireFrame]:
+        """The wire frames that this chunk completes, in order."""
+        records, is_broken = split_records(chunk)
+        frames = []
+        for flagged_identifier, fd_flags, data in records:
+            if flagged_identifier & _OWN_MASK != _OWN_PATTERN:
+                self.dropped[Defect.FOREIGN] += 1
+            elif (frame := self._take(flagged_identifier, data, bool(fd_flags & FD))) is not None:
+                frames.append(frame)
+        if is_broken:
+            self.dropped[Defect.TRUNCATED] += 1
+        self.accepted += len(frames)
+        return frames
+
+    def _take(self, identifier: int, data: bytes, is_fd: bool) -> WireFrame | None:
+        """The wire frame that this piece completes, if it completes one."""
+        stream = (identifier & _STREAM_MASK) >> _STREAM_SHIFT
+        pieces = self._pieces_before(stream, identifier & _INDEX_MASK)
+        if pieces is not None:
+            pieces.append(data)
+        if not identifier & _LAST:
+            return None
+        del self._partial[stream]
+        if pieces is None:
+            return None
+        frame = _reassemble(stream, b"".join(pieces), is_fd)
+        if type(frame) is Defect:
+            self.dropped[frame] += 1
+            return None
+        return frame
+
+    def _pieces_before(self, stream: int, index: int) -> list[bytes] | None:
+        """The pieces before ``index``, or None when the wire frame is spoilt."""
+        if index == 0:
+            self._forget(stream)
+            return self._begin(stream, [])
+        pieces = self._partial.get(stream)
+        if pieces is not None and len(pieces) == index:
+            return pieces
+        if pieces is not None or stream not in self._partial:
+            self.dropped[Defect.LOST_FRAGMENT] += 1
+            return self._begin(stream, None)
+        return None
+
+    def _begin(self, stream: int, pieces: list[bytes] | None) -> list[bytes] | None:
+        if stream not in self._partial and len(self._partial) >= MAX_PARTIAL_FRAMES:
+            self._forget(next(iter(self._partial)))
+        self._partial[stream] = pieces
+        return pieces
+
+    def _forget(self, stream: int) -> None:
+        """Gives up an unfinished wire frame, which counts unless it has been counted as spoilt."""
+        if self._partial.pop(stream, None) is not None:
+            self.dropped[Defect.LOST_FRAGMENT] += 1
+
+
+def _reassemble(stream: int, payload: bytes, is_fd: bool) -> WireFrame | Defect:
+    """The wire frame of one (kind, module) ``stream`` from its joined pieces."""
+    if len(payload) < _OVERHEAD:
+        return Defect.TOO_SHORT
+    end = _OVERHEAD + payload[_LENGTH_OFFSET]
+    if not 0 <= len(payload) - end <= (_MAX_PADDING if is_fd else 0):
+        return Defect.BAD_LENGTH
+    identity = _IDENTITY.pack(PROTOCOL_VERSION, stream >> 8, stream & 0xFF)
+    return parse(identity + payload[:_LENGTH_OFFSET] + payload[_HEAD.size : end])

@@ -1,0 +1,171 @@
+"""How one field lies on the wire and what it means: the data that all else is derived from.
+
+A packet is a dataclass whose fields carry a ``WireField`` or a ``MaskFlag`` as metadata. Encoder,
+decoder and the byte tables of ``README.md`` read these declarations and nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+BYTE_ORDER = "<"
+
+INTEGER_RANGE: Mapping[str, tuple[int, int]] = {
+    "B": (0, 2**8 - 1),
+    "b": (-(2**7), 2**7 - 1),
+    "H": (0, 2**16 - 1),
+    "h": (-(2**15), 2**15 - 1),
+    "I": (0, 2**32 - 1),
+    "i": (-(2**31), 2**31 - 1),
+}
+"""Smallest and largest number that each integer layout code holds."""
+
+LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
+
+TYPE_NAMES: Mapping[str, str] = {
+    "B": "u8",
+    "b": "i8",
+    "H": "u16",
+    "h": "i16",
+    "I": "u32",
+    "i": "i32",
+    "f": "f32",
+    "s": "bytes",
+}
+"""What firmware authors call each layout code."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WireField:
+    """One field of a layout."""
+
+    name: str = ""
+    """Attribute of the packet; filled in by ``layout_of``."""
+    code: str
+    """Layout code of one element, as in the ``struct`` module; ``s`` is a run of bytes."""
+    count: int = 1
+    """How many elements follow one another."""
+    unit: str = ""
+    """Unit of the decoded value."""
+    scale: float | None = None
+    """Decoded value = element on the wire x scale; None: the element is the value."""
+    presence_bit: int | None = None
+    """Bit of the mask that says whether the field is there; None: it always is."""
+    absent: int | None = None
+    """Reserved element that stands for "not known", decoded to None."""
+    minimum: float | None = None
+    maximum: float | None = None
+    meanings: Mapping[int, str] = field(default_factory=dict)
+    """The only values allowed, with what each stands for; empty: any."""
+    sentence: str
+    """What the field is, for people."""
+
+    @property
+    def struct_format(self) -> str:
+        """Layout code of the whole field, for ``struct`` (without byte order)."""
+        return self.code if self.count == 1 else f"{self.count}{self.code}"
+
+    @property
+    def size(self) -> int:
+        """Bytes on the wire when present."""
+        return struct.calcsize(BYTE_ORDER + self.struct_format)
+
+    @property
+    def type_name(self) -> str:
+        """``i16[3]``, ``u8`` and so on."""
+        return TYPE_NAMES[self.code] + (f"[{self.count}]" if self.count > 1 else "")
+
+    @property
+    def is_restricted(self) -> bool:
+        """Whether some patterns of bytes are not values of this field."""
+        return bool(self.code == "f" or self.meanings or (self.minimum, self.maximum) != (None, None))
+
+    def accepts(self, value: Any) -> bool:
+        """Whether a decoded value is finite, within the declared limits and of a declared meaning."""
+        if value is None:
+            return self.absent is not None
+        return all(self._accepts_element(x) for x in (value if self.count > 1 else (value,)))
+
+    def _accepts_element(self, x: float) -> bool:
+        return (
+            math.isfinite(x)
+            and (self.minimum is None or x >= self.minimum)
+            and (self.maximum is None or x <= self.maximum)
+            and (not self.meanings or x in self.meanings)
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MaskFlag:
+    """A bit of the mask that is itself a value."""
+
+    name: str = ""
+    """Attribute of the packet; filled in by ``layout_of``."""
+    bit: int
+    clips: str | None = None
+    """Name of the field that the bit calls clipped; set only while that field is present."""
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """The declared layout of a packet's body: a mask when any field needs one, then the fields."""
+
+    fields: tuple[WireField, ...]
+    flags: tuple[MaskFlag, ...]
+
+    @property
+    def has_mask(self) -> bool:
+        """Whether the body begins with a mask byte."""
+        return bool(self.flags) or any(f.presence_bit is not None for f in self.fields)
+
+    def present(self, mask: int) -> tuple[WireField, ...]:
+        """The fields that a body with this mask holds, in wire order."""
+        return tuple(f for f in self.fields if f.presence_bit is None or mask >> f.presence_bit & 1)
+
+    def struct_format(self, mask: int = 0) -> str:
+        """Layout of the whole body with this mask, for ``struct``."""
+        codes = ["B"] if self.has_mask else []
+        return BYTE_ORDER + "".join(codes + [f.struct_format for f in self.present(mask)])
+
+    def valid_masks(self) -> tuple[int, ...]:
+        """Every mask a sender may use: no reserved bit, nothing clipped that is absent."""
+        if not self.has_mask:
+            return (0,)
+        return tuple(mask for mask in range(256) if self._is_valid(mask))
+
+    def _is_valid(self, mask: int) -> bool:
+        presence = {f.name: f.presence_bit for f in self.fields if f.presence_bit is not None}
+        used = sum(1 << bit for bit in presence.values()) + sum(1 << flag.bit for flag in self.flags)
+        if mask & ~used:
+            return False
+        clipped = [flag.clips for flag in self.flags if flag.clips and mask >> flag.bit & 1]
+        return all(mask >> presence[name] & 1 for name in clipped)
+
+
+def wire(
+    code: str, count: int = 1, unit: str = "", scale: float | None = None, **rest: Any
+) -> dict[str, Any]:
+    """Metadata of a dataclass field that lies on the wire; ``rest`` as in ``WireField``."""
+    return {"wire": WireField(code=code, count=count, unit=unit, scale=scale, **rest)}
+
+
+def flag(bit: int, sentence: str, clips: str | None = None) -> dict[str, Any]:
+    """Metadata of a boolean dataclass field that is a bit of the mask."""
+    return {"wire": MaskFlag(bit=bit, sentence=sentence, clips=clips)}
+
+
+def layout_of(packet_class: type[Any]) -> Layout:
+    """The declared layout of a packet class, in wire order."""
+    declared = [
+        dataclasses.replace(f.metadata["wire"], name=f.name) for f in dataclasses.fields(packet_class)
+    ]
+    return Layout(
+        fields=tuple(d for d in declared if isinstance(d, WireField)),
+        flags=tuple(d for d in declared if isinstance(d, MaskFlag)),
+    )

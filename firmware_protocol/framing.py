@@ -1,0 +1,179 @@
+"""Wire frames on a byte stream: stuffed, delimited, checked.
+
+A wire frame before stuffing, all integers little-endian::
+
+    [version:1] [kind:1] [module:1] [sequence:2] [module_time_us:4] [body:N] [crc32:4]
+
+It is stuffed by COBS (Cheshire & Baker 1999) so that it holds no zero byte, and ended by one zero.
+A receiver that joins late or loses bytes is whole again at the next zero.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from dataclasses import dataclass
+from enum import Enum
+from typing import final
+from zlib import crc32
+
+from cobs import cobs
+
+from firmware_protocol.fields import BYTE_ORDER, WireField
+
+DELIMITER = b"\x00"
+PROTOCOL_VERSION = 1
+MAX_FRAME_SIZE = 4096
+"""Largest wire frame before stuffing, bytes: what a receiver must be able to hold."""
+
+MAX_MODULE = 63
+RELAY = 0xFE
+BROADCAST = 0xFF
+
+HEADER_FIELDS = (
+    WireField(name="version", code="B", sentence="Protocol version, 1."),
+    WireField(name="kind", code="B", sentence="What the body is."),
+    WireField(
+        name="module",
+        code="B",
+        sentence="Sender: module 0 to 63, or 254 for a relay. 255 addresses all modules.",
+    ),
+    WireField(name="sequence", code="H", sentence="Counts wire frames of one (module, kind), wraps to 0."),
+    WireField(
+        name="module_time_us",
+        code="I",
+        unit="µs",
+        sentence="Sender's clock at the moment of sampling (a batch: of sending), wraps to 0.",
+    ),
+)
+CHECKSUM_FIELD = WireField(
+    name="crc32", code="I", sentence="CRC-32 of ISO-HDLC (zlib's) over all bytes before it."
+)
+
+_HEADER = struct.Struct(BYTE_ORDER + "".join(f.struct_format for f in HEADER_FIELDS))
+_CHECKSUM = struct.Struct(BYTE_ORDER + CHECKSUM_FIELD.struct_format)
+MIN_FRAME_SIZE = _HEADER.size + _CHECKSUM.size
+MAX_BODY_SIZE = MAX_FRAME_SIZE - MIN_FRAME_SIZE
+# COBS adds one byte for each 254 begun.
+MAX_STUFFED_SIZE = MAX_FRAME_SIZE + MAX_FRAME_SIZE // 254 + 1
+
+
+@final
+class Defect(Enum):
+    """Why received bytes were dropped. Each value is the reason in words."""
+
+    OVERLONG = "more bytes than the largest wire frame came without a delimiter"
+    BAD_STUFFING = "the bytes between two delimiters are no COBS encoding"
+    TOO_SHORT = "there are fewer bytes than header and checksum need"
+    BAD_CRC = "the checksum does not fit the bytes"
+    BAD_VERSION = "the protocol version is not 1"
+    UNKNOWN_KIND = "this version does not define the kind"
+    BAD_LENGTH = "the body is longer or shorter than it says or than its kind and mask demand"
+    BAD_VALUE = "a field has a value that it does not allow: reserved, not finite or out of range"
+    BAD_MODULE = "a module of this id cannot send this"
+    TRUNCATED = "an entry or record runs past the end of what carries it"
+    FOREIGN = "the CAN frame is somebody else's: short identifier, remote, error or other version"
+    LOST_FRAGMENT = "a CAN piece was lost, repeated or out of order"
+
+
+@dataclass(frozen=True, slots=True)
+class WireFrame:
+    """Checked bytes with their header."""
+
+    kind: int
+    module: int
+    sequence: int
+    """Count of the sender's wire frames of this kind, modulo 2^16."""
+    module_time_us: int
+    """Sender's clock, µs modulo 2^32."""
+    body: bytes
+    version: int = PROTOCOL_VERSION
+
+
+def serialize(frame: WireFrame) -> bytes:
+    """The wire frame before stuffing, checksum included.
+
+    Raises ValueError when a number does not fit its field or the body is too long.
+    """
+    if len(frame.body) > MAX_BODY_SIZE:
+        raise ValueError(f"body of {len(frame.body)} bytes: a wire frame holds at most {MAX_BODY_SIZE}")
+    try:
+        header = _HEADER.pack(frame.version, frame.kind, frame.module, frame.sequence, frame.module_time_us)
+    except struct.error as error:
+        raise ValueError(f"header of {frame}: {error}") from None
+    content = header + frame.body
+    return content + _CHECKSUM.pack(crc32(content))
+
+
+def encode_frame(frame: WireFrame) -> bytes:
+    """The wire frame as sent on a byte stream: stuffed and ended by the delimiter.
+
+    Raises ValueError when a number does not fit its field or the body is too long.
+    """
+    return bytes(cobs.encode(serialize(frame))) + DELIMITER
+
+
+def parse(raw: bytes) -> WireFrame | Defect:
+    """A wire frame from its bytes before stuffing."""
+    if len(raw) < MIN_FRAME_SIZE:
+        return Defect.TOO_SHORT
+    content = raw[: -_CHECKSUM.size]
+    if _CHECKSUM.unpack_from(raw, len(content))[0] != crc32(content):
+        return Defect.BAD_CRC
+    version, kind, module, sequence, module_time_us = _HEADER.unpack_from(raw)
+    if version != PROTOCOL_VERSION:
+        return Defect.BAD_VERSION
+    return WireFrame(kind, module, sequence, module_time_us, content[_HEADER.size :])
+
+
+def unstuff(encoded: bytes) -> WireFrame | Defect:
+    """A wire frame from the bytes between two delimiters."""
+    if len(encoded) > MAX_STUFFED_SIZE:
+        return Defect.OVERLONG
+    try:
+        raw = cobs.decode(encoded)
+    except cobs.DecodeError:
+        return Defect.BAD_STUFFING
+    return parse(raw)
+
+
+class FrameDecoder:
+    """Reassembles wire frames from chunks of any size.
+
+    Bytes from the wire are untrusted: ``feed`` never raises, it counts what it drops. It holds at
+    most one stuffed frame (``MAX_STUFFED_SIZE`` bytes) between chunks.
+    """
+
+    def __init__(self) -> None:
+        self.dropped: Counter[Defect] = Counter()
+        """What was dropped, by reason."""
+        self.accepted = 0
+        """Wire frames handed out."""
+        self._partial = b""
+        self._skipping = False
+
+    def feed(self, chunk: bytes) -> list[WireFrame]:
+        """The wire frames that this chunk completes, in order."""
+        *complete, self._partial = (self._partial + chunk).split(DELIMITER)
+        if complete and self._skipping:
+            # The rest of an overlong frame, which was counted when it grew too long.
+            del complete[0]
+            self._skipping = False
+        frames = []
+        for encoded in complete:
+            if not encoded:
+                continue  # two delimiters in a row: an idle line
+            frame = unstuff(encoded)
+            if type(frame) is Defect:
+                self.dropped[frame] += 1
+            else:
+                frames.append(frame)
+        self.accepted += len(frames)
+        if self._skipping or len(self._partial) > MAX_STUFFED_SIZE:
+            self._skip()
+        return frames
+
+    def _skip(self) -> None:
+        if not self._skipping:
+            self.dropped[Defect.OVERLONG] += 1
+        self._partial, self._skipping = b"", True

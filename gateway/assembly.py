@@ -1,0 +1,278 @@
+"""Readings of many modules, each at its own instants, to ``ImuFrame``s: all modules at one instant.
+
+Frames lie on a regular grid of gateway time that begins when every module has been heard (or after
+``start_wait_ns``). A frame is emitted as soon as every live module has a reading at or after its
+instant, and at the latest ``max_wait_ns`` after it. Values between two readings are interpolated
+linearly, each sensor by itself, since a magnetometer often runs slower than its neighbours.
+
+Nothing here looks at a clock: waiting is judged by the arrival times of what comes, so that a
+replay of the same chunks gives the same frames, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numba import njit
+
+from gateway.frames import FloatArray, ImuFrame, InertialReading, IntArray, LocalReading, Status, StatusArray
+
+_LONGEST_CATCH_UP_NS = 1_000_000_000
+_DEPTH = 64  # readings kept of each module; at 1000 Hz 64 ms, more than any sensible wait
+_NAN3 = (float("nan"),) * 3
+
+
+class Lost(Enum):
+    """Why a reading, or an instant, never reached a frame."""
+
+    LATE = "reading older than the last frame"
+    DUPLICATE = "second reading for the same time"
+    UNKNOWN_MODULE = "module that the rig does not name"
+    SKIPPED_INSTANT = "instants without any data, left out"
+
+
+@dataclass(frozen=True)
+class AssemblyParams:
+    """How frames are put together."""
+
+    frame_interval_ns: float
+    max_wait_ns: int
+    """Latency budget: how long after its instant a frame waits for a reading that is on its way."""
+    max_gap_ns: int
+    """Longest gap between two readings that is bridged by interpolation."""
+    hold_ns: int
+    """How long the last reading stands in for missing ones; after that a module is not waited for."""
+    start_wait_ns: int = 1_000_000_000
+    """How long the first frame waits for modules that have not been heard yet."""
+
+
+class FrameAssembler:
+    """Gathers readings; gives frames. One call of ``add`` a reading."""
+
+    def __init__(self, module_ids: tuple[int, ...], params: AssemblyParams) -> None:
+        n = len(module_ids)
+        self.lost: Counter[Lost] = Counter()
+        self._params = params
+        self._row = {module: row for row, module in enumerate(module_ids)}
+        self._times = np.full((n, _DEPTH), np.iinfo(np.int64).min, dtype=np.int64)
+        self._sequences = np.zeros((n, _DEPTH), dtype=np.int64)
+        self._values = np.full((n, _DEPTH, 9), np.nan)
+        self._heads = np.zeros(n, dtype=np.int64)  # ring position of the newest reading
+        self._newest = [-1] * n  # plain integers: compared once a reading
+        self._newest_of_all = -1
+        self._awaited: set[int] = set()
+        self._instant_ns = -1
+        self._heard = 0
+        self._first_arrival_ns: int | None = None
+        self._grid_start_ns: int | None = None
+        self._count = 0  # frames since the grid's start, skipped instants included
+        self._sequence = 0
+        self._last_instant_ns = -1
+        self._local: list[LocalReading] = []
+        self._interpolate(0)  # compile now, not when the first reading waits
+
+    def add_local(self, reading: LocalReading) -> None:
+        """Keep a local measurement for the frame that comes next at or after its time."""
+        self._local.append(reading)
+
+    def add(self, reading: InertialReading, arrived_ns: int) -> list[ImuFrame]:
+        """Take a reading; the frames that it, or the time it arrived, completes."""
+        row = self._row.get(reading.module)
+        if row is None:
+            self.lost[Lost.UNKNOWN_MODULE] += 1
+            return []
+        if self._store(row, reading):
+            if self._first_arrival_ns is None:
+                self._first_arrival_ns = arrived_ns
+            return self._emit(arrived_ns)
+        return []
+
+    def _store(self, row: int, reading: InertialReading) -> bool:
+        time_ns = reading.time_ns
+        newest = self._newest[row]
+        if newest < 0:
+            self._heard += 1
+        elif time_ns <= newest:
+            return self._insert_late(row, reading)
+        head = (int(self._heads[row]) + 1) % _DEPTH
+        self._write(row, head, reading)
+        self._heads[row] = head
+        self._newest[row] = time_ns
+        self._newest_of_all = max(self._newest_of_all, time_ns)
+        if time_ns >= self._instant_ns:
+            self._awaited.discard(row)
+        return True
+
+    def _write(self, row: int, slot: int, reading: InertialReading) -> None:
+        self._times[row, slot] = reading.time_ns
+        self._sequences[row, slot] = reading.sequence
+        self._values[row, slot] = (
+            *(reading.specific_force or _NAN3),
+            *(reading.angular_rate or _NAN3),
+            *(reading.magnetic_field or _NAN3),
+        )
+
+    def _insert_late(self, row: int, reading: InertialReading) -> bool:
+        """A reading overtaken by newer ones on its way: still useful if its instant is yet to come."""
+        order = (int(self._heads[row]) - np.arange(_DEPTH)) % _DEPTH  # newest first
+        times = self._times[row, order]
+        if reading.time_ns in times:
+            self.lost[Lost.DUPLICATE] += 1
+            return False
+        if reading.time_ns <= self._last_instant_ns:
+            self.lost[Lost.LATE] += 1
+            return False
+        newer = int(np.count_nonzero(times > reading.time_ns))
+        head = (int(self._heads[row]) + 1) % _DEPTH
+        target = (head - np.arange(newer)) % _DEPTH
+        for array in (self._times, self._sequences, self._values):
+            array[row, target] = array[row, order[:newer]]
+        self._write(row, (head - newer) % _DEPTH, reading)
+        self._heads[row] = head
+        return True
+
+    def _emit(self, arrived_ns: int) -> list[ImuFrame]:
+        if self._grid_start_ns is None and not self._start(arrived_ns):
+            return []
+        if self._newest_of_all - self._instant_ns > self._params.hold_ns + _LONGEST_CATCH_UP_NS:
+            self._skip_silence()
+        frames = []
+        while self._is_due(arrived_ns):
+            frames.append(self._frame(self._instant_ns))
+            self._last_instant_ns = self._instant_ns
+            self._advance(self._count + 1)
+        return frames
+
+    def _start(self, arrived_ns: int) -> bool:
+        """Begin the grid at the instant from which all modules (heard so far) have readings."""
+        assert self._first_arrival_ns is not None
+        all_heard = self._heard == len(self._newest)
+        if not all_heard and arrived_ns - self._first_arrival_ns < self._params.start_wait_ns:
+            return False
+        self._grid_start_ns = self._newest_of_all
+        self._advance(0)
+        return True
+
+    def _advance(self, count: int) -> None:
+        """Make grid point ``count`` the next instant, and note which modules it has to wait for."""
+        assert self._grid_start_ns is not None
+        self._count = count
+        self._instant_ns = self._grid_start_ns + round(count * self._params.frame_interval_ns)
+        live_since = self._newest_of_all - self._params.hold_ns
+        self._awaited = {
+            row for row, time_ns in enumerate(self._newest) if live_since <= time_ns < self._instant_ns
+        }
+
+    def _is_due(self, arrived_ns: int) -> bool:
+        """Whether the next instant has all that it may wait for."""
+        if self._newest_of_all < self._instant_ns:
+            return False
+        if not self._awaited or arrived_ns >= self._instant_ns + self._params.max_wait_ns:
+            return True
+        if self._newest_of_all - self._instant_ns > self._params.hold_ns:
+            self._advance(self._count)  # who has been silent for so long is not waited for
+        return not self._awaited
+
+    def _skip_silence(self) -> None:
+        """After silence of the whole suit, go on at the present instead of filling in the past."""
+        assert self._grid_start_ns is not None
+        count = int((self._newest_of_all - self._grid_start_ns) // self._params.frame_interval_ns)
+        self.lost[Lost.SKIPPED_INSTANT] += count - self._count
+        self._advance(count)
+
+    def _frame(self, instant_ns: int) -> ImuFrame:
+        values, status, gap_ns = self._interpolate(instant_ns)
+        local = tuple(reading for reading in self._local if reading.time_ns <= instant_ns)
+        if local:
+            self._local = [reading for reading in self._local if reading.time_ns > instant_ns]
+        frame = ImuFrame(
+            sequence=self._sequence,
+            time_ns=instant_ns,
+            specific_force=values[:, 0:3],
+            angular_rate=values[:, 3:6],
+            magnetic_field=values[:, 6:9],
+            status=status,
+            gap_ns=gap_ns,
+            local=local,
+        )
+        self._sequence += 1
+        return frame
+
+    def _interpolate(self, instant_ns: int) -> tuple[FloatArray, StatusArray, IntArray]:
+        values, status, gap_ns = _interpolate_modules(
+            instant_ns,
+            self._times,
+            self._sequences,
+            self._values,
+            self._heads,
+            self._params.max_gap_ns,
+            self._params.hold_ns,
+        )
+        return values, status, gap_ns
+
+
+_MEASURED, _INTERPOLATED = int(Status.MEASURED), int(Status.INTERPOLATED)
+_HELD, _MISSING = int(Status.HELD), int(Status.MISSING)
+_NEVER = np.iinfo(np.int64).min
+
+
+@njit(cache=True)
+def _bracket(times, values, head, sensor, instant_ns):  # type: ignore[no-untyped-def]
+    """Ring slots of the sensor's readings just before (or at) and just after the instant; -1: none."""
+    depth = times.shape[0]
+    after = -1
+    for back in range(depth):
+        slot = (head - back) % depth
+        if times[slot] == _NEVER:
+            break
+        if np.isnan(values[slot, 3 * sensor]):
+            continue
+        if times[slot] <= instant_ns:
+            return slot, after
+        after = slot
+    return -1, after
+
+
+@njit(cache=True)
+def _interpolate_modules(instant_ns, times, sequences, values, heads, max_gap_ns, hold_ns):  # type: ignore[no-untyped-def]
+    """All modules at one instant: values (n, 9), status (n,) and gap (n,) of n modules.
+
+    times, sequences: (n, depth); values: (n, depth, 9); heads: (n,) ring position of the newest.
+    A module's status is that of the first sensor that it has, in the order of the columns.
+    """
+    n = heads.shape[0]
+    out = np.full((n, 9), np.nan)
+    status = np.full(n, _MISSING, dtype=np.uint8)
+    gap_ns = np.zeros(n, dtype=np.int64)
+    for m in range(n):
+        judged = False
+        for sensor in range(3):
+            before, after = _bracket(times[m], values[m], heads[m], sensor, instant_ns)
+            if before < 0:
+                continue
+            columns = slice(3 * sensor, 3 * sensor + 3)
+            age_ns = instant_ns - times[m, before]
+            span_ns = times[m, after] - times[m, before] if after >= 0 else age_ns
+            if age_ns == 0:
+                out[m, columns] = values[m, before, columns]
+                kind = _MEASURED
+                span_ns = 0
+            elif after >= 0 and (span_ns <= max_gap_ns or sequences[m, after] - sequences[m, before] == 1):
+                weight = age_ns / span_ns
+                out[m, columns] = (1.0 - weight) * values[m, before, columns] + weight * values[
+                    m, after, columns
+                ]
+                kind = _MEASURED if sequences[m, after] - sequences[m, before] == 1 else _INTERPOLATED
+            elif age_ns <= hold_ns:
+                out[m, columns] = values[m, before, columns]
+                kind = _HELD
+            else:
+                kind = _MISSING
+            if not judged:
+                status[m] = kind
+                gap_ns[m] = span_ns
+                judged = True
+    return out, status, gap_ns

@@ -1,0 +1,31 @@
+"""Forward kinematics: orientations to joint positions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gateway.frames import FloatArray, IntArray
+from gateway.geometry import quaternion
+from gateway.geometry.compiled import compiled
+
+
+@compiled
+def joint_positions(
+    parents: IntArray, offsets: FloatArray, q_wb: FloatArray, root_position: FloatArray
+) -> FloatArray:
+    """Where each segment's proximal joint is, in world coordinates, m; (n_segments, 3).
+
+    parents: (n_segments,) index of the parent segment, -1 for the root; parents come first.
+    offsets: (n_segments, 3) joint centre in the parent segment's axes, m.
+    q_wb: (n_segments, 4) segment to world.
+    root_position: (3,) where the root's joint is, m.
+    NaN beyond a segment whose orientation is NaN.
+    """
+    p_w = np.empty((len(parents), 3))
+    for i in range(len(parents)):
+        parent = parents[i]
+        if parent < 0:
+            p_w[i] = root_position
+        else:
+            p_w[i] = p_w[parent] + quaternion.rotate(q_wb[parent], offsets[i])
+    return p_w

@@ -1,0 +1,212 @@
+"""Body and rig files: which segments there are, and which module sits where on them.
+
+A *body* is a skeleton; a *rig* says which modules and local measuring devices are worn on it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
+from gateway.errors import SettingsError, nearest
+from gateway.frames import Quantity
+from gateway.settings_files import find_file, load_settings
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Quaternion = tuple[Finite, Finite, Finite, Finite]
+ModuleId = Annotated[int, Field(ge=0, le=63)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class BodySegment(_Strict):
+    """One rigid segment."""
+
+    name: str = Field(min_length=1, pattern=r"^[a-z0-9_]+$", description="ISB name in lower case")
+    parent: str | None = Field(description="segment it is joined to; null for the root")
+    joint: Vector = Field(default=(0, 0, 0), description="proximal joint in the parent's axes, m")
+    tip: Vector = Field(description="where the segment ends, own axes, m")
+
+
+class BodyFile(_Strict):
+    """A skeleton; parents stand before their children."""
+
+    name: str
+    neutral: Quaternion = Field(default=(1, 0, 0, 0), description="segment to world in the neutral posture")
+    segments: list[BodySegment] = Field(min_length=1)
+
+
+class WornModule(_Strict):
+    """A module strapped to a segment."""
+
+    id: ModuleId
+    segment: str
+    position: Vector = Field(default=(0, 0, 0), description="proximal joint to module, segment axes, m")
+    sensor_to_segment: Quaternion = Field(
+        default=(1, 0, 0, 0), description="w x y z; takes sensor axes to segment axes"
+    )
+
+    @field_validator("sensor_to_segment")
+    @classmethod
+    def _is_rotation(cls, value: Quaternion) -> Quaternion:
+        norm = float(np.linalg.norm(value))
+        if abs(norm - 1) > 0.01:
+            raise ValueError(f"a quaternion w x y z of length 1 is wanted, this one has length {norm:.3f}")
+        return value
+
+
+class WornLocalDevice(_Strict):
+    """A local measuring device (ML), or a fixed point."""
+
+    kind: Literal["fixed_point", "acceleration", "velocity", "position"]
+    segment: str
+    device: ModuleId | None = Field(default=None, description="id it sends under; none for a fixed point")
+    position: Vector = Field(default=(0, 0, 0), description="proximal joint to device, segment axes, m")
+
+
+class MagneticField(_Strict):
+    """The local field of the earth."""
+
+    norm_ut: float = Field(default=50, gt=0, le=1000, description="strength, µT")
+    dip_deg: float = Field(default=65, ge=-90, le=90, description="below the horizontal, degrees")
+    declination_deg: float = Field(
+        default=0, ge=-180, le=180, description="magnetic north, clockwise from north"
+    )
+
+
+class WorldSettings(_Strict):
+    """What the sensors stand in."""
+
+    gravity: float = Field(default=9.80665, gt=9, lt=10, description="m/s²")
+    magnetic_field: MagneticField = MagneticField()
+
+
+class RigFile(_Strict):
+    """Which modules sit where on which body."""
+
+    body: str = Field(description="name of a shipped body, or path of a body file")
+    modules: list[WornModule] = Field(min_length=1, max_length=64)
+    local_devices: list[WornLocalDevice] = []
+    world: WorldSettings = WorldSettings()
+
+
+def load_body(name: str, beside: Path | None = None) -> Skeleton:
+    """A body by name or path. Raises ``SettingsError``."""
+    path = find_file(name, "bodies", beside)
+    body = load_settings(path, BodyFile)
+    names = [segment.name for segment in body.segments]
+    parents = []
+    for position, segment in enumerate(body.segments):
+        if segment.name in names[:position]:
+            raise SettingsError(f"{path}: segment '{segment.name}' stands twice")
+        parents.append(_parent_index(path, segment, names[:position]))
+    return _skeleton(body, names, parents)
+
+
+def _parent_index(path: Path, segment: BodySegment, before: list[str]) -> int:
+    if (segment.parent is None) != (not before):
+        raise SettingsError(
+            f"{path}: the first segment, and no other, has 'parent: null'; see '{segment.name}'"
+        )
+    if segment.parent is None:
+        return -1
+    if segment.parent not in before:
+        raise SettingsError(
+            f"{path}: parent '{segment.parent}' of '{segment.name}' must be a segment standing before it"
+            + nearest(segment.parent, before)
+        )
+    return before.index(segment.parent)
+
+
+def _skeleton(body: BodyFile, names: list[str], parents: list[int]) -> Skeleton:
+    return Skeleton(
+        name=body.name,
+        segment_names=tuple(names),
+        parents=np.array(parents, dtype=np.int64),
+        offsets=np.array([segment.joint for segment in body.segments], dtype=np.float64),
+        tips=np.array([segment.tip for segment in body.segments], dtype=np.float64),
+        neutral=np.array(body.neutral) / np.linalg.norm(body.neutral),
+    )
+
+
+def load_rig(name: str, beside: Path | None = None) -> WornSuit:
+    """A rig by name or path. Raises ``SettingsError`` naming the file, the entry and the remedy."""
+    path = find_file(name, "rigs", beside)
+    rig = load_settings(path, RigFile)
+    skeleton = load_body(rig.body, path)
+    _refuse_conflicts(path, rig, skeleton)
+    n = skeleton.n_segments
+    module_of_segment = np.full(n, -1, dtype=np.int64)
+    sensor_to_segment = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    lever_arms = np.zeros((n, 3))
+    for row, module in enumerate(rig.modules):
+        segment = skeleton.index(module.segment)
+        module_of_segment[segment] = row
+        sensor_to_segment[segment] = np.array(module.sensor_to_segment) / np.linalg.norm(
+            module.sensor_to_segment
+        )
+        lever_arms[segment] = module.position
+    field = rig.world.magnetic_field
+    return WornSuit(
+        skeleton=skeleton,
+        module_ids=tuple(module.id for module in rig.modules),
+        module_of_segment=module_of_segment,
+        sensor_to_segment=sensor_to_segment,
+        lever_arms=lever_arms,
+        local_devices=tuple(_local_device(device, skeleton) for device in rig.local_devices),
+        gravity=np.array([0.0, 0.0, -rig.world.gravity]),
+        magnetic_field=field_vector(field.norm_ut, field.dip_deg, field.declination_deg),
+    )
+
+
+def _local_device(device: WornLocalDevice, skeleton: Skeleton) -> LocalDevice:
+    return LocalDevice(
+        quantity=Quantity[device.kind.upper()],
+        segment=skeleton.index(device.segment),
+        position=np.array(device.position, dtype=np.float64),
+        device=device.device,
+    )
+
+
+def _refuse_conflicts(path: Path, rig: RigFile, skeleton: Skeleton) -> None:
+    worn: dict[str, int] = {}
+    ids: dict[int, str] = {}
+    for module in rig.modules:
+        _known_segment(path, f"module {module.id}", module.segment, skeleton)
+        if module.id in ids:
+            raise SettingsError(
+                f"{path}: module id {module.id} is given to '{ids[module.id]}' and '{module.segment}'"
+            )
+        if module.segment in worn:
+            raise SettingsError(
+                f"{path}: '{module.segment}' carries modules {worn[module.segment]} and {module.id}"
+            )
+        worn[module.segment], ids[module.id] = module.id, module.segment
+    for device in rig.local_devices:
+        _known_segment(path, f"local device ({device.kind})", device.segment, skeleton)
+        if (device.kind == "fixed_point") != (device.device is None):
+            raise SettingsError(
+                f"{path}: a local device of kind '{device.kind}' "
+                + (
+                    "sends nothing and has no 'device' id"
+                    if device.kind == "fixed_point"
+                    else "needs its 'device' id"
+                )
+            )
+        if device.device in ids:
+            raise SettingsError(f"{path}: id {device.device} is given to a module and to a local device")
+
+
+def _known_segment(path: Path, whose: str, segment: str, skeleton: Skeleton) -> None:
+    if segment not in skeleton.segment_names:
+        raise SettingsError(
+            f"{path}: {whose} sits on '{segment}', which body '{skeleton.name}' does not have"
+            + nearest(segment, skeleton.segment_names)
+        )

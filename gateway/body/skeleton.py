@@ -1,0 +1,83 @@
+"""The body as data: segment names, a parent array with parents first, joint offsets.
+
+No attribute a bone, no left and right copies of code. The skeleton is constant; poses are arrays
+indexed by segment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gateway.frames import FloatArray, IntArray, Quantity
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Rigid segments joined in a tree."""
+
+    name: str
+    segment_names: tuple[str, ...]
+    parents: IntArray
+    """(n_segments,) index of the parent segment, -1 for the root; parents come first."""
+    offsets: FloatArray
+    """(n_segments, 3) the segment's proximal joint in its parent's axes, m: ``L`` of the source.
+    Zero for the root."""
+    tips: FloatArray
+    """(n_segments, 3) where the segment ends (its distal joint or tip), in its own axes, m."""
+    neutral: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    """(4,) ``q_wb`` of every segment in the neutral posture, facing east."""
+
+    @property
+    def n_segments(self) -> int:
+        return len(self.segment_names)
+
+    def index(self, segment: str) -> int:
+        """Index of a segment by name. Raises ``ValueError`` for an unknown one."""
+        return self.segment_names.index(segment)
+
+
+@dataclass(frozen=True)
+class LocalDevice:
+    """A local measuring device (ML) as worn."""
+
+    quantity: Quantity
+    segment: int
+    """Segment it sits on."""
+    position: FloatArray
+    """(3,) from the segment's proximal joint, segment axes, m."""
+    device: int | None = None
+    """Module id it sends under; None for a fixed point, which sends nothing."""
+
+
+@dataclass(frozen=True)
+class WornSuit:
+    """A skeleton with modules strapped to it: all that a reconstructor needs to know beforehand."""
+
+    skeleton: Skeleton
+    module_ids: tuple[int, ...]
+    """The modules of the rig in the order of the rows of ``ImuFrame``."""
+    module_of_segment: IntArray
+    """(n_segments,) row of ``ImuFrame`` that observes the segment, -1 for none."""
+    sensor_to_segment: FloatArray
+    """(n_segments, 4) ``q_bs``: sensor axes to segment axes; identity where there is no module."""
+    lever_arms: FloatArray
+    """(n_segments, 3) proximal joint to module, segment axes, m: ``U`` of the source."""
+    local_devices: tuple[LocalDevice, ...]
+    gravity: FloatArray
+    """(3,) world, m/s²: (0, 0, -9.81)."""
+    magnetic_field: FloatArray
+    """(3,) world, µT: ``h`` of the source."""
+
+
+def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:
+    """The local magnetic field in ENU, µT.
+
+    dip_deg: angle below the horizontal (positive in the northern hemisphere).
+    declination_deg: magnetic north, clockwise from geographic north.
+    """
+    dip, declination = np.radians(dip_deg), np.radians(declination_deg)
+    return norm_ut * np.array(
+        [np.cos(dip) * np.sin(declination), np.cos(dip) * np.cos(declination), -np.sin(dip)]
+    )

@@ -1,0 +1,233 @@
+"""``mocap-gateway demo``: emulated suit → gateway → embedded broker → live orientations and their error."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+import sys
+import tempfile
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from devices.emulators.motions import BodyMotion
+from devices.link import gateway_time_ns
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.cli.emulated_rig import dress, move
+from gateway.cli.pose_table import PoseView
+from gateway.comparison import orientation_error, rmse_deg
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
+from gateway.service import Service
+from gateway.settings import GatewaySettings, LinkSettings
+
+GATEWAY = "demo"
+SETTLING_S = 3.0
+"""Left out of the error: filters start anywhere."""
+SEED = 1
+
+
+class Truth:
+    """The emulated body's motion, and what was received of it."""
+
+    def __init__(self, suit: WornSuit) -> None:
+        self.segment_names = suit.skeleton.segment_names
+        self.start_ns = 0
+        self._motion: BodyMotion = move(dress(suit), suit.skeleton.name, SEED)
+        self._times_s: list[float] = []
+        self._q_wb: list[list[list[float]]] = []
+
+    def add(self, received: ReceivedPose) -> None:
+        """Keep a pose."""
+        undefined = [float("nan")] * 4
+        segments = received.pose.segments
+        self._times_s.append((received.pose.t_ns - self.start_ns) * 1e-9)
+        self._q_wb.append([list(segments[name] or undefined) for name in self.segment_names])
+
+    @property
+    def n_poses(self) -> int:
+        return len(self._times_s)
+
+    def errors_deg(self) -> FloatArray:
+        """RMSE by segment: total, inclination, heading, (n_segments, 3), after settling."""
+        times = np.array(self._times_s)
+        settled = times > SETTLING_S
+        if not settled.any():
+            return np.full((len(self.segment_names), 3), np.nan)
+        errors = orientation_error(np.array(self._q_wb)[settled], self._motion.state(times[settled]).q_wb)
+        return np.stack([rmse_deg(part) for part in errors], axis=-1)
+
+
+def demo(
+    seconds: Annotated[float, typer.Option(min=5, help="How long to run.")] = 20.0,
+    keep: Annotated[bool, typer.Option("--keep", help="Run until Ctrl-C, for your own subscribers.")] = False,
+    rig: Annotated[str, typer.Option(help="Rig to emulate (see config/rigs).")] = "suit_17",
+    reconstructor: Annotated[str, typer.Option(help="independent or articulated.")] = "independent",
+    imperfections: Annotated[str, typer.Option(help="ideal, typical or rough.")] = "typical",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Broker port; if busy a free one.")] = 1883,
+) -> None:
+    """See it work, without any hardware or broker.
+
+    Emulates a person in a suit of 17 modules, runs the gateway on it, publishes over the embedded
+    broker, subscribes like an app would, and prints orientations and their error against the
+    emulator's truth.
+    """
+    console = Console()
+    suit = load_rig(rig)
+    truth = Truth(suit)
+    with tempfile.TemporaryDirectory(prefix="mocap-demo-") as folder, contextlib.suppress(KeyboardInterrupt):
+        settings = GatewaySettings(
+            gateway=GATEWAY,
+            links=[LinkSettings(name="suit", url=f"{folder}/suit")],
+            rig=rig,
+            reconstructor=reconstructor,
+            mqtt=MqttSettings(broker="embedded", port=_free_port(port)),
+        )
+        console.print("preparing the reconstruction (compiles once) ...", style="dim")
+        service = Service(settings, suit)
+        asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
+    _print_errors(truth, console)
+
+
+async def _run(
+    service: Service, settings: GatewaySettings, truth: Truth, imperfections: str, seconds: float | None
+) -> None:
+    async with _emulator(settings, imperfections) as start_ns:
+        truth.start_ns = start_ns
+        serving = asyncio.create_task(service.run())
+        watching = asyncio.create_task(_watch(service, settings, truth, seconds))
+        await asyncio.wait({serving, watching}, return_when=asyncio.FIRST_COMPLETED)
+        for task in (watching, serving):
+            task.cancel()
+        results = await asyncio.gather(watching, serving, return_exceptions=True)
+    for result in results:
+        if isinstance(result, Exception):
+            raise result
+
+
+@contextlib.asynccontextmanager
+async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncIterator[int]:
+    """The emulated suit as a process of its own; gives the gateway time of its motion's start."""
+    arguments = ["emulate", "--rig", settings.rig, "--on", "pty", "--link", settings.links[0].url]
+    arguments += ["--imperfections", imperfections, "--seed", str(SEED), "--json"]
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "gateway", *arguments, stdout=asyncio.subprocess.PIPE
+    )
+    assert process.stdout is not None
+    try:
+        hello = await process.stdout.readline()
+        if not hello:
+            raise GatewayError("the emulated suit did not start; see its message above")
+        yield int(json.loads(hello)["start_ns"])
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.terminate()
+        await process.wait()
+
+
+async def _watch(service: Service, settings: GatewaySettings, truth: Truth, seconds: float | None) -> None:
+    """Subscribe as an app would; show what comes until the time is over."""
+    while not service.mqtt.is_connected:
+        await asyncio.sleep(0.05)  # noqa: ASYNC110 - polled for a second, once
+    console = Console()
+    _print_invitation(console, settings, service.mqtt.port)
+    mqtt = settings.mqtt.model_copy(update={"broker": "external", "port": service.mqtt.port})
+    end_ns = None if seconds is None else gateway_time_ns() + round(seconds * 1e9)
+    async with PoseSubscriber(mqtt, settings.gateway) as poses, _screen(console) as screen:
+        async for received in poses:
+            truth.add(received)
+            screen.show(received, poses.states.get(settings.gateway, "state unknown"))
+            if end_ns is not None and received.received_ns > end_ns:
+                return
+
+
+class _Screen:
+    """A live table on a terminal; a line a second elsewhere."""
+
+    INTERVAL_NS = 100_000_000
+    LINE_INTERVAL_NS = 1_000_000_000
+
+    def __init__(self, console: Console, live: Live | None) -> None:
+        self._console = console
+        self._live = live
+        self._view = PoseView(GATEWAY)
+        self._due_ns = 0
+
+    def show(self, received: ReceivedPose, state: str) -> None:
+        self._view.add(received)
+        now_ns = received.received_ns
+        if now_ns < self._due_ns:
+            return
+        if self._live is not None:
+            self._due_ns = now_ns + self.INTERVAL_NS
+            self._live.update(self._view.table(now_ns, state), refresh=True)
+            return
+        self._due_ns = now_ns + self.LINE_INTERVAL_NS
+        root = received.pose.root
+        rate = self._view.rate_hz
+        self._console.print(
+            f"pose {received.pose.seq:6d}  {rate or 0.0:5.1f} Hz  "
+            f"latency {received.latency_s * 1e3:5.1f} ms  {root} [w x y z] {received.pose.segments[root]}",
+            soft_wrap=True,
+            highlight=False,
+        )
+
+
+@contextlib.asynccontextmanager
+async def _screen(console: Console) -> AsyncIterator[_Screen]:
+    if not console.is_terminal:
+        yield _Screen(console, None)
+        return
+    with Live(console=console, auto_refresh=False) as live:
+        yield _Screen(console, live)
+
+
+def _print_invitation(console: Console, settings: GatewaySettings, port: int) -> None:
+    console.print(
+        f"emulated suit on {settings.links[0].url}; MQTT broker on 127.0.0.1:{port}. Meanwhile, elsewhere:\n"
+        f"  mosquitto_sub -p {port} -t 'mocap/{settings.gateway}/pose'\n"
+        f"  mocap-gateway watch --port {port}\n",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _print_errors(truth: Truth, console: Console) -> None:
+    """The error of what was received over MQTT. Raises ``GatewayError`` when nothing came."""
+    if truth.n_poses == 0:
+        raise GatewayError("no pose came out of MQTT: see the messages above")
+    errors = truth.errors_deg()
+    table = Table(
+        title=f"error of {truth.n_poses} poses received over MQTT, RMSE in degrees after {SETTLING_S:g} s",
+        title_justify="left",
+    )
+    for column in ("segment", "total", "inclination", "heading"):
+        table.add_column(column, justify="left" if column == "segment" else "right")
+    for name, row in zip(truth.segment_names, errors, strict=True):
+        table.add_row(name, *(f"{value:.2f}" for value in row))
+    table.add_section()
+    table.add_row("mean", *(f"{value:.2f}" for value in np.nanmean(errors, axis=0)), style="bold")
+    console.print(table)
+
+
+def _free_port(preferred: int) -> int:
+    """The preferred port of the loopback interface, or another one when it is taken."""
+    for port in (preferred, 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise GatewayError("no free TCP port on this machine for the embedded broker")

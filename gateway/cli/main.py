@@ -1,0 +1,56 @@
+"""The command line: one file a subcommand, listed here."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+import typer
+
+import gateway
+from devices.link import LinkError
+from gateway.cli.configuration import config_app
+from gateway.cli.demo import demo
+from gateway.cli.emulate import emulate
+from gateway.cli.run import run
+from gateway.cli.watch import watch
+from gateway.errors import GatewayError
+
+app = typer.Typer(
+    name="mocap-gateway",
+    help="Open motion capture from body-worn sensors: wearable suit in, skeleton over MQTT out.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command(epilog="Example: mocap-gateway demo --seconds 20 --body human")(demo)
+app.command(epilog="Example: mocap-gateway run -c config/gateway.yaml")(run)
+app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link /tmp/suit")(emulate)
+app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
+app.add_typer(config_app, name="config")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"mocap-gateway {gateway.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False, "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
+    ),
+) -> None:
+    """Options before the subcommand."""
+
+
+def main() -> None:
+    """Run the command line. What the user can put right is one line on standard error, exit code 1."""
+    logging.basicConfig(format="%(asctime)s %(levelname)-7s %(message)s", level=logging.WARNING)
+    try:
+        app()
+    except (GatewayError, LinkError) as error:
+        for line in str(error).splitlines():
+            print(f"mocap-gateway: {line}", file=sys.stderr)  # noqa: T201 - this is the user's terminal
+        sys.exit(1)

@@ -1,0 +1,168 @@
+"""``watch``: what a gateway publishes, live in the terminal or as lines for a script."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from pydantic import ValidationError
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.text import Text
+
+from devices.link import gateway_time_ns
+from gateway.cli.pose_table import PoseView
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
+from gateway.outputs.topics import ANY_GATEWAY
+
+_REFRESH_S = 0.1
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What to show, and until when."""
+
+    gateway: str = ANY_GATEWAY
+    count: int | None = None
+    """End after so many poses; None: go on until interrupted."""
+    as_json: bool = False
+    with_quaternions: bool = False
+    timeout: float | None = None
+    """Give up after so long without a pose, s; None: wait for ever. The live table always waits."""
+
+
+async def watch_poses(settings: MqttSettings, wanted: Watch, console: Console) -> int:
+    """Show poses as they arrive. Returns the exit code: 0, or 1 when none came in time.
+
+    Raises ``BrokerUnreachableError``.
+    """
+    async with PoseSubscriber(settings, wanted.gateway) as poses:
+        try:
+            if wanted.count is None and not wanted.as_json:
+                await _show_live(poses, wanted, console)
+            else:
+                await _print_poses(poses, wanted, console)
+        except TimeoutError:
+            root = f"{settings.base_topic}/{wanted.gateway}"
+            known = ", ".join(f"{name} is {state}" for name, state in sorted(poses.states.items()))
+            typer.echo(
+                f"no pose on {root}/pose within {wanted.timeout:g} s ({known or 'no gateway known'}): "
+                "is the gateway running, and connected to this broker?",
+                err=True,
+            )
+            return 1
+    return 0
+
+
+async def _print_poses(poses: PoseSubscriber, wanted: Watch, console: Console) -> None:
+    views: dict[str, PoseView] = {}
+    arriving = aiter(poses)
+    shown = 0
+    while wanted.count is None or shown < wanted.count:
+        async with asyncio.timeout(wanted.timeout):
+            received = await anext(arriving)
+        shown += 1
+        if wanted.as_json:
+            sys.stdout.write(received.payload.decode() + "\n")
+            sys.stdout.flush()
+        else:
+            view = views.setdefault(received.gateway, PoseView(received.gateway))
+            view.add(received)
+            state = poses.states.get(received.gateway, "state unknown")
+            console.print(view.table(received.received_ns, state, wanted.with_quaternions))
+
+
+async def _show_live(poses: PoseSubscriber, wanted: Watch, console: Console) -> None:
+    views: dict[str, PoseView] = {}
+
+    async def collect() -> None:
+        async for received in poses:
+            views.setdefault(received.gateway, PoseView(received.gateway)).add(received)
+
+    with Live(console=console, auto_refresh=False) as live:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(collect())
+            while True:
+                live.update(_screen(poses, views, wanted), refresh=True)
+                await asyncio.sleep(_REFRESH_S)
+
+
+def _screen(poses: PoseSubscriber, views: dict[str, PoseView], wanted: Watch) -> RenderableType:
+    for gateway in poses.states:
+        views.setdefault(gateway, PoseView(gateway))
+    now_ns = gateway_time_ns()
+    parts: list[RenderableType] = [
+        view.table(now_ns, poses.states.get(gateway, "state unknown"), wanted.with_quaternions)
+        for gateway, view in sorted(views.items())
+    ]
+    if not poses.is_connected:
+        parts.append(Text("the broker is away: trying to get it back", "bold red"))
+    elif not views:
+        parts.append(Text("connected; no gateway has published anything yet", "yellow"))
+    return Group(*parts)
+
+
+def run_watch(settings: MqttSettings, wanted: Watch) -> int:
+    """``watch_poses`` as a program: quiet on Ctrl-C and on a closed pipe, one line on errors."""
+    try:
+        return asyncio.run(watch_poses(settings, wanted, Console()))
+    except KeyboardInterrupt:
+        return 0
+    except BrokerUnreachableError as error:
+        typer.echo(str(error), err=True)
+        return 1
+    except BrokenPipeError:
+        # The reader (such as head) has had enough; keep the interpreter from flushing into the pipe.
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def watch(
+    host: Annotated[str, typer.Option(help="Host of the MQTT broker.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the MQTT broker.")] = 1883,
+    username: Annotated[str | None, typer.Option(help="User name at the broker.")] = None,
+    password_file: Annotated[
+        Path | None, typer.Option(help="File with the password; else MOCAP_MQTT_PASSWORD is taken.")
+    ] = None,
+    protocol: Annotated[Literal["3.1.1", "5"], typer.Option(help="MQTT version.")] = "3.1.1",
+    base_topic: Annotated[str, typer.Option(help="First part of the topics.")] = "mocap",
+    gateway: Annotated[str, typer.Option(help="Name of the gateway; + for all.")] = ANY_GATEWAY,
+    once: Annotated[bool, typer.Option("--once", help="Print one pose and end.")] = False,
+    count: Annotated[int | None, typer.Option(min=1, help="Print so many poses and end.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the messages as they are, one a line.")] = False,
+    quaternions: Annotated[
+        bool, typer.Option("--quaternions", help="Show w, x, y, z instead of heading, pitch and roll.")
+    ] = False,
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1, help="Give up after so many seconds without a pose (with --once, --count: 10)."
+        ),
+    ] = None,
+) -> None:
+    """Show the poses that a gateway publishes."""
+    count = 1 if once else count
+    if timeout is None and count is not None:
+        timeout = 10.0
+    try:
+        settings = MqttSettings(
+            host=host,
+            port=port,
+            username=username,
+            password_file=password_file,
+            protocol=protocol,
+            base_topic=base_topic,
+        )
+    except ValidationError as error:
+        typer.echo("; ".join(problem["msg"] for problem in error.errors()), err=True)
+        raise typer.Exit(2) from None
+    wanted = Watch(gateway, count, json, quaternions, timeout)
+    raise typer.Exit(run_watch(settings, wanted))

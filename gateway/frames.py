@@ -1,0 +1,108 @@
+"""Every value that flows, in the order it flows.
+
+``Chunk`` (``devices.link``: bytes and when they arrived) → ``WireFrame`` (``firmware_protocol.framing``)
+→ packets (``firmware_protocol.packets``) → ``InertialReading`` / ``LocalReading`` (one module, one
+instant, gateway time) → ``ImuFrame`` (all modules, one instant) → ``SkeletonFrame``.
+
+SI units throughout: m, s, rad, m/s², rad/s; magnetic field in µT. Instants are integer nanoseconds
+of gateway time. Quaternions are unit, Hamilton, (w, x, y, z); ``q_ab`` takes coordinates in b to
+coordinates in a. Letters: w world (ENU), s sensor, b body segment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+StatusArray = NDArray[np.uint8]
+Vector3 = tuple[float, float, float]
+
+
+class Status(IntEnum):
+    """Where a value of one instant came from, best first."""
+
+    MEASURED = 0
+    """Between two successive samples of the module: nothing was lost around this instant."""
+    INTERPOLATED = 1
+    """Bridged over lost samples, within the configured longest gap."""
+    HELD = 2
+    """The last sample, repeated: nothing newer came in time."""
+    PREDICTED = 3
+    """From a model, without any sample."""
+    WARMING_UP = 4
+    """Samples come, but the method cannot define this value yet."""
+    MISSING = 5
+    """No sample to stand on."""
+
+
+@dataclass(frozen=True, slots=True)
+class InertialReading:
+    """One reading of one module, in its sensor axes. A sensor that was not read is None."""
+
+    module: int
+    sequence: int
+    """Unwrapped sample count of the module."""
+    time_ns: int
+    """Gateway time at which the module sampled, by its clock model."""
+    specific_force: Vector3 | None  # m/s²
+    angular_rate: Vector3 | None  # rad/s
+    magnetic_field: Vector3 | None  # µT
+
+
+class Quantity(IntEnum):
+    """What a local measuring device (ML) measures, in world axes."""
+
+    FIXED_POINT = 0
+    ACCELERATION = 1
+    VELOCITY = 2
+    POSITION = 3
+
+
+@dataclass(frozen=True, slots=True)
+class LocalReading:
+    """One reading of a local measuring device, in world axes."""
+
+    device: int
+    time_ns: int
+    quantity: Quantity
+    value: FloatArray  # (3,) m/s², m/s or m
+    sigma: FloatArray  # (3,) standard deviation, same unit
+
+
+@dataclass(frozen=True, slots=True)
+class ImuFrame:
+    """All modules at one instant, each in its own sensor axes, in the order of the rig.
+
+    A module without a value has NaN rows; so has a sensor that the module does not carry.
+    """
+
+    sequence: int
+    time_ns: int
+    specific_force: FloatArray  # (n_modules, 3) m/s²
+    angular_rate: FloatArray  # (n_modules, 3) rad/s
+    magnetic_field: FloatArray  # (n_modules, 3) µT
+    status: StatusArray  # (n_modules,) Status
+    gap_ns: IntArray  # (n_modules,) time between the samples this value rests on (held: its age)
+    local: tuple[LocalReading, ...] = field(default=())
+    """Readings of local measuring devices since the frame before, in time order."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkeletonFrame:
+    """What every reconstructor yields, whatever it observed. NaN where a value is not defined."""
+
+    sequence: int
+    time_ns: int
+    q_wb: FloatArray  # (n_segments, 4) segment to world, w >= 0
+    angular_rate: FloatArray  # (n_segments, 3) rad/s, segment axes
+    joint_acceleration: FloatArray  # (n_segments, 3) m/s², proximal joint, world axes, without gravity
+    p_w: FloatArray  # (n_segments, 3) m, proximal joint
+    sigma: FloatArray  # (n_segments,) rad, standard deviation of the orientation; NaN: not estimated
+    status: StatusArray  # (n_segments,) Status
+    root: int
+    """Index of the rank-1 segment."""

@@ -1,0 +1,104 @@
+"""Rotation matrices: exponential, logarithm of a product, and the two-vector solve. Compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import FloatArray
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import cross, norm, skew, vector
+
+PARALLEL = 1e-3
+"""Sine of the angle under which two directions no longer define an orientation."""
+
+
+@compiled
+def from_rotation_vector(r: FloatArray) -> FloatArray:
+    """The exponential (Rodrigues); shape (3,) -> (3, 3)."""
+    angle = norm(r)
+    # 1 − cos a = 2 sin²(a/2): no cancellation at small angles
+    half = math.sin(0.5 * angle) / (0.5 * angle) if angle > 0.0 else 1.0
+    a = math.sin(angle) / angle if angle > 0.0 else 1.0
+    K = skew(r)
+    return np.eye(3) + a * K + 0.5 * half * half * multiply(K, K)
+
+
+@compiled
+def multiply(A: FloatArray, B: FloatArray) -> FloatArray:
+    """A B; shapes (3, 3), (3, 3) -> (3, 3)."""
+    C = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+    return C
+
+
+@compiled
+def rotate(R_ab: FloatArray, v_b: FloatArray) -> FloatArray:
+    """v_a; shapes (3, 3), (3,) -> (3,)."""
+    return vector(
+        R_ab[0, 0] * v_b[0] + R_ab[0, 1] * v_b[1] + R_ab[0, 2] * v_b[2],
+        R_ab[1, 0] * v_b[0] + R_ab[1, 1] * v_b[1] + R_ab[1, 2] * v_b[2],
+        R_ab[2, 0] * v_b[0] + R_ab[2, 1] * v_b[1] + R_ab[2, 2] * v_b[2],
+    )
+
+
+@compiled
+def rotate_inverse(R_ab: FloatArray, v_a: FloatArray) -> FloatArray:
+    """v_b; shapes (3, 3), (3,) -> (3,)."""
+    return vector(
+        R_ab[0, 0] * v_a[0] + R_ab[1, 0] * v_a[1] + R_ab[2, 0] * v_a[2],
+        R_ab[0, 1] * v_a[0] + R_ab[1, 1] * v_a[1] + R_ab[2, 1] * v_a[2],
+        R_ab[0, 2] * v_a[0] + R_ab[1, 2] * v_a[1] + R_ab[2, 2] * v_a[2],
+    )
+
+
+@compiled
+def increment(R_wa: FloatArray, R_wb: FloatArray) -> FloatArray:
+    """log(R_waᵀ R_wb): rotation vector from orientation a to orientation b, in axes of a (and of b), rad.
+
+    Shapes (3, 3), (3, 3) -> (3,). The product is taken as I + R_waᵀ (R_wb − R_wa), whose subtraction
+    is exact for neighbouring orientations, and the angle from the sine and the cosine together, so that
+    only the rounding already in the two matrices is left in the result.
+    """
+    D = R_wb - R_wa
+    M = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            M[i, j] = R_wa[0, i] * D[0, j] + R_wa[1, i] * D[1, j] + R_wa[2, i] * D[2, j]
+    v = vector(0.5 * (M[2, 1] - M[1, 2]), 0.5 * (M[0, 2] - M[2, 0]), 0.5 * (M[1, 0] - M[0, 1]))
+    sine, cosine = norm(v), 1.0 + 0.5 * (M[0, 0] + M[1, 1] + M[2, 2])
+    return v * (math.atan2(sine, cosine) / sine if sine > 0.0 else 1.0)
+
+
+@compiled
+def from_two_vectors(
+    primary_b: FloatArray, secondary_b: FloatArray, primary_w: FloatArray, secondary_w: FloatArray
+) -> FloatArray:
+    """R_wb from two directions seen in both coordinates (TRIAD, Black 1964); lengths do not matter.
+
+    Shapes four times (3,) -> (3, 3). The primary pair is met exactly; of the secondary only the part
+    across the primary is used. All NaN when the two are closer to parallel than ``PARALLEL``.
+    """
+    B = _triad(primary_b, secondary_b)
+    W = _triad(primary_w, secondary_w)
+    R = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = W[0, i] * B[0, j] + W[1, i] * B[1, j] + W[2, i] * B[2, j]
+    return R
+
+
+@compiled
+def _triad(primary: FloatArray, secondary: FloatArray) -> FloatArray:
+    """Orthonormal rows: along the primary, across both, and what completes them."""
+    T = np.full((3, 3), np.nan)
+    across = cross(primary, secondary)
+    lengths = norm(primary) * norm(secondary)
+    if norm(across) > PARALLEL * lengths and lengths > 0.0:
+        T[0] = primary / norm(primary)
+        T[1] = across / norm(across)
+        T[2] = cross(T[0], T[1])
+    return T

@@ -1,0 +1,52 @@
+"""Vectors of three numbers. Compiled; arguments are never changed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import FloatArray
+from gateway.geometry.compiled import compiled
+
+
+@compiled
+def vector(x: float, y: float, z: float) -> FloatArray:
+    """A new (3,) array."""
+    v = np.empty(3)
+    v[0], v[1], v[2] = x, y, z
+    return v
+
+
+@compiled
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a × b; shapes (3,), (3,) -> (3,)."""
+    return vector(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+@compiled
+def dot(a: FloatArray, b: FloatArray) -> float:
+    """a · b; shapes (3,), (3,)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def norm(a: FloatArray) -> float:
+    """Length of a (3,) vector."""
+    return math.sqrt(dot(a, a))
+
+
+@compiled
+def skew(a: FloatArray) -> FloatArray:
+    """The (3, 3) matrix [a]× with [a]× b = a × b."""
+    m = np.zeros((3, 3))
+    m[0, 1], m[0, 2] = -a[2], a[1]
+    m[1, 0], m[1, 2] = a[2], -a[0]
+    m[2, 0], m[2, 1] = -a[1], a[0]
+    return m
+
+
+@compiled
+def is_finite(a: FloatArray) -> bool:
+    """True when none of the three is NaN or infinite."""
+    return math.isfinite(a[0]) and math.isfinite(a[1]) and math.isfinite(a[2])

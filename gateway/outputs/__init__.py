@@ -1,0 +1,32 @@
+"""Where skeleton frames go: MQTT.
+
+``MqttOutput`` publishes them, ``PoseSubscriber`` receives them; ``messages`` declares every payload
+and ``topics`` where it is published. Reading order: ``messages``, ``topics``, ``settings``,
+``mqtt``, ``connection``, ``pose_encoding``, ``subscriber``, ``broker_process``.
+"""
+
+from gateway.outputs.broker_process import BrokerProcess, EmbeddedBrokerError
+from gateway.outputs.messages import BridgeInfo, ModuleInfo, PoseMessage
+from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.output import Output
+from gateway.outputs.settings import MqttSettings, PasswordError, PoseMap, TlsSettings
+from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
+from gateway.outputs.topics import Topics
+
+__all__ = [
+    "BridgeInfo",
+    "BrokerProcess",
+    "BrokerUnreachableError",
+    "EmbeddedBrokerError",
+    "ModuleInfo",
+    "MqttOutput",
+    "MqttSettings",
+    "Output",
+    "PasswordError",
+    "PoseMap",
+    "PoseMessage",
+    "PoseSubscriber",
+    "ReceivedPose",
+    "TlsSettings",
+    "Topics",
+]

@@ -1,0 +1,143 @@
+"""One connection to the broker, opened and closed within bounded time.
+
+aiomqtt leaves two things to its user that matter when a broker freezes: a connection that is given
+up stays open (and its timer runs on), and a disconnection waits for a broker that will not answer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+
+import aiomqtt
+from aiomqtt.exceptions import MqttConnectError
+from paho.mqtt.reasoncodes import ReasonCode
+
+from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, PasswordError, TlsSettings
+
+CONNECTION_ERRORS = (aiomqtt.MqttError, OSError, PasswordError)
+"""All that an unreachable, lost or refusing broker raises."""
+
+TIMEOUT_S = 2.0
+"""Longest wait for the broker to take a connection, or a message, before it counts as lost."""
+
+# Without TCP_NODELAY a pose waits for the acknowledgement of the one before: up to 40 ms. The small
+# send buffer keeps a frozen broker from swallowing many seconds of poses that nobody will want.
+_SOCKET_OPTIONS = (
+    (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
+    (socket.SOL_SOCKET, socket.SO_SNDBUF, 64 * 1024),
+)
+_PROTOCOLS = {"3.1.1": aiomqtt.ProtocolVersion.V311, "5": aiomqtt.ProtocolVersion.V5}
+
+# CONNACK reason codes (MQTT 5, table 3-1); paho gives those of MQTT 3.1.1 the same numbers.
+_UNSUPPORTED_PROTOCOL = 132
+_BAD_CREDENTIALS = 134
+_NOT_AUTHORISED = 135
+
+
+@dataclass(frozen=True)
+class Backoff:
+    """Waits between attempts: ``first``, doubling up to ``longest``, s."""
+
+    first: float = 0.2
+    longest: float = 2.0
+
+    def after(self, waited: float) -> float:
+        """The wait that follows one of ``waited``; 0 for none yet."""
+        return min(2 * waited, self.longest) if waited else self.first
+
+
+@asynccontextmanager
+async def broker_connection(
+    settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Will | None = None
+) -> AsyncIterator[aiomqtt.Client]:
+    """A connected client, disconnected on leaving. Raises one of ``CONNECTION_ERRORS``.
+
+    Left by an exception, the socket is closed at once without a farewell, so that the broker
+    publishes the will.
+    """
+    client = _client(settings, port, identifier, will)
+    try:
+        # Not "async with": its exit waits for a broker that may be frozen, after any exception.
+        await client.__aenter__()
+        yield client
+        await client.__aexit__(None, None, None)
+    finally:
+        _hang_up(client)
+
+
+async def until_lost(client: aiomqtt.Client) -> None:
+    """Wait until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""
+    async for _ in client.messages:
+        pass
+
+
+def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
+    """One line: what went wrong with the broker, and what would do. Never holds the password."""
+    where = f"{settings.host}:{port}"
+    if isinstance(error, PasswordError):
+        return str(error)
+    code = error.rc if isinstance(error, MqttConnectError) else None
+    number = code.value if isinstance(code, ReasonCode) else code
+    if number in (_BAD_CREDENTIALS, _NOT_AUTHORISED):
+        if settings.username is None:
+            return f"the broker at {where} refuses clients without a name ({code}): set username"
+        return (
+            f"the broker at {where} refuses user '{settings.username}' ({code}): "
+            f"check username, and password_file or {PASSWORD_VARIABLE}"
+        )
+    if number == _UNSUPPORTED_PROTOCOL:
+        return f'the broker at {where} does not speak MQTT {settings.spoken_protocol}: set protocol: "3.1.1"'
+    hint = "is the embedded broker running?"
+    if settings.broker == "external":
+        hint = "is mosquitto running? (broker: embedded needs none)"
+    return f"no MQTT broker at {where} ({error}): {hint}"
+
+
+def _client(settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Will | None) -> aiomqtt.Client:
+    client = aiomqtt.Client(
+        settings.host,
+        port,
+        username=settings.username,
+        password=settings.read_password() if settings.username is not None else None,
+        identifier=identifier,
+        protocol=_PROTOCOLS[settings.spoken_protocol],
+        will=will,
+        timeout=TIMEOUT_S,
+        keepalive=settings.keepalive,
+        max_queued_incoming_messages=1000,
+        tls_params=_tls_parameters(settings.tls) if settings.tls is not None else None,
+        socket_options=_SOCKET_OPTIONS,
+    )
+    client._client.connect_timeout = TIMEOUT_S  # aiomqtt has no parameter for it; paho's 5 s is long
+    return client
+
+
+def _tls_parameters(tls: TlsSettings) -> aiomqtt.TLSParameters:
+    ca_file, certificate, key = (
+        None if path is None else str(path) for path in (tls.ca_file, tls.certificate, tls.key)
+    )
+    return aiomqtt.TLSParameters(ca_certs=ca_file, certfile=certificate, keyfile=key)
+
+
+def _hang_up(client: aiomqtt.Client) -> None:
+    """Close the socket, if it is still open, and end the client's timer."""
+    client._client._sock_close()  # aiomqtt offers only a disconnection that waits for the broker
+
+
+def unique_identifier(role: str) -> str:
+    """A client identifier that no other client has: two with the same push each other out for ever."""
+    return f"mocap-{role}-{secrets.token_hex(4)}"
+
+
+async def nap(seconds: float, interrupt: asyncio.Event) -> None:
+    """Sleep, but no longer than until the event is set."""
+    try:
+        async with asyncio.timeout(seconds):
+            await interrupt.wait()
+    except TimeoutError:
+        return

@@ -1,0 +1,176 @@
+"""Every payload that is published, as a model.
+
+World axes are ENU (east, north, up), SI units, quaternions Hamilton ``[w, x, y, z]`` segment to
+world with ``w >= 0``, instants integer nanoseconds since the Unix epoch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import orjson
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
+
+from gateway.body.skeleton import Skeleton
+from gateway.frames import Status
+from gateway.outputs import topics
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Number, Number, Number]
+Quaternion = tuple[Number, Number, Number, Number]
+StatusName = Literal["measured", "interpolated", "held", "predicted", "warming_up", "missing"]
+
+STATUS_NAMES: tuple[str, ...] = tuple(status.name.lower() for status in Status)
+"""Name of a status in messages, by its number."""
+
+
+class Message(BaseModel):
+    """Anything published as JSON: unknown keys, NaN and infinity are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    def payload(self) -> bytes:
+        """The message as JSON bytes."""
+        return orjson.dumps(self.model_dump(mode="json"))
+
+
+class BridgeState(Message):
+    """Whether the gateway runs."""
+
+    state: Literal["online", "offline"] = Field(
+        description="'offline' comes from the gateway on a clean stop and from the broker when it dies."
+    )
+
+
+class ModuleInfo(Message):
+    """One sensor module of the rig."""
+
+    module: int = Field(ge=0, description="Module number on the wire.")
+    segment: str = Field(description="Body segment it is strapped to.")
+
+
+class BridgeInfo(Message):
+    """What the gateway is and runs."""
+
+    version: str = Field(description="Version of the gateway software.")
+    gateway: str = Field(description="Name of the gateway: second level of its topics.")
+    reconstructor: str = Field(description="Name of the method that makes poses from samples.")
+    frame_rate: float = Field(gt=0, description="Poses reconstructed a second, Hz.")
+    modules: tuple[ModuleInfo, ...] = Field(default=(), description="Modules of the rig.")
+
+
+class OutputCounters(Message):
+    """What became of the poses offered to MQTT: every one is in exactly one of these counts."""
+
+    published: int = Field(ge=0, description="Poses handed to the broker connection.")
+    dropped: int = Field(ge=0, description="Poses dropped because the broker was away or too slow.")
+    thinned: int = Field(ge=0, description="Poses left out on purpose, to keep to pose_rate.")
+    queued: int = Field(ge=0, description="Poses waiting now.")
+    connections: int = Field(ge=0, description="Connections made to the broker since the start.")
+
+
+class BridgeHealth(Message):
+    """Counters of the running gateway."""
+
+    t_ns: int = Field(description="Gateway time of this message, ns.")
+    uptime_s: float = Field(ge=0, description="Time since the output was started, s.")
+    mqtt: OutputCounters = Field(description="Poses sent to the broker.")
+    statistics: dict[str, JsonValue] = Field(
+        default_factory=dict, description="Counters of links, modules, clock and reconstruction."
+    )
+
+
+class BodySegment(Message):
+    """One rigid segment."""
+
+    name: str = Field(description="Segment name.")
+    parent: str | None = Field(description="Segment it hangs from; null for the root.")
+    offset: Vector = Field(description="Its proximal joint in the axes of the parent, m.")
+    tip: Vector = Field(description="Its distal joint or end in its own axes, m.")
+
+
+class BodyMessage(Message):
+    """The skeleton that the poses belong to."""
+
+    name: str = Field(description="Name of the skeleton.")
+    frame: Literal["ENU"] = Field(default="ENU", description="World axes: east, north, up.")
+    order: Literal["wxyz"] = Field(default="wxyz", description="Order of quaternion components.")
+    length_unit: Literal["m"] = Field(default="m", description="Unit of offsets and tips.")
+    segments: tuple[BodySegment, ...] = Field(description="Segments, parents first.")
+
+
+class PoseMessage(Message):
+    """The whole body at one instant. Maps are keyed by segment name; null is a value not defined."""
+
+    t_ns: int = Field(description="Gateway time of the pose, ns.")
+    seq: int = Field(description="Frame number; a gap means that poses were dropped or thinned.")
+    frame: Literal["ENU"] = Field(description="World axes: east, north, up.")
+    order: Literal["wxyz"] = Field(description="Order of quaternion components.")
+    root: str = Field(description="Segment that the reconstruction starts from.")
+    segments: dict[str, Quaternion | None] = Field(description="Orientation, segment to world.")
+    status: dict[str, StatusName] = Field(description="Where each orientation came from.")
+    position: dict[str, Vector | None] | None = Field(
+        default=None, description="Proximal joint in the world, m."
+    )
+    acceleration: dict[str, Vector | None] | None = Field(
+        default=None, description="Acceleration of the proximal joint in the world, without gravity, m/s²."
+    )
+    angular_rate: dict[str, Vector | None] | None = Field(
+        default=None, description="Angular rate in segment axes, rad/s."
+    )
+    sigma: dict[str, Number | None] | None = Field(
+        default=None, description="Standard deviation of the orientation, rad."
+    )
+
+
+@dataclass(frozen=True)
+class Publication:
+    """How a message is published."""
+
+    topic: str
+    """Below ``<base_topic>/<gateway>/``."""
+    model: type[Message]
+    qos: Literal[0, 1]
+    retain: bool
+
+
+PUBLICATIONS: tuple[Publication, ...] = (
+    Publication(topics.BRIDGE_STATE, BridgeState, qos=1, retain=True),
+    Publication(topics.BRIDGE_INFO, BridgeInfo, qos=1, retain=True),
+    Publication(topics.BRIDGE_HEALTH, BridgeHealth, qos=0, retain=False),
+    Publication(topics.BODY, BodyMessage, qos=1, retain=True),
+    Publication(topics.POSE, PoseMessage, qos=0, retain=False),
+)
+"""All that a gateway publishes."""
+
+
+def describe_body(skeleton: Skeleton) -> BodyMessage:
+    """The skeleton as published."""
+    names = skeleton.segment_names
+    segments = tuple(
+        BodySegment(
+            name=name, parent=None if parent < 0 else names[parent], offset=tuple(offset), tip=tuple(tip)
+        )
+        for name, parent, offset, tip in zip(
+            names,
+            skeleton.parents.tolist(),
+            skeleton.offsets.tolist(),
+            skeleton.tips.tolist(),
+            strict=True,
+        )
+    )
+    return BodyMessage(name=skeleton.name, segments=segments)
+
+
+def plain_json(statistics: Mapping[str, object]) -> dict[str, JsonValue]:
+    """Statistics as JSON values: NaN and infinity become null, numpy scalars numbers, the rest text."""
+    options = orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
+    plain: dict[str, Any] = orjson.loads(orjson.dumps(dict(statistics), default=_as_text, option=options))
+    return plain
+
+
+def _as_text(value: object) -> object:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

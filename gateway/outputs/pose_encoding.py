@@ -1,0 +1,78 @@
+"""A skeleton frame as the bytes of a pose message.
+
+Runs for every published frame, so it goes round the ``PoseMessage`` model: whole arrays are rounded
+and turned into lists at once, and what seldom changes (the status of the segments) is kept encoded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+import orjson
+
+from gateway.frames import FloatArray, SkeletonFrame, StatusArray
+from gateway.outputs.messages import STATUS_NAMES
+from gateway.outputs.settings import PoseMap
+
+_ATTRIBUTES: dict[PoseMap, str] = {
+    PoseMap.POSITION: "p_w",
+    PoseMap.ACCELERATION: "joint_acceleration",
+    PoseMap.ANGULAR_RATE: "angular_rate",
+    PoseMap.SIGMA: "sigma",
+}
+
+
+class PoseEncoder:
+    """Encodes the frames of one skeleton.
+
+    segment_names: in the order of the rows of the frames.
+    decimals: numbers are rounded to so many; None: full precision.
+    include: optional maps beside the orientations.
+    """
+
+    def __init__(
+        self,
+        segment_names: tuple[str, ...],
+        decimals: int | None = 6,
+        include: Collection[PoseMap] = (),
+    ) -> None:
+        self._names = segment_names
+        self._decimals = decimals
+        self._maps = tuple((name.value, _ATTRIBUTES[name]) for name in PoseMap if name in include)
+        self._status_key = b""
+        self._status = orjson.Fragment(b"{}")
+
+    def encode(self, frame: SkeletonFrame) -> bytes:
+        """JSON bytes of a ``PoseMessage``."""
+        message: dict[str, object] = {
+            "t_ns": frame.time_ns,
+            "seq": frame.sequence,
+            "frame": "ENU",
+            "order": "wxyz",
+            "root": self._names[frame.root],
+            "segments": dict(zip(self._names, self._rows(frame.q_wb), strict=True)),
+            "status": self._encoded_status(frame.status),
+        }
+        for key, attribute in self._maps:
+            values = self._rows(getattr(frame, attribute))
+            message[key] = dict(zip(self._names, values, strict=True))
+        return orjson.dumps(message)
+
+    def _rows(self, values: FloatArray) -> list[object]:
+        """Rows as JSON values; a row that is not finite throughout is None."""
+        # Adding zero makes -0.0 a plain 0.0.
+        rounded = values if self._decimals is None else np.round(values, self._decimals) + 0.0
+        rows: list[object] = rounded.tolist()
+        is_finite = np.isfinite(rounded)
+        if is_finite.all():
+            return rows
+        is_defined = np.logical_and.reduce(is_finite.reshape(len(rows), -1), axis=1)
+        return [row if defined else None for row, defined in zip(rows, is_defined, strict=True)]
+
+    def _encoded_status(self, status: StatusArray) -> orjson.Fragment:
+        key = status.tobytes()
+        if key != self._status_key:
+            names = dict(zip(self._names, (STATUS_NAMES[value] for value in key), strict=True))
+            self._status_key, self._status = key, orjson.Fragment(orjson.dumps(names))
+        return self._status

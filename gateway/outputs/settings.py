@@ -1,0 +1,172 @@
+"""How the gateway reaches its MQTT broker and what it publishes there."""
+
+from __future__ import annotations
+
+import os
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from gateway.errors import SettingsError
+
+PASSWORD_VARIABLE = "MOCAP_MQTT_PASSWORD"
+"""Environment variable that may hold the broker password."""
+
+LOOPBACK_HOSTS = ("127.0.0.1", "localhost")
+
+
+class PasswordError(SettingsError, ValueError):
+    """The password file cannot be read. ``str(error)`` names the file, never its content."""
+
+
+class PoseMap(StrEnum):
+    """What a pose message may carry beside the orientations, each a map by segment name."""
+
+    POSITION = "position"
+    ACCELERATION = "acceleration"
+    ANGULAR_RATE = "angular_rate"
+    SIGMA = "sigma"
+
+
+class TlsSettings(BaseModel):
+    """Files of a TLS connection."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ca_file: Path | None = Field(
+        default=None,
+        description="Certificates (PEM) to check the broker against; none: those of the system.",
+    )
+    certificate: Path | None = Field(
+        default=None, description="Certificate (PEM) to show to the broker, where it asks for one."
+    )
+    key: Path | None = Field(default=None, description="Private key (PEM) of that certificate.")
+
+    @model_validator(mode="after")
+    def _certificate_comes_with_its_key(self) -> Self:
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("certificate and key belong together: give both, or neither")
+        return self
+
+
+class MqttSettings(BaseModel):
+    """Connection to the broker, topics and payload. The password is never part of it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    broker: Literal["embedded", "external"] = Field(
+        default="external",
+        description="'external': a broker that runs already, such as mosquitto. 'embedded': the gateway "
+        "starts its own on this machine, for a first run: MQTT 3.1.1, loopback only, no passwords.",
+    )
+    host: str = Field(default="127.0.0.1", min_length=1, description="Host name or address of the broker.")
+    port: int = Field(
+        default=1883,
+        ge=0,
+        le=65535,
+        description="TCP port of the broker. 0 with the embedded broker: any free port.",
+    )
+    websocket_port: int | None = Field(
+        default=None,
+        ge=1,
+        le=65535,
+        description="Port on which the embedded broker takes WebSocket clients (browsers) too; none: closed.",
+    )
+    username: str | None = Field(default=None, min_length=1, description="User name at the broker.")
+    password_file: Path | None = Field(
+        default=None,
+        description="File whose first line is the password. Without it the environment variable "
+        f"{PASSWORD_VARIABLE} is taken.",
+    )
+    tls: TlsSettings | None = Field(default=None, description="TLS files; none: an unencrypted connection.")
+    protocol: Literal["3.1.1", "5"] = Field(
+        default="3.1.1",
+        description="MQTT version. The embedded broker speaks 3.1.1 only, whatever stands here.",
+    )
+    client_id: str | None = Field(
+        default=None,
+        min_length=1,
+        description="MQTT client identifier, unique at the broker; none: made from the gateway's name and "
+        "a random part, so that two gateways never push each other out.",
+    )
+    keepalive: int = Field(
+        default=5,
+        ge=1,
+        le=65535,
+        description="Keep-alive interval, s. A broker silent for twice as long counts as lost; "
+        "the broker announces the gateway's death after one and a half of it.",
+    )
+    base_topic: str = Field(
+        default="mocap", min_length=1, description="First part of every topic: <base_topic>/<gateway>/…"
+    )
+    queue_length: int = Field(
+        default=8,
+        ge=1,
+        le=10_000,
+        description="Poses kept while the broker is slow. When full the oldest is dropped and counted.",
+    )
+    decimals: int | None = Field(
+        default=6,
+        ge=0,
+        le=15,
+        description="Decimals of the numbers in a pose (6: 0.0001° of orientation); none: full precision.",
+    )
+    pose_rate: float | None = Field(
+        default=None,
+        gt=0,
+        allow_inf_nan=False,
+        description="Most poses published a second, Hz; none: every one.",
+    )
+    include: frozenset[PoseMap] = Field(
+        default=frozenset(), description="What a pose carries beside orientations and status."
+    )
+    health_interval: float = Field(
+        default=5.0, gt=0, allow_inf_nan=False, description="Time between two bridge/health messages, s."
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _password_stays_outside(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "password" in given:
+            # Raised without the value: pydantic would quote it in the message otherwise.
+            del given["password"]
+            raise ValueError(
+                f"a password does not belong in the settings: set {PASSWORD_VARIABLE} or password_file"
+            )
+        return given
+
+    @model_validator(mode="after")
+    def _combination_makes_sense(self) -> Self:
+        if self.broker == "embedded":
+            if self.host not in LOOPBACK_HOSTS:
+                raise ValueError(
+                    f"the embedded broker serves this machine only: host '{self.host}' needs "
+                    "broker: external (found: embedded)"
+                )
+            if self.tls is not None:
+                raise ValueError("the embedded broker has no TLS: remove tls, or use broker: external")
+        elif self.port == 0:
+            raise ValueError("port 0 (any free port) works with broker: embedded only; mosquitto's is 1883")
+        if set(self.base_topic) & set("+#\0") or self.base_topic.strip("/") != self.base_topic:
+            raise ValueError(
+                f"base_topic '{self.base_topic}' must not hold + or #, nor begin or end with a slash"
+            )
+        return self
+
+    def read_password(self) -> str | None:
+        """The password: first line of ``password_file``, else the environment. Raises ``PasswordError``."""
+        if self.password_file is None:
+            return os.environ.get(PASSWORD_VARIABLE)
+        try:
+            lines = self.password_file.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+            raise PasswordError(f"cannot read password_file {self.password_file}: {reason}") from None
+        return lines[0] if lines else ""
+
+    @property
+    def spoken_protocol(self) -> Literal["3.1.1", "5"]:
+        """The MQTT version that the chosen broker understands."""
+        return "3.1.1" if self.broker == "embedded" else self.protocol

@@ -1,0 +1,67 @@
+"""Where everything is published: ``<base_topic>/<gateway>/…``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+BRIDGE_STATE = "bridge/state"
+BRIDGE_INFO = "bridge/info"
+BRIDGE_HEALTH = "bridge/health"
+BODY = "body"
+POSE = "pose"
+
+ANY_GATEWAY = "+"
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topics of one gateway; with ``ANY_GATEWAY`` as its name, filters for all of them.
+
+    Raises ``ValueError`` for a gateway name that is not one level of a topic.
+    """
+
+    base_topic: str
+    gateway: str
+
+    def __post_init__(self) -> None:
+        if self.gateway != ANY_GATEWAY and (not self.gateway or set(self.gateway) & set("+#/\0")):
+            raise ValueError(f"gateway name '{self.gateway}' must not be empty, nor hold any of + # /")
+
+    @property
+    def root(self) -> str:
+        return f"{self.base_topic}/{self.gateway}"
+
+    @property
+    def bridge_state(self) -> str:
+        """``online`` or ``offline``: birth, will and clean stop; retained."""
+        return f"{self.root}/{BRIDGE_STATE}"
+
+    @property
+    def bridge_info(self) -> str:
+        """What the gateway is and runs; retained."""
+        return f"{self.root}/{BRIDGE_INFO}"
+
+    @property
+    def bridge_health(self) -> str:
+        """Counters, from time to time."""
+        return f"{self.root}/{BRIDGE_HEALTH}"
+
+    @property
+    def body(self) -> str:
+        """The skeleton; retained."""
+        return f"{self.root}/{BODY}"
+
+    @property
+    def pose(self) -> str:
+        """One message a skeleton frame."""
+        return f"{self.root}/{POSE}"
+
+    def split(self, topic: str) -> tuple[str, str] | None:
+        """(gateway, rest) of a topic of this gateway, or None for one that is not."""
+        prefix = f"{self.base_topic}/"
+        if not topic.startswith(prefix):
+            return None
+        gateway, _, below = topic.removeprefix(prefix).partition("/")
+        if not below or self.gateway not in (ANY_GATEWAY, gateway):
+            return None
+        return gateway, below

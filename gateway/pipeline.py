@@ -1,0 +1,70 @@
+"""READ FIRST: the whole flow, as code.
+
+    link → chunk ─┬─ framing → packets → clocks ─┬─ frame assembly ─┬─ reconstructor ─→ outputs
+                  └────────── Stream ────────────┘    ImuFrame      └─ SkeletonFrame
+
+``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times it gives
+the same skeleton frames, bit for bit. ``gateway.service`` puts links before it and outputs after.
+"""
+
+from __future__ import annotations
+
+from devices.link import Chunk, Framing
+from gateway.assembly import AssemblyParams, FrameAssembler
+from gateway.body.skeleton import WornSuit
+from gateway.frames import LocalReading, SkeletonFrame
+from gateway.reconstruction import RECONSTRUCTORS
+from gateway.settings import GatewaySettings
+from gateway.stream import ClockMode, Stream
+
+
+class Pipeline:
+    """Chunks in, skeleton frames out."""
+
+    def __init__(
+        self,
+        suit: WornSuit,
+        params: AssemblyParams,
+        reconstructor: str = "independent",
+        clock_mode: ClockMode = ClockMode.ESTIMATED,
+    ) -> None:
+        self.stream = Stream(clock_mode)
+        self.assembler = FrameAssembler(suit.module_ids, params)
+        self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
+        self.skeleton_frames = 0
+
+    @classmethod
+    def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
+        """The pipeline that a configuration describes."""
+        return cls(suit, settings.assembly.params(), settings.reconstructor, settings.clock.mode)
+
+    def add_link(self, name: str, framing: Framing) -> None:
+        """Announce a link, before its first chunk."""
+        self.stream.add_link(name, framing)
+
+    def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
+        """The skeleton frames that a chunk completes."""
+        skeleton_frames: list[SkeletonFrame] = []
+        for reading in self.stream.receive(chunk):
+            if isinstance(reading, LocalReading):
+                self.assembler.add_local(reading)
+                continue
+            imu_frames = self.assembler.add(reading, chunk.arrived_ns)
+            skeleton_frames.extend(self.reconstructor.update(imu_frame) for imu_frame in imu_frames)
+        self.skeleton_frames += len(skeleton_frames)
+        return skeleton_frames
+
+    def statistics(self) -> dict[str, object]:
+        """Counters for the health message."""
+        dropped = {
+            link: {defect.name.lower(): count for defect, count in defects.items()}
+            for link, defects in self.stream.dropped.items()
+        }
+        return {
+            "skeleton_frames": self.skeleton_frames,
+            "dropped_by_link": dropped,
+            "dropped_by_assembly": {
+                reason.name.lower(): count for reason, count in self.assembler.lost.items()
+            },
+            "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
+        }

@@ -1,0 +1,26 @@
+"""Reconstructors by name: observations in time order to skeleton frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gateway.body.skeleton import WornSuit
+from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
+from gateway.reconstruction.inertial.independent import IndependentReconstructor
+from gateway.reconstruction.reconstructor import Reconstructor
+
+__all__ = ["RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
+
+RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
+    "articulated": ArticulatedReconstructor,
+    "independent": IndependentReconstructor,
+}
+"""Name to constructor; its arguments: the suit, and the nominal interval of the frames in s."""
+
+
+def create_reconstructor(name: str, suit: WornSuit, nominal_interval_s: float) -> Reconstructor:
+    """The reconstructor of that name. Raises ``ValueError`` for an unknown one, naming those there are."""
+    if name not in RECONSTRUCTORS:
+        known = ", ".join(sorted(RECONSTRUCTORS))
+        raise ValueError(f"no reconstructor is called {name!r}; there are: {known}")
+    return RECONSTRUCTORS[name](suit, nominal_interval_s)

@@ -1,0 +1,197 @@
+"""The literal articulated reconstructor: the reference that estimators are measured against.
+
+Equations: ``operators`` (JP4989660B2), ``gyro_free`` (the general case without gyrometers).
+
+When a segment of rank n (root: 1) is first defined, counting samples from 1:
+- ``U = 0``, no gyrometers: sample 2n − 1 (two more orientations of rank n − 1 are needed each time);
+- gyrometers: ``ω̇`` of every segment is known from sample 2, so rank 1 with ``U = 0`` is defined from
+  sample 1, every other segment from sample 2, whatever its rank;
+- ``U ≠ 0``, no gyrometers: from a static start or a starting pose.
+A local device that measures velocity adds 1 to these, one that measures position 2. Until then WARMING_UP.
+
+The root is the segment that carries the first local device; without any, the skeleton's root is taken
+to turn about a fixed proximal joint (``a_1 = 0``). A segment whose module gave nothing for the
+instant (HELD counts as nothing: a repeated sample has no derivative) is MISSING, and with it all
+segments beyond it as seen from the root. Its own joint still has acceleration and position, when it is
+entered there, since its neighbour defines them. After less than ``longest_gap_s`` differences bridge the gap with
+the true time step; after more the warm-up begins anew (``U ≠ 0`` without gyrometers: at the next rest).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.body.skeleton import WornSuit
+from gateway.frames import FloatArray, ImuFrame, SkeletonFrame, Status
+from gateway.geometry import quaternion
+from gateway.reconstruction.inertial.gyro_free import Weights
+from gateway.reconstruction.inertial.local_device import RootMotion
+from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
+from gateway.reconstruction.inertial.operators import Chain, advance, initial_state
+from gateway.reconstruction.inertial.static_start import StaticStart
+from gateway.reconstruction.inertial.travel import travel_from
+
+ON_JOINT = 1e-6
+"""m: a module nearer than this to the joint counts as on it (the special case)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArticulatedSettings:
+    """Parameters of the articulated reconstructor."""
+
+    longest_gap_s: float = 0.25
+    """Differences are not taken over longer gaps, and readings of the local device not held longer."""
+    static_frames: int = 20
+    """Successive frames at rest that make a static start."""
+    static_norm_tolerance: float = 0.3
+    """m/s²: mean specific force against |g| at a static start."""
+    static_deviation: float = 0.1
+    """m/s²: largest standard deviation of an axis at a static start."""
+    start_orientation_sigma: float = 0.02
+    """rad: how well the orientations of the start are known."""
+    start_rate_sigma: float = 0.02
+    """rad/s: how well the rates of the start are known."""
+    specific_force_sigma: float = 1.0
+    """m/s²: weight of the specific force in the general case without gyrometers."""
+    direction_sigma: float = 0.001
+    """rad: weight of sensor X there."""
+    rate_derivative_sigma: float = 1e5
+    """rad/s²: prior of ω̇ about zero there."""
+
+
+@dataclass(frozen=True, slots=True)
+class StartingPose:
+    """Orientations and rates at the first frame, from other means than the modules."""
+
+    q_wb: FloatArray  # (n_segments, 4)
+    angular_rate: FloatArray  # (n_segments, 3) rad/s, segment axes
+
+
+class ArticulatedReconstructor:
+    """The method of the source, exact in its equations. Compiles in the constructor (cached on disk).
+
+    nominal_interval_s: of the frames; only the time stamps count, it serves the warm-up compilation.
+    starting_pose: taken at the first frame by segments with ``U ≠ 0`` and no gyrometers.
+    """
+
+    def __init__(
+        self,
+        suit: WornSuit,
+        nominal_interval_s: float,
+        settings: ArticulatedSettings | None = None,
+        starting_pose: StartingPose | None = None,
+    ) -> None:
+        self._settings = settings = settings or ArticulatedSettings()
+        self._starting_pose = starting_pose
+        self._n_segments = suit.skeleton.n_segments
+        device = suit.local_devices[0] if suit.local_devices else None
+        self._root = device.segment if device else int(np.flatnonzero(suit.skeleton.parents < 0)[0])
+        self._chain = _chain(suit, self._root, device.position if device else np.zeros(3))
+        self._weights = Weights(
+            settings.specific_force_sigma, settings.direction_sigma, settings.rate_derivative_sigma
+        )
+        self._observer = SegmentObserver(suit)
+        self._root_motion = RootMotion(device, settings.longest_gap_s)
+        self._static_start = StaticStart(
+            suit.gravity,
+            suit.magnetic_field,
+            settings.static_frames,
+            settings.static_norm_tolerance,
+            settings.static_deviation,
+        )
+        self._compile(len(suit.module_ids), nominal_interval_s)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but the parameters."""
+        self._state = initial_state(self._n_segments)
+        self._root_motion.reset()
+        self._static_start.reset()
+        self._needs_pose = self._starting_pose is not None
+
+    def update(self, observation: ImuFrame) -> SkeletonFrame:
+        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
+        time_ns = observation.time_ns
+        observed = self._observer.observe(observation)
+        self._root_motion.add(observation.local)
+        self._start(observed, time_ns)
+        root_position = self._root_motion.position(time_ns)
+        self._state, pose = advance(
+            self._chain,
+            self._state,
+            self._weights,
+            self._settings.longest_gap_s,
+            time_ns,
+            self._root_motion.acceleration(time_ns),
+            root_position,
+            observed,
+        )
+        return SkeletonFrame(
+            sequence=observation.sequence,
+            time_ns=time_ns,
+            q_wb=pose.q_wb,
+            angular_rate=pose.angular_rate,
+            joint_acceleration=pose.joint_acceleration,
+            p_w=pose.p_w,
+            sigma=np.full(self._n_segments, np.nan),
+            status=pose.status,
+            root=self._root,
+        )
+
+    def _start(self, observed: SegmentObservations, time_ns: int) -> None:
+        """Give the segments that need two earlier orientations a start, where one is to be had."""
+        lacks_rate = np.isnan(observed.angular_rate).any(axis=1)
+        needs = (self._chain.on_joint == 0) & (self._state.is_started == 0) & lacks_rate
+        needs &= observed.status <= Status.INTERPOLATED
+        if not needs.any():
+            self._static_start.reset()
+            return
+        if self._needs_pose and self._starting_pose is not None:
+            R = np.stack([quaternion.to_matrix(quaternion.normalise(q)) for q in self._starting_pose.q_wb])
+            self._needs_pose = False
+            self._take_start(needs, R, self._starting_pose.angular_rate, time_ns)
+            return
+        at_rest = self._static_start.add(observed)
+        if at_rest is not None:
+            needs &= np.isfinite(at_rest).all(axis=(1, 2))
+            self._take_start(needs, at_rest, np.zeros((self._n_segments, 3)), time_ns)
+
+    def _take_start(self, which: FloatArray, R: FloatArray, rate: FloatArray, time_ns: int) -> None:
+        state, settings = self._state, self._settings
+        sigma = np.repeat([settings.start_orientation_sigma, settings.start_rate_sigma], 3)
+        state.R[which], state.rate[which] = R[which], rate[which]
+        state.covariance[which] = np.diag(sigma**2)
+        state.step[which], state.time_ns[which], state.is_started[which] = 0.0, time_ns, 1
+
+    def _compile(self, n_modules: int, nominal_interval_s: float) -> None:
+        """Two frames of rest, so that every kernel is compiled before the first real one comes."""
+        self.reset()
+        for k in range(2):
+            self.update(
+                ImuFrame(
+                    sequence=k,
+                    time_ns=round(k * nominal_interval_s * 1e9),
+                    specific_force=np.ones((n_modules, 3)),
+                    angular_rate=np.zeros((n_modules, 3)),
+                    magnetic_field=np.zeros((n_modules, 3)),
+                    status=np.zeros(n_modules, np.uint8),
+                    gap_ns=np.zeros(n_modules, np.int64),
+                )
+            )
+
+
+def _chain(suit: WornSuit, root: int, point: FloatArray) -> Chain:
+    travel = travel_from(suit.skeleton, root, point)
+    U = travel.arms(suit.lever_arms)
+    return Chain(
+        order=travel.order,
+        entered_from=travel.entered_from,
+        L=travel.link,
+        U=U,
+        proximal=travel.proximal,
+        on_joint=(np.linalg.norm(U, axis=1) < ON_JOINT).astype(np.int64),
+        gravity=np.array(suit.gravity, np.float64),
+        field=np.array(suit.magnetic_field, np.float64),
+    )

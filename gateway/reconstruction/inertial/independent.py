@@ -1,0 +1,164 @@
+"""Every module for itself: the baseline, and the fallback for a module outside a chain.
+
+The filter is VQF (Laidig & Seel, Information Fusion 91, 2023) with its default parameters: 9-axis once a
+module has given a magnetic field, 6-axis (heading arbitrary) until then. Its world is level with y towards
+magnetic north; the declination of the suit's field turns it to the geographic ENU.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from vqf import VQF
+
+from gateway.body.kinematics import joint_positions
+from gateway.body.skeleton import WornSuit
+from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame, Status, StatusArray
+from gateway.geometry import derivatives, quaternion
+from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial.observations import SegmentObserver
+
+HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
+
+
+class IndependentReconstructor:
+    """One VQF a module.
+
+    A module without values for an instant keeps its last orientation (HELD; the turn during the gap is
+    lost, since a filter step stands for one nominal interval). A segment without module follows its
+    parent rigidly, axes parallel as in the calibration pose (PREDICTED). MISSING: nothing yet, or a
+    module without accelerometer or gyrometers.
+
+    angular_rate: as measured, bias included. joint_acceleration: the module's specific force moved to the proximal
+    joint with ``ω̇`` from one backward difference and freed of gravity, from the second frame on where
+    ``U ≠ 0``; NaN where the orientation is not MEASURED or INTERPOLATED. p_w: from the joints, the
+    root at the origin. sigma: NaN.
+    """
+
+    def __init__(self, suit: WornSuit, nominal_interval_s: float) -> None:
+        skeleton = suit.skeleton
+        self._suit = suit
+        self._parents = skeleton.parents.astype(np.int64)
+        self._offsets = np.array(skeleton.offsets, np.float64)
+        self._lever_arms = np.array(suit.lever_arms, np.float64)
+        self._gravity = np.array(suit.gravity, np.float64)
+        self._observer = SegmentObserver(suit)
+        self._observed = [int(s) for s in np.flatnonzero(suit.module_of_segment >= 0)]
+        self._rows = [int(suit.module_of_segment[s]) for s in self._observed]
+        self._filters = [VQF(nominal_interval_s) for _ in self._observed]
+        self._q_sb = _inverse_alignment(suit)
+        declination = math.atan2(suit.magnetic_field[0], suit.magnetic_field[1])
+        self._q_world = quaternion.from_rotation_vector(np.array([0.0, 0.0, -declination]))
+        n = len(suit.module_ids)
+        self.reset()
+        self.update(ImuFrame(0, 0, *np.ones((3, n, 3)), np.zeros(n, np.uint8), np.zeros(n, np.int64)))  # compiles
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but the parameters."""
+        n = self._suit.skeleton.n_segments
+        for vqf in self._filters:
+            vqf.resetState()
+        self._q_vqf = np.full((n, 4), np.nan)  # sensor to the filter's world
+        self._has_field = np.zeros(n, np.bool_)
+        self._rate = np.full((n, 3), np.nan)
+        self._time_ns = 0
+
+    def update(self, observation: ImuFrame) -> SkeletonFrame:
+        """One instant."""
+        status = self._step_filters(observation)
+        observed = self._observer.observe(observation)
+        dt = (observation.time_ns - self._time_ns) * 1e-9
+        q_wb, acceleration, status = _body_pose(
+            self._parents,
+            self._q_world,
+            self._has_field,
+            self._q_vqf,
+            self._q_sb,
+            status,
+            observed.specific_force,
+            observed.angular_rate,
+            (observed.angular_rate - self._rate) / dt if dt > 0.0 else np.full_like(self._rate, np.nan),
+            self._lever_arms,
+            self._gravity,
+        )
+        self._rate, self._time_ns = observed.angular_rate, observation.time_ns
+        return SkeletonFrame(
+            sequence=observation.sequence,
+            time_ns=observation.time_ns,
+            q_wb=q_wb,
+            angular_rate=observed.angular_rate,
+            joint_acceleration=acceleration,
+            p_w=joint_positions(self._parents, self._offsets, q_wb, np.zeros(3)),
+            sigma=np.full(len(status), np.nan),
+            status=status,
+            root=int(np.flatnonzero(self._parents < 0)[0]),
+        )
+
+    def _step_filters(self, observation: ImuFrame) -> StatusArray:
+        """Feeds every module's filter; the status by segment, PREDICTED where there is no module."""
+        status = np.full(len(self._parents), PREDICTED, np.uint8)
+        f, w, x = (np.array(v, np.float64, order="C") for v in _rows_of(observation))
+        is_inertial = np.isfinite(f).all(axis=1) & np.isfinite(w).all(axis=1)
+        is_inertial &= observation.status <= Status.HELD
+        has_field = np.isfinite(x).all(axis=1)
+        for segment, row, vqf in zip(self._observed, self._rows, self._filters, strict=True):
+            if not is_inertial[row]:
+                status[segment] = MISSING if np.isnan(self._q_vqf[segment, 0]) else HELD
+                continue
+            if has_field[row]:
+                self._has_field[segment] = True
+                vqf.update(w[row], f[row], x[row])
+            else:
+                vqf.update(w[row], f[row])
+            self._q_vqf[segment] = vqf.getQuat9D() if self._has_field[segment] else vqf.getQuat6D()
+            status[segment] = observation.status[row]
+        return status
+
+
+def _rows_of(observation: ImuFrame) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return observation.specific_force, observation.angular_rate, observation.magnetic_field
+
+
+def _inverse_alignment(suit: WornSuit) -> FloatArray:
+    """q_sb, (n_segments, 4)."""
+    return np.stack([quaternion.conjugate(quaternion.normalise(q)) for q in suit.sensor_to_segment])
+
+
+@compiled
+def _body_pose(
+    parents: IntArray,
+    q_world: FloatArray,
+    has_field: FloatArray,
+    q_vqf: FloatArray,
+    q_sb: FloatArray,
+    sensed: StatusArray,
+    f: FloatArray,
+    rate: FloatArray,
+    rate_derivative: FloatArray,
+    lever_arms: FloatArray,
+    gravity: FloatArray,
+) -> tuple[FloatArray, FloatArray, StatusArray]:
+    """Orientations and joint accelerations in the world, (n, 4) and (n, 3), and the status."""
+    n = len(parents)
+    q_wb, acceleration, status = np.full((n, 4), np.nan), np.full((n, 3), np.nan), sensed.copy()
+    for s in range(n):
+        if status[s] == PREDICTED:
+            if parents[s] < 0 or status[parents[s]] == MISSING:
+                status[s] = MISSING
+            else:
+                q_wb[s] = q_wb[parents[s]]
+            continue
+        if status[s] == MISSING:
+            continue
+        q = quaternion.multiply(q_vqf[s], q_sb[s])
+        if has_field[s]:
+            q = quaternion.multiply(q_world, q)
+        q_wb[s] = quaternion.canonical(quaternion.normalise(q))
+        if status[s] < HELD:
+            at_joint = f[s]
+            if np.any(lever_arms[s] != 0.0):
+                at_joint = f[s] - derivatives.point_acceleration(rate_derivative[s], rate[s], lever_arms[s])
+            acceleration[s] = quaternion.rotate(q_wb[s], at_joint) + gravity
+    return q_wb, acceleration, status

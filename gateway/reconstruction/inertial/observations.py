@@ -1,0 +1,61 @@
+"""What the modules measured, by segment and in segment axes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gateway.body.skeleton import WornSuit
+from gateway.frames import FloatArray, ImuFrame, IntArray, Status, StatusArray
+from gateway.geometry import quaternion, rotation_matrix
+from gateway.geometry.compiled import compiled
+
+
+class SegmentObservations(NamedTuple):
+    """One instant, by segment; NaN where a segment has no module or the module no value."""
+
+    specific_force: FloatArray  # (n_segments, 3) m/s², segment axes, at the module
+    angular_rate: FloatArray  # (n_segments, 3) rad/s, segment axes
+    magnetic_field: FloatArray  # (n_segments, 3) µT, segment axes
+    status: StatusArray  # (n_segments,) of the module's row; MISSING without module or specific force
+
+
+class SegmentObserver:
+    """Turns the rows of ``ImuFrame`` (modules, sensor axes) into segments and their axes."""
+
+    def __init__(self, suit: WornSuit) -> None:
+        self._module_of_segment = suit.module_of_segment.astype(np.int64)
+        self._R_bs = np.stack([quaternion.to_matrix(quaternion.normalise(q)) for q in suit.sensor_to_segment])
+
+    def observe(self, imu_frame: ImuFrame) -> SegmentObservations:
+        """The frame by segment."""
+        # copied, so that a read-only or strided array does not have the kernel compiled again
+        rows = (imu_frame.specific_force, imu_frame.angular_rate, imu_frame.magnetic_field)
+        f, w, x = (np.array(row, np.float64, order="C") for row in rows)
+        status = np.array(imu_frame.status, np.uint8)
+        return _by_segment(self._module_of_segment, self._R_bs, f, w, x, status)
+
+
+@compiled
+def _by_segment(
+    module_of_segment: IntArray,
+    R_bs: FloatArray,
+    specific_force: FloatArray,
+    angular_rate: FloatArray,
+    magnetic_field: FloatArray,
+    status: StatusArray,
+) -> SegmentObservations:
+    n = len(module_of_segment)
+    f_b, w_b, x_b = np.full((n, 3), np.nan), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+    status_b = np.full(n, Status.MISSING.value, np.uint8)
+    for s in range(n):
+        row = module_of_segment[s]
+        if row < 0:
+            continue
+        f_b[s] = rotation_matrix.rotate(R_bs[s], specific_force[row])
+        w_b[s] = rotation_matrix.rotate(R_bs[s], angular_rate[row])
+        x_b[s] = rotation_matrix.rotate(R_bs[s], magnetic_field[row])
+        if np.isfinite(f_b[s]).all():
+            status_b[s] = status[row]
+    return SegmentObservations(f_b, w_b, x_b, status_b)

@@ -1,0 +1,106 @@
+"""The gateway's configuration: one YAML file, checked before anything is opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from gateway.assembly import AssemblyParams
+from gateway.errors import nearest
+from gateway.outputs.settings import MqttSettings
+from gateway.reconstruction import RECONSTRUCTORS
+from gateway.settings_files import load_settings
+from gateway.stream import ClockMode
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class LinkSettings(_Strict):
+    """One serial port, CAN bus, socket or recording."""
+
+    name: str = Field(min_length=1, description="short name for logs and statistics")
+    url: str = Field(
+        min_length=1,
+        description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
+        "can://socketcan/can0, tcp://host:port, udp://host:port, replay:///path/to/recording",
+    )
+
+
+class ClockSettings(_Strict):
+    """How module time becomes gateway time."""
+
+    mode: ClockMode = Field(
+        default=ClockMode.ESTIMATED,
+        description="estimated: every module has its own crystal; shared: they count one clock already",
+    )
+
+
+class AssemblySettings(_Strict):
+    """How samples of many modules become frames of one instant."""
+
+    rate_hz: float = Field(default=100, gt=0, le=4000, description="skeleton frames a second")
+    max_wait_ms: float = Field(
+        default=30, ge=0, le=10_000, description="latency budget: how long a frame waits for late samples"
+    )
+    max_gap_ms: float = Field(
+        default=100, ge=0, le=10_000, description="longest gap bridged by interpolation"
+    )
+    hold_ms: float = Field(
+        default=500, ge=0, le=60_000, description="how long a silent module's last value stands"
+    )
+
+    def params(self) -> AssemblyParams:
+        """In the units of the assembler."""
+        return AssemblyParams(
+            frame_interval_ns=1e9 / self.rate_hz,
+            max_wait_ns=round(self.max_wait_ms * 1e6),
+            max_gap_ns=round(self.max_gap_ms * 1e6),
+            hold_ns=round(self.hold_ms * 1e6),
+        )
+
+
+class LogSettings(_Strict):
+    """Logging."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
+
+
+class GatewaySettings(_Strict):
+    """Everything."""
+
+    gateway: str = Field(
+        default="gateway1", pattern=r"^[A-Za-z0-9_-]+$", description="name in topics: mocap/<gateway>/…"
+    )
+    links: list[LinkSettings] = Field(min_length=1, description="where bytes come from")
+    rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")
+    reconstructor: str = Field(
+        default="independent", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
+    )
+    clock: ClockSettings = ClockSettings()
+    assembly: AssemblySettings = AssemblySettings()
+    mqtt: MqttSettings = MqttSettings()
+    log: LogSettings = LogSettings()
+
+    @field_validator("reconstructor")
+    @classmethod
+    def _is_known(cls, value: str) -> str:
+        if value not in RECONSTRUCTORS:
+            raise ValueError("no such reconstructor" + nearest(value, RECONSTRUCTORS))
+        return value
+
+    @field_validator("links")
+    @classmethod
+    def _names_differ(cls, value: list[LinkSettings]) -> list[LinkSettings]:
+        names = [link.name for link in value]
+        if len(set(names)) < len(names):
+            raise ValueError("every link needs a name of its own")
+        return value
+
+
+def load_gateway_settings(path: Path) -> GatewaySettings:
+    """The configuration file. Raises ``SettingsError`` with one line for each thing wrong."""
+    return load_settings(path, GatewaySettings)

@@ -1,0 +1,98 @@
+"""What is counted of every module."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from firmware_protocol import DeviceInfo, Health
+from gateway.clock import ModuleClock, unwrap
+
+SEQUENCE_BITS = 16
+_REMEMBERED = 256
+"""How far back a packet may be overtaken and still be told from a duplicate."""
+
+
+class SequenceCounter:
+    """Unwraps the 16-bit sequence of one kind of packet of one module; finds losses and duplicates."""
+
+    def __init__(self) -> None:
+        self.received = 0
+        self.lost = 0
+        self.duplicates = 0
+        self._newest = -1
+        self._shift = 0  # wire number minus our own: 0 until the module has restarted
+        self._is_anew = True
+        self._missing: deque[int] = deque(maxlen=_REMEMBERED)
+
+    def count(self, sequence: int) -> int | None:
+        """The unwrapped sequence number; None for a packet received before."""
+        if self._is_anew:
+            self._shift = sequence - (self._newest + 1)
+            self._is_anew = False
+        full = unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1)
+        if full <= self._newest:
+            return self._overtaken(full)
+        self.lost += full - self._newest - 1
+        self._missing.extend(range(max(self._newest + 1, full - _REMEMBERED), full))
+        self._newest = full
+        self.received += 1
+        return full
+
+    def _overtaken(self, full: int) -> int | None:
+        if full not in self._missing:
+            self.duplicates += 1
+            return None
+        self._missing.remove(full)
+        self.lost -= 1
+        self.received += 1
+        return full
+
+    def restart(self) -> None:
+        """The module counts from anew: its next number, whatever it is, follows on the last one."""
+        self._is_anew = True
+
+
+@dataclass
+class ModuleRecord:
+    """All that is known of a module (or local measuring device) on the air."""
+
+    module: int
+    clock: ModuleClock
+    sequences: dict[int, SequenceCounter] = field(default_factory=dict)
+    """By kind of packet."""
+    info: DeviceInfo | None = None
+    health: Health | None = None
+    last_arrival_ns: int = 0
+
+    @property
+    def received(self) -> int:
+        return sum(counter.received for counter in self.sequences.values())
+
+    @property
+    def lost(self) -> int:
+        return sum(counter.lost for counter in self.sequences.values())
+
+    @property
+    def duplicates(self) -> int:
+        return sum(counter.duplicates for counter in self.sequences.values())
+
+    def summary(self) -> dict[str, object]:
+        """For the health message: plain names and values."""
+        figures = self.clock.figures()
+        summary: dict[str, object] = {
+            "received": self.received,
+            "lost": self.lost,
+            "duplicates": self.duplicates,
+            "restarts": figures.restarts,
+            "clock_ppm": round(figures.skew_ppm, 2),
+            "last_arrival_ns": self.last_arrival_ns,
+        }
+        if self.health is not None:
+            summary["battery_percent"] = self.health.battery_percent
+            summary["temperature_celsius"] = self.health.temperature_celsius
+            summary["rssi_dbm"] = self.health.rssi_dbm
+        if self.info is not None:
+            summary["unique_id"] = self.info.unique_id.hex()
+            summary["firmware_version"] = ".".join(map(str, self.info.firmware_version))
+        return summary

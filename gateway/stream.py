@@ -1,0 +1,128 @@
+"""Chunks of any link to readings in gateway time: framing → packets → clocks.
+
+One ``Stream`` serves the whole suit, since modules may come over several links, or all through a
+relay over one. Readings are routed by module id.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from enum import StrEnum
+
+import numpy as np
+
+from devices.link import Chunk, Framing
+from firmware_protocol import (
+    CanFrameDecoder,
+    Defect,
+    DeviceInfo,
+    FrameDecoder,
+    Health,
+    InertialSample,
+    InertialSampleFine,
+    LocalMeasurement,
+    PacketDecoder,
+    ReceivedPacket,
+)
+from gateway.clock import EstimatedClock, ModuleClock, SharedClock, SharedOffset
+from gateway.frames import InertialReading, LocalReading, Quantity
+from gateway.statistics import ModuleRecord, SequenceCounter
+
+Reading = InertialReading | LocalReading
+
+
+class ClockMode(StrEnum):
+    """Where gateway time comes from."""
+
+    ESTIMATED = "estimated"
+    """Every module has its own crystal: rate and offset are estimated from arrival times."""
+    SHARED = "shared"
+    """All modules count one clock already (wired suit, one controller): one offset for all."""
+
+
+class Stream:
+    """Decodes, counts and timestamps. Bytes are untrusted: nothing here raises for what they hold."""
+
+    def __init__(self, clock_mode: ClockMode = ClockMode.ESTIMATED) -> None:
+        self.modules: dict[int, ModuleRecord] = {}
+        self._decoders: dict[str, PacketDecoder] = {}
+        self._new_clock = _clock_factory(clock_mode)
+
+    def add_link(self, name: str, framing: Framing) -> None:
+        """Announce a link, before its first chunk."""
+        frames = FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder()
+        self._decoders[name] = PacketDecoder(frames)
+
+    def receive(self, chunk: Chunk) -> list[Reading]:
+        """The readings that a chunk completes, in order of arrival."""
+        readings = []
+        for packet in self._decoders[chunk.link].feed(chunk.data):
+            reading = self._read(packet, chunk.arrived_ns)
+            if reading is not None:
+                readings.append(reading)
+        return readings
+
+    @property
+    def dropped(self) -> dict[str, Counter[Defect]]:
+        """What was dropped by link and reason."""
+        return {name: decoder.dropped for name, decoder in self._decoders.items()}
+
+    def _read(self, received: ReceivedPacket, arrived_ns: int) -> Reading | None:
+        record = self.modules.get(received.module)
+        if record is None:
+            record = ModuleRecord(received.module, self._new_clock())
+            self.modules[received.module] = record
+        restarts = record.clock.figures().restarts
+        time_ns = record.clock.gateway_time(received.module_time_us, arrived_ns)
+        if record.clock.figures().restarts != restarts:
+            for counter in record.sequences.values():
+                counter.restart()
+        counter = record.sequences.setdefault(received.kind, SequenceCounter())
+        sequence = counter.count(received.sequence)
+        record.last_arrival_ns = arrived_ns
+        if sequence is None:
+            return None
+        return _HANDLERS[type(received.packet)](record, received.packet, sequence, time_ns)
+
+
+def _clock_factory(mode: ClockMode) -> Callable[[], ModuleClock]:
+    if mode is ClockMode.SHARED:
+        shared = SharedOffset()
+        return lambda: SharedClock(shared)
+    return EstimatedClock
+
+
+def _inertial(
+    record: ModuleRecord, packet: InertialSample | InertialSampleFine, sequence: int, time_ns: int
+) -> Reading:
+    return InertialReading(
+        record.module, sequence, time_ns, packet.specific_force, packet.angular_rate, packet.magnetic_field
+    )
+
+
+def _local(record: ModuleRecord, packet: LocalMeasurement, _sequence: int, time_ns: int) -> Reading:
+    return LocalReading(
+        record.module,
+        time_ns,
+        Quantity(packet.quantity),
+        np.array(packet.value),
+        np.array(packet.sigma),
+    )
+
+
+def _info(record: ModuleRecord, packet: DeviceInfo, _sequence: int, _time_ns: int) -> None:
+    record.info = packet
+
+
+def _health(record: ModuleRecord, packet: Health, _sequence: int, _time_ns: int) -> None:
+    record.health = packet
+
+
+_HANDLERS: dict[type, Callable[..., Reading | None]] = {
+    InertialSample: _inertial,
+    InertialSampleFine: _inertial,
+    LocalMeasurement: _local,
+    DeviceInfo: _info,
+    Health: _health,
+}

@@ -1,0 +1,194 @@
+"""What tests of several packages share: a broker of their own, and the recordings."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.link import gateway_time_ns
+from gateway.body.skeleton import Skeleton
+from gateway.frames import SkeletonFrame
+from gateway.outputs import BridgeInfo
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _children_find_the_packages() -> None:
+    """Child processes import this working tree, installed or not."""
+    inherited = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = str(REPOSITORY) + (f"{os.pathsep}{inherited}" if inherited else "")
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+class Mosquitto:
+    """A mosquitto process on a free port of this machine, with the faults a broker can have."""
+
+    host = "127.0.0.1"
+
+    def __init__(self, program: str, directory: Path) -> None:
+        self.port = free_port()
+        self._program = program
+        self._directory = directory
+        self._process: subprocess.Popen[bytes] | None = None
+        self._extra = ""
+
+    def configure(self, extra: str) -> None:
+        """Use further lines of configuration from the next start on."""
+        self._extra = extra
+
+    def start(self) -> None:
+        anonymous = "" if "allow_anonymous" in self._extra else "allow_anonymous true"
+        lines = (
+            f"listener {self.port} {self.host}",
+            "set_tcp_nodelay true",
+            "persistence false",
+            "user root",  # no change of user: the files of the test stay readable
+            anonymous,
+            self._extra,
+        )
+        config = self._directory / "mosquitto.conf"
+        config.write_text("\n".join(lines) + "\n")
+        with (self._directory / "mosquitto.log").open("ab") as log:
+            self._process = subprocess.Popen(
+                [self._program, "-c", str(config)], stdout=log, stderr=subprocess.STDOUT
+            )
+        self._await_listener()
+
+    def stop(self) -> None:
+        if self._process is not None:
+            self.thaw()
+            self._process.terminate()
+            self._process.wait(5)
+            self._process = None
+
+    def restart(self) -> None:
+        self.stop()
+        self.start()
+
+    def freeze(self) -> None:
+        """Stop it from running, without closing anything."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        assert self._process is not None
+        self._process.send_signal(signal.SIGCONT)
+
+    def _await_listener(self) -> None:
+        assert self._process is not None
+        deadline = time.monotonic() + 5
+        while time.monotonic() < deadline:
+            try:
+                socket.create_connection((self.host, self.port), timeout=1).close()
+            except OSError:
+                if self._process.poll() is not None:
+                    break
+                time.sleep(0.01)
+            else:
+                return
+        log = (self._directory / "mosquitto.log").read_text(errors="replace")
+        pytest.fail(f"mosquitto did not start on port {self.port}:\n{log}")
+
+
+@pytest.fixture
+def mosquitto(tmp_path: Path) -> Iterator[Mosquitto]:
+    """A running mosquitto with anonymous access. Skipped where it is not installed, but not in CI."""
+    program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/local/sbin")
+    if program is None:
+        reason = "mosquitto is not installed (Debian: apt-get install mosquitto)"
+        if os.environ.get("CI"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    broker = Mosquitto(program, tmp_path)
+    broker.start()
+    try:
+        yield broker
+    finally:
+        broker.stop()
+
+
+@pytest.fixture
+def unused_port() -> int:
+    """A TCP port that nobody listens on."""
+    return free_port()
+
+
+class PoseSource:
+    """Frames of a chain of segments, as a reconstructor would yield them."""
+
+    def __init__(self, n_segments: int = 17) -> None:
+        names = tuple(f"segment_{i}" for i in range(n_segments))
+        lengths = np.tile([0.0, -0.4, 0.0], (n_segments, 1))
+        self.skeleton = Skeleton("chain", names, np.arange(n_segments) - 1, lengths, lengths)
+        self._rng = np.random.default_rng(17)
+
+    def info(self, gateway: str = "lab") -> BridgeInfo:
+        return BridgeInfo(version="0", gateway=gateway, reconstructor="inertial", frame_rate=100.0)
+
+    def frame(self, sequence: int, time_ns: int | None = None) -> SkeletonFrame:
+        n = self.skeleton.n_segments
+        q_wb = self._rng.normal(size=(n, 4))
+        q_wb *= np.copysign(1, q_wb[:, :1]) / np.linalg.norm(q_wb, axis=1, keepdims=True)
+        return SkeletonFrame(
+            sequence=sequence,
+            time_ns=gateway_time_ns() if time_ns is None else time_ns,
+            q_wb=q_wb,
+            angular_rate=self._rng.normal(size=(n, 3)),
+            joint_acceleration=self._rng.normal(size=(n, 3)),
+            p_w=self._rng.normal(size=(n, 3)),
+            sigma=np.full(n, 0.01),
+            status=np.zeros(n, dtype=np.uint8),
+            root=0,
+        )
+
+
+@pytest.fixture
+def pose_source() -> PoseSource:
+    """17 segments in a chain, moving at random."""
+    return PoseSource()
+
+
+@pytest.fixture
+def large_pose_source() -> PoseSource:
+    """So many segments that a few messages fill the buffers of a connection."""
+    return PoseSource(1000)
+
+
+@pytest.fixture(scope="session")
+def data_directory() -> Path:
+    """Where the recordings are: ``MOCAP_DATA``, or ``shared/data`` beside the repository."""
+    given = os.environ.get("MOCAP_DATA")
+    directory = Path(given) if given else REPOSITORY.parent / "shared" / "data"
+    if not directory.is_dir():
+        pytest.skip(f"no recordings: {directory} is absent (set MOCAP_DATA to their directory)")
+    return directory
+
+
+@pytest.fixture(scope="session")
+def recording_set(data_directory: Path) -> Callable[[str], Path]:
+    """``recording_set("broad")``: the directory of one set; skips the test where it is absent."""
+
+    def find(name: str) -> Path:
+        directory = data_directory / name
+        if not directory.is_dir():
+            pytest.skip(f"no recordings of {name}: {directory} is absent")
+        return directory
+
+    return find

@@ -1,0 +1,178 @@
+"""The broker that the gateway brings along, in its own process."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from typing import TYPE_CHECKING
+
+import aiomqtt
+import psutil
+import pytest
+
+from gateway.outputs import BrokerProcess, EmbeddedBrokerError, MqttOutput, MqttSettings, PoseSubscriber
+from gateway.outputs.connection import broker_connection
+
+if TYPE_CHECKING:
+    from tests.conftest import PoseSource
+
+pytestmark = pytest.mark.system
+
+PARENT_WITH_A_BROKER = """
+import asyncio, json
+from gateway.outputs import BrokerProcess
+
+async def main():
+    broker = BrokerProcess(0)
+    await broker.start()
+    print(json.dumps({"pid": broker.pid, "port": broker.port}), flush=True)
+    await asyncio.sleep(60)
+
+asyncio.run(main())
+"""
+
+CLIENT_WITH_A_WILL = """
+import asyncio, sys
+import aiomqtt
+
+async def main():
+    will = aiomqtt.Will("mocap/victim/bridge/state", '{"state":"offline"}', qos=1, retain=True)
+    async with aiomqtt.Client("127.0.0.1", int(sys.argv[1]), will=will) as client:
+        await client.publish("mocap/victim/bridge/state", '{"state":"online"}', qos=1, retain=True)
+        await asyncio.sleep(60)
+
+asyncio.run(main())
+"""
+
+
+async def until(condition, timeout: float = 8.0) -> None:
+    async with asyncio.timeout(timeout):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+@pytest.fixture
+async def broker() -> AsyncIterator[BrokerProcess]:
+    process = BrokerProcess(0)
+    await process.start()
+    yield process
+    await process.stop()
+
+
+def settings_for(broker: BrokerProcess) -> MqttSettings:
+    return MqttSettings(port=broker.port)
+
+
+async def test_first_run_needs_nothing_but_the_gateway(pose_source: PoseSource) -> None:
+    settings = MqttSettings(broker="embedded", port=0)
+    began = time.monotonic()
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+        await until(lambda: output.is_connected)
+        assert time.monotonic() - began < 2.0
+        here = settings.model_copy(update={"port": output.port})
+        async with PoseSubscriber(here) as poses:
+            await until(lambda: poses.states == {"lab": "online"} and "lab" in poses.bodies)
+            for sequence in range(20):
+                output.offer(pose_source.frame(sequence))
+                received = await asyncio.wait_for(anext(aiter(poses)), 5)
+                assert received.pose.seq == sequence
+            await output.stop()
+            assert poses.states == {"lab": "offline"}
+
+
+async def test_last_will_reaches_subscribers_and_late_comers(broker: BrokerProcess) -> None:
+    settings = settings_for(broker)
+    async with PoseSubscriber(settings) as watcher:
+        with subprocess.Popen([sys.executable, "-c", CLIENT_WITH_A_WILL, str(broker.port)]) as victim:
+            try:
+                await until(lambda: watcher.states.get("victim") == "online")
+            finally:
+                victim.kill()
+        await until(lambda: watcher.states["victim"] == "offline", timeout=2)
+    async with PoseSubscriber(settings) as late_comer:
+        await until(lambda: late_comer.states == {"victim": "offline"})
+
+
+async def test_subscriber_ignores_what_it_did_not_ask_for(
+    broker: BrokerProcess, pose_source: PoseSource
+) -> None:
+    settings = settings_for(broker)
+    async with broker_connection(settings, broker.port, "noisy") as noisy:
+        await noisy.subscribe("#")
+        await noisy.publish("ret/kept", b"kept", qos=1, retain=True)
+        await noisy.publish("mocap/hall/bridge/state", b'{"state":"online"}', qos=1, retain=True)
+        async with (
+            MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
+            PoseSubscriber(settings, "lab") as poses,
+        ):
+            await until(lambda: output.is_connected and poses.states == {"lab": "online"})
+            await asyncio.sleep(0.1)
+            assert poses.states == {"lab": "online"}
+            assert poses.undecodable == 0
+
+
+async def test_listens_on_loopback_only_and_publishes_nothing_of_its_own(broker: BrokerProcess) -> None:
+    assert broker.pid is not None
+    listening = [c.laddr for c in psutil.Process(broker.pid).net_connections() if c.status == "LISTEN"]
+    assert [(address.ip, address.port) for address in listening] == [("127.0.0.1", broker.port)]
+    async with broker_connection(settings_for(broker), broker.port, "reader") as reader:
+        await reader.subscribe([("$SYS/#", 0), ("#", 0)])
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.3):
+                await anext(aiter(reader.messages))
+
+
+async def test_websocket_clients_are_served_too(unused_port: int) -> None:
+    broker = BrokerProcess(0, websocket_port=unused_port)
+    await broker.start()
+    try:
+        async with aiomqtt.Client("127.0.0.1", unused_port, transport="websockets") as browser:
+            await browser.subscribe("mocap/#")
+            async with broker_connection(settings_for(broker), broker.port, "gateway") as gateway:
+                await gateway.publish("mocap/lab/pose", b"here")
+            message = await asyncio.wait_for(anext(aiter(browser.messages)), 2)
+            assert message.payload == b"here"
+    finally:
+        await broker.stop()
+
+
+async def test_busy_port_is_one_clear_line(broker: BrokerProcess, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(EmbeddedBrokerError, match=f"port {broker.port} is taken.*broker: external"):
+        await BrokerProcess(broker.port).start()
+    with pytest.raises(EmbeddedBrokerError, match=f"WebSocket port {broker.port} is taken"):
+        await BrokerProcess(0, websocket_port=broker.port).start()
+    assert capfd.readouterr() == ("", "")
+
+
+async def test_dies_with_the_gateway() -> None:
+    with subprocess.Popen([sys.executable, "-c", PARENT_WITH_A_BROKER], stdout=subprocess.PIPE) as parent:
+        try:
+            assert parent.stdout is not None
+            child = psutil.Process(json.loads(await asyncio.to_thread(parent.stdout.readline))["pid"])
+            assert child.is_running()
+        finally:
+            parent.kill()
+    await until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE, timeout=3)
+
+
+async def test_comes_back_when_it_dies(pose_source: PoseSource, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    settings = MqttSettings(broker="embedded", port=0)
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+        await until(lambda: output.is_connected)
+        port = output.port
+        children = psutil.Process().children()
+        (victim,) = [c for c in children if "gateway.outputs.embedded_broker" in c.cmdline()]
+        os.kill(victim.pid, signal.SIGKILL)
+        await until(lambda: output.counters.connections == 2)
+        assert output.port == port
+        async with PoseSubscriber(settings.model_copy(update={"port": port})) as poses:
+            await until(lambda: poses.states == {"lab": "online"})
+    assert "the embedded broker ended (exit code -9): starting it again" in caplog.text

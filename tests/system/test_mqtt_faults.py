@@ -1,0 +1,224 @@
+"""The MQTT output when the broker is absent, frozen or restarted, or the gateway is killed."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from gateway.outputs import MqttOutput, MqttSettings, PoseSubscriber
+from gateway.outputs.connection import broker_connection
+from gateway.outputs.subscriber import BrokerUnreachableError
+
+if TYPE_CHECKING:
+    from tests.conftest import Mosquitto, PoseSource
+
+pytestmark = pytest.mark.system
+
+GATEWAY_THAT_PUBLISHES = """
+import asyncio, sys
+import numpy as np
+from gateway.body.skeleton import Skeleton
+from gateway.outputs import BridgeInfo, MqttOutput, MqttSettings
+
+async def main():
+    skeleton = Skeleton("one", ("pelvis",), np.array([-1]), np.zeros((1, 3)), np.zeros((1, 3)))
+    info = BridgeInfo(version="0", gateway="victim", reconstructor="inertial", frame_rate=100.0)
+    async with MqttOutput(MqttSettings(port=int(sys.argv[1])), skeleton, info):
+        await asyncio.sleep(60)
+
+asyncio.run(main())
+"""
+
+
+async def until(condition, timeout: float = 8.0) -> None:
+    async with asyncio.timeout(timeout):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+def warnings_of(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+
+
+async def test_absent_broker_is_reported_once_and_awaited(
+    mosquitto: Mosquitto, pose_source: PoseSource, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    mosquitto.stop()
+    settings = MqttSettings(port=mosquitto.port, queue_length=8)
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+        for sequence in range(50):
+            output.offer(pose_source.frame(sequence))
+        await asyncio.sleep(0.7)  # two attempts
+        counters = output.counters
+        assert (counters.dropped, counters.queued, counters.published) == (42, 8, 0)
+        (warning,) = warnings_of(caplog)
+        assert f"no MQTT broker at 127.0.0.1:{mosquitto.port}" in warning
+        assert "is mosquitto running?" in warning
+        assert "broker: embedded" in warning
+        mosquitto.start()
+        await until(lambda: output.counters.published == 1)  # the last of them, and no older one
+        assert output.counters.dropped == 49
+    assert len(warnings_of(caplog)) == 1
+
+
+async def test_stop_is_quick_without_a_broker(unused_port: int, pose_source: PoseSource) -> None:
+    output = MqttOutput(MqttSettings(port=unused_port), pose_source.skeleton, pose_source.info())
+    await output.start()
+    await asyncio.sleep(0.1)
+    began = time.monotonic()
+    await output.stop()
+    assert time.monotonic() - began < 0.5
+
+
+async def test_subscriber_says_that_there_is_no_broker(unused_port: int) -> None:
+    with pytest.raises(BrokerUnreachableError, match=f"127.0.0.1:{unused_port}.*is mosquitto running"):
+        async with PoseSubscriber(MqttSettings(port=unused_port)):
+            pass
+
+
+async def test_frozen_broker_costs_poses_but_no_time_and_no_memory(
+    mosquitto: Mosquitto, large_pose_source: PoseSource, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = large_pose_source
+    settings = MqttSettings(port=mosquitto.port, keepalive=1, queue_length=4)
+    output = MqttOutput(settings, source.skeleton, source.info())
+    await output.start()
+    await until(lambda: output.is_connected)
+    mosquitto.freeze()
+    frame, offered, longest_turn = source.frame(0), 0, 0.0
+    while output.is_connected:  # until the keep-alive, or a full buffer, finds out
+        turn = time.monotonic()
+        output.offer(frame)
+        offered += 1
+        await asyncio.sleep(0.005)
+        longest_turn = max(longest_turn, time.monotonic() - turn)
+    counters = output.counters
+    assert counters.dropped > 100
+    assert counters.queued <= 4
+    assert counters.published + counters.dropped + counters.queued == offered
+    assert counters.published * 80_000 < 8e6  # bytes that the buffers of the sockets took
+    assert longest_turn < 0.25
+    await asyncio.sleep(0.5)  # now it tries to connect to a broker that does not answer
+    began = time.monotonic()
+    await output.stop()
+    assert time.monotonic() - began < 2.0
+    assert [w for w in warnings_of(caplog) if "lost the MQTT broker" in w] == warnings_of(caplog)
+
+
+async def test_stop_is_quick_while_the_broker_is_frozen(
+    mosquitto: Mosquitto, large_pose_source: PoseSource
+) -> None:
+    source = large_pose_source
+    settings = MqttSettings(port=mosquitto.port, keepalive=60, queue_length=100)
+    output = MqttOutput(settings, source.skeleton, source.info())
+    await output.start()
+    await until(lambda: output.is_connected)
+    mosquitto.freeze()
+    frame = source.frame(0)
+    for _ in range(100):
+        output.offer(frame)
+    await asyncio.sleep(0.05)
+    assert output.is_connected
+    began = time.monotonic()
+    await output.stop()
+    assert time.monotonic() - began < 2.0
+
+
+async def test_recovers_when_a_frozen_broker_thaws(mosquitto: Mosquitto, pose_source: PoseSource) -> None:
+    settings = MqttSettings(port=mosquitto.port, keepalive=1)
+    async with (
+        MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
+        PoseSubscriber(settings) as poses,
+    ):
+        await until(lambda: output.is_connected)
+        mosquitto.freeze()
+        await until(lambda: not output.is_connected)
+        mosquitto.thaw()
+        await until(lambda: output.is_connected and poses.is_connected)
+        await until(lambda: poses.states.get("lab") == "online")
+        output.offer(pose_source.frame(7))
+        received = await asyncio.wait_for(anext(aiter(poses)), 5)
+        assert received.pose.seq == 7
+
+
+async def test_restarted_broker_knows_everything_again(
+    mosquitto: Mosquitto, pose_source: PoseSource, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, logger="gateway.outputs.mqtt")
+    settings = MqttSettings(port=mosquitto.port)
+    async with (
+        MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
+        PoseSubscriber(settings) as early,
+    ):
+        await until(lambda: output.is_connected)
+        mosquitto.stop()
+        await until(lambda: not output.is_connected)
+        began = time.monotonic()
+        mosquitto.start()
+        await until(lambda: output.counters.connections == 2 and early.is_connected)
+        assert time.monotonic() - began < 3.0
+        async with PoseSubscriber(settings) as late:
+            await until(lambda: late.states == {"lab": "online"} and {*late.infos, *late.bodies} == {"lab"})
+        output.offer(pose_source.frame(3))
+        assert (await asyncio.wait_for(anext(aiter(early)), 5)).pose.seq == 3
+    lines = [record.getMessage() for record in caplog.records if record.name == "gateway.outputs.mqtt"]
+    assert [line.split(" the MQTT")[0] for line in lines] == ["connected to", "lost", "connected again to"]
+
+
+async def test_broker_announces_the_death_of_a_killed_gateway(mosquitto: Mosquitto) -> None:
+    settings = MqttSettings(port=mosquitto.port)
+    async with PoseSubscriber(settings) as watcher:
+        with subprocess.Popen([sys.executable, "-c", GATEWAY_THAT_PUBLISHES, str(mosquitto.port)]) as victim:
+            try:
+                await until(lambda: watcher.states.get("victim") == "online")
+            finally:
+                victim.kill()
+        await until(lambda: watcher.states["victim"] == "offline", timeout=2)
+    async with PoseSubscriber(settings) as late_comer:
+        await until(lambda: late_comer.states == {"victim": "offline"})
+
+
+async def test_what_cannot_be_encoded_is_dropped_and_the_output_lives_on(
+    mosquitto: Mosquitto, pose_source: PoseSource, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken_health() -> dict[str, object]:
+        raise RuntimeError("no statistics today")
+
+    settings = MqttSettings(port=mosquitto.port, health_interval=0.02)
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info(), broken_health) as output:
+        await until(lambda: output.is_connected)
+        good = pose_source.frame(0)
+        object.__setattr__(good, "q_wb", np.zeros((3, 4)))  # 3 rows for 17 segments
+        output.offer(good)
+        output.offer(good)
+        output.offer(pose_source.frame(1))
+        await until(lambda: output.counters.published == 1)
+        await asyncio.sleep(0.1)
+        assert output.counters.dropped == 2
+        assert output.counters.connections == 1
+    complaints = warnings_of(caplog)
+    assert len(complaints) == 2
+    assert {"no statistics today" in line for line in complaints} == {True, False}
+
+
+async def test_nonsense_on_the_topics_is_counted_by_the_subscriber(
+    mosquitto: Mosquitto, pose_source: PoseSource
+) -> None:
+    settings = MqttSettings(port=mosquitto.port)
+    async with (
+        PoseSubscriber(settings) as poses,
+        broker_connection(settings, mosquitto.port, "vandal") as vandal,
+    ):
+        for payload in (b"", b"{", b"\xff\x00", b'{"t_ns":1}', b"null"):
+            await vandal.publish("mocap/lab/pose", payload)
+            await vandal.publish("mocap/lab/bridge/state", payload, qos=1)
+        await until(lambda: poses.undecodable == 10)
+        assert poses.states == {}

@@ -1,0 +1,184 @@
+"""The MQTT output against mosquitto, while all is well."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import subprocess
+from collections.abc import AsyncIterator
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING
+
+import aiomqtt
+import pytest
+
+from gateway.outputs import MqttOutput, MqttSettings, PoseMap, PoseSubscriber
+from gateway.outputs.connection import broker_connection
+from gateway.outputs.messages import PUBLICATIONS
+from gateway.outputs.settings import PASSWORD_VARIABLE
+
+if TYPE_CHECKING:
+    from tests.conftest import Mosquitto, PoseSource
+
+pytestmark = pytest.mark.system
+
+
+async def until(condition, timeout: float = 5.0) -> None:
+    async with asyncio.timeout(timeout):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+async def retained(settings: MqttSettings) -> dict[str, bytes]:
+    """Retained messages as a client that comes later sees them."""
+    found = {}
+    async with broker_connection(settings, settings.port, "late-comer") as client:
+        await client.subscribe("#", qos=1)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.15):
+                async for message in client.messages:
+                    found[message.topic.value] = message.payload
+    return found
+
+
+async def messages_of(client: aiomqtt.Client) -> AsyncIterator[tuple[str, bytes]]:
+    async for message in client.messages:
+        yield message.topic.value, message.payload
+
+
+@pytest.mark.parametrize("protocol", ["3.1.1", "5"])
+async def test_every_message_is_what_its_model_says(
+    mosquitto: Mosquitto, pose_source: PoseSource, protocol: str
+) -> None:
+    settings = MqttSettings(
+        port=mosquitto.port, protocol=protocol, include=frozenset(PoseMap), health_interval=0.1
+    )
+    models = {f"mocap/lab/{publication.topic}": publication.model for publication in PUBLICATIONS}
+    async with broker_connection(settings, mosquitto.port, "reader") as reader:
+        await reader.subscribe("#", qos=1)
+        statistics = {"links": {"left": {"dropped": 0}}, "residual_us": float("nan")}
+        async with MqttOutput(
+            settings, pose_source.skeleton, pose_source.info(), lambda: statistics
+        ) as output:
+            await until(lambda: output.is_connected)
+            output.offer(pose_source.frame(1))
+            seen: dict[str, object] = {}
+            async with asyncio.timeout(5):
+                async for topic, payload in messages_of(reader):
+                    seen[topic] = models[topic].model_validate_json(payload)
+                    if len(seen) == len(models):
+                        break
+    assert seen["mocap/lab/bridge/health"].statistics == statistics | {"residual_us": None}
+    pose = seen["mocap/lab/pose"]
+    assert (pose.seq, pose.root, set(pose.position)) == (
+        1,
+        "segment_0",
+        set(pose_source.skeleton.segment_names),
+    )
+
+
+async def test_state_info_and_body_are_retained_and_a_clean_stop_says_offline(
+    mosquitto: Mosquitto, pose_source: PoseSource
+) -> None:
+    settings = MqttSettings(port=mosquitto.port)
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+        await until(lambda: output.is_connected)
+        output.offer(pose_source.frame(1))
+        await until(lambda: output.counters.published == 1)
+        online = await retained(settings)
+    assert set(online) == {f"mocap/lab/{p.topic}" for p in PUBLICATIONS if p.retain}
+    assert online["mocap/lab/bridge/state"] == b'{"state":"online"}'
+    assert (await retained(settings))["mocap/lab/bridge/state"] == b'{"state":"offline"}'
+
+
+async def test_what_is_queued_is_published_before_the_stop(
+    mosquitto: Mosquitto, pose_source: PoseSource
+) -> None:
+    settings = MqttSettings(port=mosquitto.port, queue_length=50)
+    async with PoseSubscriber(settings) as poses:
+        async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+            await until(lambda: output.is_connected)
+            for sequence in range(50):
+                output.offer(pose_source.frame(sequence))
+        async with asyncio.timeout(5):
+            received = [(await anext(aiter(poses))).pose.seq for _ in range(50)]
+    assert received == list(range(50))
+    assert (output.counters.published, output.counters.dropped) == (50, 0)
+
+
+async def test_poses_arrive_soon_and_all_of_them(mosquitto: Mosquitto, pose_source: PoseSource) -> None:
+    settings = MqttSettings(port=mosquitto.port)
+    async with (
+        MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
+        PoseSubscriber(settings) as poses,
+    ):
+        await until(lambda: output.is_connected)
+        latencies = []
+        for sequence in range(100):
+            output.offer(pose_source.frame(sequence))
+            received = await asyncio.wait_for(anext(aiter(poses)), 2)
+            assert received.pose.seq == sequence
+            latencies.append(received.latency_s)
+            await asyncio.sleep(0.01)
+    assert median(latencies) < 0.005
+
+
+async def test_two_gateways_do_not_disturb_each_other(mosquitto: Mosquitto, pose_source: PoseSource) -> None:
+    settings = MqttSettings(port=mosquitto.port)
+    async with (
+        PoseSubscriber(settings, "one") as only_one,
+        PoseSubscriber(settings) as both,
+        MqttOutput(settings, pose_source.skeleton, pose_source.info("one")) as one,
+    ):
+        async with MqttOutput(settings, pose_source.skeleton, pose_source.info("two")) as two:
+            await until(lambda: one.is_connected and two.is_connected)
+            for sequence in range(20):
+                two.offer(pose_source.frame(100 + sequence))
+                one.offer(pose_source.frame(sequence))
+                await asyncio.sleep(0.005)
+            seen = [await asyncio.wait_for(anext(aiter(both)), 2) for _ in range(40)]
+            expected_of_one = [received.pose.seq for received in seen if received.gateway == "one"]
+            of_one = [await asyncio.wait_for(anext(aiter(only_one)), 2) for _ in range(20)]
+        await until(lambda: both.states == {"one": "online", "two": "offline"})
+        assert only_one.states == {"one": "online"}
+        assert [received.pose.seq for received in of_one] == expected_of_one == list(range(20))
+        assert one.counters.connections == two.counters.connections == 1
+
+
+async def test_named_user_with_password_from_the_environment(
+    mosquitto: Mosquitto, pose_source: PoseSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    passwords = tmp_path / "passwords"
+    subprocess.run(["mosquitto_passwd", "-b", "-c", str(passwords), "suit", "open sesame"], check=True)
+    mosquitto.configure(f"allow_anonymous false\npassword_file {passwords}")
+    mosquitto.restart()
+    monkeypatch.setenv(PASSWORD_VARIABLE, "open sesame")
+    settings = MqttSettings(port=mosquitto.port, username="suit")
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+        await until(lambda: output.is_connected)
+
+
+@pytest.mark.parametrize("protocol", ["3.1.1", "5"])
+@pytest.mark.parametrize(("username", "words"), [("suit", "refuses user 'suit'"), (None, "set username")])
+async def test_refusal_names_the_user_and_never_the_password(
+    mosquitto: Mosquitto,
+    pose_source: PoseSource,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    username: str | None,
+    words: str,
+    protocol: str,
+) -> None:
+    mosquitto.configure("allow_anonymous false")
+    mosquitto.restart()
+    monkeypatch.setenv(PASSWORD_VARIABLE, "open sesame")
+    caplog.set_level(logging.DEBUG)
+    settings = MqttSettings(port=mosquitto.port, username=username, protocol=protocol)
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+        await until(lambda: words in caplog.text)
+        await asyncio.sleep(0.3)  # a second attempt: no second line
+        assert not output.is_connected
+    warnings = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len(warnings) == 1
+    assert "open sesame" not in caplog.text
