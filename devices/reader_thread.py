@@ -61,7 +61,7 @@ async def open_in_thread(open_blocking: Callable[[], T], discard: Callable[[T], 
 
     def discard_result(done: asyncio.Future[T]) -> None:
         if not done.cancelled() and done.exception() is None:
-            discard(done.result())
+            opening.get_loop().run_in_executor(None, discard, done.result())
 
     try:
         return await asyncio.shield(opening)

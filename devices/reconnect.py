@@ -85,6 +85,7 @@ class ReconnectingLink:
         self._on_change = on_change
         self._clock = clock
         self._sleep = sleep
+        self._has_been_up = False
         self._closing: asyncio.Event | None = None
         self._transition = asyncio.Lock()
 
@@ -99,12 +100,14 @@ class ReconnectingLink:
         self._closing = asyncio.Event()
         self._back_off.reset()
         self.reconnections = 0
+        self._has_been_up = False
         self._set(LinkStatus(LinkState.CONNECTING))
         try:
             await self._until_closed(self._attempt())
             if self._strict and self.status.state is LinkState.DOWN:
                 raise LinkError(self.status.reason)
         except BaseException:
+            await self.link.close()
             self._closing = None
             self._set(LinkStatus(LinkState.CLOSED))
             raise
@@ -149,8 +152,6 @@ class ReconnectingLink:
     async def _retry(self) -> None:
         await self._sleep(self._back_off.next_delay())
         await self._attempt()
-        if self.state is LinkState.UP:
-            self.reconnections += 1
 
     async def _attempt(self) -> None:
         async with self._transition:
@@ -160,6 +161,8 @@ class ReconnectingLink:
                 self._set(LinkStatus(LinkState.DOWN, str(error)))
             else:
                 self.framing = self.link.framing
+                self.reconnections += self._has_been_up
+                self._has_been_up = True
                 self._set(LinkStatus(LinkState.UP))
 
     async def _give_up(self, reason: str) -> None:
@@ -178,7 +181,8 @@ class ReconnectingLink:
             closed.cancel()
             if not running.done():
                 running.cancel()
-        if running.done():
+                await asyncio.wait((running,))
+        if not running.cancelled():
             running.result()
 
     def _set(self, status: LinkStatus) -> None:

@@ -37,7 +37,7 @@ class Rfc2217Link:
     async def open(self) -> None:
         if self._port is not None:
             raise LinkError(f"{self.name} is already open")
-        port = await open_in_thread(self._open_port, serial.Serial.close)
+        port = await open_in_thread(self._open_port, lambda port: port.close())
         self._port = port
         self._arrivals = Arrivals(self.name)
         self._reader = ReaderThread(self.name, lambda: _waiting_bytes(port), self._arrivals)

@@ -19,6 +19,9 @@ from firmware_protocol.framing import Defect
 
 P = TypeVar("P")
 
+_BEYOND_ANY_CODE = 2.0**40
+"""Larger than any element, small enough to be rounded: a huge value over a small step is infinite."""
+
 Elements = tuple[Any, ...]
 Reader = Callable[[Elements], Any]
 
@@ -151,7 +154,9 @@ def _quantise(declared: WireField, value: Any, saturates: bool) -> Sequence[Any]
 
 
 def _nearest(value: Any, scale: float | None) -> int:
-    return operator.index(value) if scale is None else round(float(value) / scale)
+    if scale is None:
+        return operator.index(value)
+    return round(max(-_BEYOND_ANY_CODE, min(_BEYOND_ANY_CODE, float(value) / scale)))
 
 
 def _reader(declared: WireField, start: int) -> Reader:

@@ -30,7 +30,7 @@ class Service:
         self, settings: GatewaySettings, suit: WornSuit, links: Sequence[Link] | None = None
     ) -> None:
         self.pipeline = Pipeline.from_settings(settings, suit)
-        self._links = links if links is not None else _links_of(settings)
+        self.links = links if links is not None else _links_of(settings)
         self.mqtt = MqttOutput(
             settings.mqtt, suit.skeleton, _describe(settings, suit), self.pipeline.statistics
         )
@@ -42,7 +42,7 @@ class Service:
             reporter = asyncio.create_task(self._report(), name="report")
             try:
                 async with asyncio.TaskGroup() as group:
-                    for link in self._links:
+                    for link in self.links:
                         group.create_task(self._ingest(link), name=f"link {link.name}")
             finally:
                 reporter.cancel()

@@ -62,26 +62,34 @@ class Schedule:
         self._clock = clock
         self._interval = interval_s
         self._phase = phase_s
-        self.taken = 0
-        """How many instants have been taken."""
+        self._taken = 0
 
     def until(self, true_time: float) -> FloatArray:
         """The instants (n,) not yet taken that lie before a true time, by the clock, s."""
-        count = (self._clock.elapsed(true_time) - self._phase) / self._interval
-        # Instants at the very end belong to the next block, whatever the rounding.
-        end = max(self.taken, math.ceil(count - 1e-6))
-        k = np.arange(self.taken, end, dtype=np.float64)
-        self.taken = end
+        end = max(self._taken, self.count_before(self._clock.elapsed(true_time)))
+        k = np.arange(self._taken, end, dtype=np.float64)
+        self._taken = end
         return self._phase + k * self._interval
+
+    def count_before(self, elapsed: float) -> int:
+        """How many instants lie before one of the clock's times."""
+        # An instant at that very time does not, whatever the rounding.
+        return max(0, math.ceil((elapsed - self._phase) / self._interval - 1e-6))
 
 
 class StatusReports:
     """DeviceInfo at the start and every few seconds, Health every second."""
 
     def __init__(
-        self, sender: Sender, info: DeviceInfo, info_interval_s: float, health_interval_s: float
+        self,
+        sender: Sender,
+        samples: Schedule,
+        info: DeviceInfo,
+        info_interval_s: float,
+        health_interval_s: float,
     ) -> None:
         self._sender = sender
+        self._samples = samples
         self._info = info
         self._info_schedule = Schedule(sender.clock, info_interval_s, 0.0)
         # Modules were switched on one after the other: not all report at the same moment.
@@ -89,11 +97,11 @@ class StatusReports:
             sender.clock, health_interval_s, health_interval_s * (0.1 + sender.module * 0.618034 % 0.9)
         )
 
-    def until(self, true_time: float, samples_taken: int) -> list[Timed]:
+    def until(self, true_time: float) -> list[Timed]:
         """Reports due before a true time, s."""
         infos = [self._sender.packet(self._info, at) for at in self._info_schedule.until(true_time).tolist()]
         healths = [
-            self._sender.packet(_health(self._sender.module, at, samples_taken), at)
+            self._sender.packet(_health(self._sender.module, at, self._samples.count_before(at)), at)
             for at in self._health_schedule.until(true_time).tolist()
         ]
         return infos + healths

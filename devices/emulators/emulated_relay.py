@@ -10,6 +10,7 @@ from firmware_protocol.framing import MAX_BODY_SIZE
 from firmware_protocol.kinds import Kind
 from firmware_protocol.relay import ENTRY_FIELDS
 
+_TICK_PHASE = 0.1
 _ENTRY_HEAD_SIZE = sum(field.size for field in ENTRY_FIELDS)
 
 
@@ -21,7 +22,8 @@ class EmulatedRelay:
 
     def __init__(self, sender: Sender, tick_s: float) -> None:
         self._sender = sender
-        self._ticks = Schedule(sender.clock, tick_s, tick_s)
+        # A little after the modules' interval begins: modules that sample all at once are sent at once.
+        self._ticks = Schedule(sender.clock, tick_s, _TICK_PHASE * tick_s)
         self._waiting: list[Timed] = []
 
     def gather(self, packets: list[Timed], to_s: float) -> list[Timed]:

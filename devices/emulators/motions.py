@@ -22,7 +22,7 @@ from devices.emulators.waves import Fade, Waves, waves
 ISB_ORDER = (2, 0, 1)
 """Rotations about z, x', y'': flexion, adduction, axial rotation of ISB axes."""
 
-_FITTING_SPAN_S = 40.0
+_FITTING_SPAN_S = 25.0
 _FITTING_ROUNDS = 8
 
 
@@ -168,5 +168,7 @@ def _fitted_to_peaks(
     for _ in range(_FITTING_ROUNDS):
         rate, acceleration = peak_rates(build(angles))
         faster = (peak_acceleration / peak_rate) / (acceleration / rate)
-        angles = angles.scaled(amplitude=peak_rate / (rate * faster), frequency=faster)
+        wider = peak_rate / (rate * faster)
+        # Half the way each round, as the peaks jump from one moment of the motion to another.
+        angles = angles.scaled(amplitude=float(np.sqrt(wider)), frequency=float(np.sqrt(faster)))
     return angles

@@ -137,7 +137,7 @@ class SuitTraffic:
         for local in self._locals:
             samples.append((local.sender.module, self._measurements(local, to_s)))
         return [
-            (module, sent + self._reports[module].until(to_s, self._samples_taken(module)))
+            (module, self._reports[module].until(to_s) + sent)  # at one moment, who it is comes first
             for module, sent in samples
         ]
 
@@ -176,10 +176,6 @@ class SuitTraffic:
         values = measure_point(state, local.device.position[None], local.device.quantity)
         return local.measurements(at, values[:, 0])
 
-    def _samples_taken(self, module: int) -> int:
-        sequences = self.senders[module].sequences
-        return max((sequences[cls.KIND] for cls in (InertialSample, InertialSampleFine)), default=0)
-
     def _build_modules(self) -> None:
         body, settings = self.motion.body, self.settings
         self._segments = np.flatnonzero(body.module_ids != NO_MODULE)
@@ -197,9 +193,11 @@ class SuitTraffic:
         self._locals = [
             EmulatedLocalSender(self.senders[d.module], d, self._seed) for d in body.local_devices
         ]
+        schedules = {unit.sender.module: unit.schedule for unit in (*self._modules, *self._locals)}
         self._reports = {
             i: StatusReports(
                 sender,
+                schedules[i],
                 device_info(self._unique_id(i), settings.rate(i), settings.sensors if i in ids else ()),
                 settings.info_interval_s,
                 settings.health_interval_s,

@@ -1,13 +1,50 @@
-"""The one way in which kernels are compiled."""
+"""The one way in which kernels are compiled.
+
+Numba caches a kernel beside the source it stands in and compiles it anew when that file changes, but not
+when another file changes whose kernels it calls: after an edit it would go on running the old code. The cache
+therefore lies in a directory named after the state of the whole package.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar, cast
 
-from numba import njit
+import numba
 
 F = TypeVar("F", bound=Callable[..., object])
+
+PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def source_fingerprint(package: Path) -> str:
+    """Sixteen hexadecimal digits that change with any source file below ``package`` that has to do with kernels.
+
+    Those are the files that name this module, and ``frames.py``, whose constants kernels freeze.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        source = path.read_bytes()
+        if b"geometry.compiled" in source or path.name in ("compiled.py", "frames.py"):
+            digest.update(str(path.relative_to(package)).encode() + source)
+    return digest.hexdigest()[:16]
+
+
+def cache_directory(package: Path) -> Path:
+    """Below ``NUMBA_CACHE_DIR`` where it is set, else beside the package, else in the user's cache."""
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        base = Path(chosen)
+    elif os.access(package, os.W_OK):
+        base = package / "__pycache__"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mocap-gateway"
+    return base / f"kernels-{source_fingerprint(package)}"
+
+
+numba.config.CACHE_DIR = str(cache_directory(PACKAGE))
 
 
 def compiled(function: F) -> F:
@@ -15,4 +52,4 @@ def compiled(function: F) -> F:
 
     Reassociation of sums stays off: the same input gives the same bits.
     """
-    return cast(F, njit(cache=True, error_model="numpy")(function))
+    return cast(F, numba.njit(cache=True, error_model="numpy")(function))

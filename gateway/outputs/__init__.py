@@ -9,7 +9,7 @@ from gateway.outputs.broker_process import BrokerProcess, EmbeddedBrokerError
 from gateway.outputs.messages import BridgeInfo, ModuleInfo, PoseMessage
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
-from gateway.outputs.settings import MqttSettings, PasswordError, PoseMap, TlsSettings
+from gateway.outputs.settings import CredentialError, MqttSettings, PoseMap, TlsSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
 from gateway.outputs.topics import Topics
 
@@ -17,12 +17,12 @@ __all__ = [
     "BridgeInfo",
     "BrokerProcess",
     "BrokerUnreachableError",
+    "CredentialError",
     "EmbeddedBrokerError",
     "ModuleInfo",
     "MqttOutput",
     "MqttSettings",
     "Output",
-    "PasswordError",
     "PoseMap",
     "PoseMessage",
     "PoseSubscriber",

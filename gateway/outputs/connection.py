@@ -7,6 +7,8 @@ up stays open (and its timer runs on), and a disconnection waits for a broker th
 from __future__ import annotations
 
 import asyncio
+import logging
+import os
 import secrets
 import socket
 from collections.abc import AsyncIterator
@@ -15,11 +17,10 @@ from dataclasses import dataclass
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
-from paho.mqtt.reasoncodes import ReasonCode
 
-from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, PasswordError, TlsSettings
+from gateway.outputs.settings import CredentialError, MqttSettings, TlsSettings
 
-CONNECTION_ERRORS = (aiomqtt.MqttError, OSError, PasswordError)
+CONNECTION_ERRORS = (aiomqtt.MqttError, OSError, CredentialError)
 """All that an unreachable, lost or refusing broker raises."""
 
 TIMEOUT_S = 2.0
@@ -31,6 +32,10 @@ _SOCKET_OPTIONS = (
     (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
     (socket.SOL_SOCKET, socket.SO_SNDBUF, 64 * 1024),
 )
+# What paho logs is an echo of the exceptions that ``explain`` puts into words.
+_CLIENT_LOGGER = logging.getLogger(f"{__name__}.paho")
+_CLIENT_LOGGER.setLevel(logging.CRITICAL)
+
 _PROTOCOLS = {"3.1.1": aiomqtt.ProtocolVersion.V311, "5": aiomqtt.ProtocolVersion.V5}
 
 # CONNACK reason codes (MQTT 5, table 3-1); paho gives those of MQTT 3.1.1 the same numbers.
@@ -79,19 +84,14 @@ async def until_lost(client: aiomqtt.Client) -> None:
 def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
     """One line: what went wrong with the broker, and what would do. Never holds the password."""
     where = f"{settings.host}:{port}"
-    if isinstance(error, PasswordError):
+    if isinstance(error, CredentialError):
         return str(error)
-    code = error.rc if isinstance(error, MqttConnectError) else None
-    number = code.value if isinstance(code, ReasonCode) else code
-    if number in (_BAD_CREDENTIALS, _NOT_AUTHORISED):
-        if settings.username is None:
-            return f"the broker at {where} refuses clients without a name ({code}): set username"
-        return (
-            f"the broker at {where} refuses user '{settings.username}' ({code}): "
-            f"check username, and password_file or {PASSWORD_VARIABLE}"
-        )
-    if number == _UNSUPPORTED_PROTOCOL:
-        return f'the broker at {where} does not speak MQTT {settings.spoken_protocol}: set protocol: "3.1.1"'
+    if isinstance(error, MqttConnectError):
+        return _explain_refusal(error.rc, settings, where)
+    if "SSL" in str(error):
+        return f"no TLS connection to the broker at {where} ({error}): check tls.ca_file and the host name"
+    if "timed out" in str(error):
+        return f"the MQTT broker at {where} does not answer: is it frozen, or does it expect TLS (see tls)?"
     hint = "is the embedded broker running?"
     if settings.broker == "external":
         hint = "is mosquitto running? (broker: embedded needs none)"
@@ -104,6 +104,7 @@ def _client(settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Wi
         port,
         username=settings.username,
         password=settings.read_password() if settings.username is not None else None,
+        logger=_CLIENT_LOGGER,
         identifier=identifier,
         protocol=_PROTOCOLS[settings.spoken_protocol],
         will=will,
@@ -118,9 +119,13 @@ def _client(settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Wi
 
 
 def _tls_parameters(tls: TlsSettings) -> aiomqtt.TLSParameters:
-    ca_file, certificate, key = (
-        None if path is None else str(path) for path in (tls.ca_file, tls.certificate, tls.key)
-    )
+    files = {"ca_file": tls.ca_file, "certificate": tls.certificate, "key": tls.key}
+    for name, path in files.items():
+        if path is not None and not os.access(path, os.R_OK):
+            raise CredentialError(
+                f"cannot read tls.{name} {path}: no such file, or not readable for this user"
+            )
+    ca_file, certificate, key = (None if path is None else str(path) for path in files.values())
     return aiomqtt.TLSParameters(ca_certs=ca_file, certfile=certificate, keyfile=key)
 
 

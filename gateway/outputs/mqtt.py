@@ -230,7 +230,8 @@ class MqttOutput:
         """One warning for a broker that is away, one more if it then refuses us."""
         if self.is_connected:
             where = f"{self._settings.host}:{self.port}"
-            self._complain("away", f"lost the MQTT broker at {where} ({error}): trying to get it back")
+            reason = error.__cause__ or error  # aiomqtt's own says only that it was lost
+            self._complain("away", f"lost the MQTT broker at {where} ({reason}): trying to get it back")
         else:
             kind = "refusing" if isinstance(error, MqttConnectError) else "away"
             self._complain(kind, explain(error, self._settings, self.port))

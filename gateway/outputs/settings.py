@@ -17,8 +17,8 @@ PASSWORD_VARIABLE = "MOCAP_MQTT_PASSWORD"
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost")
 
 
-class PasswordError(SettingsError, ValueError):
-    """The password file cannot be read. ``str(error)`` names the file, never its content."""
+class CredentialError(SettingsError, ValueError):
+    """A password or TLS file cannot be read. ``str(error)`` names the file, never its content."""
 
 
 class PoseMap(StrEnum):
@@ -156,14 +156,14 @@ class MqttSettings(BaseModel):
         return self
 
     def read_password(self) -> str | None:
-        """The password: first line of ``password_file``, else the environment. Raises ``PasswordError``."""
+        """The password: first line of ``password_file``, else the environment. Raises ``CredentialError``."""
         if self.password_file is None:
             return os.environ.get(PASSWORD_VARIABLE)
         try:
             lines = self.password_file.read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-            raise PasswordError(f"cannot read password_file {self.password_file}: {reason}") from None
+            raise CredentialError(f"cannot read password_file {self.password_file}: {reason}") from None
         return lines[0] if lines else ""
 
     @property

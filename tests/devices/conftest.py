@@ -80,3 +80,15 @@ def read_bytes() -> Callable[[Link, int], Awaitable[bytes]]:
         return data
 
     return read
+
+
+@pytest.fixture
+def until() -> Callable[[Callable[[], bool]], Awaitable[None]]:
+    """Waits until something holds that nobody announces."""
+
+    async def wait(holds: Callable[[], bool]) -> None:
+        async with asyncio.timeout(2):
+            while not holds():  # noqa: ASYNC110 - states of threads, kernels and peers have no event
+                await asyncio.sleep(0.001)
+
+    return wait

@@ -140,7 +140,7 @@ async def test_unknown_host_says_so(monkeypatch):
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", fail)
-    with pytest.raises(LinkError, match="unknown host 'suit.invalid': correct the name"):
+    with pytest.raises(LinkError, match=r"unknown host 'suit\.invalid': correct the name"):
         await TcpLink("suit.invalid", 9000).open()
 
 

@@ -5,8 +5,12 @@ from __future__ import annotations
 import tracemalloc
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from firmware_protocol import (
     DELIMITER,
     MAX_FRAME_SIZE,
@@ -16,8 +20,6 @@ from firmware_protocol import (
     encode_frame,
 )
 from firmware_protocol.framing import MAX_BODY_SIZE, MAX_STUFFED_SIZE, serialize
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 seeded = settings(deadline=None, derandomize=True)
 
@@ -53,7 +55,7 @@ def cobs_by_hand(data: bytes) -> bytes:
 
 def chunks_of(data: bytes, cuts: list[int]) -> list[bytes]:
     edges = [0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]
-    return [data[start:stop] for start, stop in zip(edges, edges[1:], strict=False)]
+    return [data[start:stop] for start, stop in pairwise(edges)]
 
 
 def fed(chunks: list[bytes]) -> tuple[list[WireFrame], Counter[Defect], int]:

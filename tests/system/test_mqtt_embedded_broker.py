@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import TYPE_CHECKING
 
 import aiomqtt
@@ -22,6 +22,8 @@ from gateway.outputs.connection import broker_connection
 
 if TYPE_CHECKING:
     from tests.conftest import PoseSource
+
+Until = Callable[..., Awaitable[None]]
 
 pytestmark = pytest.mark.system
 
@@ -52,12 +54,6 @@ asyncio.run(main())
 """
 
 
-async def until(condition, timeout: float = 8.0) -> None:
-    async with asyncio.timeout(timeout):
-        while not condition():
-            await asyncio.sleep(0.005)
-
-
 @pytest.fixture
 async def broker() -> AsyncIterator[BrokerProcess]:
     process = BrokerProcess(0)
@@ -70,7 +66,7 @@ def settings_for(broker: BrokerProcess) -> MqttSettings:
     return MqttSettings(port=broker.port)
 
 
-async def test_first_run_needs_nothing_but_the_gateway(pose_source: PoseSource) -> None:
+async def test_first_run_needs_nothing_but_the_gateway(pose_source: PoseSource, until: Until) -> None:
     settings = MqttSettings(broker="embedded", port=0)
     began = time.monotonic()
     async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
@@ -87,21 +83,24 @@ async def test_first_run_needs_nothing_but_the_gateway(pose_source: PoseSource) 
             assert poses.states == {"lab": "offline"}
 
 
-async def test_last_will_reaches_subscribers_and_late_comers(broker: BrokerProcess) -> None:
+async def test_last_will_reaches_subscribers_and_late_comers(broker: BrokerProcess, until: Until) -> None:
     settings = settings_for(broker)
     async with PoseSubscriber(settings) as watcher:
-        with subprocess.Popen([sys.executable, "-c", CLIENT_WITH_A_WILL, str(broker.port)]) as victim:
-            try:
-                await until(lambda: watcher.states.get("victim") == "online")
-            finally:
-                victim.kill()
-        await until(lambda: watcher.states["victim"] == "offline", timeout=2)
+        victim = await asyncio.create_subprocess_exec(
+            *[sys.executable, "-c", CLIENT_WITH_A_WILL, str(broker.port)]
+        )
+        try:
+            await until(lambda: watcher.states.get("victim") == "online")
+        finally:
+            victim.kill()
+            await victim.wait()
+        await until(lambda: watcher.states["victim"] == "offline", timeout_s=2)
     async with PoseSubscriber(settings) as late_comer:
         await until(lambda: late_comer.states == {"victim": "offline"})
 
 
 async def test_subscriber_ignores_what_it_did_not_ask_for(
-    broker: BrokerProcess, pose_source: PoseSource
+    broker: BrokerProcess, pose_source: PoseSource, until: Until
 ) -> None:
     settings = settings_for(broker)
     async with broker_connection(settings, broker.port, "noisy") as noisy:
@@ -151,18 +150,22 @@ async def test_busy_port_is_one_clear_line(broker: BrokerProcess, capfd: pytest.
     assert capfd.readouterr() == ("", "")
 
 
-async def test_dies_with_the_gateway() -> None:
-    with subprocess.Popen([sys.executable, "-c", PARENT_WITH_A_BROKER], stdout=subprocess.PIPE) as parent:
-        try:
-            assert parent.stdout is not None
-            child = psutil.Process(json.loads(await asyncio.to_thread(parent.stdout.readline))["pid"])
-            assert child.is_running()
-        finally:
-            parent.kill()
-    await until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE, timeout=3)
+async def test_dies_with_the_gateway(until: Until) -> None:
+    command = (sys.executable, "-c", PARENT_WITH_A_BROKER)
+    parent = await asyncio.create_subprocess_exec(*command, stdout=subprocess.PIPE)
+    try:
+        assert parent.stdout is not None
+        child = psutil.Process(json.loads(await parent.stdout.readline())["pid"])
+        assert child.is_running()
+    finally:
+        parent.kill()
+        await parent.wait()
+    await until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE, timeout_s=3)
 
 
-async def test_comes_back_when_it_dies(pose_source: PoseSource, caplog: pytest.LogCaptureFixture) -> None:
+async def test_comes_back_when_it_dies(
+    pose_source: PoseSource, caplog: pytest.LogCaptureFixture, until: Until
+) -> None:
     caplog.set_level(logging.WARNING)
     settings = MqttSettings(broker="embedded", port=0)
     async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:

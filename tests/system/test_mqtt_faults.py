@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import subprocess
 import sys
 import time
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from gateway.outputs import MqttOutput, MqttSettings, PoseSubscriber
-from gateway.outputs.connection import broker_connection
+from gateway.outputs import MqttOutput, MqttSettings, PoseSubscriber, connection
 from gateway.outputs.subscriber import BrokerUnreachableError
 
 if TYPE_CHECKING:
     from tests.conftest import Mosquitto, PoseSource
+
+Until = Callable[..., Awaitable[None]]
 
 pytestmark = pytest.mark.system
 
@@ -37,18 +38,12 @@ asyncio.run(main())
 """
 
 
-async def until(condition, timeout: float = 8.0) -> None:
-    async with asyncio.timeout(timeout):
-        while not condition():
-            await asyncio.sleep(0.005)
-
-
 def warnings_of(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
 
 
 async def test_absent_broker_is_reported_once_and_awaited(
-    mosquitto: Mosquitto, pose_source: PoseSource, caplog: pytest.LogCaptureFixture
+    mosquitto: Mosquitto, pose_source: PoseSource, caplog: pytest.LogCaptureFixture, until: Until
 ) -> None:
     caplog.set_level(logging.INFO)
     mosquitto.stop()
@@ -84,8 +79,18 @@ async def test_subscriber_says_that_there_is_no_broker(unused_port: int) -> None
             pass
 
 
+async def test_silent_broker_is_told_from_an_absent_one(
+    mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "TIMEOUT_S", 0.2)
+    mosquitto.freeze()
+    with pytest.raises(BrokerUnreachableError, match="does not answer: is it frozen"):
+        async with PoseSubscriber(MqttSettings(port=mosquitto.port)):
+            pass
+
+
 async def test_frozen_broker_costs_poses_but_no_time_and_no_memory(
-    mosquitto: Mosquitto, large_pose_source: PoseSource, caplog: pytest.LogCaptureFixture
+    mosquitto: Mosquitto, large_pose_source: PoseSource, caplog: pytest.LogCaptureFixture, until: Until
 ) -> None:
     source = large_pose_source
     settings = MqttSettings(port=mosquitto.port, keepalive=1, queue_length=4)
@@ -105,7 +110,7 @@ async def test_frozen_broker_costs_poses_but_no_time_and_no_memory(
     assert counters.queued <= 4
     assert counters.published + counters.dropped + counters.queued == offered
     assert counters.published * 80_000 < 8e6  # bytes that the buffers of the sockets took
-    assert longest_turn < 0.25
+    assert longest_turn < 1.0  # half of what a blocking publish would take
     await asyncio.sleep(0.5)  # now it tries to connect to a broker that does not answer
     began = time.monotonic()
     await output.stop()
@@ -114,7 +119,7 @@ async def test_frozen_broker_costs_poses_but_no_time_and_no_memory(
 
 
 async def test_stop_is_quick_while_the_broker_is_frozen(
-    mosquitto: Mosquitto, large_pose_source: PoseSource
+    mosquitto: Mosquitto, large_pose_source: PoseSource, until: Until
 ) -> None:
     source = large_pose_source
     settings = MqttSettings(port=mosquitto.port, keepalive=60, queue_length=100)
@@ -132,7 +137,9 @@ async def test_stop_is_quick_while_the_broker_is_frozen(
     assert time.monotonic() - began < 2.0
 
 
-async def test_recovers_when_a_frozen_broker_thaws(mosquitto: Mosquitto, pose_source: PoseSource) -> None:
+async def test_recovers_when_a_frozen_broker_thaws(
+    mosquitto: Mosquitto, pose_source: PoseSource, until: Until
+) -> None:
     settings = MqttSettings(port=mosquitto.port, keepalive=1)
     async with (
         MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
@@ -150,7 +157,7 @@ async def test_recovers_when_a_frozen_broker_thaws(mosquitto: Mosquitto, pose_so
 
 
 async def test_restarted_broker_knows_everything_again(
-    mosquitto: Mosquitto, pose_source: PoseSource, caplog: pytest.LogCaptureFixture
+    mosquitto: Mosquitto, pose_source: PoseSource, caplog: pytest.LogCaptureFixture, until: Until
 ) -> None:
     caplog.set_level(logging.INFO, logger="gateway.outputs.mqtt")
     settings = MqttSettings(port=mosquitto.port)
@@ -173,21 +180,24 @@ async def test_restarted_broker_knows_everything_again(
     assert [line.split(" the MQTT")[0] for line in lines] == ["connected to", "lost", "connected again to"]
 
 
-async def test_broker_announces_the_death_of_a_killed_gateway(mosquitto: Mosquitto) -> None:
+async def test_broker_announces_the_death_of_a_killed_gateway(mosquitto: Mosquitto, until: Until) -> None:
     settings = MqttSettings(port=mosquitto.port)
     async with PoseSubscriber(settings) as watcher:
-        with subprocess.Popen([sys.executable, "-c", GATEWAY_THAT_PUBLISHES, str(mosquitto.port)]) as victim:
-            try:
-                await until(lambda: watcher.states.get("victim") == "online")
-            finally:
-                victim.kill()
-        await until(lambda: watcher.states["victim"] == "offline", timeout=2)
+        victim = await asyncio.create_subprocess_exec(
+            *[sys.executable, "-c", GATEWAY_THAT_PUBLISHES, str(mosquitto.port)]
+        )
+        try:
+            await until(lambda: watcher.states.get("victim") == "online")
+        finally:
+            victim.kill()
+            await victim.wait()
+        await until(lambda: watcher.states["victim"] == "offline", timeout_s=2)
     async with PoseSubscriber(settings) as late_comer:
         await until(lambda: late_comer.states == {"victim": "offline"})
 
 
 async def test_what_cannot_be_encoded_is_dropped_and_the_output_lives_on(
-    mosquitto: Mosquitto, pose_source: PoseSource, caplog: pytest.LogCaptureFixture
+    mosquitto: Mosquitto, pose_source: PoseSource, caplog: pytest.LogCaptureFixture, until: Until
 ) -> None:
     def broken_health() -> dict[str, object]:
         raise RuntimeError("no statistics today")
@@ -210,12 +220,12 @@ async def test_what_cannot_be_encoded_is_dropped_and_the_output_lives_on(
 
 
 async def test_nonsense_on_the_topics_is_counted_by_the_subscriber(
-    mosquitto: Mosquitto, pose_source: PoseSource
+    mosquitto: Mosquitto, pose_source: PoseSource, until: Until
 ) -> None:
     settings = MqttSettings(port=mosquitto.port)
     async with (
         PoseSubscriber(settings) as poses,
-        broker_connection(settings, mosquitto.port, "vandal") as vandal,
+        connection.broker_connection(settings, mosquitto.port, "vandal") as vandal,
     ):
         for payload in (b"", b"{", b"\xff\x00", b'{"t_ns":1}', b"null"):
             await vandal.publish("mocap/lab/pose", payload)

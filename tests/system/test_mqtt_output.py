@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import shutil
 import subprocess
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
@@ -13,7 +15,14 @@ from typing import TYPE_CHECKING
 import aiomqtt
 import pytest
 
-from gateway.outputs import MqttOutput, MqttSettings, PoseMap, PoseSubscriber
+from gateway.outputs import (
+    BrokerUnreachableError,
+    MqttOutput,
+    MqttSettings,
+    PoseMap,
+    PoseSubscriber,
+    TlsSettings,
+)
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.messages import PUBLICATIONS
 from gateway.outputs.settings import PASSWORD_VARIABLE
@@ -21,13 +30,9 @@ from gateway.outputs.settings import PASSWORD_VARIABLE
 if TYPE_CHECKING:
     from tests.conftest import Mosquitto, PoseSource
 
+Until = Callable[..., Awaitable[None]]
+
 pytestmark = pytest.mark.system
-
-
-async def until(condition, timeout: float = 5.0) -> None:
-    async with asyncio.timeout(timeout):
-        while not condition():
-            await asyncio.sleep(0.005)
 
 
 async def retained(settings: MqttSettings) -> dict[str, bytes]:
@@ -35,7 +40,7 @@ async def retained(settings: MqttSettings) -> dict[str, bytes]:
     found = {}
     async with broker_connection(settings, settings.port, "late-comer") as client:
         await client.subscribe("#", qos=1)
-        with pytest.raises(TimeoutError):
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.15):
                 async for message in client.messages:
                     found[message.topic.value] = message.payload
@@ -49,7 +54,7 @@ async def messages_of(client: aiomqtt.Client) -> AsyncIterator[tuple[str, bytes]
 
 @pytest.mark.parametrize("protocol", ["3.1.1", "5"])
 async def test_every_message_is_what_its_model_says(
-    mosquitto: Mosquitto, pose_source: PoseSource, protocol: str
+    mosquitto: Mosquitto, pose_source: PoseSource, protocol: str, until: Until
 ) -> None:
     settings = MqttSettings(
         port=mosquitto.port, protocol=protocol, include=frozenset(PoseMap), health_interval=0.1
@@ -79,7 +84,7 @@ async def test_every_message_is_what_its_model_says(
 
 
 async def test_state_info_and_body_are_retained_and_a_clean_stop_says_offline(
-    mosquitto: Mosquitto, pose_source: PoseSource
+    mosquitto: Mosquitto, pose_source: PoseSource, until: Until
 ) -> None:
     settings = MqttSettings(port=mosquitto.port)
     async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
@@ -93,7 +98,7 @@ async def test_state_info_and_body_are_retained_and_a_clean_stop_says_offline(
 
 
 async def test_what_is_queued_is_published_before_the_stop(
-    mosquitto: Mosquitto, pose_source: PoseSource
+    mosquitto: Mosquitto, pose_source: PoseSource, until: Until
 ) -> None:
     settings = MqttSettings(port=mosquitto.port, queue_length=50)
     async with PoseSubscriber(settings) as poses:
@@ -107,7 +112,9 @@ async def test_what_is_queued_is_published_before_the_stop(
     assert (output.counters.published, output.counters.dropped) == (50, 0)
 
 
-async def test_poses_arrive_soon_and_all_of_them(mosquitto: Mosquitto, pose_source: PoseSource) -> None:
+async def test_poses_arrive_soon_and_all_of_them(
+    mosquitto: Mosquitto, pose_source: PoseSource, until: Until
+) -> None:
     settings = MqttSettings(port=mosquitto.port)
     async with (
         MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
@@ -115,7 +122,7 @@ async def test_poses_arrive_soon_and_all_of_them(mosquitto: Mosquitto, pose_sour
     ):
         await until(lambda: output.is_connected)
         latencies = []
-        for sequence in range(100):
+        for sequence in range(60):
             output.offer(pose_source.frame(sequence))
             received = await asyncio.wait_for(anext(aiter(poses)), 2)
             assert received.pose.seq == sequence
@@ -124,7 +131,9 @@ async def test_poses_arrive_soon_and_all_of_them(mosquitto: Mosquitto, pose_sour
     assert median(latencies) < 0.005
 
 
-async def test_two_gateways_do_not_disturb_each_other(mosquitto: Mosquitto, pose_source: PoseSource) -> None:
+async def test_two_gateways_do_not_disturb_each_other(
+    mosquitto: Mosquitto, pose_source: PoseSource, until: Until
+) -> None:
     settings = MqttSettings(port=mosquitto.port)
     async with (
         PoseSubscriber(settings, "one") as only_one,
@@ -147,16 +156,48 @@ async def test_two_gateways_do_not_disturb_each_other(mosquitto: Mosquitto, pose
 
 
 async def test_named_user_with_password_from_the_environment(
-    mosquitto: Mosquitto, pose_source: PoseSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    mosquitto: Mosquitto,
+    pose_source: PoseSource,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    until: Until,
 ) -> None:
     passwords = tmp_path / "passwords"
-    subprocess.run(["mosquitto_passwd", "-b", "-c", str(passwords), "suit", "open sesame"], check=True)
+    command = ["mosquitto_passwd", "-b", "-c", str(passwords), "suit", "open sesame"]
+    await asyncio.to_thread(subprocess.run, command, check=True)
     mosquitto.configure(f"allow_anonymous false\npassword_file {passwords}")
     mosquitto.restart()
     monkeypatch.setenv(PASSWORD_VARIABLE, "open sesame")
     settings = MqttSettings(port=mosquitto.port, username="suit")
     async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
         await until(lambda: output.is_connected)
+
+
+async def test_tls(mosquitto: Mosquitto, pose_source: PoseSource, tmp_path: Path, until: Until) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed: no certificate for the broker")
+    certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
+    command = (
+        "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost "
+        f"-addext subjectAltName=IP:127.0.0.1 -keyout {key} -out {certificate}"
+    )
+    await asyncio.to_thread(subprocess.run, command.split(), check=True, capture_output=True)
+    mosquitto.configure(f"certfile {certificate}\nkeyfile {key}")
+    mosquitto.restart()
+    settings = MqttSettings(port=mosquitto.port, tls=TlsSettings(ca_file=certificate))
+    async with (
+        MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
+        PoseSubscriber(settings) as poses,
+    ):
+        await until(lambda: output.is_connected)
+        output.offer(pose_source.frame(5))
+        assert (await asyncio.wait_for(anext(aiter(poses)), 5)).pose.seq == 5
+    for tls, words in (
+        (TlsSettings(), "check tls.ca_file"),
+        (TlsSettings(ca_file=tmp_path / "absent.pem"), "cannot read tls.ca_file .*absent.pem"),
+    ):
+        with pytest.raises(BrokerUnreachableError, match=words):
+            await PoseSubscriber(MqttSettings(port=mosquitto.port, tls=tls)).__aenter__()
 
 
 @pytest.mark.parametrize("protocol", ["3.1.1", "5"])
@@ -169,6 +210,7 @@ async def test_refusal_names_the_user_and_never_the_password(
     username: str | None,
     words: str,
     protocol: str,
+    until: Until,
 ) -> None:
     mosquitto.configure("allow_anonymous false")
     mosquitto.restart()

@@ -55,10 +55,10 @@ class ArticulatedSettings:
     """rad/s: how well the rates of the start are known."""
     specific_force_sigma: float = 1.0
     """m/s²: weight of the specific force in the general case without gyrometers."""
-    direction_sigma: float = 0.001
-    """rad: weight of sensor X there."""
-    rate_derivative_sigma: float = 1e5
-    """rad/s²: prior of ω̇ about zero there."""
+    direction_sigma: float = 0.005
+    """rad: weight of sensor X there. No smaller than its noise: the filter runs away at a fifth of it."""
+    second_difference_sigma: float = 0.1
+    """rad: prior of ω̇ Δt² about zero there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class ArticulatedReconstructor:
         self._root = device.segment if device else int(np.flatnonzero(suit.skeleton.parents < 0)[0])
         self._chain = _chain(suit, self._root, device.position if device else np.zeros(3))
         self._weights = Weights(
-            settings.specific_force_sigma, settings.direction_sigma, settings.rate_derivative_sigma
+            settings.specific_force_sigma, settings.direction_sigma, settings.second_difference_sigma
         )
         self._observer = SegmentObserver(suit)
         self._root_motion = RootMotion(device, settings.longest_gap_s)

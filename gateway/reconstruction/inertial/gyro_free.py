@@ -36,7 +36,7 @@ from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.derivatives import point_acceleration
-from gateway.geometry.vectors import norm, skew
+from gateway.geometry.vectors import cross, norm, skew
 
 
 class Weights(NamedTuple):
@@ -46,8 +46,8 @@ class Weights(NamedTuple):
     """m/s²: accelerometer, and what backward differences miss."""
     direction_sigma: float
     """rad: direction of sensor X."""
-    rate_derivative_sigma: float
-    """rad/s²: ω̇ about zero; large leaves ω̇ to the equations."""
+    second_difference_sigma: float
+    """rad: ω̇ Δt² about zero. Well above ``direction_sigma`` it leaves ω̇ to the equations."""
 
 
 class Rotation(NamedTuple):
@@ -87,7 +87,7 @@ def next_rotation(
     residual[3:] = x / norm(x) - direction
     H = np.zeros((6, 9))
     H[:3, :3] = skew(y)
-    H[:3, 3:6] = -skew(np.cross(w, U)) - skew(w) @ skew(U)
+    H[:3, 3:6] = -skew(cross(w, U)) - skew(w) @ skew(U)
     H[:3, 6:] = -skew(U)
     H[3:, :3] = skew(direction)
 
@@ -111,7 +111,8 @@ def _predicted_covariance(
     F[:3, :3], F[:3, 3:], F[3:6, 3:] = turn.T, dt * J, np.eye(3)
     G = np.zeros((9, 3))
     G[:3], G[3:6], G[6:] = dt * dt_middles * J, dt_middles * np.eye(3), np.eye(3)
-    return F @ P @ F.T + weights.rate_derivative_sigma**2 * (G @ G.T)
+    rate_derivative_sigma = weights.second_difference_sigma / (dt * dt_middles)
+    return F @ P @ F.T + rate_derivative_sigma**2 * (G @ G.T)
 
 
 @compiled

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, PasswordError
+from gateway.outputs.settings import PASSWORD_VARIABLE, CredentialError, MqttSettings
 
 SECRET = "correct horse battery"
 
@@ -63,11 +63,11 @@ def test_password_comes_from_the_file_or_else_the_environment(
 
 def test_unreadable_password_file_is_named(tmp_path: Path) -> None:
     absent = tmp_path / "absent"
-    with pytest.raises(PasswordError, match=f"{absent}: No such file"):
+    with pytest.raises(CredentialError, match=f"{absent}: No such file"):
         MqttSettings(password_file=absent).read_password()
     binary = tmp_path / "binary"
     binary.write_bytes(b"\xff\xfe\x00secret")
-    with pytest.raises(PasswordError, match="not UTF-8 text"):
+    with pytest.raises(CredentialError, match="not UTF-8 text"):
         MqttSettings(password_file=binary).read_password()
 
 

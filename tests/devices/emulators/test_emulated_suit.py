@@ -1,0 +1,273 @@
+"""Suits at work on real pseudo-terminals, sockets and buses, read by others than the gateway's own links."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import time
+import tty
+
+import can
+import numpy as np
+import pytest
+
+from devices.emulators.delivery import Encoding, Transmission
+from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.motions import robot_arm_motion
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.emulators.transports import (
+    CanBusTransport,
+    MemoryTransport,
+    PtyTransport,
+    SlcanTransport,
+    TcpTransport,
+)
+from devices.link import Framing, gateway_time_ns
+from firmware_protocol import (
+    CanFrame,
+    CanFrameDecoder,
+    FrameDecoder,
+    InertialSample,
+    PacketDecoder,
+    pack_can_records,
+)
+
+CAN = SuitSettings(encoding=Encoding(Framing.CAN))
+
+
+def arm_source(arm4, duration_s, settings=None):
+    return SuitTraffic(robot_arm_motion(arm4, 1), settings).transmissions(duration_s)
+
+
+async def read_pty(descriptor, until, limit_s=3.0):
+    """Bytes from a raw descriptor until the predicate holds or time is up."""
+    data, end = b"", time.monotonic() + limit_s
+    while not until(data) and time.monotonic() < end:
+        with contextlib.suppress(BlockingIOError):
+            data += os.read(descriptor, 65536)
+        await asyncio.sleep(0.001)
+    return data
+
+
+def open_raw(path):
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(descriptor)
+    return descriptor
+
+
+@contextlib.asynccontextmanager
+async def running(suit):
+    task = asyncio.create_task(suit.run())
+    try:
+        yield task
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+async def test_pty_end_to_end_at_full_speed_without_loss(arm4, tmp_path):
+    link = tmp_path / "suit"
+    suit = EmulatedSuit(arm_source(arm4, 5.0), PtyTransport(link), speed=None, linger_s=2.0)
+    async with running(suit):
+        while not link.exists():
+            await asyncio.sleep(0.001)
+        reader = open_raw(link)
+        decoder = PacketDecoder(FrameDecoder())
+        expected = sum(1 for _ in arm_source(arm4, 5.0))
+        packets = []
+        end = time.monotonic() + 5
+        while len(packets) < expected and time.monotonic() < end:
+            packets += decoder.feed(await read_pty(reader, until=bool, limit_s=1.0))
+        os.close(reader)
+    assert len(packets) == expected
+    assert not decoder.dropped
+    assert suit.counts.dropped_bytes == 0
+    assert not link.exists()
+
+
+async def test_pty_in_real_time_drops_for_an_absent_reader_and_survives_reopening(arm4):
+    transport = PtyTransport()
+    suit = EmulatedSuit(arm_source(arm4, None), transport)
+    async with running(suit):
+        await asyncio.sleep(0.3)
+        assert suit.counts.sent_bytes == 0
+        assert suit.counts.dropped_bytes > 1000
+        for _ in range(2):
+            reader, decoder = open_raw(transport.path), PacketDecoder(FrameDecoder())
+            opened_us = suit.motion_time_s(gateway_time_ns()) * 1e6
+            packets = decoder.feed(await read_pty(reader, until=lambda data: data.count(0) > 60))
+            os.close(reader)
+            assert len(packets) > 55
+            assert not decoder.dropped
+            # Nothing stale: what was due while the port was closed is gone.
+            assert packets[0].module_time_us > opened_us - 20_000
+            await asyncio.sleep(0.1)
+
+
+async def test_a_reader_that_does_not_read_never_blocks_the_suit(arm4):
+    transport = PtyTransport()
+    suit = EmulatedSuit(arm_source(arm4, 60.0), transport, speed=100.0)
+    async with running(suit) as task:
+        while not transport.path:
+            await asyncio.sleep(0.001)
+        reader = open_raw(transport.path)
+        await asyncio.wait_for(task, 5.0)
+        os.close(reader)
+    assert suit.counts.dropped_chunks > 10
+    assert suit.counts.sent_bytes < 100_000
+
+
+async def test_byte_by_byte(arm4):
+    memory = MemoryTransport()
+    await EmulatedSuit(arm_source(arm4, 0.5), memory, speed=None, is_byte_by_byte=True, linger_s=0.0).run()
+    assert {len(data) for _, data in memory.chunks} == {1}
+    assert b"".join(data for _, data in memory.chunks) == b"".join(t.data for t in arm_source(arm4, 0.5))
+
+
+async def test_transmissions_are_sent_when_due_and_not_before():
+    source = [Transmission(0.02 * k, b"%d" % k) for k in range(15)]
+    memory = MemoryTransport()
+    suit = EmulatedSuit(source, memory, speed=2.0, linger_s=0.0)
+    await suit.run()
+    late_s = [(at - suit.instant_ns(0.02 * int(data))) * 1e-9 for at, data in memory.chunks]
+    assert [data for _, data in memory.chunks] == [t.data for t in source]
+    assert min(late_s) >= 0
+    assert np.median(late_s) < 0.01
+    assert suit.motion_time_s(suit.start_ns + 500_000_000) == pytest.approx(1.0)
+
+
+async def test_a_full_sink_counts_drops():
+    source = [Transmission(0.01 * k, b"abc") for k in range(5)]
+    suit = EmulatedSuit(source, MemoryTransport(capacity=2), speed=1.0, linger_s=0.0)
+    await suit.run()
+    assert suit.counts.sent_bytes + suit.counts.dropped_bytes == 15
+    assert suit.counts.dropped_chunks >= 1
+
+
+async def test_tcp_serves_one_client_after_the_other(arm4):
+    transport = TcpTransport()
+    suit = EmulatedSuit(arm_source(arm4, None), transport)
+    async with running(suit):
+        while not transport.port:
+            await asyncio.sleep(0.001)
+        for _ in range(3):
+            reader, writer = await asyncio.open_connection("127.0.0.1", transport.port)
+            decoder, packets = PacketDecoder(FrameDecoder()), []
+            while len(packets) < 40:
+                packets += decoder.feed(await asyncio.wait_for(reader.read(4096), 2.0))
+            assert not decoder.dropped
+            writer.close()
+            await writer.wait_closed()
+    assert transport.connections_made == 3
+
+
+async def test_tcp_at_full_speed_waits_for_a_client_and_loses_nothing(arm4):
+    transport = TcpTransport()
+    suit = EmulatedSuit(arm_source(arm4, 20.0), transport, speed=None)
+    task = asyncio.create_task(suit.run())
+    await asyncio.sleep(0.1)
+    reader, writer = await asyncio.open_connection("127.0.0.1", transport.port)
+    received = await asyncio.wait_for(reader.read(), 10.0)
+    writer.close()
+    await task
+    assert received == b"".join(t.data for t in arm_source(arm4, 20.0))
+
+
+@pytest.mark.parametrize("is_fd", [False, True], ids=["classic", "fd"])
+async def test_virtual_can_bus(arm4, is_fd):
+    settings = SuitSettings(encoding=Encoding(Framing.CAN, is_fd))
+    options = {"protocol": can.CanProtocol.CAN_FD} if is_fd else {}
+    with can.Bus(interface="virtual", channel=f"suit-{is_fd}", **options) as bus:
+        await EmulatedSuit(
+            arm_source(arm4, 1.0, settings),
+            CanBusTransport(f"suit-{is_fd}", **options),
+            speed=None,
+            linger_s=0.0,
+        ).run()
+        decoder, packets = PacketDecoder(CanFrameDecoder()), []
+        while (message := bus.recv(timeout=0)) is not None:
+            packets += decoder.feed(records_of(message))
+    assert not decoder.dropped
+    assert sum(isinstance(p.packet, InertialSample) for p in packets) == 400
+
+
+def records_of(message):
+    frame = CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_fd)
+    return pack_can_records([frame])
+
+
+async def test_slcan_over_a_pty_read_by_python_can(arm4):
+    transport = SlcanTransport()
+    suit = EmulatedSuit(arm_source(arm4, None, CAN), transport)
+
+    def read_with_python_can():
+        with can.Bus(interface="slcan", channel=transport.path, bitrate=500_000, sleep_after_open=0.1) as bus:
+            end = time.monotonic() + 5
+            while len(packets) < 60 and time.monotonic() < end:
+                if (message := bus.recv(timeout=0.2)) is not None:
+                    packets.extend(decoder.feed(records_of(message)))
+
+    decoder, packets = PacketDecoder(CanFrameDecoder()), []
+    async with running(suit):
+        while not transport.path:
+            await asyncio.sleep(0.001)
+        await asyncio.to_thread(read_with_python_can)
+        await asyncio.sleep(0.05)
+        assert not transport.is_channel_open
+    assert transport.commands[-1] == b"C"
+    assert {b"S6", b"O"} <= set(transport.commands)
+    assert len(packets) >= 60
+    assert sum(decoder.dropped.values()) <= 1  # a wire frame under way when the channel opened
+
+
+async def test_slcan_answers_commands():
+    transport = SlcanTransport()
+    await transport.open()
+    reader = open_raw(transport.path)
+    try:
+        for command, answer in (
+            (b"C\r", b"\r"),
+            (b"S8\rY2\r", b"\r\r"),
+            (b"V\r", b"V1013\r"),
+            (b"t1230\r", b"\x07"),
+            (b"O\r", b"\r"),
+            (b"T000001230\r", b"Z\r"),
+            (b"!\r", b"\x07"),
+        ):
+            os.write(reader, command)
+            assert (
+                await read_pty(reader, until=lambda data, n=len(answer): len(data) >= n, limit_s=1.0)
+                == answer
+            )
+        assert transport.offer(pack_can_records([CanFrame(0x123, b"\x01\x02")]))
+        assert await read_pty(reader, until=lambda data: b"\r" in data) == b"T0000012320102\r"
+        assert transport.frames_received == 2
+    finally:
+        os.close(reader)
+        await transport.close()
+
+
+async def test_a_pty_replaces_a_stale_link_but_no_file(tmp_path):
+    link = tmp_path / "suit"
+    link.symlink_to("/nowhere")
+    transport = PtyTransport(link)
+    await transport.open()
+    assert link.resolve().exists()
+    await transport.close()
+    link.write_text("mine")
+    with pytest.raises(FileExistsError):
+        await transport.open()
+    await transport.close()
+    assert link.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"), [({"speed": 0.0}, "positive factor"), ({"is_byte_by_byte": True}, "byte stream")]
+)
+def test_what_cannot_be_run_is_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        EmulatedSuit([], MemoryTransport(Framing.CAN), **options)
+    with pytest.raises(RuntimeError, match="not started"):
+        EmulatedSuit([], MemoryTransport()).instant_ns(0.0)

@@ -1,0 +1,88 @@
+"""A whole gateway in the test's event loop, on a real broker, and an app that listens to it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from devices.reconnect import LinkState, ReconnectingLink
+from gateway.body.rig import load_rig
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
+from gateway.service import Service
+from gateway.settings import (
+    AssemblySettings,
+    ClockSettings,
+    GatewaySettings,
+    LinkSettings,
+)
+
+
+@dataclass
+class RunningGateway:
+    """A service and all poses that an app has received from it."""
+
+    service: Service
+    received: list[ReceivedPose] = field(default_factory=list)
+
+    async def until_link_is_up(self) -> None:
+        """Until the gateway has opened its only link."""
+        (link,) = self.service.links
+        assert isinstance(link, ReconnectingLink)
+        async with asyncio.timeout(20):
+            while link.state is not LinkState.UP:
+                await asyncio.sleep(0.01)  # noqa: ASYNC110 - a link has no event of being up
+
+    async def until_quiet(self, quiet_s: float = 0.5, first_s: float = 20.0) -> None:
+        """Until poses have come and stopped coming."""
+        async with asyncio.timeout(first_s):
+            while not self.received:
+                await asyncio.sleep(0.01)  # noqa: ASYNC110 - waits for data, not for an event
+        count = -1
+        while count != len(self.received):
+            count = len(self.received)
+            await asyncio.sleep(quiet_s)
+
+
+@pytest.fixture
+def gateway_on(mosquitto: Any) -> Callable[..., Any]:
+    """``async with gateway_on(url, rig, reconstructor, rate_hz) as running``: lossless settings."""
+
+    @contextlib.asynccontextmanager
+    async def start(
+        url: str, rig: str, reconstructor: str = "independent", rate_hz: float = 100.0
+    ) -> AsyncIterator[RunningGateway]:
+        settings = GatewaySettings(
+            gateway="lab",
+            links=[LinkSettings(name="suit", url=url)],
+            rig=rig,
+            reconstructor=reconstructor,
+            clock=ClockSettings(mode="shared"),
+            assembly=AssemblySettings(rate_hz=rate_hz, max_wait_ms=5000, hold_ms=5000),
+            mqtt=MqttSettings(port=mosquitto.port, queue_length=10_000, decimals=None),
+        )
+        running = RunningGateway(Service(settings, load_rig(rig)))
+        serving = asyncio.create_task(running.service.run())
+        try:
+            async with PoseSubscriber(settings.mqtt, "lab") as poses:
+                collecting = asyncio.create_task(_collect(poses, running.received))
+                while not running.service.mqtt.is_connected and not serving.done():
+                    await asyncio.sleep(0.01)  # noqa: ASYNC110 - polled for a moment, once
+                yield running
+                collecting.cancel()
+        finally:
+            serving.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await serving
+
+    return start
+
+
+async def _collect(poses: PoseSubscriber, received: list[ReceivedPose]) -> None:
+    async for pose in poses:
+        received.append(pose)  # noqa: PERF401 - an endless stream: what has come must show at once
