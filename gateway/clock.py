@@ -33,11 +33,15 @@ class ClockFigures(NamedTuple):
     """Gateway time minus module time at the newest stamp."""
     skew_ppm: float
     """How much faster than the gateway's the module's clock runs (negative: slower)."""
-    restarts: int
 
 
 class ModuleClock(Protocol):
     """Turns the time stamps of one module into gateway time."""
+
+    @property
+    def restarts(self) -> int:
+        """How often the module was found to count from anew."""
+        ...
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
         """Gateway time in ns of a 32-bit stamp that arrived at ``arrived_ns``."""
@@ -85,6 +89,10 @@ class SharedClock:
         self._unwrapper = _Unwrapper()
         self._offset_ns = 0
 
+    @property
+    def restarts(self) -> int:
+        return self._unwrapper.restarts
+
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
         time_ns, restarted = self._unwrapper.full_time_ns(module_time_us, arrived_ns)
         if restarted:
@@ -99,7 +107,7 @@ class SharedClock:
         return shared
 
     def figures(self) -> ClockFigures:
-        return ClockFigures(self._offset_ns, 0.0, self._unwrapper.restarts)
+        return ClockFigures(self._offset_ns, 0.0)
 
 
 class _Point(NamedTuple):
@@ -134,6 +142,10 @@ class EstimatedClock:
         self._open_block = _Point(0, 0)
         self._anchor = _Point(0, 0)
         self._slope = 0.0
+
+    @property
+    def restarts(self) -> int:
+        return self._unwrapper.restarts
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
         time_ns, restarted = self._unwrapper.full_time_ns(module_time_us, arrived_ns)
@@ -175,7 +187,7 @@ class EstimatedClock:
     def figures(self) -> ClockFigures:
         offset_ns = self._start_arrived_ns - self._start_ns + round(self._line(self._open_block.time_ns))
         skew_ppm = (1.0 / (1.0 + self._slope) - 1.0) * 1e6
-        return ClockFigures(offset_ns, skew_ppm, self._unwrapper.restarts)
+        return ClockFigures(offset_ns, skew_ppm)
 
 
 def _lower_hull(points: deque[_Point]) -> list[_Point]:

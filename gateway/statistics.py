@@ -84,7 +84,7 @@ class ModuleRecord:
             "received": self.received,
             "lost": self.lost,
             "duplicates": self.duplicates,
-            "restarts": figures.restarts,
+            "restarts": self.clock.restarts,
             "clock_ppm": round(figures.skew_ppm, 2),
             "last_arrival_ns": self.last_arrival_ns,
         }

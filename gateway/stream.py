@@ -73,12 +73,14 @@ class Stream:
         if record is None:
             record = ModuleRecord(received.module, self._new_clock())
             self.modules[received.module] = record
-        restarts = record.clock.figures().restarts
+        restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(received.module_time_us, arrived_ns)
-        if record.clock.figures().restarts != restarts:
-            for counter in record.sequences.values():
-                counter.restart()
-        counter = record.sequences.setdefault(received.kind, SequenceCounter())
+        if record.clock.restarts != restarts:
+            for restarted in record.sequences.values():
+                restarted.restart()
+        counter = record.sequences.get(received.kind)
+        if counter is None:
+            counter = record.sequences[received.kind] = SequenceCounter()
         sequence = counter.count(received.sequence)
         record.last_arrival_ns = arrived_ns
         if sequence is None:

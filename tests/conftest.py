@@ -132,7 +132,7 @@ def unused_port() -> int:
 
 async def _until(condition: Callable[[], bool], timeout_s: float = 8.0) -> None:
     async with asyncio.timeout(timeout_s):
-        while not condition():  # noqa: ASYNC110 - what is awaited has no event to wait for
+        while not condition():
             await asyncio.sleep(0.005)
 
 

@@ -6,6 +6,7 @@ scaled so that each module's mean norm is ``NOMINAL_FIELD_UT``.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -187,3 +188,13 @@ def _without_flips(track: ReferenceTrack) -> ReferenceTrack:
     q_wb[:-1][is_flip] = np.nan
     q_wb[1:][is_flip] = np.nan
     return replace(track, q_wb=q_wb)
+
+
+READERS: dict[str, Callable[[Path], Recording]] = {
+    "broad": read_broad,
+    "hipose_mtw17": read_hipose_mtw17,
+    "repoimu_pendulum": read_repoimu_pendulum,
+    "repoimu_tstick": read_repoimu_tstick,
+    "ring_chain5": read_ring_chain5,
+}
+"""Name of a data set to its reader; most take a file, those of several modules their folder."""

@@ -193,7 +193,8 @@ class SuitTraffic:
         self._locals = [
             EmulatedLocalSender(self.senders[d.module], d, self._seed) for d in body.local_devices
         ]
-        schedules = {unit.sender.module: unit.schedule for unit in (*self._modules, *self._locals)}
+        schedules = {unit.sender.module: unit.schedule for unit in self._modules}
+        schedules |= {unit.sender.module: unit.schedule for unit in self._locals}
         self._reports = {
             i: StatusReports(
                 sender,

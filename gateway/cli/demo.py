@@ -137,8 +137,8 @@ async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncItera
 
 async def _watch(service: Service, settings: GatewaySettings, truth: Truth, seconds: float | None) -> None:
     """Subscribe as an app would; show what comes until the time is over."""
-    while not service.mqtt.is_connected:
-        await asyncio.sleep(0.05)  # noqa: ASYNC110 - polled for a second, once
+    while not service.mqtt.is_connected:  # noqa: ASYNC110 - polled for a second, once
+        await asyncio.sleep(0.05)
     console = Console()
     _print_invitation(console, settings, service.mqtt.port)
     mqtt = settings.mqtt.model_copy(update={"broker": "external", "port": service.mqtt.port})

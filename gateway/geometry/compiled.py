@@ -21,7 +21,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def source_fingerprint(package: Path) -> str:
-    """Sixteen hexadecimal digits that change with any source file below ``package`` that has to do with kernels.
+    """Sixteen hexadecimal digits that change with any source file of kernels below ``package``.
 
     Those are the files that name this module, and ``frames.py``, whose constants kernels freeze.
     """
@@ -44,7 +44,7 @@ def cache_directory(package: Path) -> Path:
     return base / f"kernels-{source_fingerprint(package)}"
 
 
-numba.config.CACHE_DIR = str(cache_directory(PACKAGE))
+numba.config.CACHE_DIR = str(cache_directory(PACKAGE))  # type: ignore[attr-defined]  # set by name in numba
 
 
 def compiled(function: F) -> F:

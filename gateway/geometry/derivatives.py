@@ -24,7 +24,9 @@ def difference(before: FloatArray, now: FloatArray, dt: float) -> FloatArray:
 
 
 @compiled
-def difference_of_means(mean_before: FloatArray, mean_now: FloatArray, dt_before: float, dt: float) -> FloatArray:
+def difference_of_means(
+    mean_before: FloatArray, mean_now: FloatArray, dt_before: float, dt: float
+) -> FloatArray:
     """Backward difference of two means over successive steps, which belong to the middles of the steps.
 
     With equal steps this is (now − before) / Δt; with unequal ones only the distance of the middles

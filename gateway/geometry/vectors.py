@@ -27,7 +27,8 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 @compiled
 def dot(a: FloatArray, b: FloatArray) -> float:
     """a · b; shapes (3,), (3,)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
 
 
 @compiled

@@ -17,11 +17,9 @@ from dataclasses import dataclass
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
+from paho.mqtt.reasoncodes import ReasonCode
 
-from gateway.outputs.settings import CredentialError, MqttSettings, TlsSettings
-
-CONNECTION_ERRORS = (aiomqtt.MqttError, OSError, CredentialError)
-"""All that an unreachable, lost or refusing broker raises."""
+from gateway.outputs.settings import PASSWORD_VARIABLE, CredentialError, MqttSettings, TlsSettings
 
 TIMEOUT_S = 2.0
 """Longest wait for the broker to take a connection, or a message, before it counts as lost."""
@@ -60,7 +58,9 @@ class Backoff:
 async def broker_connection(
     settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Will | None = None
 ) -> AsyncIterator[aiomqtt.Client]:
-    """A connected client, disconnected on leaving. Raises one of ``CONNECTION_ERRORS``.
+    """A connected client, disconnected on leaving.
+
+    Raises ``aiomqtt.MqttError``, ``OSError`` or ``CredentialError``; ``explain`` puts them into words.
 
     Left by an exception, the socket is closed at once without a farewell, so that the broker
     publishes the will.
@@ -96,6 +96,20 @@ def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
     if settings.broker == "external":
         hint = "is mosquitto running? (broker: embedded needs none)"
     return f"no MQTT broker at {where} ({error}): {hint}"
+
+
+def _explain_refusal(code: int | ReasonCode | None, settings: MqttSettings, where: str) -> str:
+    number = code.value if isinstance(code, ReasonCode) else code
+    if number == _UNSUPPORTED_PROTOCOL:
+        return f'the broker at {where} does not speak MQTT {settings.spoken_protocol}: set protocol: "3.1.1"'
+    if number not in (_BAD_CREDENTIALS, _NOT_AUTHORISED):
+        return f"the broker at {where} refuses the connection ({code})"
+    if settings.username is None:
+        return f"the broker at {where} refuses clients without a name ({code}): set username"
+    return (
+        f"the broker at {where} refuses user '{settings.username}' ({code}): "
+        f"check username, and password_file or {PASSWORD_VARIABLE}"
+    )
 
 
 def _client(settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Will | None) -> aiomqtt.Client:

@@ -24,7 +24,6 @@ from devices.link import gateway_time_ns
 from gateway.errors import GatewayError
 from gateway.outputs import topics
 from gateway.outputs.connection import (
-    CONNECTION_ERRORS,
     Backoff,
     broker_connection,
     explain,
@@ -89,7 +88,10 @@ class PoseSubscriber:
         subscribed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._task = asyncio.create_task(self._receive_for_ever(subscribed), name="pose subscriber")
         try:
-            await subscribed
+            await asyncio.wait({self._task, subscribed}, return_when=asyncio.FIRST_COMPLETED)
+            if not subscribed.done():
+                self._task.result()
+            subscribed.result()
         except BaseException:
             await self._end()
             raise
@@ -126,7 +128,7 @@ class PoseSubscriber:
                     if not subscribed.done():
                         subscribed.set_result(None)
                     await self._receive(client)
-            except CONNECTION_ERRORS as error:
+            except Exception as error:
                 reason = explain(error, self._settings, port)
                 if not subscribed.done():
                     subscribed.set_exception(BrokerUnreachableError(reason))

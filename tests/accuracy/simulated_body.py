@@ -125,7 +125,9 @@ def simulate(body: SimulatedBody, time_ns: np.ndarray) -> Truth:
         for turn in body.turns[s]:
             R[:, s], w[:, s], dw[:, s] = _turned(R[:, s], w[:, s], dw[:, s], turn, t, moving)
     v, a = v * moving[:, None, None], a * moving[:, None, None]
-    force = np.einsum("tsji,tsj->tsi", R, a - GRAVITY.astype(LONG)) + _lever(dw, w, np.asarray(body.lever_arms, LONG))
+    force = np.einsum("tsji,tsj->tsi", R, a - GRAVITY.astype(LONG)) + _lever(
+        dw, w, np.asarray(body.lever_arms, LONG)
+    )
     magnetic = np.einsum("tsji,j->tsi", R, FIELD.astype(LONG))
     point = {}
     for device in body.local_devices[:1]:
@@ -174,21 +176,19 @@ def imu_frames(body: SimulatedBody, truth: Truth, gyrometers: bool, readings=Non
     segments = [int(np.flatnonzero(suit.module_of_segment == m)[0]) for m in range(len(suit.module_ids))]
     m = len(segments)
     nothing = np.full((m, 3), np.nan)
-    frames = []
-    for k in range(len(truth.time_ns)):
-        frames.append(
-            ImuFrame(
-                sequence=k,
-                time_ns=int(truth.time_ns[k]),
-                specific_force=truth.specific_force[k, segments],
-                angular_rate=truth.angular_rate[k, segments] if gyrometers else nothing,
-                magnetic_field=truth.magnetic_field[k, segments],
-                status=np.full(m, Status.MEASURED, np.uint8),
-                gap_ns=np.zeros(m, np.int64),
-                local=local_readings(body, truth, k) if readings is None else readings[k],
-            )
+    return [
+        ImuFrame(
+            sequence=k,
+            time_ns=int(truth.time_ns[k]),
+            specific_force=truth.specific_force[k, segments],
+            angular_rate=truth.angular_rate[k, segments] if gyrometers else nothing,
+            magnetic_field=truth.magnetic_field[k, segments],
+            status=np.full(m, Status.MEASURED, np.uint8),
+            gap_ns=np.zeros(m, np.int64),
+            local=local_readings(body, truth, k) if readings is None else readings[k],
         )
-    return frames
+        for k in range(len(truth.time_ns))
+    ]
 
 
 def local_readings(body: SimulatedBody, truth: Truth, k: int) -> tuple[LocalReading, ...]:
@@ -196,7 +196,9 @@ def local_readings(body: SimulatedBody, truth: Truth, k: int) -> tuple[LocalRead
     for device in body.local_devices[:1]:
         if device.quantity is not Quantity.FIXED_POINT:
             value = truth.point[device.quantity.name.lower()][k]
-            return (LocalReading(device.device or 0, int(truth.time_ns[k]), device.quantity, value, np.zeros(3)),)
+            return (
+                LocalReading(device.device or 0, int(truth.time_ns[k]), device.quantity, value, np.zeros(3)),
+            )
     return ()
 
 
@@ -227,7 +229,9 @@ ARM_TURNS = (  # by segment: amplitude rad, frequency rad/s, phase of the turns 
 )
 
 
-def arm(on_joint: bool, from_rest: bool = False, amplitude: float = 1.0, tempo: float = 1.0, **changes) -> SimulatedBody:
+def arm(
+    on_joint: bool, from_rest: bool = False, amplitude: float = 1.0, tempo: float = 1.0, **changes
+) -> SimulatedBody:
     """Four segments along x, spherical joints, fixed shoulder, about 3 rad/s and 20 rad/s² at the peaks."""
     turns = []
     for segment in ARM_TURNS:
@@ -241,11 +245,11 @@ def arm(on_joint: bool, from_rest: bool = False, amplitude: float = 1.0, tempo: 
         turns.append(tuple(Turn(axis, angle) for axis, angle in zip((2, 1, 0), angles, strict=True)))
     offsets = np.zeros((4, 3))
     offsets[1:, 0] = ARM_LENGTHS[:3]
-    parts = dict(
-        parents=(-1, 0, 1, 2),
-        offsets=offsets,
-        lever_arms=np.zeros((4, 3)) if on_joint else ARM_LEVERS,
-        turns=tuple(turns),
-        local_devices=(LocalDevice(Quantity.FIXED_POINT, 0, np.zeros(3)),),
-    )
+    parts = {
+        "parents": (-1, 0, 1, 2),
+        "offsets": offsets,
+        "lever_arms": np.zeros((4, 3)) if on_joint else ARM_LEVERS,
+        "turns": tuple(turns),
+        "local_devices": (LocalDevice(Quantity.FIXED_POINT, 0, np.zeros(3)),),
+    }
     return SimulatedBody(**{**parts, **changes})

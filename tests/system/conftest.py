@@ -36,13 +36,13 @@ class RunningGateway:
         assert isinstance(link, ReconnectingLink)
         async with asyncio.timeout(20):
             while link.state is not LinkState.UP:
-                await asyncio.sleep(0.01)  # noqa: ASYNC110 - a link has no event of being up
+                await asyncio.sleep(0.01)
 
     async def until_quiet(self, quiet_s: float = 0.5, first_s: float = 20.0) -> None:
         """Until poses have come and stopped coming."""
         async with asyncio.timeout(first_s):
             while not self.received:
-                await asyncio.sleep(0.01)  # noqa: ASYNC110 - waits for data, not for an event
+                await asyncio.sleep(0.01)
         count = -1
         while count != len(self.received):
             count = len(self.received)
@@ -72,7 +72,7 @@ def gateway_on(mosquitto: Any) -> Callable[..., Any]:
             async with PoseSubscriber(settings.mqtt, "lab") as poses:
                 collecting = asyncio.create_task(_collect(poses, running.received))
                 while not running.service.mqtt.is_connected and not serving.done():
-                    await asyncio.sleep(0.01)  # noqa: ASYNC110 - polled for a moment, once
+                    await asyncio.sleep(0.01)
                 yield running
                 collecting.cancel()
         finally:

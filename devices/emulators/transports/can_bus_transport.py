@@ -22,6 +22,12 @@ class CanBusTransport:
         self._bus: can.BusABC | None = None
         self._rest: deque[CanFrame] = deque()
 
+    @property
+    def url(self) -> str:
+        flags = "?fd=1" if self._options.get("fd") else ""
+        channel, interface = self._options["channel"], self._options["interface"]
+        return f"can://{interface}/{channel}{flags}" if self._bus is not None else ""
+
     async def open(self) -> None:
         """Join the bus. Raises ``can.CanError`` when that is not possible."""
         self._bus = can.Bus(**self._options)

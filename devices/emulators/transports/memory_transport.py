@@ -15,6 +15,10 @@ class MemoryTransport:
         """Gateway time (ns) and bytes, in order."""
         self._capacity = capacity
 
+    @property
+    def url(self) -> str:
+        return ""
+
     async def open(self) -> None:
         """Nothing to open."""
 

@@ -44,6 +44,10 @@ class PtyTransport:
         self._poll = select.poll()
         self._poller: asyncio.Task[None] | None = None
 
+    @property
+    def url(self) -> str:
+        return self.path
+
     async def open(self) -> None:
         """Create the pseudo-terminal. Raises ``FileExistsError`` when the link's path is something else."""
         self._master, slave = os.openpty()

@@ -36,6 +36,10 @@ class SlcanTransport:
         """Path of the slave side, once open."""
         return self._pty.path
 
+    @property
+    def url(self) -> str:
+        return f"slcan://{self.path}" if self.path else ""
+
     async def open(self) -> None:
         """Create the pseudo-terminal."""
         await self._pty.open()

@@ -27,6 +27,10 @@ class TcpTransport:
         self._clients: set[asyncio.Transport] = set()
         self._server: asyncio.Server | None = None
 
+    @property
+    def url(self) -> str:
+        return f"tcp://{self.host}:{self.port}" if self._server is not None else ""
+
     async def open(self) -> None:
         """Listen. Raises ``OSError`` when the port is taken."""
         loop = asyncio.get_running_loop()

@@ -17,6 +17,11 @@ class Transport(Protocol):
 
     framing: Framing
 
+    @property
+    def url(self) -> str:
+        """What a gateway's link is to be called to read this (``devices.endpoints``); empty until open."""
+        ...
+
     async def open(self) -> None: ...
 
     def offer(self, data: bytes) -> bool: ...

@@ -1,1 +1,1 @@
-"""Inertial reconstruction: ``articulated`` (the source's method, literally) and ``independent`` (module by module)."""
+"""Inertial reconstruction: ``articulated`` (the source's method, literally), ``independent`` (by module)."""

@@ -10,11 +10,17 @@ When a segment of rank n (root: 1) is first defined, counting samples from 1:
 A local device that measures velocity adds 1 to these, one that measures position 2. Until then WARMING_UP.
 
 The root is the segment that carries the first local device; without any, the skeleton's root is taken
-to turn about a fixed proximal joint (``a_1 = 0``). A segment whose module gave nothing for the
-instant (HELD counts as nothing: a repeated sample has no derivative) is MISSING, and with it all
-segments beyond it as seen from the root. Its own joint still has acceleration and position, when it is
-entered there, since its neighbour defines them. After less than ``longest_gap_s`` differences bridge the gap with
-the true time step; after more the warm-up begins anew (``U ≠ 0`` without gyrometers: at the next rest).
+to turn about a fixed proximal joint (``a_1 = 0``). A segment whose module gave nothing for the instant
+(HELD counts as nothing: a repeated sample has no derivative) is MISSING, and so are all segments beyond
+it as seen from the root. Its own joint still has acceleration and position where the segment is entered
+at that joint, since the neighbour defines them. Differences bridge a gap with the true time step; after
+``longest_gap_s`` the warm-up begins anew (``U ≠ 0`` without gyrometers: at the next rest).
+
+Two limits of the method itself. Where ``a_n − g`` points along the field, or vanishes, the two vectors do not
+define an orientation, and near it every error is magnified; a steep field (60° and more) makes this common.
+And without gyrometers rounding alone grows by about ``√6 |L| / (g Δt²)`` a rank with ``U = 0``:
+rank 4 of an arm of 0.35, 0.30, 0.25 m has a floor of 5e-7° at 100 Hz, 2e-5° at 200, 0.0015° at 400,
+0.10° at 800 and 7° at 1600 Hz in double precision, and sensor noise grows by the same factor.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from vqf import VQF
 
 from gateway.body.kinematics import joint_positions
@@ -17,6 +18,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame, Status, StatusArray
 from gateway.geometry import derivatives, quaternion
 from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import norm
 from gateway.reconstruction.inertial.observations import SegmentObserver
 
 HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
@@ -30,10 +32,10 @@ class IndependentReconstructor:
     parent rigidly, axes parallel as in the calibration pose (PREDICTED). MISSING: nothing yet, or a
     module without accelerometer or gyrometers.
 
-    angular_rate: as measured, bias included. joint_acceleration: the module's specific force moved to the proximal
-    joint with ``ω̇`` from one backward difference and freed of gravity, from the second frame on where
-    ``U ≠ 0``; NaN where the orientation is not MEASURED or INTERPOLATED. p_w: from the joints, the
-    root at the origin. sigma: NaN.
+    angular_rate: as measured, bias included. joint_acceleration: the module's specific force moved to the
+    proximal joint with ``ω̇`` from one backward difference and freed of gravity, from the second frame on
+    where ``U ≠ 0``; NaN where the orientation is not MEASURED or INTERPOLATED. p_w: from the joints,
+    the root at the origin. sigma: NaN.
     """
 
     def __init__(self, suit: WornSuit, nominal_interval_s: float) -> None:
@@ -52,7 +54,9 @@ class IndependentReconstructor:
         self._q_world = quaternion.from_rotation_vector(np.array([0.0, 0.0, -declination]))
         n = len(suit.module_ids)
         self.reset()
-        self.update(ImuFrame(0, 0, *np.ones((3, n, 3)), np.zeros(n, np.uint8), np.zeros(n, np.int64)))  # compiles
+        ones = np.ones((n, 3))
+        at_rest = ImuFrame(0, 0, ones, ones, ones, np.zeros(n, np.uint8), np.zeros(n, np.int64))
+        self.update(at_rest)  # so that the kernels are compiled before the first real frame comes
         self.reset()
 
     def reset(self) -> None:
@@ -130,7 +134,7 @@ def _inverse_alignment(suit: WornSuit) -> FloatArray:
 def _body_pose(
     parents: IntArray,
     q_world: FloatArray,
-    has_field: FloatArray,
+    has_field: NDArray[np.bool_],
     q_vqf: FloatArray,
     q_sb: FloatArray,
     sensed: StatusArray,
@@ -158,7 +162,7 @@ def _body_pose(
         q_wb[s] = quaternion.canonical(quaternion.normalise(q))
         if status[s] < HELD:
             at_joint = f[s]
-            if np.any(lever_arms[s] != 0.0):
+            if norm(lever_arms[s]) > 0.0:
                 at_joint = f[s] - derivatives.point_acceleration(rate_derivative[s], rate[s], lever_arms[s])
             acceleration[s] = quaternion.rotate(q_wb[s], at_joint) + gravity
     return q_wb, acceleration, status

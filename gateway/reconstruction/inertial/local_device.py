@@ -64,7 +64,7 @@ class RootMotion:
         return self._at(self._accelerations, time_ns)
 
     def position(self, time_ns: int) -> FloatArray:
-        """Where P_1 is, (3,) world, m: as measured (NaN while not known), without such a device the origin."""
+        """Where P_1 is, (3,) world, m: as measured (NaN while not known); the origin if it is not."""
         if self._device is None or self._device.quantity is not Quantity.POSITION:
             return np.zeros(3)
         return self._at(self._positions, time_ns)

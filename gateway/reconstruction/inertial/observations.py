@@ -10,6 +10,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame, IntArray, Status, StatusArray
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import is_finite
 
 
 class SegmentObservations(NamedTuple):
@@ -56,6 +57,6 @@ def _by_segment(
         f_b[s] = rotation_matrix.rotate(R_bs[s], specific_force[row])
         w_b[s] = rotation_matrix.rotate(R_bs[s], angular_rate[row])
         x_b[s] = rotation_matrix.rotate(R_bs[s], magnetic_field[row])
-        if np.isfinite(f_b[s]).all():
+        if is_finite(f_b[s]):
             status_b[s] = status[row]
     return SegmentObservations(f_b, w_b, x_b, status_b)

@@ -190,7 +190,13 @@ def _measure_rate(state: ChainState, motion: Motion, rate: FloatArray, s: int, t
 
 @compiled
 def _solve(
-    chain: Chain, state: ChainState, weights: Weights, motion: Motion, observed: SegmentObservations, s: int, time_ns: int
+    chain: Chain,
+    state: ChainState,
+    weights: Weights,
+    motion: Motion,
+    observed: SegmentObservations,
+    s: int,
+    time_ns: int,
 ) -> None:
     """Operators 2 to 4 for one segment."""
     has_gyrometers = is_finite(motion.rate[s])
@@ -233,7 +239,13 @@ def _difference_orientations(
 
 @compiled
 def _advance_gyro_free(
-    chain: Chain, state: ChainState, weights: Weights, motion: Motion, observed: SegmentObservations, s: int, time_ns: int
+    chain: Chain,
+    state: ChainState,
+    weights: Weights,
+    motion: Motion,
+    observed: SegmentObservations,
+    s: int,
+    time_ns: int,
 ) -> None:
     """Operators 3 and 4. At the instant of the start itself the given rotation is the result."""
     now = Rotation(state.R[s], state.rate[s], np.zeros(3), state.covariance[s])

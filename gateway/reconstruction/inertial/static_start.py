@@ -29,7 +29,7 @@ class StaticStart:
         self._history: list[SegmentObservations] = []
 
     def add(self, observations: SegmentObservations) -> FloatArray | None:
-        """Orientations (n_segments, 3, 3) when the body has rested, NaN for segments without module; else None."""
+        """Orientations (n_segments, 3, 3) when the body has rested, NaN without module; else None."""
         self._history = [*self._history[1 - self._n_frames :], observations]
         if len(self._history) < self._n_frames:
             return None
@@ -40,9 +40,9 @@ class StaticStart:
         magnetic = np.array([o.magnetic_field for o in self._history]).mean(axis=0)
         mean = force.mean(axis=0)
         up = -self._gravity
-        return np.stack(
-            [rotation_matrix.from_two_vectors(f, x, up, self._field) for f, x in zip(mean, magnetic, strict=True)]
-        )
+        vectors = zip(mean, magnetic, strict=True)
+        vectors = zip(mean, magnetic, strict=True)
+        return np.stack([rotation_matrix.from_two_vectors(f, x, up, self._field) for f, x in vectors])
 
     def _is_static(self, force: FloatArray) -> bool:
         norms = np.linalg.norm(force.mean(axis=0), axis=-1)

@@ -50,6 +50,13 @@ async def read_pty(descriptor, until, limit_s=3.0):
     return data
 
 
+async def wait_until(condition, limit_s=3.0):
+    end = time.monotonic() + limit_s
+    while not condition():  # nothing announces a pseudo-terminal
+        assert time.monotonic() < end
+        await asyncio.sleep(0.001)
+
+
 def open_raw(path):
     descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     tty.setraw(descriptor)
@@ -71,8 +78,7 @@ async def test_pty_end_to_end_at_full_speed_without_loss(arm4, tmp_path):
     link = tmp_path / "suit"
     suit = EmulatedSuit(arm_source(arm4, 5.0), PtyTransport(link), speed=None, linger_s=2.0)
     async with running(suit):
-        while not link.exists():
-            await asyncio.sleep(0.001)
+        await wait_until(link.exists)
         reader = open_raw(link)
         decoder = PacketDecoder(FrameDecoder())
         expected = sum(1 for _ in arm_source(arm4, 5.0))
@@ -110,8 +116,7 @@ async def test_a_reader_that_does_not_read_never_blocks_the_suit(arm4):
     transport = PtyTransport()
     suit = EmulatedSuit(arm_source(arm4, 60.0), transport, speed=100.0)
     async with running(suit) as task:
-        while not transport.path:
-            await asyncio.sleep(0.001)
+        await wait_until(lambda: transport.path)
         reader = open_raw(transport.path)
         await asyncio.wait_for(task, 5.0)
         os.close(reader)
@@ -150,8 +155,7 @@ async def test_tcp_serves_one_client_after_the_other(arm4):
     transport = TcpTransport()
     suit = EmulatedSuit(arm_source(arm4, None), transport)
     async with running(suit):
-        while not transport.port:
-            await asyncio.sleep(0.001)
+        await wait_until(lambda: transport.port)
         for _ in range(3):
             reader, writer = await asyncio.open_connection("127.0.0.1", transport.port)
             decoder, packets = PacketDecoder(FrameDecoder()), []
@@ -211,8 +215,7 @@ async def test_slcan_over_a_pty_read_by_python_can(arm4):
 
     decoder, packets = PacketDecoder(CanFrameDecoder()), []
     async with running(suit):
-        while not transport.path:
-            await asyncio.sleep(0.001)
+        await wait_until(lambda: transport.path)
         await asyncio.to_thread(read_with_python_can)
         await asyncio.sleep(0.05)
         assert not transport.is_channel_open
@@ -237,10 +240,8 @@ async def test_slcan_answers_commands():
             (b"!\r", b"\x07"),
         ):
             os.write(reader, command)
-            assert (
-                await read_pty(reader, until=lambda data, n=len(answer): len(data) >= n, limit_s=1.0)
-                == answer
-            )
+            size = len(answer)
+            assert await read_pty(reader, lambda data, size=size: len(data) >= size, limit_s=1.0) == answer
         assert transport.offer(pack_can_records([CanFrame(0x123, b"\x01\x02")]))
         assert await read_pty(reader, until=lambda data: b"\r" in data) == b"T0000012320102\r"
         assert transport.frames_received == 2

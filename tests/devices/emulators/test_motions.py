@@ -23,7 +23,7 @@ STEP = 1e-4
 BODY_AND_MOTION = [("arm4", "arm"), ("pendulum3", "pendulum"), ("human17", "walking"), ("human17", "generic")]
 
 
-@pytest.fixture(params=BODY_AND_MOTION, ids=lambda pair: "-".join(pair))
+@pytest.fixture(params=BODY_AND_MOTION, ids="-".join)
 def motion(request):
     body, kind = request.param
     return MOTIONS[kind](request.getfixturevalue(body), 7, None)

@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.emulators.delivery import Encoding
+from devices.emulators.delivery import Encoding, Transmission
+from devices.emulators.emulated_module import Sender, Timed
+from devices.emulators.emulated_relay import EmulatedRelay
 from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD, sense
-from devices.emulators.imperfections import IDEAL, ROUGH, TYPICAL, Imperfections
+from devices.emulators.imperfections import IDEAL, ROUGH, TYPICAL, Imperfections, ModuleClock
 from devices.emulators.motions import robot_arm_motion, walking_motion
 from devices.emulators.sample_encoding import SENSORS, SampleEncoder
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.waves import Fade
 from devices.link import Framing
 from firmware_protocol import (
+    RELAY,
     CanFrameDecoder,
     Defect,
     DeviceInfo,
@@ -27,6 +30,8 @@ from firmware_protocol import (
     InertialSampleFine,
     LocalMeasurement,
     PacketDecoder,
+    WireFrame,
+    encode_frame,
     encode_packet,
 )
 
@@ -189,17 +194,21 @@ def test_a_relay_sends_one_batch_a_tick_with_every_module(arm_motion):
     assert by_sender(relayed) == by_sender(direct)
 
 
-def test_a_tick_too_full_for_one_frame_goes_out_in_several(human17):
-    settings = SuitSettings(
-        sampling_rate_hz=10.0, module_rates_hz={i: 1000.0 for i in range(17)}, has_relay=True, is_fine=True
-    )
-    traffic = SuitTraffic(walking_motion(human17, 1), settings)
-    assert traffic._relay is not None
-    traffic._relay._ticks._interval = 0.1  # 1700 samples a tick
-    packets, dropped = decode(traffic.transmissions(0.3))
+def test_a_tick_too_full_for_one_frame_goes_out_in_several():
+    body = encode_packet(InertialSampleFine(*[(1.0, 2.0, 3.0)] * 3))
+    waiting = [
+        Timed(0.0, WireFrame(InertialSampleFine.KIND, module, sequence, 0, body))
+        for sequence in range(10)
+        for module in range(30)
+    ]
+    relay = EmulatedRelay(Sender(RELAY, ModuleClock(start_us=0, skew=0.0, phase_s=0.0)), tick_s=0.1)
+    batches = relay.gather(waiting, 0.1)
+    packets, dropped = decode([Transmission(t.time_s, encode_frame(t.frame)) for t in batches])
     assert not dropped
-    assert len(samples_of(packets, 16, InertialSampleFine)) == pytest.approx(200, abs=101)
-    assert {p.module for p in packets} >= set(range(17))
+    assert len(batches) == 4  # 46 bytes an entry, 88 entries in 4083 bytes
+    assert [t.frame.sequence for t in batches] == [0, 1, 2, 3]
+    assert [(p.sequence, p.module) for p in packets] == [divmod(k, 30) for k in range(300)]
+    assert relay.gather([], 0.3) == []
 
 
 @pytest.mark.parametrize("encoding", [CAN, CAN_FD], ids=["classic", "fd"])

@@ -1,0 +1,7 @@
+"""Placeholder."""
+
+from benchmarks.figures import Report
+
+
+def run() -> Report:
+    return Report("accuracy")
