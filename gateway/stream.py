@@ -22,14 +22,19 @@ from firmware_protocol import (
     InertialSample,
     InertialSampleFine,
     LocalMeasurement,
+    Packet,
     PacketDecoder,
     ReceivedPacket,
 )
+from firmware_protocol.kinds import FROM_HOST
 from gateway.clock import EstimatedClock, ModuleClock, SharedClock, SharedOffset
 from gateway.frames import InertialReading, LocalReading, Quantity
 from gateway.statistics import ModuleRecord, SequenceCounter
 
 Reading = InertialReading | LocalReading
+
+Listener = Callable[[ReceivedPacket, Chunk], None]
+"""Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
 
 
 class ClockMode(StrEnum):
@@ -47,6 +52,7 @@ class Stream:
     def __init__(self, clock_mode: ClockMode = ClockMode.ESTIMATED) -> None:
         self.modules: dict[int, ModuleRecord] = {}
         self._decoders: dict[str, PacketDecoder] = {}
+        self._listeners: dict[type[Packet], list[Listener]] = {}
         self._new_clock = _clock_factory(clock_mode)
 
     def add_link(self, name: str, framing: Framing) -> None:
@@ -54,10 +60,22 @@ class Stream:
         frames = FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder()
         self._decoders[name] = PacketDecoder(frames)
 
+    def listen(self, packet_class: type[Packet], listener: Listener) -> None:
+        """Have every packet of a class told to ``listener`` too, also one that came before."""
+        self._listeners.setdefault(packet_class, []).append(listener)
+
+    def stop_listening(self, packet_class: type[Packet], listener: Listener) -> None:
+        """Undo ``listen``."""
+        self._listeners[packet_class].remove(listener)
+
     def receive(self, chunk: Chunk) -> list[Reading]:
         """The readings that a chunk completes, in order of arrival."""
         readings = []
         for packet in self._decoders[chunk.link].feed(chunk.data):
+            for listener in self._listeners.get(type(packet.packet), ()):
+                listener(packet, chunk)
+            if packet.kind in FROM_HOST:
+                continue  # our own, echoed by a bus; its time is that of no module
             reading = self._read(packet, chunk.arrived_ns)
             if reading is not None:
                 readings.append(reading)
@@ -71,7 +89,7 @@ class Stream:
     def _read(self, received: ReceivedPacket, arrived_ns: int) -> Reading | None:
         record = self.modules.get(received.module)
         if record is None:
-            record = ModuleRecord(received.module, self._new_clock())
+            record = ModuleRecord(received.module, self._new_clock(), first_arrival_ns=arrived_ns)
             self.modules[received.module] = record
         restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(received.module_time_us, arrived_ns)
@@ -85,7 +103,9 @@ class Stream:
         record.last_arrival_ns = arrived_ns
         if sequence is None:
             return None
-        return _HANDLERS[type(received.packet)](record, received.packet, sequence, time_ns)
+        handler = _HANDLERS.get(type(received.packet))
+        # What has no handler is for the listeners alone; it is counted like the rest.
+        return None if handler is None else handler(record, received.packet, sequence, time_ns)
 
 
 def _clock_factory(mode: ClockMode) -> Callable[[], ModuleClock]:

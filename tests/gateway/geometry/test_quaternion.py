@@ -28,7 +28,9 @@ def same_rotation(a, b):
 
 @given(quaternions, quaternions, vectors)
 def test_products_and_rotations_agree_with_scipy(a, b, v):
-    np.testing.assert_allclose(quat.to_matrix(quat.multiply(a, b)), (reference(a) * reference(b)).as_matrix(), atol=1e-13)
+    np.testing.assert_allclose(
+        quat.to_matrix(quat.multiply(a, b)), (reference(a) * reference(b)).as_matrix(), atol=1e-13
+    )
     np.testing.assert_allclose(quat.rotate(a, v), reference(a).apply(v), atol=1e-12)
     np.testing.assert_allclose(quat.to_matrix(a) @ v, quat.rotate(a, v), atol=1e-12)
 
