@@ -46,7 +46,9 @@ def test_point_acceleration_is_the_second_derivative_of_the_point():
     carried = inner.T @ ((1.0 + 4.0 * t) * AXIS)
     rate = carried + turn
     rate_derivative = inner.T @ (4.0 * AXIS) + np.cross(carried, turn)
-    np.testing.assert_allclose(R @ derivatives.point_acceleration(rate_derivative, rate, arm), second, rtol=2e-6)
+    np.testing.assert_allclose(
+        R @ derivatives.point_acceleration(rate_derivative, rate, arm), second, rtol=2e-6
+    )
 
 
 def test_difference_of_a_measured_rate():
