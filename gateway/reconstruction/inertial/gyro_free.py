@@ -27,8 +27,8 @@ is 1° wrong about h (0.12 m, 200 Hz, 25° dip): module across that plane, 0.01�
 hanging below the joint, it swings within 0.8° and dies away in 5 s; above the joint 5° after half a
 second and 14° after 10 s; on the horizontal north of it, lost after 2 s. The arm of the tests, whose modules
 lie east of its joints, holds over 30 s; a trunk that sways with its module north of or above the hip does
-not (15° RMS within 3 s). A narrower prior of ω̇ helps there but spoils the rest: at 30 rad/s² the trunk keeps
-within 2°, and the arm is lost above 400 Hz. Upright segments need gyrometers, or a module on the joint.
+not (15° RMS within 3 s). A prior of 30 rad/s² on ω̇ across U was tried: it keeps that trunk within 2.5°, and
+loses the arm at 1600 Hz. Upright segments need gyrometers, or a module on the joint.
 """
 
 from __future__ import annotations
