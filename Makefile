@@ -58,7 +58,7 @@ lint: install-dev
 	$(BIN)/mypy
 
 test: install-dev mosquitto lint
-	$(BIN)/python -m pytest $(TESTS)
+	$(BIN)/python -m pytest -n 2 $(TESTS)
 
 bench: install-dev mosquitto
 	$(BIN)/python -m benchmarks all --write-docs

@@ -55,13 +55,28 @@ class Report:
 
     def markdown(self) -> str:
         """The suite's page section."""
-        rows = "\n".join(
-            f"| `{f.name}` | {f.value:.4g} | {f.unit} | {f.target or '–'} | {f.verdict} | {f.note} |"
+        heads = ["figure", "value", "unit", "target", "verdict", "what"]
+        rows = [
+            [f"`{f.name}`", f"{f.value:.4g}", f.unit, f.target or "–", f.verdict, f.note]
             for f in self.figures
-        )
-        head = f"Machine: {machine()}. Command: `python -m benchmarks {self.suite}`.\n\n"
-        table = "| figure | value | unit | target | | what |\n|---|---:|---|---|---|---|\n" + rows
-        return "\n\n".join([head + table, *self.tables]) + "\n"
+        ]
+        head = f"Machine: {machine()}. Command: `python -m benchmarks {self.suite}`."
+        return "\n\n".join([head, table(heads, rows), *self.tables]) + "\n"
+
+
+def table(heads: list[str], rows: list[list[str]]) -> str:
+    """A markdown table; columns whose cells are all numbers are set to the right."""
+    is_number = [all(_is_number(row[i]) for row in rows) for i in range(len(heads))]
+    rule = ["---:" if right else "---" for right in is_number]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (heads, rule, *rows))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def machine() -> str:

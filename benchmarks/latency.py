@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 import yaml
 
-from benchmarks.figures import Figure, Report
+from benchmarks.figures import Figure, Report, table
 from gateway.frames import FloatArray
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
@@ -75,13 +75,15 @@ def run() -> Report:
 
 def _table(runs: list[Run]) -> str:
     rows = [
-        f"| {r.n_modules} | {r.rate_hz:g} | {r.cpu_percent:.0f} | "
-        + " | ".join(f"{np.percentile(r.latency_ms, q):.2f}" for q in (50, 99, 100))
-        + f" | {r.lost_poses} | {'yes' if r.is_held else 'no'} |"
+        [
+            *(str(r.n_modules), f"{r.rate_hz:g}", f"{r.cpu_percent:.0f}"),
+            *(f"{np.percentile(r.latency_ms, q):.2f}" for q in (50, 99, 100)),
+            *(str(r.lost_poses), "yes" if r.is_held else "no"),
+        ]
         for r in runs
     ]
-    head = "| modules | Hz | CPU % | p50 ms | p99 ms | max ms | poses lost | held |\n|---:|---:|---:|---:|---:|---:|---:|---|"
-    return "### Load on one gateway process (reconstructor `independent`)\n\n" + "\n".join([head, *rows])
+    heads = ["modules", "Hz", "CPU %", "p50 ms", "p99 ms", "max ms", "poses lost", "held"]
+    return "### Load on one gateway process (reconstructor `independent`)\n\n" + table(heads, rows)
 
 
 async def _measure(broker_port: int, n_modules: int, rate_hz: float) -> Run:

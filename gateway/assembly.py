@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numba import njit
 
 from gateway.frames import FloatArray, ImuFrame, InertialReading, IntArray, LocalReading, Status, StatusArray
+from gateway.geometry.compiled import compiled
 
 _LONGEST_CATCH_UP_NS = 1_000_000_000
 _DEPTH = 64  # readings kept of each module; at 1000 Hz 64 ms, more than any sensible wait
@@ -219,8 +219,8 @@ _HELD, _MISSING = int(Status.HELD), int(Status.MISSING)
 _NEVER = np.iinfo(np.int64).min
 
 
-@njit(cache=True)
-def _bracket(times, values, head, sensor, instant_ns):  # type: ignore[no-untyped-def]
+@compiled
+def _bracket(times: IntArray, values: FloatArray, head: int, sensor: int, instant_ns: int) -> tuple[int, int]:
     """Ring slots of the sensor's readings just before (or at) and just after the instant; -1: none."""
     depth = times.shape[0]
     after = -1
@@ -236,8 +236,16 @@ def _bracket(times, values, head, sensor, instant_ns):  # type: ignore[no-untype
     return -1, after
 
 
-@njit(cache=True)
-def _interpolate_modules(instant_ns, times, sequences, values, heads, max_gap_ns, hold_ns):  # type: ignore[no-untyped-def]
+@compiled
+def _interpolate_modules(
+    instant_ns: int,
+    times: IntArray,
+    sequences: IntArray,
+    values: FloatArray,
+    heads: IntArray,
+    max_gap_ns: int,
+    hold_ns: int,
+) -> tuple[FloatArray, StatusArray, IntArray]:
     """All modules at one instant: values (n, 9), status (n,) and gap (n,) of n modules.
 
     times, sequences: (n, depth); values: (n, depth, 9); heads: (n,) ring position of the newest.

@@ -35,8 +35,8 @@ class Service:
     def __init__(
         self, settings: GatewaySettings, suit: WornSuit, links: Sequence[Link] | None = None
     ) -> None:
-        self.pipeline = Pipeline.from_settings(settings, suit)
         self.links = links if links is not None else _links_of(settings)
+        self.pipeline = Pipeline.from_settings(settings, suit)
         self.mqtt = MqttOutput(
             settings.mqtt, suit.skeleton, _describe(settings, suit), self.pipeline.statistics
         )

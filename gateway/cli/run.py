@@ -26,6 +26,7 @@ def run(
     settings = load_gateway_settings(config)
     suit = load_rig(settings.rig, config)
     logging.getLogger().setLevel(settings.log.level.upper())
+    service = Service(settings, suit)
     logging.getLogger(__name__).info(
         "gateway '%s': %d modules on '%s', links %s",
         settings.gateway,
@@ -33,7 +34,7 @@ def run(
         suit.skeleton.name,
         ", ".join(f"{link.name} ({link.url})" for link in settings.links),
     )
-    asyncio.run(_until_signal(Service(settings, suit)))
+    asyncio.run(_until_signal(service))
 
 
 async def _until_signal(service: Service) -> None:

@@ -191,6 +191,10 @@ class MqttOutput:
         if time.monotonic() >= self._health_due:
             self._health_due = time.monotonic() + self._settings.health_interval
             await self._publish_health(client)
+            if self._broker is not None:
+                # A client that subscribes to the embedded broker just while the birth message is on its
+                # way has been seen to miss it.
+                await client.publish(self.topics.bridge_state, _ONLINE, qos=1, retain=True)
         while self._queue:
             await self._publish_pose(client, self._queue.popleft())
 

@@ -230,7 +230,12 @@ ARM_TURNS = (  # by segment: amplitude rad, frequency rad/s, phase of the turns 
 
 
 def arm(
-    on_joint: bool, from_rest: bool = False, amplitude: float = 1.0, tempo: float = 1.0, **changes
+    on_joint: bool,
+    from_rest: bool = False,
+    amplitude: float = 1.0,
+    tempo: float = 1.0,
+    bent: float = 0.0,
+    **changes,
 ) -> SimulatedBody:
     """Four segments along x, spherical joints, fixed shoulder, about 3 rad/s and 20 rad/s² at the peaks."""
     turns = []
@@ -241,7 +246,8 @@ def arm(
                 angles.append(SumOfSines.from_rest(amplitude * a, 0.6 * tempo * w))
             else:
                 slower = (0.4 * amplitude * a, 0.4 * tempo * w, 1.7 * phase)
-                angles.append(SumOfSines(((amplitude * a, tempo * w, phase), slower)))
+                constant = (bent, 0.0, phase)
+                angles.append(SumOfSines(((amplitude * a, tempo * w, phase), slower, constant)))
         turns.append(tuple(Turn(axis, angle) for axis, angle in zip((2, 1, 0), angles, strict=True)))
     offsets = np.zeros((4, 3))
     offsets[1:, 0] = ARM_LENGTHS[:3]

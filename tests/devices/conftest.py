@@ -88,7 +88,7 @@ def until() -> Callable[[Callable[[], bool]], Awaitable[None]]:
 
     async def wait(holds: Callable[[], bool]) -> None:
         async with asyncio.timeout(2):
-            while not holds():  # noqa: ASYNC110 - states of threads, kernels and peers have no event
+            while not holds():
                 await asyncio.sleep(0.001)
 
     return wait

@@ -96,7 +96,9 @@ class ArticulatedReconstructor:
         self._root = device.segment if device else int(np.flatnonzero(suit.skeleton.parents < 0)[0])
         self._chain = _chain(suit, self._root, device.position if device else np.zeros(3))
         self._weights = Weights(
-            settings.specific_force_sigma, settings.direction_sigma, settings.second_difference_sigma
+            settings.specific_force_sigma,
+            settings.direction_sigma,
+            settings.second_difference_sigma,
         )
         self._observer = SegmentObserver(suit)
         self._root_motion = RootMotion(device, settings.longest_gap_s)

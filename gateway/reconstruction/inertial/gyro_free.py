@@ -25,8 +25,10 @@ the others correct, and P knows in which direction which is the case. The warm s
 Not observable: at rest with f, U and x in one plane, (y × x)·U = 0, and nothing holds φ. From a start that
 is 1° wrong about h (0.12 m, 200 Hz, 25° dip): module across that plane, 0.01° after a quarter of a second;
 hanging below the joint, it swings within 0.8° and dies away in 5 s; above the joint 5° after half a
-second and 14° after 10 s; on the horizontal north of it, lost after 2 s. A body that moves does
-not stay in such a plane: the arm of the tests holds over 30 s.
+second and 14° after 10 s; on the horizontal north of it, lost after 2 s. The arm of the tests, whose modules
+lie east of its joints, holds over 30 s; a trunk that sways with its module north of or above the hip does
+not (15° RMS within 3 s). A prior of 30 rad/s² on ω̇ across U was tried: it keeps that trunk within 2.5°, and
+loses the arm at 1600 Hz. Upright segments need gyrometers, or a module on the joint.
 """
 
 from __future__ import annotations

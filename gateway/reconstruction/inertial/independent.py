@@ -104,9 +104,8 @@ class IndependentReconstructor:
         """Feeds every module's filter; the status by segment, PREDICTED where there is no module."""
         status = np.full(len(self._parents), PREDICTED, np.uint8)
         f, w, x = (np.array(v, np.float64, order="C") for v in _rows_of(observation))
-        is_inertial = np.isfinite(f).all(axis=1) & np.isfinite(w).all(axis=1)
+        is_inertial, has_field = _has_values(f, w), _has_values(x)
         is_inertial &= observation.status <= Status.HELD
-        has_field = np.isfinite(x).all(axis=1)
         for segment, row, vqf in zip(self._observed, self._rows, self._filters, strict=True):
             if not is_inertial[row]:
                 status[segment] = MISSING if np.isnan(self._q_vqf[segment, 0]) else HELD
@@ -123,6 +122,12 @@ class IndependentReconstructor:
 
 def _rows_of(observation: ImuFrame) -> tuple[FloatArray, FloatArray, FloatArray]:
     return observation.specific_force, observation.angular_rate, observation.magnetic_field
+
+
+def _has_values(*sensors: FloatArray) -> NDArray[np.bool_]:
+    """(n_modules,) whether all the sensors gave finite values."""
+    has: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(np.hstack(sensors)), axis=1)
+    return has
 
 
 def _inverse_alignment(suit: WornSuit) -> FloatArray:

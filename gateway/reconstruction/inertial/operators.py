@@ -120,13 +120,17 @@ def advance(
 
 @compiled
 def _remembered(state: ChainState, time_ns: int, longest_gap_s: float) -> ChainState:
-    """A copy without what is too old to take differences from."""
+    """A copy without what is too old to take differences from, or not older than now at all."""
     n_orientations, is_started = state.n_orientations.copy(), state.is_started.copy()
     has_measured = state.has_measured.copy()
     for s in range(len(n_orientations)):
-        if (time_ns - state.time_ns[s]) * 1e-9 > longest_gap_s:
-            n_orientations[s], is_started[s] = 0, 0
-        if (time_ns - state.measured_time_ns[s]) * 1e-9 > longest_gap_s:
+        age = (time_ns - state.time_ns[s]) * 1e-9
+        if age <= 0.0 or age > longest_gap_s:
+            n_orientations[s] = 0
+        if age < 0.0 or age > longest_gap_s:  # the instant of the start itself is age 0
+            is_started[s] = 0
+        measured_age = (time_ns - state.measured_time_ns[s]) * 1e-9
+        if measured_age <= 0.0 or measured_age > longest_gap_s:
             has_measured[s] = 0
     return ChainState(
         n_orientations,
@@ -182,7 +186,7 @@ def _measure_rate(state: ChainState, motion: Motion, rate: FloatArray, s: int, t
         return
     motion.rate[s] = rate
     dt = (time_ns - state.measured_time_ns[s]) * 1e-9
-    if state.has_measured[s] and dt > 0.0:
+    if state.has_measured[s]:
         motion.rate_derivative[s] = derivatives.difference(state.measured_rate[s], rate, dt)
     state.has_measured[s], state.measured_time_ns[s] = 1, time_ns
     state.measured_rate[s] = rate

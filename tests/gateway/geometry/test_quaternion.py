@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -26,6 +26,7 @@ def same_rotation(a, b):
     return np.isclose(abs(a @ b), 1.0, atol=1e-12)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(quaternions, quaternions, vectors)
 def test_products_and_rotations_agree_with_scipy(a, b, v):
     np.testing.assert_allclose(
@@ -35,6 +36,7 @@ def test_products_and_rotations_agree_with_scipy(a, b, v):
     np.testing.assert_allclose(quat.to_matrix(a) @ v, quat.rotate(a, v), atol=1e-12)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(quaternions, quaternions, quaternions)
 def test_multiplication_is_associative_and_conjugate_its_inverse(a, b, c):
     left, right = quat.multiply(quat.multiply(a, b), c), quat.multiply(a, quat.multiply(b, c))
@@ -42,11 +44,13 @@ def test_multiplication_is_associative_and_conjugate_its_inverse(a, b, c):
     np.testing.assert_allclose(quat.multiply(a, quat.conjugate(a)), [1, 0, 0, 0], atol=1e-14)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(quaternions, vectors)
 def test_rotating_back_gives_the_vector(q, v):
     np.testing.assert_allclose(quat.rotate_inverse(q, quat.rotate(q, v)), v, atol=1e-12)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(quaternions)
 def test_matrix_and_logarithm_lead_back(q):
     assert same_rotation(quat.from_matrix(quat.to_matrix(q)), q)
@@ -66,6 +70,7 @@ def test_half_turns_survive_the_matrix(axis):
     assert same_rotation(quat.from_matrix(quat.to_matrix(q)), q)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(quaternions)
 def test_canonical_has_no_negative_scalar_part(q):
     assert quat.canonical(q)[0] >= 0.0
@@ -73,6 +78,7 @@ def test_canonical_has_no_negative_scalar_part(q):
     assert same_rotation(quat.canonical(q), q)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(quaternions, quaternions)
 def test_angle_between_agrees_with_scipy(a, b):
     expected = (reference(a).inv() * reference(b)).magnitude()
@@ -80,6 +86,7 @@ def test_angle_between_agrees_with_scipy(a, b):
     assert quat.angle_between(a, -b) == pytest.approx(expected, abs=1e-7)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(quaternions, quaternions, st.floats(0.0, 1.0))
 def test_slerp_divides_the_angle(a, b, fraction):
     whole = quat.angle_between(a, b)

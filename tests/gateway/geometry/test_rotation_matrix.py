@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -13,6 +13,7 @@ vectors = st.tuples(numbers, numbers, numbers).map(np.array)
 directions = vectors.filter(lambda v: np.linalg.norm(v) > 0.1)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(vectors)
 def test_exponential_agrees_with_scipy(r):
     np.testing.assert_allclose(
@@ -20,6 +21,7 @@ def test_exponential_agrees_with_scipy(r):
     )
 
 
+@settings(deadline=None)  # the first call compiles
 @given(directions, st.floats(1e-9, 3.0), vectors)
 def test_increment_is_the_logarithm_of_the_product(axis, angle, start):
     r = angle * axis / np.linalg.norm(axis)
@@ -33,6 +35,7 @@ def test_increment_of_nothing_is_zero():
     np.testing.assert_array_equal(rotation_matrix.increment(R, R), np.zeros(3))
 
 
+@settings(deadline=None)  # the first call compiles
 @given(vectors, vectors)
 def test_rotating_agrees_with_the_product(r, v):
     R = Rotation.from_rotvec(r).as_matrix()
@@ -41,6 +44,7 @@ def test_rotating_agrees_with_the_product(r, v):
     np.testing.assert_allclose(rotation_matrix.multiply(R, R), R @ R, atol=1e-14)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(vectors, directions, directions)
 def test_two_vectors_give_the_rotation_back(r, primary, secondary):
     sine = np.linalg.norm(np.cross(primary, secondary)) / np.linalg.norm(primary) / np.linalg.norm(secondary)

@@ -1,0 +1,96 @@
+"""Simulated motion with known truth, as frames for a reconstructor or through the whole wire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from devices.emulators.bodies import EmulatedBody
+from devices.emulators.ideal_sensors import sense
+from devices.emulators.imperfections import Imperfections
+from devices.emulators.motions import BodyMotion
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.link import Chunk, Framing
+from gateway.assembly import AssemblyParams
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit, field_vector
+from gateway.comparison import orientation_error, rmse_deg
+from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame
+from gateway.pipeline import Pipeline
+from gateway.stream import ClockMode
+
+LINK = "simulated"
+DIP_DEG = 25.0
+"""Of the simulated field where the method itself is tried, not its weakness in steep fields."""
+
+
+PLACEMENTS = {
+    "on the joints": (0.0, 0.0, 0.0),
+    "0.12 m beside the joints": (0.12, 0.05, 0.0),
+    "0.12 m up the links": (0.03, 0.0, 0.12),
+}
+"""Where each module sits on its link, from the proximal joint, m; neutral links stand upright."""
+
+
+def arm(position: tuple[float, float, float]) -> WornSuit:
+    """The shipped robot arm with all modules at the same place of their links."""
+    suit = load_rig("robot_arm_4")
+    lever_arms = np.tile(position, (suit.skeleton.n_segments, 1))
+    return replace(suit, lever_arms=lever_arms, magnetic_field=field_vector(50.0, DIP_DEG))
+
+
+def ideal_frames(
+    suit: WornSuit, body: EmulatedBody, motion: BodyMotion, times_ns: IntArray, has_gyrometers: bool
+) -> Iterator[ImuFrame]:
+    """Noise-free frames at given times, in sensor axes, in the order of the rig's modules.
+
+    Computed in extended precision where the machine has it, and rounded once: the sensors' values are
+    then exact to the last bit, which the method without gyrometers can tell.
+    """
+    n = len(suit.module_ids)
+    R_bs = Rotation.from_quat(body.sensor_to_segment, scalar_first=True).as_matrix()
+    state = motion.state(times_ns / np.longdouble(1e9))
+    values = sense(state, body.module_positions, R_bs, suit.gravity, suit.magnetic_field)
+    for k, time_ns in enumerate(times_ns):
+        yield ImuFrame(
+            sequence=k,
+            time_ns=int(time_ns),
+            specific_force=values.specific_force[k].astype(np.float64),
+            angular_rate=values.angular_rate[k].astype(np.float64)
+            if has_gyrometers
+            else np.full((n, 3), np.nan),
+            magnetic_field=values.magnetic_field[k].astype(np.float64),
+            status=np.zeros(n, dtype=np.uint8),
+            gap_ns=np.zeros(n, dtype=np.int64),
+        )
+
+
+def through_the_wire(
+    suit: WornSuit,
+    motion: BodyMotion,
+    imperfections: Imperfections,
+    reconstructor: str,
+    seconds: float,
+    seed: int,
+) -> list[SkeletonFrame]:
+    """Skeleton frames of an emulated suit at 100 Hz with all its errors, bytes and all."""
+    settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field, is_fine=True)
+    traffic = SuitTraffic(motion, settings, imperfections, seed)
+    params = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
+    pipeline = Pipeline(suit, params, reconstructor, ClockMode.ESTIMATED)
+    pipeline.add_link(LINK, Framing.BYTE_STREAM)
+    frames: list[SkeletonFrame] = []
+    for sent in traffic.transmissions(seconds):
+        frames += pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), LINK))
+    return frames
+
+
+def errors_deg(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float) -> FloatArray:
+    """RMSE of each segment against the truth, degrees, (n_segments,); frames before ``from_s`` left out."""
+    times_s = np.array([frame.time_ns for frame in frames]) * 1e-9
+    settled = times_s >= from_s
+    q_wb = np.stack([frame.q_wb for frame in frames])[settled]
+    return rmse_deg(orientation_error(q_wb, motion.state(times_s[settled]).q_wb).total)

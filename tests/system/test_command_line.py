@@ -1,0 +1,230 @@
+"""The commands as a user types them, each in a process of its own."""
+
+import contextlib
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+pytestmark = pytest.mark.system
+
+
+def gateway(*arguments, timeout=60):
+    """Exit code, standard output, standard error."""
+    done = subprocess.run(
+        [sys.executable, "-m", "gateway", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@contextlib.contextmanager
+def running(*arguments):
+    """A command in the background; its output in ``process.lines`` files."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "gateway", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+            process.wait(10)
+
+
+def stderr_until(process, pattern, timeout_s=30.0):
+    """Lines of standard error up to the one that matches."""
+    lines, deadline = [], time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        line = process.stderr.readline()
+        lines.append(line)
+        if re.search(pattern, line):
+            return lines
+        if not line and process.poll() is not None:
+            break
+    pytest.fail(f"'{pattern}' was not said:\n{''.join(lines)}")
+
+
+def write_config(folder, port, url, **changes):
+    settings = {
+        "gateway": "lab",
+        "links": [{"name": "suit", "url": str(url)}],
+        "rig": "robot_arm_4",
+        "mqtt": {"port": port},
+    }
+    path = folder / "gateway.yaml"
+    path.write_text(yaml.safe_dump(settings | changes))
+    return path
+
+
+def test_the_shipped_configuration_is_good():
+    config = Path(__file__).parents[2] / "config" / "gateway.yaml"
+    code, out, _ = gateway("config", "check", config)
+    assert code == 0
+    assert "is good" in out
+    assert "17 modules on body 'human_17'" in out
+
+
+def test_the_schema_describes_every_setting():
+    code, out, _ = gateway("config", "schema")
+    schema = json.loads(out)
+    assert code == 0
+    assert {"gateway", "links", "rig", "reconstructor", "clock", "assembly", "mqtt"} <= set(
+        schema["properties"]
+    )
+
+
+def test_help_has_an_example_for_every_command():
+    for command in ("demo", "run", "emulate", "watch"):
+        code, out, _ = gateway(command, "--help")
+        assert code == 0
+        assert f"Example: mocap-gateway {command}" in out
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"asembly": {"rate_hz": 100}}, r"unknown setting 'asembly' \(did you mean 'assembly'\?\)"),
+        ({"assembly": {"rate": 100}}, r"unknown setting 'assembly\.rate' \(did you mean 'rate_hz'\?\)"),
+        ({"assembly": {"rate_hz": 0}}, r"'assembly\.rate_hz' is 0: .*greater than 0"),
+        ({"rig": "suit_71"}, r"'suit_71'.*did you mean 'suit_17'"),
+        ({"reconstructor": "articulate"}, r"no such reconstructor \(did you mean 'articulated'\?\)"),
+        ({"links": [{"name": "a", "url": "serail:///dev/ttyUSB0"}]}, r"serail.*serial"),
+        ({"mqtt": {"password": "hunter2"}}, r"set MOCAP_MQTT_PASSWORD or password_file"),
+    ],
+)
+def test_a_wrong_configuration_is_one_clear_line(tmp_path, changes, said):
+    code, out, err = gateway("config", "check", write_config(tmp_path, 1883, "/dev/null", **changes))
+    assert code == 1
+    assert re.search(said, err), err
+    assert len(err.strip().splitlines()) == 1
+    assert "hunter2" not in out + err
+    assert "Traceback" not in err
+
+
+def test_a_wrong_link_ends_the_service_before_anything_is_opened(tmp_path):
+    code, _, err = gateway("run", "-c", write_config(tmp_path, 1883, "serail:///dev/ttyUSB0"))
+    assert code == 1
+    assert err == "mocap-gateway: serail:///dev/ttyUSB0: unknown scheme 'serail'; did you mean 'serial'?\n"
+
+
+def test_a_rig_with_an_unknown_segment_names_the_nearest(tmp_path):
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("body: human_17\nmodules:\n  - {id: 0, segment: left_tigh}\n")
+    code, _, err = gateway("run", "-c", write_config(tmp_path, 1883, "/dev/null", rig=str(rig)))
+    assert code == 1
+    assert re.search(r"rig\.yaml: module 0 sits on 'left_tigh'.*did you mean 'left_thigh'", err)
+
+
+def test_absent_port_and_broker_are_said_once_and_awaited(tmp_path, unused_port):
+    config = write_config(tmp_path, unused_port, "/dev/ttyABSENT")
+    with running("run", "-c", config) as process:
+        lines = stderr_until(process, "no MQTT broker at")
+        time.sleep(1.0)
+        process.send_signal(signal.SIGTERM)
+        _, rest = process.communicate(timeout=10)
+    said = "".join(lines) + rest
+    assert process.returncode == 0
+    assert said.count("/dev/ttyABSENT: no such port; ports present") == 1
+    assert said.count("is mosquitto running?") == 1
+    assert "Traceback" not in said
+
+
+def test_a_busy_port_is_named_with_its_holder(tmp_path, unused_port):
+    suit = tmp_path / "suit"
+    with running("emulate", "--rig", "robot_arm_4", "--on", "pty", "--link", suit, "--json") as emulator:
+        assert json.loads(emulator.stdout.readline())["url"] == str(suit)
+        config = write_config(tmp_path, unused_port, suit)
+        with running("run", "-c", config) as first:
+            stderr_until(first, "suit: up")
+            with running("run", "-c", config) as second:
+                (line,) = [x for x in stderr_until(second, "suit: down") if "suit: down" in x]
+    assert re.search(rf"(busy|in use|held).*{first.pid}", line), line
+
+
+def test_a_busy_broker_port_of_the_embedded_broker_is_one_line(tmp_path, mosquitto):
+    config = write_config(
+        tmp_path, mosquitto.port, "/dev/ttyABSENT", mqtt={"broker": "embedded", "port": mosquitto.port}
+    )
+    code, _, err = gateway("run", "-c", config)
+    assert code == 1
+    assert re.search(rf"mocap-gateway: .*{mosquitto.port}", err), err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("medium", ["pty", "tcp", "slcan"])
+def test_emulate_run_and_watch_work_together(tmp_path, mosquitto, unused_port, medium):
+    where = ["--port", unused_port] if medium == "tcp" else ["--link", tmp_path / "suit"]
+    emulate = ["emulate", "--rig", "robot_arm_4", "--on", medium, *where, "--json"]
+    with running(*emulate) as emulator:
+        url = json.loads(emulator.stdout.readline())["url"]
+        with running("run", "-c", write_config(tmp_path, mosquitto.port, url)):
+            code, out, err = gateway(
+                "watch", "--port", mosquitto.port, "--count", 20, "--json", "--timeout", 30
+            )
+    assert code == 0, err
+    poses = [json.loads(line) for line in out.splitlines()]
+    assert len(poses) == 20
+    assert set(poses[-1]["segments"]) == {"link_1", "link_2", "link_3", "link_4"}
+    assert set(poses[-1]["status"].values()) <= {"measured", "interpolated", "held"}
+
+
+def test_the_demo_prints_poses_and_their_error(unused_port):
+    code, out, err = gateway("demo", "--seconds", 8, "--port", unused_port, timeout=110)
+    assert code == 0, err
+    assert len(re.findall(r"^pose +\d+ .*latency", out, flags=re.MULTILINE)) >= 5
+    total, inclination, _ = map(float, re.search(r"mean +│ +([\d.]+) │ +([\d.]+) │ +([\d.]+)", out).groups())
+    assert inclination < 3.0
+    assert total < 6.0
+
+
+def test_a_recording_is_played_as_if_modules_sent_it(tmp_path, mosquitto, recording_set, unused_port):
+    trial = recording_set("ring_chain5") / "trial1"
+    emulate = [
+        "emulate",
+        "--recording",
+        trial,
+        "--format",
+        "ring_chain5",
+        "--on",
+        "tcp",
+        "--port",
+        unused_port,
+    ]
+    with running(*emulate, "--json") as emulator:
+        url = json.loads(emulator.stdout.readline())["url"]
+        config = write_config(
+            tmp_path, mosquitto.port, url, rig="chain_5", assembly={"rate_hz": 40}, clock={"mode": "shared"}
+        )
+        with running("run", "-c", config):
+            code, out, err = gateway(
+                "watch", "--port", mosquitto.port, "--count", 5, "--json", "--timeout", 30
+            )
+    assert code == 0, err
+    assert len(json.loads(out.splitlines()[-1])["segments"]) == 5
+
+
+def test_wrong_recordings_are_one_line(tmp_path):
+    broken = tmp_path / "broken.mat"
+    broken.write_bytes(os.urandom(200))
+    for path, kind, said in (
+        (tmp_path / "absent.mat", "broad", "absent.mat cannot be read as broad"),
+        (broken, "broad", "broken.mat cannot be read as broad"),
+        (broken, "brod", r"--format brod: unknown \(did you mean 'broad'"),
+    ):
+        code, _, err = gateway("emulate", "--recording", path, "--format", kind)
+        assert code == 1
+        assert re.search(said, err), err
+        assert "Traceback" not in err
