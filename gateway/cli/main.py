@@ -12,6 +12,7 @@ from devices.device_errors import DeviceError
 from devices.link import LinkError
 from gateway.cli.configuration import config_app
 from gateway.cli.demo import demo
+from gateway.cli.doctor import doctor
 from gateway.cli.emulate import emulate
 from gateway.cli.modules import modules_app
 from gateway.cli.run import run
@@ -25,10 +26,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command(epilog="Example: mocap-gateway demo --seconds 20 --body human")(demo)
+app.command(epilog="Example: mocap-gateway demo --seconds 20 --rig robot_arm_4")(demo)
 app.command(epilog="Example: mocap-gateway run -c config/gateway.yaml")(run)
 app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link /tmp/suit")(emulate)
 app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
+app.command(epilog="Example: mocap-gateway doctor -c config/gateway.yaml")(doctor)
 app.add_typer(modules_app, name="modules")
 app.add_typer(config_app, name="config")
 
