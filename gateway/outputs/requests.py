@@ -21,7 +21,13 @@ from devices.device_errors import DeviceError
 from devices.link import LinkError
 from gateway.errors import GatewayError, nearest
 from gateway.outputs import topics
-from gateway.outputs.connection import Backoff, broker_connection, explain, unique_identifier
+from gateway.outputs.connection import (
+    Backoff,
+    broker_connection,
+    end_tasks,
+    explain,
+    unique_identifier,
+)
 from gateway.outputs.request_messages import (
     RequestProblem,
     ResponseMessage,
@@ -76,9 +82,7 @@ class RequestResponder:
 
     async def stop(self) -> None:
         """End at once; a request under way is not answered any more."""
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await end_tasks(*self._tasks)
         self._tasks = []
 
     async def _listen_for_ever(self, port: int) -> None:

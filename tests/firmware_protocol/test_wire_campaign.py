@@ -12,7 +12,6 @@ from benchmarks import wire_campaign
 from firmware_protocol import CanFrameDecoder, Defect, FrameDecoder
 from firmware_protocol.framing import Entry
 
-
 N_FRAMES = 1_000_000 if os.environ.get("CI") else 100_000
 """``make soak`` runs ten million; continuous integration a tenth of them."""
 
