@@ -25,7 +25,16 @@ from firmware_protocol import (
     PacketDecoder,
     ReceivedPacket,
 )
-from gateway.clock import EstimatedClock, ModuleClock, SharedClock, SharedOffset
+from gateway.clocks import (
+    ClockTable,
+    EstimatedClock,
+    LinkBatching,
+    ModuleClock,
+    SharedClock,
+    SharedOffset,
+    TableClocks,
+    warm_up,
+)
 from gateway.frames import InertialReading, LocalReading, Quantity
 from gateway.statistics import ModuleRecord, SequenceCounter
 
@@ -39,24 +48,33 @@ class ClockMode(StrEnum):
     """Every module has its own crystal: rate and offset are estimated from arrival times."""
     SHARED = "shared"
     """All modules count one clock already (wired suit, one controller): one offset for all."""
+    TABLE = "table"
+    """Rates come from a table measured beforehand (`calibrate clocks`), offsets from arrival times."""
 
 
 class Stream:
     """Decodes, counts and timestamps. Bytes are untrusted: nothing here raises for what they hold."""
 
-    def __init__(self, clock_mode: ClockMode = ClockMode.ESTIMATED) -> None:
+    def __init__(
+        self, clock_mode: ClockMode = ClockMode.ESTIMATED, clock_table: ClockTable | None = None
+    ) -> None:
         self.modules: dict[int, ModuleRecord] = {}
         self._decoders: dict[str, PacketDecoder] = {}
-        self._new_clock = _clock_factory(clock_mode)
+        self._batching: dict[str, LinkBatching] = {}
+        self._arriving = LinkBatching()  # of the link that the chunk in hand came over
+        self._new_clock = _clock_factory(clock_mode, clock_table)
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
         frames = FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder()
         self._decoders[name] = PacketDecoder(frames)
+        self._batching[name] = LinkBatching()
 
     def receive(self, chunk: Chunk) -> list[Reading]:
         """The readings that a chunk completes, in order of arrival."""
         readings = []
+        self._arriving = self._batching[chunk.link]
+        self._arriving.observe(chunk.arrived_ns)
         for packet in self._decoders[chunk.link].feed(chunk.data):
             reading = self._read(packet, chunk.arrived_ns)
             if reading is not None:
@@ -71,7 +89,7 @@ class Stream:
     def _read(self, received: ReceivedPacket, arrived_ns: int) -> Reading | None:
         record = self.modules.get(received.module)
         if record is None:
-            record = ModuleRecord(received.module, self._new_clock())
+            record = ModuleRecord(received.module, self._new_clock(received.module, self._arriving))
             self.modules[received.module] = record
         restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(received.module_time_us, arrived_ns)
@@ -88,11 +106,15 @@ class Stream:
         return _HANDLERS[type(received.packet)](record, received.packet, sequence, time_ns)
 
 
-def _clock_factory(mode: ClockMode) -> Callable[[], ModuleClock]:
+def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, LinkBatching], ModuleClock]:
     if mode is ClockMode.SHARED:
         shared = SharedOffset()
-        return lambda: SharedClock(shared)
-    return EstimatedClock
+        return lambda _module, _batching: SharedClock(shared)
+    warm_up()
+    if mode is ClockMode.TABLE and table is not None:
+        clocks = TableClocks(table)
+        return clocks.clock
+    return lambda _module, batching: EstimatedClock(batching)
 
 
 def _inertial(

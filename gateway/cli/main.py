@@ -9,6 +9,7 @@ import typer
 
 import gateway
 from devices.link import LinkError
+from gateway.cli.calibrate_clocks import calibrate_app
 from gateway.cli.configuration import config_app
 from gateway.cli.demo import demo
 from gateway.cli.emulate import emulate
@@ -27,6 +28,7 @@ app.command(epilog="Example: mocap-gateway demo --seconds 20 --body human")(demo
 app.command(epilog="Example: mocap-gateway run -c config/gateway.yaml")(run)
 app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link /tmp/suit")(emulate)
 app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
+app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(config_app, name="config")
 
 
