@@ -7,13 +7,14 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test lint bench install install-dev mosquitto lock clean
+.PHONY: help demo test lint bench soak install install-dev mosquitto lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live orientations and their error"
 	@echo "make test    install what the tests need (mosquitto too, where apt may) and run them"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   measure, and rewrite the figures in docs/"
+	@echo "make soak    ten million wire frames, damaged and good, through the decoders"
 	@echo "make lock    pin the dependencies anew"
 
 $(VENV)/pyvenv.cfg:
@@ -61,6 +62,9 @@ test: install-dev mosquitto lint
 
 bench: install-dev mosquitto
 	$(BIN)/python -m benchmarks all --write-docs
+
+soak: install-dev
+	$(BIN)/python -m benchmarks.wire_campaign --frames 10000000
 
 lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv

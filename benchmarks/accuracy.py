@@ -108,7 +108,7 @@ def _add_convergence(report: Report) -> None:
     report.tables.append(
         "### Literal method, noise-free arm of 4 links, 3 rad/s and 20 rad/s² at the peaks: RMSE, degrees\n\n"
         "The starting pose is given. Without gyrometers two limits show: rounding of double precision, "
-        "amplified by every rank and by 1/Δt² (on the joints, rank 4, from 800 Hz on), and places of the "
+        "amplified by every rank and by 1/Δt² (on the joints, rank 4, beyond 800 Hz), and places of the "
         "module from which the equations cannot hold the heading (up an upright link).\n\n"
         + table(heads, rows)
     )
@@ -123,11 +123,11 @@ def _literal_figure(place: str, gyro: str, errors: FloatArray) -> Figure:
 
 def _literal_errors(suit: WornSuit, motion: BodyMotion, rate_hz: float, has_gyrometers: bool) -> FloatArray:
     """RMSE of each segment over 1 s to 6 s, degrees."""
-    times_s = np.arange(round(6.0 * rate_hz)) / rate_hz
-    first = motion.state(times_s[:1])
+    times_ns = np.arange(round(6.0 * rate_hz)) * round(1e9 / rate_hz)
+    first = motion.state(0.0)
     pose = StartingPose(first.q_wb[0], first.angular_rate[0])
     reconstructor = ArticulatedReconstructor(suit, 1.0 / rate_hz, starting_pose=pose)
-    imu_frames = ideal_frames(suit, dress(suit), motion, times_s, has_gyrometers)
+    imu_frames = ideal_frames(suit, dress(suit), motion, times_ns, has_gyrometers)
     return errors_deg([reconstructor.update(frame) for frame in imu_frames], motion, from_s=1.0)
 
 

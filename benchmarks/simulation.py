@@ -18,7 +18,7 @@ from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit, field_vector
 from gateway.comparison import orientation_error, rmse_deg
-from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
+from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.stream import ClockMode
 
@@ -43,20 +43,26 @@ def arm(position: tuple[float, float, float]) -> WornSuit:
 
 
 def ideal_frames(
-    suit: WornSuit, body: EmulatedBody, motion: BodyMotion, times_s: FloatArray, has_gyrometers: bool
+    suit: WornSuit, body: EmulatedBody, motion: BodyMotion, times_ns: IntArray, has_gyrometers: bool
 ) -> Iterator[ImuFrame]:
-    """Noise-free frames at given times, in sensor axes, in the order of the rig's modules."""
+    """Noise-free frames at given times, in sensor axes, in the order of the rig's modules.
+
+    Computed in extended precision where the machine has it, and rounded once: the sensors' values are
+    then exact to the last bit, which the method without gyrometers can tell.
+    """
     n = len(suit.module_ids)
     R_bs = Rotation.from_quat(body.sensor_to_segment, scalar_first=True).as_matrix()
-    state = motion.state(times_s)
+    state = motion.state(times_ns / np.longdouble(1e9))
     values = sense(state, body.module_positions, R_bs, suit.gravity, suit.magnetic_field)
-    for k, time_s in enumerate(times_s):
+    for k, time_ns in enumerate(times_ns):
         yield ImuFrame(
             sequence=k,
-            time_ns=round(float(time_s) * 1e9),
-            specific_force=values.specific_force[k],
-            angular_rate=values.angular_rate[k] if has_gyrometers else np.full((n, 3), np.nan),
-            magnetic_field=values.magnetic_field[k],
+            time_ns=int(time_ns),
+            specific_force=values.specific_force[k].astype(np.float64),
+            angular_rate=values.angular_rate[k].astype(np.float64)
+            if has_gyrometers
+            else np.full((n, 3), np.nan),
+            magnetic_field=values.magnetic_field[k].astype(np.float64),
             status=np.zeros(n, dtype=np.uint8),
             gap_ns=np.zeros(n, dtype=np.int64),
         )

@@ -35,6 +35,7 @@ from firmware_protocol.framing import (
     HEADER_FIELDS,
     PROTOCOL_VERSION,
     Defect,
+    Entry,
     WireFrame,
     parse,
     serialize,
@@ -81,9 +82,10 @@ _OWN_PATTERN = EXTENDED | PROTOCOL_VERSION << IDENTIFIER_SHIFT["version"]
 _IDENTITY = struct.Struct("<BBB")
 _HEAD = struct.Struct(BYTE_ORDER + "".join(f.struct_format for f in HEAD_FIELDS))
 _LENGTH_OFFSET = _HEAD.size - 1
-_OVERHEAD = _HEAD.size + CHECKSUM_FIELD.size
+OVERHEAD = _HEAD.size + CHECKSUM_FIELD.size
+"""Bytes of the joined pieces beside the body."""
 _MAX_PADDING = max(longer - shorter for shorter, longer in pairwise(FD_LENGTHS)) - 1
-MAX_CLASSIC_BODY_SIZE = MAX_PIECES * CLASSIC_DATA_SIZE - _OVERHEAD
+MAX_CLASSIC_BODY_SIZE = MAX_PIECES * CLASSIC_DATA_SIZE - OVERHEAD
 
 
 def fragment(frame: WireFrame, fd: bool = False) -> list[CanFrame]:
@@ -100,7 +102,7 @@ def fragment(frame: WireFrame, fd: bool = False) -> list[CanFrame]:
     pieces = [payload[start : start + size] for start in range(0, len(payload), size)]
     if fd:
         pieces[-1] = pieces[-1].ljust(_fd_length(len(pieces[-1])), b"\x00")
-    base = _identifier_base(frame)
+    base = identifier(frame.kind, frame.module, version=frame.version)
     last = len(pieces) - 1
     return [
         CanFrame(base | (_LAST if index == last else 0) | index, piece, is_fd=fd, bitrate_switch=fd)
@@ -108,23 +110,28 @@ def fragment(frame: WireFrame, fd: bool = False) -> list[CanFrame]:
     ]
 
 
+def identifier(
+    kind: int, module: int, index: int = 0, is_last: bool = False, version: int = PROTOCOL_VERSION
+) -> int:
+    """The identifier of one piece. Raises ValueError, naming it, for a number that does not fit."""
+    parts = {
+        "priority": CAN_PRIORITY.get(kind, LOWEST_CAN_PRIORITY),
+        "kind": kind,
+        "module": module,
+        "version": version,
+        "last": int(is_last),
+        "index": index,
+    }
+    for name, part in parts.items():
+        if part << IDENTIFIER_SHIFT[name] > _MASK[name]:
+            raise ValueError(f"{name} {part} does not fit a CAN identifier")
+    return sum(part << IDENTIFIER_SHIFT[name] for name, part in parts.items())
+
+
 def _payload(frame: WireFrame) -> bytes:
     raw = serialize(frame)
     head_end = _IDENTITY.size + _LENGTH_OFFSET
     return raw[_IDENTITY.size : head_end] + bytes([len(frame.body)]) + raw[head_end:]
-
-
-def _identifier_base(frame: WireFrame) -> int:
-    parts = {
-        "priority": CAN_PRIORITY.get(frame.kind, LOWEST_CAN_PRIORITY),
-        "kind": frame.kind,
-        "module": frame.module,
-        "version": frame.version,
-    }
-    too_large = [name for name, part in parts.items() if part << IDENTIFIER_SHIFT[name] > _MASK[name]]
-    if too_large:
-        raise ValueError(f"{frame}: {too_large[0]} does not fit a CAN identifier")
-    return sum(part << IDENTIFIER_SHIFT[name] for name, part in parts.items())
 
 
 def _fd_length(size: int) -> int:
@@ -149,44 +156,47 @@ class CanFrameDecoder:
 
     def feed(self, chunk: bytes) -> list[WireFrame]:
         """The wire frames that this chunk completes, in order."""
+        return [WireFrame(*entry) for entry in self.entries(chunk)]
+
+    def entries(self, chunk: bytes) -> list[Entry]:
+        """The same as plain tuples."""
         records, is_broken = split_records(chunk)
-        frames = []
+        entries: list[Entry] = []
         for flagged_identifier, fd_flags, data in records:
             if flagged_identifier & _OWN_MASK != _OWN_PATTERN:
                 self.dropped[Defect.FOREIGN] += 1
-            elif (frame := self._take(flagged_identifier, data, bool(fd_flags & FD))) is not None:
-                frames.append(frame)
+                continue
+            stream = (flagged_identifier & _STREAM_MASK) >> _STREAM_SHIFT
+            index = flagged_identifier & _INDEX_MASK
+            pieces = self._partial.get(stream)
+            if not index or pieces is None or len(pieces) != index:
+                pieces = self._pieces_before(stream, index)
+            if pieces is not None:
+                pieces.append(data)
+            if flagged_identifier & _LAST:
+                self._finish(stream, bool(fd_flags & FD), entries)
         if is_broken:
             self.dropped[Defect.TRUNCATED] += 1
-        self.accepted += len(frames)
-        return frames
+        self.accepted += len(entries)
+        return entries
 
-    def _take(self, identifier: int, data: bytes, is_fd: bool) -> WireFrame | None:
-        """The wire frame that this piece completes, if it completes one."""
-        stream = (identifier & _STREAM_MASK) >> _STREAM_SHIFT
-        pieces = self._pieces_before(stream, identifier & _INDEX_MASK)
-        if pieces is not None:
-            pieces.append(data)
-        if not identifier & _LAST:
-            return None
-        del self._partial[stream]
+    def _finish(self, stream: int, is_fd: bool, entries: list[Entry]) -> None:
+        """After a last piece: adds the wire frame, or counts why there is none."""
+        pieces = self._partial.pop(stream)
         if pieces is None:
-            return None
-        frame = _reassemble(stream, b"".join(pieces), is_fd)
-        if type(frame) is Defect:
-            self.dropped[frame] += 1
-            return None
-        return frame
+            return
+        entry = _reassemble(stream, b"".join(pieces), is_fd)
+        if type(entry) is Defect:
+            self.dropped[entry] += 1
+        else:
+            entries.append(entry)
 
     def _pieces_before(self, stream: int, index: int) -> list[bytes] | None:
-        """The pieces before ``index``, or None when the wire frame is spoilt."""
+        """The pieces of a wire frame that begins, or None when this one does not follow the last."""
         if index == 0:
             self._forget(stream)
             return self._begin(stream, [])
-        pieces = self._partial.get(stream)
-        if pieces is not None and len(pieces) == index:
-            return pieces
-        if pieces is not None or stream not in self._partial:
+        if self._partial.get(stream) is not None or stream not in self._partial:
             self.dropped[Defect.LOST_FRAGMENT] += 1
             return self._begin(stream, None)
         return None
@@ -203,11 +213,11 @@ class CanFrameDecoder:
             self.dropped[Defect.LOST_FRAGMENT] += 1
 
 
-def _reassemble(stream: int, payload: bytes, is_fd: bool) -> WireFrame | Defect:
+def _reassemble(stream: int, payload: bytes, is_fd: bool) -> Entry | Defect:
     """The wire frame of one (kind, module) ``stream`` from its joined pieces."""
-    if len(payload) < _OVERHEAD:
+    if len(payload) < OVERHEAD:
         return Defect.TOO_SHORT
-    end = _OVERHEAD + payload[_LENGTH_OFFSET]
+    end = OVERHEAD + payload[_LENGTH_OFFSET]
     if not 0 <= len(payload) - end <= (_MAX_PADDING if is_fd else 0):
         return Defect.BAD_LENGTH
     identity = _IDENTITY.pack(PROTOCOL_VERSION, stream >> 8, stream & 0xFF)

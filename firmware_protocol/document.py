@@ -9,10 +9,17 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Iterable, Sequence
 
 from firmware_protocol import can_framing
-from firmware_protocol.fields import INTEGER_RANGE, Layout, MaskFlag, WireField, layout_of
+from firmware_protocol.document_commands import (
+    command_section,
+    flash_section,
+    setting_section,
+    transfer_section,
+    version_section,
+)
+from firmware_protocol.document_tables import body_field, fixed_table, flag_table, masked_table, table
+from firmware_protocol.fields import layout_of
 from firmware_protocol.framing import (
     CHECKSUM_FIELD,
     HEADER_FIELDS,
@@ -22,11 +29,12 @@ from firmware_protocol.framing import (
     serialize,
 )
 from firmware_protocol.golden_defects import GOOD
-from firmware_protocol.kinds import CAN_PRIORITY, LOWEST_CAN_PRIORITY, Kind
+from firmware_protocol.kinds import CAN_PRIORITY, FROM_HOST, LOWEST_CAN_PRIORITY, Kind
 from firmware_protocol.packets import PACKETS, Packet
 from firmware_protocol.prose import (
     BYTE_STREAM,
     CAN,
+    DBC,
     HISTORY,
     INTRODUCTION,
     RELAY,
@@ -42,73 +50,53 @@ def render() -> str:
     sections = [
         INTRODUCTION,
         "## Wire frame",
-        _fixed_table((*HEADER_FIELDS, _body("what the kind says"), CHECKSUM_FIELD)),
+        fixed_table((*HEADER_FIELDS, body_field("what the kind says"), CHECKSUM_FIELD)),
         f"The largest wire frame is {MAX_FRAME_SIZE} bytes before stuffing.",
         BYTE_STREAM,
         _worked_example(),
         "## Kinds",
         _kind_table(),
-        "A receiver accepts a body of exactly the length that its kind and mask demand.",
+        "A receiver accepts a body of exactly the length that its kind and mask demand. It counts kinds that "
+        "it does not know and skips them. The header of a kind that the host sends names the module that is "
+        "meant: 0 to 63, 254 the relay, 255 all of them.",
         *(_packet_section(packet_class) for packet_class in PACKETS.values()),
         _relay_section(),
+        command_section(),
+        setting_section(),
+        flash_section(),
         _can_section(),
+        transfer_section(),
+        DBC,
+        version_section(),
         RULES,
         "## What a receiver drops, and how it counts it",
-        _table(("Reason", "What was wrong"), ((defect.name, defect.value) for defect in Defect)),
+        table(("Reason", "What was wrong"), ((defect.name, defect.value) for defect in Defect)),
         VECTORS,
         HISTORY,
     ]
     return "\n\n".join(section.strip() for section in sections) + "\n"
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
-
-
-def _fixed_table(declared: Sequence[WireField]) -> str:
-    """Fields that are always there, with their offsets up to one of unknown size."""
-    has_steps = any(f.scale is not None for f in declared)
-    head = ("Offset", "Field", "Type", "Unit", *(("One step",) if has_steps else ()), "Meaning")
-    rows = []
-    offset: int | None = 0
-    for f in declared:
-        step = (_scale(f),) if has_steps else ()
-        rows.append((_offset(offset), f"`{f.name}`", _type_name(f), f.unit, *step, _meaning(f)))
-        offset = None if offset is None or f.count == 0 else offset + f.size
-    return _table(head, rows)
-
-
-def _offset(offset: int | None) -> str:
-    return "then" if offset is None else str(offset)
-
-
-def _body(sentence: str) -> WireField:
-    return WireField(name="body", code="s", count=0, sentence=sentence.capitalize() + ".")
-
-
-def _type_name(declared: WireField) -> str:
-    return declared.type_name if declared.count else "bytes"
-
-
 def _kind_table() -> str:
     rows = [
-        (f"0x{kind:02X}", f"`{kind.name}`", _sizes(kind), CAN_PRIORITY.get(kind, LOWEST_CAN_PRIORITY))
+        (
+            f"0x{kind:02X}",
+            f"`{kind.name}`",
+            "host" if kind in FROM_HOST else "module",
+            _sizes(kind),
+            CAN_PRIORITY.get(kind, LOWEST_CAN_PRIORITY),
+        )
         for kind in Kind
     ]
-    return _table(("Kind", "Name", "Body, bytes", "CAN priority"), rows)
+    return table(("Kind", "Name", "Sent by", "Body, bytes", "CAN priority"), rows)
 
 
 def _sizes(kind: Kind) -> str:
     if kind not in PACKETS:
         return "any"
     layout = layout_of(PACKETS[kind])
-    sizes = sorted({_body_size(layout, mask) for mask in layout.valid_masks()})
-    return ", ".join(map(str, sizes))
-
-
-def _body_size(layout: Layout, mask: int) -> int:
-    return int(layout.has_mask) + sum(f.size for f in layout.present(mask))
+    sizes = sorted({layout.sizes(mask) for mask in layout.valid_masks()})
+    return ", ".join(str(least) if least == most else f"{least} to {most}" for least, most in sizes)
 
 
 def _packet_section(packet_class: type[Packet]) -> str:
@@ -118,65 +106,17 @@ def _packet_section(packet_class: type[Packet]) -> str:
     if layout.has_mask:
         parts += [
             "The body begins with a `mask` (u8) and goes on with the fields whose bit is set, in this order:",
-            _masked_table(layout.fields),
+            masked_table(layout.fields),
             "The other bits of the mask:",
-            _flag_table(layout),
+            flag_table(layout),
         ]
     else:
-        parts.append(_fixed_table(layout.fields))
+        parts.append(fixed_table(layout.fields))
     return "\n\n".join(parts)
 
 
-def _masked_table(declared: Sequence[WireField]) -> str:
-    rows = [
-        (f.presence_bit, f"`{f.name}`", f.type_name, f.unit, _scale(f), _range(f), f.sentence)
-        for f in declared
-    ]
-    return _table(("Mask bit", "Field", "Type", "Unit", "One step", "Range", "Meaning"), rows)
-
-
-def _flag_table(layout: Layout) -> str:
-    used: dict[int, MaskFlag] = {f.bit: f for f in layout.flags}
-    taken = {f.presence_bit for f in layout.fields}
-    rows = [
-        (bit, f"`{used[bit].name}`" if bit in used else "reserved", _flag_meaning(used.get(bit)))
-        for bit in range(8)
-        if bit not in taken
-    ]
-    return _table(("Mask bit", "Flag", "Meaning when 1"), rows)
-
-
-def _flag_meaning(declared: MaskFlag | None) -> str:
-    if declared is None:
-        return "Always 0; a body with this bit set is dropped."
-    condition = f" Only with `{declared.clips}` present." if declared.clips else ""
-    return declared.sentence + condition
-
-
-def _scale(declared: WireField) -> str:
-    return "" if declared.scale is None else repr(declared.scale)
-
-
-def _range(declared: WireField) -> str:
-    limit = INTEGER_RANGE[declared.code][1] * (declared.scale or 1)
-    return f"±{limit:.6g}"
-
-
-def _meaning(declared: WireField) -> str:
-    parts = [declared.sentence]
-    if declared.meanings:
-        parts.append("; ".join(f"{number}: {meaning}" for number, meaning in declared.meanings.items()) + ".")
-    if declared.minimum is not None:
-        parts.append(f"At least {declared.minimum:g}.")
-    if declared.maximum is not None:
-        parts.append(f"At most {declared.maximum:g}.")
-    if declared.absent is not None:
-        parts.append(f"{declared.absent}: none or not known.")
-    return " ".join(parts)
-
-
 def _relay_section() -> str:
-    table = _fixed_table((*ENTRY_FIELDS, _body("as many bytes as length says")))
+    table = fixed_table((*ENTRY_FIELDS, body_field("as many bytes as length says")))
     return "\n\n".join([f"### 0x{Kind.RELAY_BATCH:02X} RelayBatch", RELAY.strip(), table])
 
 
@@ -192,15 +132,15 @@ def _worked_example() -> str:
 
 
 def _can_section() -> str:
-    identifier = _table(
+    identifier = table(
         ("Bits", "Part", "Meaning"),
         (
             (_bits(name), f"`{name}`", can_framing.IDENTIFIER_MEANINGS[name])
             for name, _ in can_framing.IDENTIFIER_BITS
         ),
     )
-    payload = _fixed_table(
-        (*can_framing.HEAD_FIELDS, _body("as many bytes as body_length says"), CHECKSUM_FIELD)
+    payload = fixed_table(
+        (*can_framing.HEAD_FIELDS, body_field("as many bytes as body_length says"), CHECKSUM_FIELD)
     )
     return CAN.format(
         identifier=identifier,

@@ -22,10 +22,14 @@ INTEGER_RANGE: Mapping[str, tuple[int, int]] = {
     "h": (-(2**15), 2**15 - 1),
     "I": (0, 2**32 - 1),
     "i": (-(2**31), 2**31 - 1),
+    "Q": (0, 2**64 - 1),
 }
 """Smallest and largest number that each integer layout code holds."""
 
 LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
+
+MAX_REST_SIZE = 4096
+"""Limit of a field that goes to the end and states none, bytes."""
 
 TYPE_NAMES: Mapping[str, str] = {
     "B": "u8",
@@ -34,6 +38,7 @@ TYPE_NAMES: Mapping[str, str] = {
     "h": "i16",
     "I": "u32",
     "i": "i32",
+    "Q": "u64",
     "f": "f32",
     "s": "bytes",
 }
@@ -49,7 +54,7 @@ class WireField:
     code: str
     """Layout code of one element, as in the ``struct`` module; ``s`` is a run of bytes."""
     count: int = 1
-    """How many elements follow one another."""
+    """How many elements follow one another; 0: as many bytes as there are to the end of the body."""
     unit: str = ""
     """Unit of the decoded value."""
     scale: float | None = None
@@ -60,6 +65,11 @@ class WireField:
     """Reserved element that stands for "not known", decoded to None."""
     minimum: float | None = None
     maximum: float | None = None
+    min_size: int = 0
+    max_size: int | None = None
+    """Bytes of a field that goes to the end of the body."""
+    is_text: bool = False
+    """Whether a run of bytes is UTF-8 text: of fixed size, with zeros after its end."""
     meanings: Mapping[int, str] = field(default_factory=dict)
     """The only values allowed, with what each stands for; empty: any."""
     sentence: str
@@ -67,28 +77,40 @@ class WireField:
 
     @property
     def struct_format(self) -> str:
-        """Layout code of the whole field, for ``struct`` (without byte order)."""
+        """Layout code of the whole field, for ``struct`` (without byte order); a rest has none."""
+        if self.is_rest:
+            return ""
         return self.code if self.count == 1 else f"{self.count}{self.code}"
 
     @property
+    def is_rest(self) -> bool:
+        """Whether the field goes to the end of the body. Only the last one may."""
+        return self.count == 0
+
+    @property
     def size(self) -> int:
-        """Bytes on the wire when present."""
+        """Bytes on the wire when present; of a rest, 0."""
         return struct.calcsize(BYTE_ORDER + self.struct_format)
 
     @property
     def type_name(self) -> str:
         """``i16[3]``, ``u8`` and so on."""
-        return TYPE_NAMES[self.code] + (f"[{self.count}]" if self.count > 1 else "")
+        name = "text" if self.is_text else TYPE_NAMES[self.code]
+        return name + (f"[{self.count}]" if self.count > 1 else "")
 
     @property
     def is_restricted(self) -> bool:
         """Whether some patterns of bytes are not values of this field."""
-        return bool(self.code == "f" or self.meanings or (self.minimum, self.maximum) != (None, None))
+        return bool(
+            self.code == "f" or self.is_text or self.meanings or (self.minimum, self.maximum) != (None, None)
+        )
 
     def accepts(self, value: Any) -> bool:
         """Whether a decoded value is finite, within the declared limits and of a declared meaning."""
         if value is None:
             return self.absent is not None
+        if self.code == "s":
+            return True
         return all(self._accepts_element(x) for x in (value if self.count > 1 else (value,)))
 
     def _accepts_element(self, x: float) -> bool:
@@ -133,6 +155,19 @@ class Layout:
         codes = ["B"] if self.has_mask else []
         return BYTE_ORDER + "".join(codes + [f.struct_format for f in self.present(mask)])
 
+    @property
+    def rest(self) -> WireField | None:
+        """The field that goes to the end of the body, if there is one."""
+        return self.fields[-1] if self.fields and self.fields[-1].is_rest else None
+
+    def sizes(self, mask: int = 0) -> tuple[int, int]:
+        """Least and largest size of a body with this mask, bytes."""
+        fixed = struct.calcsize(self.struct_format(mask))
+        if self.rest is None:
+            return fixed, fixed
+        largest = MAX_REST_SIZE if self.rest.max_size is None else self.rest.max_size
+        return fixed + self.rest.min_size, fixed + largest
+
     def valid_masks(self) -> tuple[int, ...]:
         """Every mask a sender may use: no reserved bit, nothing clipped that is absent."""
         if not self.has_mask:
@@ -146,6 +181,10 @@ class Layout:
             return False
         clipped = [flag.clips for flag in self.flags if flag.clips and mask >> flag.bit & 1]
         return all(mask >> presence[name] & 1 for name in clipped)
+
+
+OPEN = ""
+"""Layout code of a field of which each class states code and scale itself, in ``ELEMENTS``."""
 
 
 def wire(
@@ -165,7 +204,15 @@ def layout_of(packet_class: type[Any]) -> Layout:
     declared = [
         dataclasses.replace(f.metadata["wire"], name=f.name) for f in dataclasses.fields(packet_class)
     ]
+    elements: Mapping[str, tuple[str, float]] = getattr(packet_class, "ELEMENTS", {})
     return Layout(
-        fields=tuple(d for d in declared if isinstance(d, WireField)),
+        fields=tuple(_completed(d, elements) for d in declared if isinstance(d, WireField)),
         flags=tuple(d for d in declared if isinstance(d, MaskFlag)),
     )
+
+
+def _completed(declared: WireField, elements: Mapping[str, tuple[str, float]]) -> WireField:
+    if declared.code != OPEN:
+        return declared
+    code, scale = elements[declared.name]
+    return dataclasses.replace(declared, code=code, scale=scale)

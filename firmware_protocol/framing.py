@@ -36,7 +36,7 @@ HEADER_FIELDS = (
     WireField(
         name="module",
         code="B",
-        sentence="Sender: module 0 to 63, or 254 for a relay. 255 addresses all modules.",
+        sentence="Module that sends, or that the host means: 0 to 63, or 254 for a relay. 255: all of them.",
     ),
     WireField(name="sequence", code="H", sentence="Counts wire frames of one (module, kind), wraps to 0."),
     WireField(
@@ -90,6 +90,11 @@ class WireFrame:
     version: int = PROTOCOL_VERSION
 
 
+Entry = tuple[int, int, int, int, bytes]
+"""kind, module, sequence, module_time_us, body of a wire frame of our version: a plain tuple, because
+64 000 pass each second."""
+
+
 def serialize(frame: WireFrame) -> bytes:
     """The wire frame before stuffing, checksum included.
 
@@ -113,7 +118,7 @@ def encode_frame(frame: WireFrame) -> bytes:
     return bytes(cobs.encode(serialize(frame))) + DELIMITER
 
 
-def parse(raw: bytes) -> WireFrame | Defect:
+def parse(raw: bytes) -> Entry | Defect:
     """A wire frame from its bytes before stuffing."""
     if len(raw) < MIN_FRAME_SIZE:
         return Defect.TOO_SHORT
@@ -123,10 +128,10 @@ def parse(raw: bytes) -> WireFrame | Defect:
     version, kind, module, sequence, module_time_us = _HEADER.unpack_from(raw)
     if version != PROTOCOL_VERSION:
         return Defect.BAD_VERSION
-    return WireFrame(kind, module, sequence, module_time_us, content[_HEADER.size :])
+    return kind, module, sequence, module_time_us, content[_HEADER.size :]
 
 
-def unstuff(encoded: bytes) -> WireFrame | Defect:
+def unstuff(encoded: bytes) -> Entry | Defect:
     """A wire frame from the bytes between two delimiters."""
     if len(encoded) > MAX_STUFFED_SIZE:
         return Defect.OVERLONG
@@ -154,24 +159,28 @@ class FrameDecoder:
 
     def feed(self, chunk: bytes) -> list[WireFrame]:
         """The wire frames that this chunk completes, in order."""
+        return [WireFrame(*entry) for entry in self.entries(chunk)]
+
+    def entries(self, chunk: bytes) -> list[Entry]:
+        """The same as plain tuples."""
         *complete, self._partial = (self._partial + chunk).split(DELIMITER)
         if complete and self._skipping:
             # The rest of an overlong frame, which was counted when it grew too long.
             del complete[0]
             self._skipping = False
-        frames = []
+        entries: list[Entry] = []
         for encoded in complete:
             if not encoded:
                 continue  # two delimiters in a row: an idle line
-            frame = unstuff(encoded)
-            if type(frame) is Defect:
-                self.dropped[frame] += 1
+            entry = unstuff(encoded)
+            if type(entry) is Defect:
+                self.dropped[entry] += 1
             else:
-                frames.append(frame)
-        self.accepted += len(frames)
+                entries.append(entry)
+        self.accepted += len(entries)
         if self._skipping or len(self._partial) > MAX_STUFFED_SIZE:
             self._skip()
-        return frames
+        return entries
 
     def _skip(self) -> None:
         if not self._skipping:

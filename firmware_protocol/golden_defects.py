@@ -8,10 +8,10 @@ from typing import Any
 from firmware_protocol.can_framing import CanFrameDecoder, fragment
 from firmware_protocol.can_records import CanFrame, pack_can_records
 from firmware_protocol.framing import MAX_FRAME_SIZE, PROTOCOL_VERSION, FrameDecoder, encode_frame
+from firmware_protocol.golden_forms import received_as_json
 from firmware_protocol.packets import (
     InertialSample,
     PacketDecoder,
-    ReceivedPacket,
     WireFrameDecoder,
     wire_frame,
 )
@@ -91,22 +91,3 @@ def _vector(name: str, damaged: bytes, frames: WireFrameDecoder) -> dict[str, An
     packets = [received_as_json(received) for received in decoder.feed(damaged)]
     dropped = {defect.name: count for defect, count in decoder.dropped.items()}
     return {"name": name, "input": damaged.hex(), "dropped": dropped, "packets": packets}
-
-
-def received_as_json(received: ReceivedPacket) -> dict[str, Any]:
-    """A received packet as JSON holds it: tuples as lists, bytes as hex."""
-    values = dataclasses.asdict(received.packet)
-    return {
-        "kind": received.kind,
-        "module": received.module,
-        "sequence": received.sequence,
-        "module_time_us": received.module_time_us,
-        "type": type(received.packet).__name__,
-        "values": {name: _as_json(value) for name, value in values.items()},
-    }
-
-
-def _as_json(value: Any) -> Any:
-    if isinstance(value, bytes):
-        return value.hex()
-    return list(value) if isinstance(value, tuple) else value

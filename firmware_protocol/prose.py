@@ -3,15 +3,17 @@
 INTRODUCTION = """\
 # Wire protocol, version 1
 
-What a sensor module, a relay unit or a local measuring device sends to the gateway, over a serial
-line, a socket or a CAN bus. This page is for the authors of firmware. It is generated from the
-declarations in this package (`python -m firmware_protocol.document`): change those, not this page.
+What a sensor module, a relay unit or a local measuring device and the gateway (the host) say to one
+another, over a serial line, a socket or a CAN bus. This page is for the authors of firmware. It is
+generated from the declarations in this package (`python -m firmware_protocol.document`): change those, not
+this page.
 
 - All integers are little-endian; floats are IEEE 754, 32 bits, little-endian.
 - A value is the number on the wire times *one step*, in the unit beside it. Units are SI, save where
   the unit column says otherwise.
-- A module samples and sends; the gateway keeps the time. Nothing is acknowledged or sent again: a
-  lost sample shows as a gap in `sequence`.
+- A module samples and sends; the gateway keeps the time. Nothing but a command is acknowledged or sent
+  again: a lost sample shows as a gap in `sequence`.
+- "Bytes" or "text" without a number go to the end of the body.
 """
 
 BYTE_STREAM = """\
@@ -107,9 +109,16 @@ RULES = """\
 7. **Reserved bits are 0; floats are finite; a standard deviation is not negative.** Whatever breaks this is
    dropped and counted.
 8. **Module ids** are 0 to 63, unique in a suit. 254 is the relay. 255 addresses every module and is never
-   a sender.
+   a sender. Two modules of one id can share a radio until one is told another, by its unique id; on a CAN
+   bus they cannot, for their identifiers would collide: set the id of a new module before it joins.
 9. **Say who you are.** Send `DeviceInfo` after a reset and every ten seconds, `Health` every second.
-10. **Try the golden vectors** on the target before the first capture.
+10. **A triggered sample has the trigger's number** as its `sequence`, and its `triggered` bit set. A module
+    that misses a trigger sends nothing for it, so the gap shows. A trigger that comes twice is obeyed once.
+    While a module samples on triggers (setting `mode` 3) it sends no other samples of that kind.
+11. **Answer `SyncRequest` at once**, or say truly how long it took: read the timer when the request's last
+    byte came and again when the response goes to the line.
+12. **Cut text between characters.** A log line or label that is no UTF-8, or holds a zero, is dropped.
+13. **Try the golden vectors** on the target before the first capture.
 """
 
 VECTORS = """\
@@ -121,7 +130,13 @@ strings are in the order of sending. `identifier` is the 29-bit number without f
 
 `vectors/defects.json`: damaged input, what is to be dropped for which reason, and what is to survive it.
 
-`python -m firmware_protocol.golden` writes both from the declarations; the tests hold the encoder and the
+`vectors/commands.json`: for each verb the arguments and the payload, as values and bytes, and command and
+acknowledgement on every link.
+
+`vectors/settings.json`: for each setting the factory value and another, as value and bytes, and the image
+of a slot.
+
+`python -m firmware_protocol.golden` writes them from the declarations; the tests hold the encoder and the
 decoder to the committed bytes.
 """
 
@@ -130,8 +145,115 @@ HISTORY = """\
 
 | Version | What changed |
 | --- | --- |
-| 1 | First version. |
+| 1 | First version: kinds 0x10, 0x11, 0x18, 0x20, 0x30, 0x31. |
+| 1 | Kinds added: 0x12, 0x19 to 0x1B, 0x32, 0x33, 0x40 to 0x42, 0x50, 0x51, 0x5E, 0x5F. |
 
 A change that an old receiver would misread takes a new version number. A new kind does not: receivers
 count and skip kinds they do not know. Kind numbers are never given a second meaning.
+"""
+
+COMMANDS = """\
+## Commands
+
+The host sends a `Command`, each device that is meant sends an `Acknowledgement`. The host repeats a
+command that is not answered, under the same `transaction`.
+
+- **Who is meant.** `unique_id` all zeros: the module of the header's id, or every one if that is 255.
+  Otherwise only the device of that unique id, whatever its module id; the header then says 255.
+- **Duplicates.** A device remembers the last {memory} pairs of `transaction` and `verb`, with its answers.
+  It answers a pair that it remembers as before, and does not act again.
+- **Answers to 255** wait for {delay_ms} ms times the device's id, so that they do not collide on a shared
+  radio.
+- **Writes.** A device whose writes are locked refuses every verb that changes it, with result 3.
+- The payload is empty unless the result is 0. Arguments of another length than declared, or out of the
+  limits, are bad arguments (2).
+"""
+
+SETTINGS_RULES = """\
+## Settings
+
+`WRITE_SETTING` stages a value; `COMMIT` stores all that is staged, or none of it. A value outside the
+limits is refused with result 2, a key that the device does not have with 6. Numbers on the wire and in
+flash are the same bytes; limits and factory values below are in the unit of the value.
+"""
+
+FLASH = """\
+## Flash
+
+Settings lie in one of two slots of {size} bytes, each erased by itself. A slot holds
+
+{head}
+
+then for each setting
+
+{entry}
+
+and at its end
+
+{checksum}
+
+With every setting that is {largest} bytes. Unknown keys are skipped; a setting that is not in the slot
+has its factory value.
+
+- **Commit.** Erase the slot that is not in use. Program everything but the magic. Read it back. Program the
+  magic, last. Read everything back. Only now is the command answered.
+- **Start.** A slot counts when its magic and its checksum are right. Of two that count, the newer
+  generation is used: `b` is newer than `a` if `(b - a) mod 2^32` is between 1 and 2^31 - 1. If none counts,
+  the factory settings are used, and said so by `Event` 8.
+
+So a loss of power at any instant leaves the old settings or the new ones, whole. Erased flash is 0xFF and
+programming only clears bits: an unfinished magic is no magic.
+"""
+
+TRANSFER = """\
+### Long wire frames on CAN
+
+A wire frame whose body is too long for one set of CAN frames, such as a large relay batch, goes in pieces
+(after ISO 15765-2). The whole is the wire frame as on a byte stream before stuffing, checksum included.
+Each piece is a wire frame of its own: `TransferToHost` from a module or relay, `TransferToModule` from the
+host; flow control goes by the kind of its own sender, under the same module id.
+
+1. **First** (1): `number` is the size of the whole, `data` its beginning, at most {piece} bytes. The sender
+   waits for flow control.
+2. **Consecutive** (2): `number` is the place of the piece, from 1; all hold as many bytes as the first one,
+   save the last. After a block the sender waits for flow control.
+3. **Flow control** (3): `number` is the place of the piece wanted next, and `data` holds
+
+{flow_control}
+
+The receiver sends flow control after the first piece and after each block; when a piece is missing
+("repeat", once for each gap); and when it has waited {piece_ms} ms for a piece. Told to wait, a sender
+waits for more flow control, which comes every {wait_ms} ms. A sender that hears nothing for {flow_ms} ms
+sends its last piece again. Either end gives up after {retries} such time-outs in a row. A receiver passes
+over pieces that it has already; if it was the last piece of a block, it repeats its flow control.
+"Continue" for a block that was continued already is passed over by the sender. One sender has one transfer
+at a time; a new `transfer` ends the one before.
+"""
+
+DBC = """\
+### DBC file
+
+`suit.dbc` describes all this to the tools of a CAN bus; `python -m firmware_protocol.dbc` writes it, for
+any set of modules (`--modules 0-63`) and of sensors (`--sensors`). In it every CAN frame of a wire frame is
+a message of its own, since a DBC knows nothing of reassembly:
+
+- The identifier holds the module, so each module has its own messages. The committed file is for modules 0 to
+  16, and module 255 for what the host sends to all.
+- On CAN FD most wire frames are one CAN frame, `..._fd`. Samples are multiplexed by the three presence
+  bits of their mask.
+- On classic CAN the mask is in the first piece and the readings are in others, which no multiplexer can
+  follow: the file describes samples with accelerometer, magnetometer and gyrometer all present, unless
+  `--sensors` names others.
+- A number that is cut by the end of a piece is two signals, `..._low` and `..._high`, whose physical values
+  add up to the number's; a float cut so is two signals `..._low` and `..._high` of raw bits.
+- Of bodies without a fixed size, the fields before the part of any length are described, on classic CAN.
+"""
+
+VERSIONS = """\
+## Versions
+
+Each party knows the versions from a lowest to a highest one; this description is of {spoken}. The
+host says its own in `HELLO`, always in wire frames of version 1; the device chooses the highest that both
+know, or 0, and answers with its own range, as version 1 too. From then on both send the chosen version,
+until the device starts anew. Without `HELLO`, version 1 is spoken.
 """

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Sequence
 
 from firmware_protocol.fields import BYTE_ORDER, WireField
-from firmware_protocol.framing import HEADER_FIELDS, RELAY, WireFrame
+from firmware_protocol.framing import HEADER_FIELDS, RELAY, Entry, WireFrame
 from firmware_protocol.kinds import Kind
 
 RELAY_BATCH = int(Kind.RELAY_BATCH)
@@ -24,9 +24,6 @@ ENTRY_FIELDS = (
 MAX_ENTRY_BODY_SIZE = 255
 
 _ENTRY = struct.Struct(BYTE_ORDER + "".join(f.struct_format for f in ENTRY_FIELDS))
-
-Entry = tuple[int, int, int, int, bytes]
-"""kind, module, sequence, module_time_us, body: a plain tuple because 64 000 pass each second."""
 
 
 def relay_batch(frames: Sequence[WireFrame], sequence: int, module_time_us: int) -> WireFrame:

@@ -7,14 +7,20 @@ import logging
 from collections.abc import Sequence
 
 import gateway
+from devices.command_client import CommandClient
 from devices.endpoints import link_from_url
 from devices.link import Link
 from devices.reconnect import ReconnectingLink
 from devices.replay_link import ReplayLink
 from gateway.body.skeleton import WornSuit
+from gateway.modules.journal import Journal, default_journal_path
+from gateway.modules.module_log import ModuleLog
+from gateway.modules.operations import ModuleOperations
+from gateway.modules.session import connect_client
 from gateway.outputs.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
+from gateway.outputs.requests import RequestResponder
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings
 
@@ -35,10 +41,17 @@ class Service:
             settings.mqtt, suit.skeleton, _describe(settings, suit), self.pipeline.statistics
         )
         self._outputs: tuple[Output, ...] = (self.mqtt,)
+        stream = self.pipeline.stream
+        self.commands = CommandClient(self.links, allow_writes=settings.allow_device_writes)
+        connect_client(self.commands, stream)
+        ModuleLog().listen_to(stream)
+        operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
+        self.requests = RequestResponder(settings.mqtt, settings.gateway, {"modules": operations.perform})
 
     async def run(self) -> None:
         """Open everything, and pass on what comes. Raises ``OutputError`` if an output cannot start."""
         async with self.mqtt:
+            self.requests.start(self.mqtt.port)
             reporter = asyncio.create_task(self._report(), name="report")
             try:
                 async with asyncio.TaskGroup() as group:
@@ -46,6 +59,7 @@ class Service:
                         group.create_task(self._ingest(link), name=f"link {link.name}")
             finally:
                 reporter.cancel()
+                await self.requests.stop()
 
     async def _ingest(self, link: Link) -> None:
         """link → pipeline → outputs, for one link."""

@@ -100,6 +100,11 @@ class GatewaySettings(_Strict):
     assembly: AssemblySettings = AssemblySettings()
     mqtt: MqttSettings = MqttSettings()
     log: LogSettings = LogSettings()
+    allow_device_writes: bool = Field(
+        default=False,
+        description="whether requests may change modules (ids, settings, files on the card): whoever can "
+        "publish to the broker could then ask for it",
+    )
 
     @field_validator("reconstructor")
     @classmethod

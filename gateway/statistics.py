@@ -80,6 +80,7 @@ class ModuleRecord:
     """By kind of packet."""
     info: DeviceInfo | None = None
     health: Health | None = None
+    first_arrival_ns: int = 0
     last_arrival_ns: int = 0
 
     @property

@@ -22,9 +22,11 @@ from firmware_protocol import (
     InertialSample,
     InertialSampleFine,
     LocalMeasurement,
+    Packet,
     PacketDecoder,
     ReceivedPacket,
 )
+from firmware_protocol.kinds import FROM_HOST
 from gateway.clocks import (
     ClockTable,
     EstimatedClock,
@@ -39,6 +41,9 @@ from gateway.frames import InertialReading, LocalReading, Quantity
 from gateway.statistics import ModuleRecord, SequenceCounter
 
 Reading = InertialReading | LocalReading
+
+Listener = Callable[[ReceivedPacket, Chunk], None]
+"""Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
 
 
 class ClockMode(StrEnum):
@@ -62,6 +67,7 @@ class Stream:
         self._decoders: dict[str, PacketDecoder] = {}
         self._batching: dict[str, LinkBatching] = {}
         self._arriving = LinkBatching()  # of the link that the chunk in hand came over
+        self._listeners: dict[type[Packet], list[Listener]] = {}
         self._new_clock = _clock_factory(clock_mode, clock_table)
 
     def add_link(self, name: str, framing: Framing) -> None:
@@ -70,12 +76,24 @@ class Stream:
         self._decoders[name] = PacketDecoder(frames)
         self._batching[name] = LinkBatching()
 
+    def listen(self, packet_class: type[Packet], listener: Listener) -> None:
+        """Have every packet of a class told to ``listener`` too, also one that came before."""
+        self._listeners.setdefault(packet_class, []).append(listener)
+
+    def stop_listening(self, packet_class: type[Packet], listener: Listener) -> None:
+        """Undo ``listen``."""
+        self._listeners[packet_class].remove(listener)
+
     def receive(self, chunk: Chunk) -> list[Reading]:
         """The readings that a chunk completes, in order of arrival."""
         readings = []
         self._arriving = self._batching[chunk.link]
         self._arriving.observe(chunk.arrived_ns)
         for packet in self._decoders[chunk.link].feed(chunk.data):
+            for listener in self._listeners.get(type(packet.packet), ()):
+                listener(packet, chunk)
+            if packet.kind in FROM_HOST:
+                continue  # our own, echoed by a bus; its time is that of no module
             reading = self._read(packet, chunk.arrived_ns)
             if reading is not None:
                 readings.append(reading)
@@ -89,7 +107,8 @@ class Stream:
     def _read(self, received: ReceivedPacket, arrived_ns: int) -> Reading | None:
         record = self.modules.get(received.module)
         if record is None:
-            record = ModuleRecord(received.module, self._new_clock(received.module, self._arriving))
+            clock = self._new_clock(received.module, self._arriving)
+            record = ModuleRecord(received.module, clock, first_arrival_ns=arrived_ns)
             self.modules[received.module] = record
         restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(received.module_time_us, arrived_ns)
@@ -103,7 +122,9 @@ class Stream:
         record.last_arrival_ns = arrived_ns
         if sequence is None:
             return None
-        return _HANDLERS[type(received.packet)](record, received.packet, sequence, time_ns)
+        handler = _HANDLERS.get(type(received.packet))
+        # What has no handler is for the listeners alone; it is counted like the rest.
+        return None if handler is None else handler(record, received.packet, sequence, time_ns)
 
 
 def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, LinkBatching], ModuleClock]:

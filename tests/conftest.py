@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import shutil
 import signal
 import socket
 import subprocess
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from devices.emulators import EmulatedSuit, Imperfections, SuitSettings, SuitTraffic
+from devices.emulators.imperfections import IDEAL
+from devices.emulators.transports import Transport
+from devices.emulators.transports.loopback_transport import LoopbackTransport
 from devices.link import gateway_time_ns
+from devices.loopback_link import LoopbackLink, loopback_pair
+from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
+from gateway.cli.emulated_rig import dress, move
 from gateway.frames import SkeletonFrame
 from gateway.outputs import BridgeInfo
 
@@ -204,3 +214,54 @@ def recording_set(data_directory: Path) -> Callable[[str], Path]:
         return directory
 
     return find
+
+
+@dataclass
+class CommandedSuit:
+    """An emulated suit that obeys, running in the test's event loop."""
+
+    traffic: SuitTraffic
+    suit: EmulatedSuit
+    link: LoopbackLink
+    """The host's end, where no other transport was given."""
+
+    def unique_id(self, which: int | str) -> bytes:
+        """Of the device with this number, or on this segment."""
+        return self.traffic.device(which).unique_id
+
+    def ids(self) -> dict[int, int]:
+        """What each device really has for an id, by number."""
+        return {number: device.module_id for number, device in self.traffic.devices.items()}
+
+    def soon_s(self, delay_s: float = 0.05) -> float:
+        """Motion time of a moment to come."""
+        return self.suit.motion_time_s(gateway_time_ns()) + delay_s
+
+
+@pytest.fixture
+def commanded_suit() -> Callable[..., Any]:
+    """``async with commanded_suit(rig, stored_ids={2: 1}) as suit``: any of ``SuitSettings``."""
+
+    @contextlib.asynccontextmanager
+    async def start(
+        rig: str = "robot_arm_4",
+        transport: Transport | None = None,
+        imperfections: Imperfections = IDEAL,
+        **settings: Any,
+    ) -> AsyncIterator[CommandedSuit]:
+        worn = load_rig(rig)
+        near, far = loopback_pair("suit")
+        motion = move(dress(worn), worn.skeleton.name, 1)
+        traffic = SuitTraffic(motion, SuitSettings(**settings), imperfections, 1)
+        suit = EmulatedSuit(traffic, transport or LoopbackTransport(far))
+        running = asyncio.create_task(suit.run())
+        try:
+            async with asyncio.timeout(10):
+                while suit.start_ns is None:
+                    await asyncio.sleep(0.01)
+            yield CommandedSuit(traffic, suit, near)
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+
+    return start

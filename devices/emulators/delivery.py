@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.random import Generator
 
-from devices.emulators.emulated_module import Timed
 from devices.emulators.imperfections import Imperfections
+from devices.emulators.sender import Timed
 from devices.link import Framing
 from firmware_protocol import (
     WireFrame,
@@ -64,7 +64,7 @@ class PacketFaults:
     def apply(self, sent: list[Timed]) -> list[Timed]:
         """What is left of the packets, in order."""
         self._counts["sent"] += len(sent)
-        if not (self._loss or self._duplication):
+        if not sent or not (self._loss or self._duplication):
             return sent
         draws = self._rng.random((len(sent), 2))
         copies = (draws[:, 0] >= self._loss) * (1 + (draws[:, 1] < self._duplication))

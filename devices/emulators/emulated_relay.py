@@ -1,10 +1,11 @@
-"""A relay unit on the body: gathers what the modules send and forwards it as one. Sans-I/O."""
+"""How a relay unit on the body gathers what the modules send and forwards it as one. Sans-I/O."""
 
 from __future__ import annotations
 
 from operator import attrgetter
 
-from devices.emulators.emulated_module import Schedule, Sender, Timed
+from devices.emulators.sampling_timer import Schedule
+from devices.emulators.sender import Sender, Timed
 from firmware_protocol import WireFrame, relay_batch
 from firmware_protocol.framing import MAX_BODY_SIZE
 from firmware_protocol.kinds import Kind

@@ -1,7 +1,8 @@
 """Runs an emulated suit, or a recording, against the clock: the I/O shell of the emulators.
 
     traffic = SuitTraffic(walking_motion(body, seed=1), SuitSettings(has_relay=True), TYPICAL, seed=1)
-    suit = EmulatedSuit(traffic.transmissions(), PtyTransport("/tmp/suit"))
+    suit = EmulatedSuit(traffic, PtyTransport("/tmp/suit"))  # obeys the host
+    suit = EmulatedSuit(traffic.transmissions(), PtyTransport("/tmp/suit"))  # only speaks
     await suit.run()
 
 Meanwhile ``motion.state([suit.motion_time_s(frame.time_ns)])`` is the truth at a published instant.
@@ -14,14 +15,29 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 from devices.emulators.delivery import Transmission
 from devices.emulators.transports.transport import Transport
 from devices.link import Framing, gateway_time_ns
 
 _PREPARED_S = 0.25
+_STEP_S = 0.008
+_LEAD_S = 0.004
+_FAST_STEP_S = 0.05
 _RETRY_S = 0.001
 _FAST_CHUNK_SIZE = 4096
+
+
+@runtime_checkable
+class Conversation(Protocol):
+    """A suit that hears what the host says, as ``SuitTraffic`` does. Times are motion time, s."""
+
+    def receive(self, data: bytes, at_s: float) -> None: ...
+
+    def advance(self, to_s: float) -> list[Transmission]: ...
+
+    def rest(self) -> list[Transmission]: ...
 
 
 @dataclass
@@ -32,6 +48,8 @@ class SuitCounts:
     dropped_bytes: int = 0
     """Refused because the reader was absent or slow."""
     dropped_chunks: int = 0
+    received_bytes: int = 0
+    """What the host sent."""
     worst_lateness_s: float = 0.0
     """Longest time from the moment a transmission was due until it was offered."""
 
@@ -41,21 +59,24 @@ class EmulatedSuit:
 
     def __init__(
         self,
-        source: Iterable[Transmission],
+        source: Conversation | Iterable[Transmission],
         transport: Transport,
         *,
         speed: float | None = 1.0,
         is_byte_by_byte: bool = False,
         start_ns: int | None = None,
         linger_s: float = 0.2,
+        duration_s: float | None = None,
     ) -> None:
         """
-        source: transmissions in order of time; prepared ahead in a thread. Pass a list to have all
-            of them computed beforehand, which keeps the computation out of the timing.
+        source: a suit that hears the host, computed a few milliseconds ahead so that it answers
+            promptly; or transmissions in order of time, prepared far ahead. Both in a thread. Pass a
+            list to have all of them computed beforehand, which keeps the computation out of the timing.
         speed: motion seconds in a second; None: as fast as the reader takes it, without drops.
         is_byte_by_byte: every byte in a write of its own (byte streams only).
         start_ns: gateway time of motion time 0; default: when ``run`` begins to send.
         linger_s: how long the transport stays open after the last byte, so that it can be read.
+        duration_s: motion time at which a suit that hears the host ends; default: never.
 
         Raises ``ValueError`` for a speed that is not positive, or single bytes on a CAN bus.
         """
@@ -67,7 +88,10 @@ class EmulatedSuit:
         self.counts = SuitCounts()
         self.start_ns = start_ns
         """Gateway time of motion time 0, once running."""
-        self._source: Iterator[Transmission] = iter(source)
+        self._conversation = source if isinstance(source, Conversation) else None
+        self._source: Iterator[Transmission] = iter(()) if isinstance(source, Conversation) else iter(source)
+        self._duration_s = duration_s
+        self._heard: list[tuple[bytes, float]] = []
         self._speed = speed
         self._is_byte_by_byte = is_byte_by_byte
         self._linger_s = linger_s
@@ -82,9 +106,13 @@ class EmulatedSuit:
 
     async def run(self) -> None:
         """Open the transport, send everything, close it. Cancelling stops the suit at once."""
+        self.transport.listen(self._hear)
         await self.transport.open()
         try:
-            await self._send_all()
+            if self._conversation is not None:
+                await self._converse(self._conversation)
+            else:
+                await self._send_all()
             await self._linger()
         finally:
             await self.transport.close()
@@ -94,13 +122,53 @@ class EmulatedSuit:
             raise RuntimeError("the suit has not started: call run first")
         return self.start_ns
 
+    def _hear(self, data: bytes) -> None:
+        self.counts.received_bytes += len(data)
+        if self._conversation is not None:
+            at_s = 0.0 if self.start_ns is None else self.motion_time_s(gateway_time_ns())
+            self._heard.append((data, at_s))
+
+    async def _converse(self, suit: Conversation) -> None:
+        """Compute the suit step by step, each while what came of the one before is being sent."""
+        self.start_ns = self.start_ns or gateway_time_ns()
+        end_s = float("inf") if self._duration_s is None else self._duration_s
+        sending, now_s = asyncio.create_task(self._send([])), 0.0
+        try:
+            while now_s < end_s:
+                now_s = await self._time_of_next_step(now_s, end_s)
+                heard, self._heard = self._heard, []
+                for data, at_s in heard:
+                    suit.receive(data, at_s)
+                batch = await asyncio.to_thread(suit.advance, now_s)
+                await sending
+                sending = asyncio.create_task(self._send(batch))
+            await sending
+            await self._send(suit.rest())
+        finally:
+            sending.cancel()
+
+    async def _time_of_next_step(self, now_s: float, end_s: float) -> float:
+        """Wait until the next step is to be computed; the motion time it reaches to."""
+        if self._speed is None:
+            await asyncio.sleep(0)
+            return min(now_s + _FAST_STEP_S, end_s)
+        lead_s = _LEAD_S * self._speed
+        wait_s = (self.instant_ns(now_s - lead_s) - gateway_time_ns()) * 1e-9
+        await asyncio.sleep(max(0.0, wait_s))
+        # A step that begins late is as much longer, so that a busy machine catches up.
+        late_s = self.motion_time_s(gateway_time_ns()) + lead_s - now_s
+        return min(now_s + max(_STEP_S * self._speed, late_s), end_s)
+
+    async def _send(self, batch: list[Transmission]) -> None:
+        await (self._send_fast(batch) if self._speed is None else self._send_timely(batch))
+
     async def _send_all(self) -> None:
         upcoming = asyncio.create_task(asyncio.to_thread(self._prepare))
         try:
             while batch := await upcoming:
                 upcoming = asyncio.create_task(asyncio.to_thread(self._prepare))
                 self.start_ns = self.start_ns or gateway_time_ns()
-                await (self._send_fast(batch) if self._speed is None else self._send_timely(batch))
+                await self._send(batch)
         finally:
             upcoming.cancel()
 

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.imperfections import Imperfections, ModuleErrors, module_random
+from firmware_protocol.device_settings import factory_settings
 
 _NOISE_RATE_HZ = 100.0  # at which the settings state the noise
 _PURPOSE = 11
+_NO_NOISE = np.zeros(4)
+_CALIBRATION_KEY = 9
+_NO_CALIBRATION = tuple(factory_settings()[_CALIBRATION_KEY])
 
 
 class ImperfectSensors:
     """Distorts, biases and adds noise. The stream of noise does not depend on how it is cut into blocks."""
 
-    def __init__(
-        self, settings: Imperfections, errors: ModuleErrors, seed: int, module: int, sampling_rate_hz: float
-    ) -> None:
-        bandwidth = np.sqrt(sampling_rate_hz / _NOISE_RATE_HZ)
-        self._noise = bandwidth * np.array(
+    def __init__(self, settings: Imperfections, errors: ModuleErrors, seed: int, module: int) -> None:
+        self._noise = np.array(
             [settings.accelerometer_noise, settings.gyrometer_noise, settings.magnetometer_noise]
         )
-        self._walk = settings.gyrometer_bias_walk / np.sqrt(sampling_rate_hz)
+        self._walk = settings.gyrometer_bias_walk
         self._is_noisy = bool(self._noise.any() or self._walk)
         self._errors = errors
         self._rng = module_random(seed, module, _PURPOSE)
@@ -29,21 +32,42 @@ class ImperfectSensors:
         """(3,) rad/s, as of the last reading."""
 
     def read(
-        self, specific_force: FloatArray, angular_rate: FloatArray, magnetic_field: FloatArray
+        self,
+        specific_force: FloatArray,
+        angular_rate: FloatArray,
+        magnetic_field: FloatArray,
+        sampling_rate_hz: float,
     ) -> dict[str, FloatArray]:
         """Readings (n, 3) by the name of the sensor, from true values (n, 3), in sensor axes."""
         errors, n = self._errors, len(specific_force)
-        noise = np.zeros((4, n, 3))
-        gyrometer_bias = np.broadcast_to(self.gyrometer_bias, (n, 3))
-        if self._is_noisy:
-            noise = np.moveaxis(self._rng.standard_normal((n, 4, 3)), 1, 0)
-            gyrometer_bias = self.gyrometer_bias + self._walk * np.cumsum(noise[3], axis=0)
-            self.gyrometer_bias = gyrometer_bias[-1] if n else self.gyrometer_bias
+        noise = _NO_NOISE
+        gyrometer_bias = self.gyrometer_bias
+        sigma = self._noise * math.sqrt(sampling_rate_hz / _NOISE_RATE_HZ)
+        if self._is_noisy and n:
+            noise = self._rng.standard_normal((n, 4, 3)).transpose(1, 0, 2)
+            walk = self._walk / math.sqrt(sampling_rate_hz)
+            gyrometer_bias = self.gyrometer_bias + walk * noise[3].cumsum(axis=0)
+            self.gyrometer_bias = gyrometer_bias[-1]
         return {
             "specific_force": specific_force @ errors.accelerometer_distortion.T
-            + (errors.accelerometer_bias + self._noise[0] * noise[0]),
+            + (errors.accelerometer_bias + sigma[0] * noise[0]),
             "angular_rate": angular_rate @ errors.gyrometer_distortion.T
-            + (gyrometer_bias + self._noise[1] * noise[1]),
+            + (gyrometer_bias + sigma[1] * noise[1]),
             "magnetic_field": magnetic_field @ errors.magnetometer_distortion.T
-            + (errors.magnetometer_bias + self._noise[2] * noise[2]),
+            + (errors.magnetometer_bias + sigma[2] * noise[2]),
         }
+
+
+def calibrated(readings: dict[str, FloatArray], calibration: tuple[float, ...]) -> dict[str, FloatArray]:
+    """Readings (n, 3) by sensor, corrected as a device does by its setting ``calibration`` (30 numbers).
+
+    Accelerometer ``A (f − b)``, gyrometer ``ω − b``, magnetometer ``S (m − h)``.
+    """
+    if calibration == _NO_CALIBRATION:
+        return readings
+    c = np.asarray(calibration)
+    return {
+        "specific_force": (readings["specific_force"] - c[9:12]) @ c[:9].reshape(3, 3).T,
+        "angular_rate": readings["angular_rate"] - c[12:15],
+        "magnetic_field": (readings["magnetic_field"] - c[24:27]) @ c[15:24].reshape(3, 3).T,
+    }

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.random import Generator
@@ -38,6 +39,12 @@ class Imperfections:
     """Error of the lever arm, each component, m."""
     placement_angle: float = 0.0
     """Rotation of the module against where it should sit on its segment, about each axis, rad."""
+    fused_orientation: float = 0.0
+    """Error of an orientation fused on board, about each axis, rad RMS."""
+    fused_displacement: float = 0.0
+    """Error of a displacement between two uploads, each component, m RMS."""
+    has_random_heading: bool = False
+    """The level references of modules that fuse on board face anywhere; otherwise east is their x."""
 
     clock_skew_ppm: float = 0.0
     """Module clocks run fast by a part drawn evenly between minus and plus this."""
@@ -74,6 +81,9 @@ TYPICAL = Imperfections(
     gyrometer_bias_walk=math.radians(0.005),
     scale=0.002,
     misalignment=math.radians(0.2),
+    fused_orientation=math.radians(0.5),
+    fused_displacement=0.001,
+    has_random_heading=True,
     clock_skew_ppm=50.0,
     has_random_clock_start=True,
     has_random_phase=True,
@@ -95,6 +105,9 @@ ROUGH = Imperfections(
     misalignment=math.radians(1.0),
     placement=0.01,
     placement_angle=math.radians(3.0),
+    fused_orientation=math.radians(2.0),
+    fused_displacement=0.004,
+    has_random_heading=True,
     clock_skew_ppm=200.0,
     has_random_clock_start=True,
     has_random_phase=True,
@@ -124,27 +137,36 @@ class ModuleErrors:
     placement_rotation: FloatArray  # (3, 3) true sensor axes to those assumed
 
 
+Seconds = TypeVar("Seconds", float, FloatArray)
+
+
 @dataclass(frozen=True)
 class ModuleClock:
-    """A module's counter: ``start_us`` at true time 0, running fast by ``skew``."""
+    """A module's counter: ``start_us`` when it was switched on, running fast by ``skew``."""
 
     start_us: int
     skew: float
     """Relative, dimensionless."""
     phase_s: float
     """Clock time of the first sample."""
+    origin_s: float = 0.0
+    """True time at which the module was switched on."""
 
     def count_us(self, elapsed: float) -> int:
         """The 32-bit counter after so many seconds of its own."""
         return (self.start_us + round(elapsed * 1e6)) % 2**32
 
-    def true_time(self, elapsed: float) -> float:
+    def true_time(self, elapsed: Seconds) -> Seconds:
         """True time, s, at which the clock has run for so long."""
-        return elapsed / (1.0 + self.skew)
+        return self.origin_s + elapsed / (1.0 + self.skew)
 
     def elapsed(self, true_time: float) -> float:
         """How long the clock has run at a true time, s."""
-        return true_time * (1.0 + self.skew)
+        return (true_time - self.origin_s) * (1.0 + self.skew)
+
+    def restarted(self, at_s: float) -> ModuleClock:
+        """The same crystal after a loss of power: the counter begins at 0."""
+        return replace(self, start_us=0, origin_s=at_s)
 
 
 def module_random(seed: int, module: int, purpose: int) -> Generator:

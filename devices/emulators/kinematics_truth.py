@@ -41,7 +41,7 @@ class MotionState:
     def q_wb(self) -> FloatArray:
         """(T, M, 4) segment to world, wxyz, w >= 0."""
         shape = self.R_wb.shape[:2]
-        rotation = Rotation.from_matrix(self.R_wb.reshape(-1, 3, 3))
+        rotation = Rotation.from_matrix(self.R_wb.reshape(-1, 3, 3).astype(np.float64))
         q: FloatArray = rotation.as_quat(canonical=True, scalar_first=True)
         return q.reshape(*shape, 4)
 
@@ -111,10 +111,10 @@ class TreeKinematics:
     def _origin(self, times: FloatArray, fade: Derivatives) -> _Moving:
         components = self._root_path.evaluate(times, fade)
         p, v, a = (np.stack([c[i] for c in components]) for i in range(3))
-        columns = [np.zeros((3, *times.shape)) for _ in range(3)]
+        columns = [np.zeros((3, *times.shape), times.dtype) for _ in range(3)]
         for axis in range(3):
             columns[axis][axis] = 1.0
-        still = np.zeros((3, *times.shape))
+        still = np.zeros((3, *times.shape), times.dtype)
         return _Moving(columns, still, still.copy(), p, v, a)
 
 

@@ -48,8 +48,12 @@ class BodyMotion:
         self._kinematics = TreeKinematics(body, joint_angles, path, fade or Fade(), rotation_order)
 
     def state(self, t: ArrayLike) -> MotionState:
-        """All segments at the times t (T,), s: arrays (T, S, …)."""
-        times = np.atleast_1d(np.asarray(t, dtype=float))
+        """All segments at the times t (T,), s: arrays (T, S, …).
+
+        Times of type ``longdouble`` give all of it in that precision (the quaternions excepted).
+        """
+        times = np.atleast_1d(np.asarray(t))
+        times = times.astype(np.result_type(times, np.float64), copy=False)
         n = self.body.n_segments
         return self._kinematics.state(np.arange(n), np.broadcast_to(times[:, None], (len(times), n)))
 

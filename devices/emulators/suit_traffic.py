@@ -1,78 +1,52 @@
-"""All that an emulated suit sends, in order of time. Sans-I/O, deterministic, computed in blocks.
+"""All that passes between an emulated suit and its host, in order of time. Sans-I/O, deterministic.
 
-A block evaluates the truth at all sampling instants of all modules at once, so that 64 modules at
-100 Hz, or 17 at 1000 Hz, cost a part of one core.
+    traffic.receive(data, at_s=1.23)  # what the host sends
+    for transmission in traffic.advance(to_s=2.0): ...  # what the suit sends
+
+Time may be cut into steps of any length: the same bytes at the same times give the same answers. Short
+steps make a suit that answers promptly; the motion is evaluated ahead in blocks all the same.
 """
 
 from __future__ import annotations
 
 import heapq
-import struct
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from operator import attrgetter
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from devices.emulators.bodies import NO_MODULE, FloatArray
-from devices.emulators.delivery import Delivery, Encoding, PacketFaults, Transmission
-from devices.emulators.emulated_module import (
-    EmulatedLocalSender,
-    EmulatedModule,
-    Sender,
-    StatusReports,
-    Timed,
-    device_info,
-)
-from devices.emulators.emulated_relay import EmulatedRelay
-from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD, measure_point, sense
-from devices.emulators.imperfect_sensors import ImperfectSensors
-from devices.emulators.imperfections import (
-    IDEAL,
-    Imperfections,
-    ModuleErrors,
-    draw_clock,
-    draw_errors,
-    module_random,
-)
+from devices.emulators.bodies import FloatArray
+from devices.emulators.delivery import Delivery, PacketFaults, Transmission
+from devices.emulators.disturbances import Shake, Tap
+from devices.emulators.emulated_device import EmulatedDevice
+from devices.emulators.host_side import FromHost, RadioToDevice
+from devices.emulators.imperfections import IDEAL, Imperfections
+from devices.emulators.local_sampler import LocalSampler
 from devices.emulators.motions import BodyMotion
-from devices.emulators.sample_encoding import SENSORS, SampleEncoder
+from devices.emulators.power_cut import OFF_S
+from devices.emulators.relay_device import RelayDevice
+from devices.emulators.sampling import Sampling
+from devices.emulators.sender import Sender, Timed
+from devices.emulators.suit_devices import HOST, RADIO, UPLINK, SuitParts
+from devices.emulators.suit_settings import SuitSettings
 from devices.link import Framing
-from firmware_protocol import RELAY, InertialSample, InertialSampleFine
+from firmware_protocol import RELAY
 
-_ERRORS, _CLOCK, _RADIO, _HOST = range(4)  # purposes of random streams
+__all__ = ["SuitSettings", "SuitTraffic"]
 
+BUTTON, TAP, DOUBLE_TAP, SHAKE = 1, 2, 3, 4
+"""Events that a device tells of."""
 
-@dataclass(frozen=True)
-class SuitSettings:
-    """How the suit is built; what is wrong with it is in ``Imperfections``."""
-
-    sampling_rate_hz: float = 100.0
-    module_rates_hz: Mapping[int, float] = field(default_factory=dict)
-    """Sampling rates of single modules that differ."""
-    sensors: tuple[str, ...] = SENSORS
-    """What every module carries."""
-    is_fine: bool = False
-    """Send ``InertialSampleFine`` instead of ``InertialSample``."""
-    has_relay: bool = False
-    """A relay gathers all packets and forwards batches (byte streams only)."""
-    encoding: Encoding = field(default_factory=Encoding)
-    gravity: FloatArray = field(default_factory=GRAVITY.copy)
-    """(3,) world, m/s²."""
-    magnetic_field: FloatArray = field(default_factory=MAGNETIC_FIELD.copy)
-    """(3,) world, µT."""
-    info_interval_s: float = 5.0
-    health_interval_s: float = 1.0
-    block_s: float = 0.5
-
-    def rate(self, module: int) -> float:
-        """Sampling rate of a module, Hz."""
-        return self.module_rates_hz.get(module, self.sampling_rate_hz)
+# Much longer than the steps of a prompt suit, short enough to be evaluated between two of them.
+_LOOK_AHEAD_S = 0.1
+_TAP_INTERVAL_S = 0.25
+_TAP_DETECTION_S = 0.03
+_SHAKE_DETECTION_S = 0.5
 
 
 class SuitTraffic:
-    """The sender's side of a whole suit on one link."""
+    """A whole suit on one link."""
 
     def __init__(
         self,
@@ -88,15 +62,21 @@ class SuitTraffic:
         self.motion = motion
         self.counts: Counter[str] = Counter()
         """Packets sent, lost and duplicated, wire frames corrupted, by those words."""
-        self._imperfections = imperfections
-        self._seed = seed
         self._now_s = 0.0
         self._pending: list[tuple[float, int, bytes]] = []
         self._order = 0
-        self.senders: dict[int, Sender] = {}
-        """Every module by its id; ``sender.clock`` is the truth for clock estimation."""
-        self._build_modules()
-        self._build_way_to_host()
+        self._host_absences: list[tuple[float, float]] = []
+        self._build(SuitParts(motion, settings, imperfections, seed), imperfections, seed)
+
+    @property
+    def framing(self) -> Framing:
+        """What the host's bytes are."""
+        return self.settings.encoding.framing
+
+    @property
+    def senders(self) -> dict[int, Sender]:
+        """The sender of every module by number; ``sender.clock`` is the truth for clock estimation."""
+        return {number: device.sender for number, device in self.devices.items() if number != RELAY}
 
     def transmissions(self, duration_s: float | None = None) -> Iterator[Transmission]:
         """Everything sent until ``duration_s`` of motion time (None: without end), computed as it is taken.
@@ -106,131 +86,142 @@ class SuitTraffic:
         while duration_s is None or self._now_s < duration_s:
             to_s = self._now_s + self.settings.block_s
             yield from self.advance(to_s if duration_s is None else min(to_s, duration_s))
-        yield from self._arrived_before(np.inf)
+        yield from self.rest()
+
+    def receive(self, data: bytes, at_s: float) -> None:
+        """Bytes, or CAN records, from the host, in order of time (motion time, s).
+
+        What should have come before the time that ``advance`` has reached comes then.
+        """
+        if not any(start_s <= at_s < end_s for start_s, end_s in self._host_absences):
+            self.from_host.receive(data, at_s)
 
     def advance(self, to_s: float) -> list[Transmission]:
         """Everything that arrives between the last call's time and ``to_s`` (motion time, s), in order."""
-        delivered: list[Transmission] = []
+        for at_s, received in self.from_host.before(to_s):
+            for number, device in self.devices.items():
+                for arrival_s in self._to_devices[number].arrivals(at_s):
+                    device.hear(arrival_s, received)
         on_air = [
-            (module, self._faults[module].apply(sorted(sent, key=lambda timed: timed.time_s)))
-            for module, sent in self._sent_by_module(to_s)
+            (number, self._faults[number].apply(sorted(sent, key=attrgetter("time_s"))))
+            for number, sent in self._sent_by_module(to_s).items()
         ]
         if self._relay is not None:
             packets = [timed for _, sent in on_air for timed in sent]
-            delivered += self._deliveries[RELAY].deliver(self._relay.gather(packets, to_s))
-        else:
-            for module, sent in on_air:
-                delivered += self._deliveries[module].deliver(sent)
-        for transmission in delivered:
-            heapq.heappush(self._pending, (transmission.time_s, self._order, transmission.data))
-            self._order += 1
+            on_air = [(RELAY, self._relay.forward(packets, to_s))]
+        for number, sent in on_air:
+            for transmission in self._deliveries[number].deliver(self._in_reach(sent)):
+                heapq.heappush(self._pending, (transmission.time_s, self._order, transmission.data))
+                self._order += 1
         self._now_s = to_s
         return list(self._arrived_before(to_s))
+
+    def rest(self) -> list[Transmission]:
+        """What is still under way."""
+        return list(self._arrived_before(np.inf))
+
+    def device(self, which: int | str | bytes) -> EmulatedDevice:
+        """A device by number (the relay's is 0xFE), name of its segment or unique id.
+
+        Raises ``KeyError``, naming what there is, when there is none.
+        """
+        body = self.motion.body
+        by_segment: dict[int | str | bytes, int] = dict(
+            zip(body.segment_names, body.module_ids.tolist(), strict=True)
+        )
+        for number, device in self.devices.items():
+            if which in (number, device.unique_id) or by_segment.get(which) == number:
+                return device
+        raise KeyError(f"no device {which!r}; there are {list(self.devices)} on {list(by_segment)}")
+
+    def tap(self, which: int | str | bytes, at_s: float, times: int = 1) -> None:
+        """Tap a module once or twice: a burst in its samples, and the event."""
+        device, event = self.device(which), TAP if times == 1 else DOUBLE_TAP
+        device.disturbances += [Tap(at_s + k * _TAP_INTERVAL_S) for k in range(times)]
+        noticed_s = at_s + (times - 1) * _TAP_INTERVAL_S + _TAP_DETECTION_S
+        device.happen(noticed_s, lambda: device.report_event(event, times))
+
+    def shake(self, which: int | str | bytes, at_s: float, duration_s: float) -> None:
+        """Shake a single module; it says so once it has noticed."""
+        device = self.device(which)
+        device.disturbances.append(Shake(at_s, duration_s))
+        if duration_s > _SHAKE_DETECTION_S:
+            device.happen(at_s + _SHAKE_DETECTION_S, lambda: device.report_event(SHAKE))
+
+    def press_button(self, which: int | str | bytes, at_s: float) -> None:
+        """Press a device's button: it sends the event."""
+        device = self.device(which)
+        device.happen(at_s, lambda: device.report_event(BUTTON))
+
+    def cut_power(self, which: int | str | bytes, at_s: float, off_s: float = OFF_S) -> None:
+        """Take a device's power away for a while."""
+        device = self.device(which)
+        device.happen(at_s, lambda: device.lose_power(off_s))
+
+    def lose_host(self, from_s: float, to_s: float) -> None:
+        """The host is out of range for a while: it hears nothing and is not heard."""
+        self._host_absences.append((from_s, to_s))
 
     def _arrived_before(self, to_s: float) -> Iterator[Transmission]:
         while self._pending and self._pending[0][0] < to_s:
             time_s, _, data = heapq.heappop(self._pending)
             yield Transmission(time_s, data)
 
-    def _sent_by_module(self, to_s: float) -> list[tuple[int, list[Timed]]]:
-        samples = self._samples(to_s)
-        for local in self._locals:
-            samples.append((local.sender.module, self._measurements(local, to_s)))
+    def _sent_by_module(self, to_s: float) -> dict[int, list[Timed]]:
+        sent, inertial = {}, []
+        for number, device in self.devices.items():
+            if number == RELAY:
+                continue
+            sent[number], samplings = device.advance(to_s)
+            if number in self._locals:
+                for sampling in samplings:
+                    planned = device.planned(to_s + _LOOK_AHEAD_S)
+                    sent[number] += self._locals[number].sample(sampling, planned)
+            else:
+                inertial += samplings
+        self._look_ahead(inertial, to_s)
+        for sampling, frames in zip(inertial, self._sampler.sample(inertial), strict=True):
+            sent[sampling.device] += frames
+        return sent
+
+    def _look_ahead(self, samplings: list[Sampling], to_s: float) -> None:
+        """Evaluate the motion for the next block, when the last one is used up or plans have changed."""
+        timed = [sampling for sampling in samplings if sampling.trigger is None]
+        if all(map(self._sampler.is_prepared, timed)):
+            return
+        planned: dict[int, list[FloatArray]] = {number: [] for number in self._inertial}
+        for sampling in timed:
+            planned[sampling.device].append(sampling.times)
+        until_s = max(to_s, self._now_s + _LOOK_AHEAD_S)
+        for number, times in planned.items():
+            times.append(self.devices[number].planned(until_s))
+        self._sampler.prepare({number: np.concatenate(times) for number, times in planned.items()})
+
+    def _in_reach(self, sent: list[Timed]) -> list[Timed]:
+        if not self._host_absences:
+            return sent
         return [
-            (module, self._reports[module].until(to_s) + sent)  # at one moment, who it is comes first
-            for module, sent in samples
+            timed
+            for timed in sent
+            if not any(start_s <= timed.time_s < end_s for start_s, end_s in self._host_absences)
         ]
 
-    def _samples(self, to_s: float) -> list[tuple[int, list[Timed]]]:
-        instants = [module.schedule.until(to_s) for module in self._modules]
-        longest = max(map(len, instants), default=0)
-        if not longest:
-            return [(module.sender.module, []) for module in self._modules]
-        # One column a module; the shorter ones are filled up with a time that nothing is read at.
-        times = np.full((longest, len(instants)), self._now_s)
-        for column, (at, module) in enumerate(zip(instants, self._modules, strict=True)):
-            times[: len(at), column] = module.sender.clock.true_time(1.0) * at
-        ideal = sense(
-            self.motion.module_state(self._segments, times),
-            self._lever_arms,
-            self._R_bs,
-            self.settings.gravity,
-            self.settings.magnetic_field,
-        )
-        sampled = []
-        columns = zip(instants, self._modules, self._sensors, strict=True)
-        for column, (at, module, sensors) in enumerate(columns):
-            rows = (slice(len(at)), column)
-            readings = sensors.read(
-                ideal.specific_force[rows], ideal.angular_rate[rows], ideal.magnetic_field[rows]
-            )
-            sampled.append((module.sender.module, module.samples(at, readings)))
-        return sampled
-
-    def _measurements(self, local: EmulatedLocalSender, to_s: float) -> list[Timed]:
-        at = local.schedule.until(to_s)
-        if not len(at):
-            return []
-        times = local.sender.clock.true_time(1.0) * at
-        state = self.motion.module_state(np.array([local.device.segment]), times[:, None])
-        values = measure_point(state, local.device.position[None], local.device.quantity)
-        return local.measurements(at, values[:, 0])
-
-    def _build_modules(self) -> None:
-        body, settings = self.motion.body, self.settings
-        self._segments = np.flatnonzero(body.module_ids != NO_MODULE)
-        ids = [int(i) for i in body.module_ids[self._segments]]
-        errors = [draw_errors(self._imperfections, self._random(i, _ERRORS)) for i in ids]
-        self._lever_arms, self._R_bs = self._mountings(errors)
-        encoder = SampleEncoder(InertialSampleFine if settings.is_fine else InertialSample, settings.sensors)
-        self.senders = {i: self._sender(i, settings.rate(i)) for i in ids}
-        self._modules = [EmulatedModule(self.senders[i], encoder, settings.rate(i)) for i in ids]
-        self._sensors = [
-            ImperfectSensors(self._imperfections, drawn, self._seed, i, settings.rate(i))
-            for i, drawn in zip(ids, errors, strict=True)
-        ]
-        self.senders |= {d.module: self._sender(d.module, d.rate_hz) for d in body.local_devices}
-        self._locals = [
-            EmulatedLocalSender(self.senders[d.module], d, self._seed) for d in body.local_devices
-        ]
-        schedules = {unit.sender.module: unit.schedule for unit in self._modules}
-        schedules |= {unit.sender.module: unit.schedule for unit in self._locals}
-        self._reports = {
-            i: StatusReports(
-                sender,
-                schedules[i],
-                device_info(self._unique_id(i), settings.rate(i), settings.sensors if i in ids else ()),
-                settings.info_interval_s,
-                settings.health_interval_s,
-            )
-            for i, sender in self.senders.items()
-        }
-
-    def _build_way_to_host(self) -> None:
-        settings, faults = self.settings, self._imperfections
-        self._faults = {i: PacketFaults(faults, self._random(i, _RADIO), self.counts) for i in self.senders}
+    def _build(self, parts: SuitParts, imperfections: Imperfections, seed: int) -> None:
+        settings = self.settings
+        modules = parts.modules()
+        self._inertial = parts.inertial
+        self._sampler = parts.sampler(modules)
+        self._locals = {d.module: LocalSampler(self.motion, d, seed) for d in self.motion.body.local_devices}
+        self._relay: RelayDevice | None = parts.relay(modules) if settings.has_relay else None
+        self.devices: dict[int, EmulatedDevice] = {**modules}
+        """All devices by number, the relay as 0xFE."""
+        if self._relay is not None:
+            self.devices[RELAY] = self._relay
+        self.from_host = FromHost(self.framing)
+        """What the host has said; its decoder counts what came damaged."""
+        self._faults = {i: PacketFaults(imperfections, parts.random(i, RADIO), self.counts) for i in modules}
         self._deliveries = {
-            i: Delivery(faults, settings.encoding, self._random(i, _HOST), self.counts)
-            for i in (*self.senders, RELAY)
+            i: Delivery(imperfections, settings.encoding, parts.random(i, HOST), self.counts)
+            for i in (*modules, RELAY)
         }
-        self._relay: EmulatedRelay | None = None
-        if settings.has_relay:
-            fastest = max((settings.rate(i) for i in self.senders), default=settings.sampling_rate_hz)
-            self._relay = EmulatedRelay(self._sender(RELAY, fastest), 1.0 / fastest)
-
-    def _mountings(self, errors: list[ModuleErrors]) -> tuple[FloatArray, FloatArray]:
-        """Where the modules really are: lever arms (M, 3) and rotations (M, 3, 3) sensor to segment."""
-        body = self.motion.body
-        shifts = np.array([e.placement for e in errors]).reshape(-1, 3)
-        turns = np.array([e.placement_rotation for e in errors]).reshape(-1, 3, 3)
-        nominal = Rotation.from_quat(body.sensor_to_segment[self._segments], scalar_first=True).as_matrix()
-        return body.module_positions[self._segments] + shifts, nominal @ turns
-
-    def _sender(self, module: int, rate_hz: float) -> Sender:
-        return Sender(module, draw_clock(self._imperfections, self._random(module, _CLOCK), 1.0 / rate_hz))
-
-    def _unique_id(self, module: int) -> bytes:
-        return struct.pack("<8sHH", b"EMULATED", self._seed % 2**16, module)
-
-    def _random(self, module: int, purpose: int) -> np.random.Generator:
-        return module_random(self._seed, module, purpose)
+        self._to_devices = {i: RadioToDevice(imperfections, parts.random(i, UPLINK)) for i in self.devices}

@@ -60,7 +60,7 @@ class Waves:
         return [self._component(axis, times, fade) for axis in range(3)]
 
     def _component(self, axis: int, times: FloatArray, fade: Derivatives) -> Derivatives:
-        value, rate, acceleration = np.zeros((3, *times.shape))
+        value, rate, acceleration = np.zeros((3, *times.shape), times.dtype)
         for k in range(self.amplitude.shape[2]):
             amplitude = self.amplitude[:, axis, k]
             if not amplitude.any():

@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 
 from devices.emulators.delivery import Encoding, Transmission
-from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.emulated_suit import Conversation, EmulatedSuit
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import Recording, play
@@ -67,6 +67,12 @@ def emulate(
     fine: Annotated[bool, typer.Option("--fine", help="Send the fine (32-bit) samples.")] = False,
     recording: Annotated[Path | None, typer.Option(help="Play a real recording instead of a motion.")] = None,
     kind: Annotated[str, typer.Option("--format", help=f"Of the recording: {', '.join(READERS)}.")] = "",
+    fresh: Annotated[
+        int, typer.Option(min=0, help="So many modules come from the factory, all of id 0.")
+    ] = 0,
+    id_conflict: Annotated[
+        bool, typer.Option("--id-conflict", help="The last module has the id of the one before it.")
+    ] = False,
     seed: Annotated[int, typer.Option(help="Of the motion and of everything random.")] = 1,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="End after so long.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Say where and since when as JSON.")] = False,
@@ -74,9 +80,10 @@ def emulate(
     """Emulate a suit: a moving body, its sensors with their errors, the modules' protocol.
 
     A human walks, a pendulum swings, anything else moves its joints at random; --seed makes it
-    repeatable.
+    repeatable. The suit obeys a host as real modules do; a recording only plays.
     """
     encoding = Encoding(Framing.CAN if on in {Medium.CAN, Medium.SLCAN} else Framing.BYTE_STREAM, fd)
+    source: Conversation | Iterable[Transmission]
     if recording is not None:
         source = play(_read(recording, kind), encoding)
     else:
@@ -86,18 +93,27 @@ def emulate(
             has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
             encoding=encoding,
         )
-        source = _traffic(rig, settings, imperfections, seed).transmissions(seconds)
+        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict)
     try:
-        _play(source, _transport(on, link, port, channel, fd), as_json)
+        _play(source, _transport(on, link, port, channel, fd), as_json, seconds)
     except (OSError, can.CanError) as error:
         raise GatewayError(f"the emulated suit cannot speak on {on}: {error}; {_REMEDIES[on]}") from error
 
 
-def _traffic(rig: str, settings: SuitSettings, imperfections: str, seed: int) -> SuitTraffic:
+def _traffic(
+    rig: str, settings: SuitSettings, imperfections: str, seed: int, fresh: int, id_conflict: bool
+) -> SuitTraffic:
     if imperfections not in PRESETS:
         raise GatewayError(f"--imperfections {imperfections}: unknown{nearest(imperfections, PRESETS)}")
     suit = load_rig(rig)
-    world = replace(settings, gravity=suit.gravity, magnetic_field=suit.magnetic_field)
+    ids = suit.module_ids
+    world = replace(
+        settings,
+        gravity=suit.gravity,
+        magnetic_field=suit.magnetic_field,
+        fresh=frozenset(ids[:fresh]),
+        stored_ids={ids[-1]: ids[-2]} if id_conflict and len(ids) > 1 else {},
+    )
     return SuitTraffic(move(dress(suit), suit.skeleton.name, seed), world, PRESETS[imperfections], seed)
 
 
@@ -118,8 +134,14 @@ def _transport(on: Medium, link: Path | None, port: int, channel: str, fd: bool)
     return PtyTransport(link) if on is Medium.PTY else SlcanTransport(link)
 
 
-def _play(source: Iterable[Transmission], transport: Transport, as_json: bool) -> None:
-    suit = EmulatedSuit(source, transport, start_ns=gateway_time_ns() + _START_DELAY_NS)
+def _play(
+    source: Conversation | Iterable[Transmission],
+    transport: Transport,
+    as_json: bool,
+    seconds: float | None,
+) -> None:
+    start_ns = gateway_time_ns() + _START_DELAY_NS
+    suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=seconds)
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(_run(suit, as_json))
     if not as_json:

@@ -8,11 +8,14 @@ import sys
 import typer
 
 import gateway
+from devices.device_errors import DeviceError
 from devices.link import LinkError
 from gateway.cli.calibrate_clocks import calibrate_app
 from gateway.cli.configuration import config_app
 from gateway.cli.demo import demo
+from gateway.cli.doctor import doctor
 from gateway.cli.emulate import emulate
+from gateway.cli.modules import modules_app
 from gateway.cli.run import run
 from gateway.cli.watch import watch
 from gateway.errors import GatewayError
@@ -24,10 +27,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command(epilog="Example: mocap-gateway demo --seconds 20 --body human")(demo)
+app.command(epilog="Example: mocap-gateway demo --seconds 20 --rig robot_arm_4")(demo)
 app.command(epilog="Example: mocap-gateway run -c config/gateway.yaml")(run)
 app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link /tmp/suit")(emulate)
 app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
+app.command(epilog="Example: mocap-gateway doctor -c config/gateway.yaml")(doctor)
+app.add_typer(modules_app, name="modules")
 app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(config_app, name="config")
 
@@ -52,7 +57,7 @@ def main() -> None:
     logging.basicConfig(format="%(asctime)s %(levelname)-7s %(message)s", level=logging.WARNING)
     try:
         app()
-    except (GatewayError, LinkError) as error:
+    except (GatewayError, DeviceError, LinkError) as error:
         for line in str(error).splitlines():
             print(f"mocap-gateway: {line}", file=sys.stderr)  # noqa: T201 - this is the user's terminal
         sys.exit(1)

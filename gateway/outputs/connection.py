@@ -41,6 +41,8 @@ _UNSUPPORTED_PROTOCOL = 132
 _BAD_CREDENTIALS = 134
 _NOT_AUTHORISED = 135
 
+_CANCEL_AGAIN_S = 0.5
+
 
 @dataclass(frozen=True)
 class Backoff:
@@ -160,3 +162,17 @@ async def nap(seconds: float, interrupt: asyncio.Event) -> None:
             await interrupt.wait()
     except TimeoutError:
         return
+
+
+async def end_tasks(*tasks: asyncio.Task[None]) -> None:
+    """Cancel tasks until they have ended.
+
+    Once is not enough: a cancellation that arrives while an MQTT connection is being closed can be
+    turned into a connection error there, and a task that reconnects for ever would go on.
+    """
+    remaining = set(tasks)
+    while remaining:
+        for task in remaining:
+            task.cancel()
+        _, remaining = await asyncio.wait(remaining, timeout=_CANCEL_AGAIN_S)
+    await asyncio.gather(*tasks, return_exceptions=True)

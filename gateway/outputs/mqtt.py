@@ -21,7 +21,15 @@ from devices.link import gateway_time_ns
 from gateway.body.skeleton import Skeleton
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
-from gateway.outputs.connection import Backoff, broker_connection, explain, nap, unique_identifier, until_lost
+from gateway.outputs.connection import (
+    Backoff,
+    broker_connection,
+    end_tasks,
+    explain,
+    nap,
+    unique_identifier,
+    until_lost,
+)
 from gateway.outputs.messages import (
     BridgeHealth,
     BridgeInfo,
@@ -126,8 +134,7 @@ class MqttOutput:
         if self._task is not None:
             if self.is_connected:
                 await asyncio.wait({self._task}, timeout=_FAREWELL_S)
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
+            await end_tasks(self._task)
             self._task = None
         if self._broker is not None:
             await self._broker.stop()
@@ -191,6 +198,10 @@ class MqttOutput:
         if time.monotonic() >= self._health_due:
             self._health_due = time.monotonic() + self._settings.health_interval
             await self._publish_health(client)
+            if self._broker is not None:
+                # A client that subscribes to the embedded broker just while the birth message is on its
+                # way has been seen to miss it.
+                await client.publish(self.topics.bridge_state, _ONLINE, qos=1, retain=True)
         while self._queue:
             await self._publish_pose(client, self._queue.popleft())
 

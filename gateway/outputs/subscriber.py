@@ -26,6 +26,7 @@ from gateway.outputs import topics
 from gateway.outputs.connection import (
     Backoff,
     broker_connection,
+    end_tasks,
     explain,
     unique_identifier,
 )
@@ -111,8 +112,7 @@ class PoseSubscriber:
 
     async def _end(self) -> None:
         if self._task is not None:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
+            await end_tasks(self._task)
             self._task = None
 
     async def _receive_for_ever(self, subscribed: asyncio.Future[None]) -> None:

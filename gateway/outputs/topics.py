@@ -7,6 +7,8 @@ from dataclasses import dataclass
 BRIDGE_STATE = "bridge/state"
 BRIDGE_INFO = "bridge/info"
 BRIDGE_HEALTH = "bridge/health"
+BRIDGE_REQUEST = "bridge/request"
+BRIDGE_RESPONSE = "bridge/response"
 BODY = "body"
 POSE = "pose"
 
@@ -55,6 +57,14 @@ class Topics:
     def pose(self) -> str:
         """One message a skeleton frame."""
         return f"{self.root}/{POSE}"
+
+    def request(self, verb: str) -> str:
+        """Where a request is published."""
+        return f"{self.root}/{BRIDGE_REQUEST}/{verb}"
+
+    def response(self, verb: str) -> str:
+        """Where its answer comes, unless the request says otherwise (MQTT 5)."""
+        return f"{self.root}/{BRIDGE_RESPONSE}/{verb}"
 
     def split(self, topic: str) -> tuple[str, str] | None:
         """(gateway, rest) of a topic of this gateway, or None for one that is not."""

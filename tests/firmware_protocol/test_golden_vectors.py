@@ -10,23 +10,43 @@ from zlib import crc32
 import pytest
 
 from firmware_protocol import (
+    SETTINGS,
+    VERBS,
     CanFrameDecoder,
     FrameDecoder,
     Kind,
     PacketDecoder,
     WireFrame,
+    decode_arguments,
+    decode_payload,
+    decode_value,
+    encode_arguments,
     encode_frame,
     encode_packet,
+    encode_payload,
+    encode_value,
     fragment,
     pack_can_records,
 )
+from firmware_protocol.flash_slots import decode_slot
 from firmware_protocol.golden import VECTORS, packet_vectors
-from firmware_protocol.golden_defects import defect_vectors, received_as_json
+from firmware_protocol.golden_commands import command_vectors, setting_vectors
+from firmware_protocol.golden_defects import defect_vectors
+from firmware_protocol.golden_forms import as_json, received_as_json
 
 PACKETS = json.loads((VECTORS / "packets.json").read_text(encoding="utf-8"))
+COMMANDS = json.loads((VECTORS / "commands.json").read_text(encoding="utf-8"))
+SETTING_VECTORS = json.loads((VECTORS / "settings.json").read_text(encoding="utf-8"))
 DEFECTS = json.loads((VECTORS / "defects.json").read_text(encoding="utf-8"))
 
-every_packet_vector = pytest.mark.parametrize("vector", PACKETS["vectors"], ids=lambda v: v["name"])
+FRAME_VECTORS = PACKETS["vectors"] + [
+    {"name": f"{end} {vector['name']}", **vector[end]}
+    for vector in COMMANDS["vectors"]
+    for end in ("command", "acknowledgement")
+]
+
+every_packet_vector = pytest.mark.parametrize("vector", FRAME_VECTORS, ids=lambda v: v["name"])
+every_verb_vector = pytest.mark.parametrize("vector", COMMANDS["vectors"], ids=lambda v: v["name"])
 
 
 def unstuff_by_hand(stuffed: bytes) -> bytes:
@@ -117,6 +137,73 @@ def test_decoding_gives_the_committed_values_on_every_link(vector: dict[str, Any
             assert encode_packet(received[0].packet).hex() == vector["body"]
 
 
+def test_a_command_is_as_worked_out_by_hand():
+    """Transaction 111, verb 11, nobody's unique id; setting 2 (sampling rate) = 2000 tenths of a hertz."""
+    vector = next(v for v in COMMANDS["vectors"] if v["name"] == "WRITE_SETTING")
+    body = "6f00" + "0b" + "00" * 12 + "02" + "d007"
+    assert vector["command"]["body"] == body
+    content = bytes.fromhex("01 50 09 0b00 e8030000" + body)
+    checksum = crc32(content).to_bytes(4, "little")
+    assert checksum.hex() == "f9743b81"
+    pieces = vector["command"]["can_classic"]["frames"]
+    payload = content[3:9] + bytes([18]) + content[9:] + checksum
+    # Priority 1, kind 0x50, module 9, version 1, last, index.
+    base = 1 << 26 | 0x50 << 18 | 9 << 10 | 1 << 6
+    assert [(int(p["identifier"], 16), p["data"]) for p in pieces] == [
+        (base, payload[:8].hex()),
+        (base | 1, payload[8:16].hex()),
+        (base | 2, payload[16:24].hex()),
+        (base | 1 << 5 | 3, payload[24:].hex()),
+    ]
+    (received,) = vector["command"]["packets"]
+    assert received["values"] == {
+        "transaction": 111,
+        "verb": 11,
+        "unique_id": "00" * 12,
+        "arguments": "02d007",
+    }
+
+
+@every_verb_vector
+def test_arguments_and_payloads_are_as_committed(vector: dict[str, Any]):
+    for end, encode, decode in (
+        ("arguments", encode_arguments, decode_arguments),
+        ("payload", encode_payload, decode_payload),
+    ):
+        data = bytes.fromhex(vector[end]["bytes"])
+        values = decode(vector["verb"], data)
+        assert values is not None
+        assert [as_json(value) for value in values] == list(vector[end]["values"].values())
+        assert encode(vector["verb"], *values) == data
+    sent, answered = (vector[end]["packets"][0]["values"] for end in ("command", "acknowledgement"))
+    assert sent["arguments"] == vector["arguments"]["bytes"]
+    assert answered["payload"] == vector["payload"]["bytes"]
+
+
+def test_settings_are_as_committed():
+    for vector in SETTING_VECTORS["vectors"]:
+        value = decode_value(vector["key"], bytes.fromhex(vector["bytes"]))
+        assert as_json(value) == vector["value"]
+        assert encode_value(vector["key"], value).hex() == vector["bytes"]
+        assert SETTINGS[vector["key"]].name == vector["name"]
+
+
+def test_the_committed_slot_is_the_spec_taken_by_hand():
+    slot = SETTING_VECTORS["slot"]
+    image = bytes.fromhex(slot["image"])
+    entries = b"".join(
+        bytes([s["key"], len(s["bytes"]) // 2]) + bytes.fromhex(s["bytes"]) for s in slot["settings"]
+    )
+    content = struct.pack("<IIHH", 0x4D475331, slot["generation"], len(entries), 0) + entries
+    assert image == content + struct.pack("<I", crc32(content))
+    found = decode_slot(image)
+    assert found is not None
+    assert found.generation == slot["generation"] == 2**32 - 1
+    assert {key: value.hex() for key, value in found.settings.items()} == {
+        s["key"]: s["bytes"] for s in slot["settings"]
+    }
+
+
 EXPECTED_DROPS = {
     "an idle line": {},
     "one bit of the body turned": {"BAD_CRC": 1},
@@ -154,6 +241,8 @@ def test_damage_is_counted_as_committed_and_the_good_packet_survives(link: str):
 
 def test_every_kind_and_every_expected_drop_has_a_vector():
     assert {vector["kind"] for vector in PACKETS["vectors"]} == set(Kind)
+    assert [vector["verb"] for vector in COMMANDS["vectors"]] == list(VERBS)
+    assert [vector["key"] for vector in SETTING_VECTORS["vectors"]] == [*SETTINGS, *SETTINGS]
     assert {vector["name"] for link in ("byte_stream", "can") for vector in DEFECTS[link]} == set(
         EXPECTED_DROPS
     )
@@ -161,4 +250,6 @@ def test_every_kind_and_every_expected_drop_has_a_vector():
 
 def test_the_committed_files_are_what_would_be_written():
     assert packet_vectors() == PACKETS
+    assert command_vectors() == COMMANDS
+    assert setting_vectors() == SETTING_VECTORS
     assert defect_vectors() == DEFECTS

@@ -11,6 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import (
+    BROADCAST,
+    FROM_HOST,
     PACKETS,
     RELAY,
     CanFrameDecoder,
@@ -21,6 +23,7 @@ from firmware_protocol import (
     LocalMeasurement,
     PacketDecoder,
     ReceivedPacket,
+    SamplingTrigger,
     WireFrame,
     decode_body,
     encode_frame,
@@ -30,12 +33,14 @@ from firmware_protocol import (
     wire_frame,
 )
 from firmware_protocol.framing import MAX_BODY_SIZE
+from firmware_protocol.golden_examples import FRAMES
 
 seeded = settings(deadline=None, derandomize=True)
 
 SAMPLE = wire_frame(InertialSample(specific_force=(0.0, 0.0, 9.8)), 3, 17, 1000)
 POSITION = wire_frame(LocalMeasurement(3, (1.0, 2.0, 3.0), (0.5, 0.5, 0.5)), 40, 5, 1001)
 HEALTH = wire_frame(Health(None, 3.7, None, None, 1, 2, 3, 4, 5), RELAY, 6, 1002)
+TRIGGER = wire_frame(SamplingTrigger(number=5), 3, 7, 1003)
 GOOD = [SAMPLE, POSITION, HEALTH]
 
 
@@ -69,6 +74,25 @@ def test_a_batch_comes_out_as_the_packets_it_holds():
     assert fed(encode_frame(batch)) == ([received(frame) for frame in GOOD], Counter(), 3)
 
 
+def test_a_wire_frame_that_came_another_way_is_taken():
+    decoder = PacketDecoder(FrameDecoder())
+    assert decoder.take(relay_batch(GOOD, 9, 2000)) == [received(frame) for frame in GOOD]
+    assert decoder.take(replace(SAMPLE, kind=0x77)) == []
+    assert (decoder.accepted, decoder.dropped) == (3, Counter({Defect.UNKNOWN_KIND: 1}))
+
+
+@pytest.mark.parametrize("kind", [*PACKETS, 0x20])
+def test_only_what_the_host_sends_may_be_meant_for_all(kind: int):
+    least = min(len(vector.body) for vector in FRAMES.values() if vector.kind == kind)
+    frame = next(v for v in FRAMES.values() if v.kind == kind and len(v.body) == least)
+    packets, dropped, _ = fed(encode_frame(replace(frame, module=BROADCAST)))
+    if kind in FROM_HOST:
+        assert [packet.module for packet in packets] == [BROADCAST]
+        assert fed(encode_frame(replace(frame, module=RELAY)))[2] == 1
+    else:
+        assert dropped == {Defect.BAD_MODULE: 1}
+
+
 def test_an_entry_put_together_by_hand():
     entry = bytes.fromhex("10 03 1100 e8030000 07") + struct.pack("<B3h", 1, 0, 0, 2047)
     assert relay_batch([SAMPLE], 0, 0).body == entry
@@ -92,6 +116,9 @@ def test_a_truncated_entry_ends_the_batch_and_what_came_before_stands():
         (replace(SAMPLE, kind=0x77), Defect.UNKNOWN_KIND),
         (replace(SAMPLE, module=64), Defect.BAD_MODULE),
         (replace(SAMPLE, module=0xFF), Defect.BAD_MODULE),
+        (replace(SAMPLE, kind=0x77, module=0xFF), Defect.UNKNOWN_KIND),
+        (replace(TRIGGER, module=64), Defect.BAD_MODULE),
+        (replace(TRIGGER, module=0xFD), Defect.BAD_MODULE),
         (replace(SAMPLE, body=SAMPLE.body + b"\x00"), Defect.BAD_LENGTH),
         (replace(SAMPLE, body=b"\x08"), Defect.BAD_VALUE),
         (replace(POSITION, body=b"\x04" + POSITION.body[1:]), Defect.BAD_VALUE),

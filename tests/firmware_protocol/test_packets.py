@@ -1,10 +1,10 @@
-"""Bodies of packets: against numbers worked out by hand, there and back, and refused when wrong."""
+"""Bodies of packets: against numbers worked out by hand, and there and back."""
 
 from __future__ import annotations
 
 import math
 import struct
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 import pytest
@@ -13,13 +13,26 @@ from hypothesis import strategies as st
 
 from firmware_protocol import (
     PACKETS,
+    Acknowledgement,
+    Command,
     Defect,
     DeviceInfo,
+    Event,
+    FusedSample,
     Health,
     InertialSample,
     InertialSampleFine,
+    LightSample,
     LocalMeasurement,
+    LogLine,
     Packet,
+    PassThrough,
+    PressureSample,
+    SamplingTrigger,
+    SyncRequest,
+    SyncResponse,
+    TransferToHost,
+    TransferToModule,
     decode_body,
     encode_packet,
 )
@@ -82,6 +95,39 @@ POSITION = LocalMeasurement(3, (1.0, 2.0, 3.0), (0.5, 0.5, 0.5))
             struct.pack("<BHhbIIHHH", 255, 65535, -32768, 127, 2**32 - 1, 0, 65535, 0, 0),
             Health(None, None, None, None, 2**32 - 1, 0, 65535, 0, 0),
         ),
+        (
+            0x12,
+            struct.pack("<4h3iI", 32767, 0, -32767, 16384, 1_000_000, -1, 250, 10_000),
+            FusedSample((1.0, 0.0, -1.0, 16384 / 32767), (1.0, -1e-6, 2.5e-4), 0.01),
+        ),
+        (
+            0x19,
+            struct.pack("<6H", 65535, 0, 13107, 1, 0, 0),
+            LightSample((1.0, 0.0, 0.2, 1 / 65535, 0.0, 0.0)),
+        ),
+        (
+            0x1A,
+            struct.pack("<4fh", 1.5, -2.5, 0.0, 101325.0, 2150),
+            PressureSample((1.5, -2.5, 0.0), 101325.0, 21.5),
+        ),
+        (0x1A, struct.pack("<4fh", 0, 0, 0, 1, -(2**15)), PressureSample((0.0, 0.0, 0.0), 1.0, None)),
+        (0x1B, b"\x02\xb5\x62\x00", PassThrough(2, b"\xb5\x62\x00")),
+        (0x1B, b"\x03" + bytes(240), PassThrough(3, bytes(240))),
+        (0x32, b"\x03\x02", Event(3, 2)),
+        (0x33, b"\x02" + "µ".encode(), LogLine(2, "µ")),
+        (0x33, b"\x01", LogLine(1, "")),
+        (0x40, struct.pack("<HQ", 7, 2**64 - 1), SyncRequest(7, 2**64 - 1)),
+        (0x41, struct.pack("<HII", 7, 2**32 - 1, 3), SyncResponse(7, 2**32 - 1, 3)),
+        (0x42, b"\x01\x02", SamplingTrigger(0x201)),
+        (0x50, b"\x07\x00\x0b" + bytes(12) + b"\x01\x09", Command(7, 11, bytes(12), b"\x01\x09")),
+        (0x50, b"\x07\x00\xfe" + b"0123456789ab", Command(7, 0xFE, b"0123456789ab")),
+        (
+            0x51,
+            b"\x07\x00\x0b\x03" + b"0123456789ab" + b"\x01",
+            Acknowledgement(7, 11, 3, b"0123456789ab", b"\x01"),
+        ),
+        (0x5E, b"\x01\x05\x2c\x01abc", TransferToModule(1, 5, 300, b"abc")),
+        (0x5F, b"\x02\x05\x01\x00", TransferToHost(2, 5, 1)),
     ],
 )
 def test_decoded_values_are_those_worked_out_by_hand(kind: int, body: bytes, packet: Packet):
@@ -89,7 +135,9 @@ def test_decoded_values_are_those_worked_out_by_hand(kind: int, body: bytes, pac
     assert type(decoded) is type(packet)
     for f in fields(packet):
         expected, value = getattr(packet, f.name), getattr(decoded, f.name)
-        assert value == (expected if isinstance(expected, bytes | bool | None) else pytest.approx(expected))
+        assert value == (
+            expected if isinstance(expected, bytes | str | bool | None) else pytest.approx(expected)
+        )
 
 
 def elements(declared: WireField) -> st.SearchStrategy[Any]:
@@ -110,6 +158,12 @@ def elements(declared: WireField) -> st.SearchStrategy[Any]:
 
 
 def values(declared: WireField) -> st.SearchStrategy[Any]:
+    if declared.is_text:
+        largest = declared.max_size or declared.count
+        texts = st.text(st.characters(min_codepoint=1, codec="utf-8"), max_size=largest)
+        return texts.filter(lambda text: len(text.encode()) <= largest)
+    if declared.is_rest:
+        return st.binary(min_size=declared.min_size, max_size=declared.max_size)
     if declared.code == "s":
         return st.binary(min_size=declared.count, max_size=declared.count)
     whole = elements(declared)
@@ -157,13 +211,13 @@ def test_arbitrary_bodies_never_raise(kind: int, body: bytes):
 def test_what_decodes_encodes_to_the_same_bytes(kind: int, data: st.DataObject):
     layout = layout_of(PACKETS[kind])
     mask = data.draw(st.sampled_from(layout.valid_masks()))
-    size = struct.calcsize(layout.struct_format(mask)) - layout.has_mask
-    body = bytes([mask] * layout.has_mask) + data.draw(st.binary(min_size=size, max_size=size))
+    least, most = (size - layout.has_mask for size in layout.sizes(mask))
+    body = bytes([mask] * layout.has_mask) + data.draw(st.binary(min_size=least, max_size=most))
     packet = decode_body(kind, body)
     if isinstance(packet, Defect):
         assert packet is Defect.BAD_VALUE
         return
-    raw = struct.unpack(layout.struct_format(mask), body)
+    raw = struct.unpack_from(layout.struct_format(mask), body)
     if -(2**15) in raw or -(2**31) in raw:
         return  # below the least number that encoding gives
     assert encode_packet(packet) == body
@@ -206,90 +260,6 @@ def test_a_sensor_clipped_below_the_range_of_the_wire_stays_marked():
     assert decoded.angular_rate_clipped is True
 
 
-NAN, INF = math.nan, math.inf
-
-
-@pytest.mark.parametrize(
-    ("packet", "named"),
-    [
-        (InertialSample(specific_force=(0.0, NAN, 0.0)), "InertialSample.specific_force"),
-        (InertialSample(magnetic_field=(INF, 0.0, 0.0)), "InertialSample.magnetic_field"),
-        (InertialSampleFine(angular_rate=(0.0, 0.0, -INF)), "InertialSampleFine.angular_rate"),
-        (InertialSample(specific_force=(0.0, 0.0)), "InertialSample.specific_force.*3 numbers"),
-        (InertialSample(angular_rate=("1", "2", "3")), "InertialSample.angular_rate"),
-        (InertialSample(angular_rate_clipped=True), "absent cannot be clipped"),
-        (replace(POSITION, value=(NAN, 0.0, 0.0)), "LocalMeasurement.value"),
-        (replace(POSITION, value=(1e39, 0.0, 0.0)), "LocalMeasurement.value.*too large"),
-        (replace(POSITION, sigma=(0.1, INF, 0.1)), "LocalMeasurement.sigma"),
-        (replace(POSITION, sigma=(0.1, -0.1, 0.1)), "LocalMeasurement.sigma"),
-        (replace(POSITION, value=None), "LocalMeasurement.value"),
-        (replace(POSITION, quantity=0), "LocalMeasurement.quantity"),
-        (replace(POSITION, quantity=4), "LocalMeasurement.quantity"),
-        (replace(INFO, unique_id=b"short"), "DeviceInfo.unique_id.*12 bytes"),
-        (replace(INFO, firmware_version=(1, 2, 256)), "DeviceInfo.firmware_version.*u8"),
-        (replace(INFO, hardware_version=(1, 2, 3)), "DeviceInfo.hardware_version"),
-        (replace(INFO, accelerometer_range=6553.6), "DeviceInfo.accelerometer_range.*u16"),
-        (replace(INFO, gyrometer_range=0.0), "DeviceInfo.gyrometer_range"),
-        (replace(HEALTH, battery_percent=101), "Health.battery_percent"),
-        (replace(HEALTH, battery_percent=50.5), "Health.battery_percent"),
-        (replace(HEALTH, battery_voltage=65.535), "Health.battery_voltage"),
-        (replace(HEALTH, temperature_celsius=NAN), "Health.temperature_celsius"),
-        (replace(HEALTH, rssi_dbm=127), "Health.rssi_dbm"),
-        (replace(HEALTH, uptime_s=-1), "Health.uptime_s"),
-        (replace(HEALTH, resets=None), "Health.resets"),
-    ],
-)
-def test_encoding_refuses_and_names_the_field(packet: Packet, named: str):
-    with pytest.raises(ValueError, match=named):
-        encode_packet(packet)
-
-
-def local(quantity: int = 1, value: float = 0.0, sigma: float = 0.0) -> bytes:
-    return struct.pack("<B6f", quantity, 0.0, value, 0.0, 0.0, 0.0, sigma)
-
-
-@pytest.mark.parametrize(
-    ("kind", "body", "defect"),
-    [
-        (0x77, b"", Defect.UNKNOWN_KIND),
-        (0x20, b"", Defect.UNKNOWN_KIND),
-        (0x10, b"", Defect.BAD_LENGTH),
-        (0x10, b"\x08", Defect.BAD_VALUE),
-        (0x10, b"\x10", Defect.BAD_VALUE),
-        (0x10, b"\x01" + bytes(5), Defect.BAD_LENGTH),
-        (0x10, b"\x01" + bytes(7), Defect.BAD_LENGTH),
-        (0x10, b"\x07" + bytes(12), Defect.BAD_LENGTH),
-        (0x11, b"\x01" + bytes(6), Defect.BAD_LENGTH),
-        (0x18, local()[:-1], Defect.BAD_LENGTH),
-        (0x18, local(quantity=0), Defect.BAD_VALUE),
-        (0x18, local(quantity=4), Defect.BAD_VALUE),
-        (0x18, local(value=NAN), Defect.BAD_VALUE),
-        (0x18, local(value=INF), Defect.BAD_VALUE),
-        (0x18, local(sigma=NAN), Defect.BAD_VALUE),
-        (0x18, local(sigma=-0.5), Defect.BAD_VALUE),
-        (0x30, bytes(28), Defect.BAD_LENGTH),
-        (0x31, bytes(21), Defect.BAD_LENGTH),
-        (0x31, b"\x65" + bytes(19), Defect.BAD_VALUE),
-    ],
-)
-def test_decoding_refuses_with_a_reason(kind: int, body: bytes, defect: Defect):
-    assert decode_body(kind, body) is defect
-
-
-@pytest.mark.parametrize("kind", [0x10, 0x11])
-def test_no_mask_is_accepted_with_another_length_than_its_own(kind: int):
-    size = {0x10: 6, 0x11: 12}[kind]
-    for mask in range(256):
-        n_sensors = (mask & 7).bit_count()
-        is_valid = not mask & 8 and (mask >> 4 & 7) & ~mask & 7 == 0
-        decoded = [
-            length
-            for length in range(1, 45)
-            if not isinstance(decode_body(kind, bytes([mask]) + bytes(length - 1)), Defect)
-        ]
-        assert decoded == ([1 + n_sensors * size] if is_valid else [])
-
-
 @pytest.mark.parametrize("packet_class", PACKETS.values())
 def test_every_declaration_says_all_a_generator_needs(packet_class: type[Packet]):
     layout = layout_of(packet_class)
@@ -297,6 +267,7 @@ def test_every_declaration_says_all_a_generator_needs(packet_class: type[Packet]
     assert [f.name for f in layout.fields] + [f.name for f in layout.flags] == names
     assert all(f.sentence.endswith(".") for f in (*layout.fields, *layout.flags))
     assert all(f.unit for f in layout.fields if f.scale is not None)
+    assert not any(f.is_rest for f in layout.fields[:-1])
     bits = [f.presence_bit for f in layout.fields if f.presence_bit is not None] + [
         f.bit for f in layout.flags
     ]

@@ -1,9 +1,11 @@
 """Where an emulated suit's bytes go: pseudo-terminals, CAN buses, sockets, memory.
 
-``offer`` never waits. A transport opens, writes and closes; it knows no packet fields.
+``offer`` never waits; ``listen`` hears what the host sends. A transport opens, writes, reads and closes;
+it knows no packet fields.
 """
 
 from devices.emulators.transports.can_bus_transport import CanBusTransport
+from devices.emulators.transports.loopback_transport import LoopbackTransport
 from devices.emulators.transports.memory_transport import MemoryTransport
 from devices.emulators.transports.pty_transport import PtyTransport
 from devices.emulators.transports.slcan_transport import SlcanTransport
@@ -12,6 +14,7 @@ from devices.emulators.transports.transport import Transport
 
 __all__ = [
     "CanBusTransport",
+    "LoopbackTransport",
     "MemoryTransport",
     "PtyTransport",
     "SlcanTransport",

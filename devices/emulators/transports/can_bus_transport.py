@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
 from typing import Any
 
 import can
 
+from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import Framing
-from firmware_protocol import CanFrame, unpack_can_records
+from firmware_protocol import CanFrame, pack_can_records, unpack_can_records
+
+_POLL_INTERVAL_S = 0.002
 
 
 class CanBusTransport:
-    """Sends CAN frames on a bus."""
+    """Sends CAN frames on a bus, and hears those of others."""
 
     framing = Framing.CAN
 
@@ -21,6 +25,8 @@ class CanBusTransport:
         self._options = {"channel": channel, "interface": interface, **bus_options}
         self._bus: can.BusABC | None = None
         self._rest: deque[CanFrame] = deque()
+        self._on_receive: OnReceive = ignore
+        self._poller: asyncio.Task[None] | None = None
 
     @property
     def url(self) -> str:
@@ -31,6 +37,7 @@ class CanBusTransport:
     async def open(self) -> None:
         """Join the bus. Raises ``can.CanError`` when that is not possible."""
         self._bus = can.Bus(**self._options)
+        self._poller = asyncio.create_task(self._keep_polling(self._bus))
 
     def offer(self, data: bytes) -> bool:
         """Send CAN records; refused while frames of the records before still wait."""
@@ -40,12 +47,28 @@ class CanBusTransport:
         self._flush()
         return True
 
+    def listen(self, on_receive: OnReceive) -> None:
+        """Hand the frames of others to a callback, as CAN records."""
+        self._on_receive = on_receive
+
     async def close(self) -> None:
         """Leave the bus."""
+        if self._poller is not None:
+            self._poller.cancel()
+            self._poller = None
         if self._bus is not None:
             self._bus.shutdown()
             self._bus = None
         self._rest.clear()
+
+    async def _keep_polling(self, bus: can.BusABC) -> None:
+        while True:
+            frames: list[CanFrame] = []
+            while (message := bus.recv(timeout=0)) is not None:
+                frames.append(_frame(message))
+            if frames:
+                self._on_receive(pack_can_records(frames))
+            await asyncio.sleep(_POLL_INTERVAL_S)
 
     def _flush(self) -> bool:
         assert self._bus is not None
@@ -56,6 +79,18 @@ class CanBusTransport:
                 return False
             self._rest.popleft()
         return True
+
+
+def _frame(message: can.Message) -> CanFrame:
+    return CanFrame(
+        identifier=message.arbitration_id,
+        data=bytes(message.data),
+        is_extended=message.is_extended_id,
+        is_fd=message.is_fd,
+        is_remote=message.is_remote_frame,
+        is_error=message.is_error_frame,
+        bitrate_switch=message.bitrate_switch,
+    )
 
 
 def _message(frame: CanFrame) -> can.Message:

@@ -1,7 +1,8 @@
-"""Keeps what was sent, for tests and benchmarks."""
+"""Keeps what was sent and says what it is told to, for tests and benchmarks."""
 
 from __future__ import annotations
 
+from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import Framing, gateway_time_ns
 
 
@@ -14,6 +15,7 @@ class MemoryTransport:
         self.chunks: list[tuple[int, bytes]] = []
         """Gateway time (ns) and bytes, in order."""
         self._capacity = capacity
+        self._on_receive: OnReceive = ignore
 
     @property
     def url(self) -> str:
@@ -29,6 +31,14 @@ class MemoryTransport:
         if data:
             self.chunks.append((gateway_time_ns(), data))
         return True
+
+    def listen(self, on_receive: OnReceive) -> None:
+        """Hand what comes by ``receive`` to a callback."""
+        self._on_receive = on_receive
+
+    def receive(self, data: bytes) -> None:
+        """Be the host: send bytes, or CAN records, to the suit."""
+        self._on_receive(data)
 
     async def close(self) -> None:
         """Nothing to close."""

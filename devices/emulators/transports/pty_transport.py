@@ -8,12 +8,12 @@ import os
 import select
 import termios
 import tty
-from collections.abc import Callable
 from pathlib import Path
 
+from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import Framing
 
-_POLL_INTERVAL_S = 0.005
+_POLL_INTERVAL_S = 0.002
 _READ_SIZE = 4096
 
 
@@ -26,17 +26,12 @@ class PtyTransport:
 
     framing = Framing.BYTE_STREAM
 
-    def __init__(
-        self, link_path: str | Path | None = None, on_receive: Callable[[bytes], None] | None = None
-    ) -> None:
-        """
-        link_path: where to put a symbolic link to the slave side, so that its name is known beforehand.
-        on_receive: called with what the host writes; without it that is discarded.
-        """
+    def __init__(self, link_path: str | Path | None = None) -> None:
+        """link_path: where to put a symbolic link to the slave side, so that its name is known beforehand."""
         self.path = ""
         """Path of the slave side (the symbolic link if one was asked for), once open."""
         self._link_path = None if link_path is None else Path(link_path)
-        self._on_receive = on_receive or (lambda data: None)
+        self._on_receive: OnReceive = ignore
         self._master = -1
         self._slave_path = ""
         self._rest = b""
@@ -76,6 +71,10 @@ class PtyTransport:
             return False
         self._rest = data[written:]
         return True
+
+    def listen(self, on_receive: OnReceive) -> None:
+        """Hand what the reader writes to a callback."""
+        self._on_receive = on_receive
 
     async def close(self) -> None:
         """Remove the pseudo-terminal; the reader sees a lost port."""

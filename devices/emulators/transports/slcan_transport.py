@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from devices.emulators.transports.pty_transport import PtyTransport
+from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import Framing
-from devices.slcan import encode_slcan
-from firmware_protocol import unpack_can_records
+from devices.slcan import SlcanDecoder, encode_slcan
+from firmware_protocol import pack_can_records, unpack_can_records
 
 _DONE, _REFUSED = b"\r", b"\x07"
 _SETTINGS = frozenset(b"SsYyZMmW")  # bit rates, time stamps, filters: acknowledged, without effect
@@ -28,8 +29,11 @@ class SlcanTransport:
         """What the host asked for, without the carriage returns, frames to be sent not included."""
         self.frames_received = 0
         """CAN frames that the host sent."""
-        self._pty = PtyTransport(link_path, self._receive)
+        self._pty = PtyTransport(link_path)
+        self._pty.listen(self._take)
         self._partial = b""
+        self._lines = SlcanDecoder()
+        self._on_receive: OnReceive = ignore
 
     @property
     def path(self) -> str:
@@ -50,12 +54,16 @@ class SlcanTransport:
             return False
         return self._pty.offer(b"".join(map(encode_slcan, unpack_can_records(data))))
 
+    def listen(self, on_receive: OnReceive) -> None:
+        """Hand the frames that the host sends to a callback, as CAN records."""
+        self._on_receive = on_receive
+
     async def close(self) -> None:
         """Remove the pseudo-terminal."""
         self.is_channel_open = False
         await self._pty.close()
 
-    def _receive(self, data: bytes) -> None:
+    def _take(self, data: bytes) -> None:
         *commands, self._partial = (self._partial + data).split(b"\r")
         self._partial = self._partial[-_LONGEST_COMMAND:]
         for command in commands:
@@ -65,7 +73,11 @@ class SlcanTransport:
         letter = command[0] if command else 0
         if letter in _SENDING:
             self.frames_received += 1
-            return _SENDING[letter] if self.is_channel_open else _REFUSED
+            if not self.is_channel_open:
+                return _REFUSED
+            if frames := self._lines.feed(command + b"\r"):
+                self._on_receive(pack_can_records(frames))
+            return _SENDING[letter]
         if command:
             self.commands.append(command)
         if command in (b"O", b"L"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
+from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import Framing
 
 _BUFFER_LIMIT = 64 * 1024
@@ -12,7 +13,8 @@ _BUFFER_LIMIT = 64 * 1024
 class TcpTransport:
     """Sends the same bytes to whoever is connected; clients come after one another or side by side.
 
-    A client too slow for the stream misses whole chunks.
+    A client too slow for the stream misses whole chunks. What clients send is one stream to the suit,
+    whoever sent it.
     """
 
     framing = Framing.BYTE_STREAM
@@ -26,6 +28,7 @@ class TcpTransport:
         """Clients accepted so far."""
         self._clients: set[asyncio.Transport] = set()
         self._server: asyncio.Server | None = None
+        self.on_receive: OnReceive = ignore
 
     @property
     def url(self) -> str:
@@ -44,6 +47,10 @@ class TcpTransport:
             if data:
                 client.write(data)
         return bool(ready)
+
+    def listen(self, on_receive: OnReceive) -> None:
+        """Hand what any client sends to a callback."""
+        self.on_receive = on_receive
 
     async def close(self) -> None:
         """Stop listening and disconnect after what was accepted is sent."""
@@ -71,6 +78,9 @@ class _Client(asyncio.Protocol):
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self._server.joined(transport)
+
+    def data_received(self, data: bytes) -> None:
+        self._server.on_receive(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._server.left(self._transport)

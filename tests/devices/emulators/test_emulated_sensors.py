@@ -95,13 +95,13 @@ def test_local_devices_measure_derivatives_of_one_another(human17):
 
 
 def readings(settings, n, rate_hz=100.0, seed=1, blocks=1):
-    sensors = ImperfectSensors(settings, draw_errors(settings, module_random(seed, 3, 0)), seed, 3, rate_hz)
+    sensors = ImperfectSensors(settings, draw_errors(settings, module_random(seed, 3, 0)), seed, 3)
     truth = (
         np.tile([0.0, 0.0, 9.8], (n // blocks, 1)),
         np.zeros((n // blocks, 3)),
         np.full((n // blocks, 3), 20.0),
     )
-    parts = [sensors.read(*truth) for _ in range(blocks)]
+    parts = [sensors.read(*truth, rate_hz) for _ in range(blocks)]
     return {name: np.vstack([part[name] for part in parts]) for name in parts[0]}
 
 

@@ -1,0 +1,215 @@
+"""Asks devices to do something, over links that somebody reads.
+
+    client = CommandClient(links, allow_writes=False)
+    for packet_class in LISTENS_TO:  # or: async with client.reading(): ...
+        stream.listen(packet_class, client.take)
+    chosen, lowest, highest = await client.ask(unique_id, Verb.HELLO, 1, 1)
+
+What changes a device is refused unless ``allow_writes``. Belongs to one event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Iterable
+from typing import Any
+
+from devices.device_errors import CommandRefusedError, DeviceError, NoAnswerError, WritesLockedError
+from devices.link import Chunk, Framing, Link, LinkError, gateway_time_ns
+from devices.transactions import Answer, Exchange, Transactions
+from firmware_protocol import (
+    BROADCAST,
+    CanFrameDecoder,
+    DeviceInfo,
+    FrameDecoder,
+    Health,
+    PacketDecoder,
+    ReceivedPacket,
+    WireFrame,
+    encode_frame,
+    fragment,
+    pack_can_records,
+    wire_frame,
+)
+from firmware_protocol.commands import VERBS, Result, Verb, decode_payload, encode_arguments
+from firmware_protocol.messages import ANYONE, Acknowledgement
+
+LISTENS_TO = (Acknowledgement, DeviceInfo, Health)
+"""Packets that the client is to be handed."""
+
+_SEND_TIMEOUT_S = 1.0
+_BUSY_ATTEMPTS = 4
+_BUSY_PAUSE_S = 0.2
+
+
+class CommandClient:
+    """Sends commands, sends them again, and gives back the answers."""
+
+    def __init__(
+        self,
+        links: Iterable[Link],
+        *,
+        allow_writes: bool = False,
+        first_transaction: int | None = None,
+        clock_ns: Callable[[], int] = gateway_time_ns,
+    ) -> None:
+        """``first_transaction``: None begins anywhere, so that no device takes it for an old one."""
+        self.links = {link.name: link for link in links}
+        self.allow_writes = allow_writes
+        first = secrets.randbelow(2**16) if first_transaction is None else first_transaction
+        self.transactions = Transactions(first)
+        self.link_of: dict[bytes, str] = {}
+        """Link that each device was last heard on, by unique id."""
+        self.infos: dict[bytes, tuple[int, DeviceInfo]] = {}
+        """Newest module id and description of each device heard."""
+        self.healths: dict[int, Health] = {}
+        """Newest health by module id."""
+        self._clock_ns = clock_ns
+        self._sequences: Counter[int] = Counter()
+        self._answered: dict[int, asyncio.Event] = {}
+
+    def take(self, received: ReceivedPacket, chunk: Chunk) -> None:
+        """Look at a packet and the chunk it came in; others than ``LISTENS_TO`` are let pass."""
+        packet, link = received.packet, chunk.link
+        if isinstance(packet, Acknowledgement):
+            self.link_of[packet.unique_id] = link
+            if self.transactions.take(packet, received.module, link) is not None:
+                self._answered[packet.transaction].set()
+        elif isinstance(packet, DeviceInfo):
+            self.link_of[packet.unique_id] = link
+            self.infos[packet.unique_id] = (received.module, packet)
+        elif isinstance(packet, Health):
+            self.healths[received.module] = packet
+
+    async def ask(self, unique_id: bytes, verb: Verb, *values: Any) -> tuple[Any, ...]:
+        """What the device with this unique id answers: the payload's values.
+
+        Raises ``WritesLockedError``, ``NoAnswerError``, ``CommandRefusedError``, ``LinkError`` when no link
+        is up, and ``ValueError`` for values that do not fit the verb.
+        """
+        for _ in range(_BUSY_ATTEMPTS):
+            answer = await self._ask_once(unique_id, verb, values)
+            if answer.result is not Result.BUSY:
+                break
+            # The device would repeat "busy" to the same transaction: ask anew.
+            await asyncio.sleep(_BUSY_PAUSE_S)
+        if answer.result is not Result.DONE:
+            raise CommandRefusedError(f"device {unique_id.hex()}", verb.name, answer.result)
+        payload = decode_payload(verb, answer.payload)
+        if payload is None:
+            raise DeviceError(
+                f"device {unique_id.hex()} answered {verb.name} in a way that this version cannot read: "
+                "its firmware may be newer than the gateway"
+            )
+        return payload
+
+    async def ask_all(self, verb: Verb, *values: Any) -> dict[bytes, Answer]:
+        """The answers of all devices that can be heard, by unique id; nobody answering is not an error.
+
+        Raises ``WritesLockedError``, and ``LinkError`` when no link is up.
+        """
+        exchange = self._begin(ANYONE, verb, values)
+        unsent = await self._carry_out(exchange, None)
+        if unsent is not None:
+            raise unsent
+        return exchange.answers
+
+    @contextlib.asynccontextmanager
+    async def reading(self) -> AsyncIterator[None]:
+        """Open the links and read them here, for as long as this lasts. Raises ``LinkError``.
+
+        A link that is lost meanwhile shows in that commands are not answered.
+        """
+        readers: list[asyncio.Task[None]] = []
+        try:
+            for link in self.links.values():
+                await link.open()
+                readers.append(asyncio.create_task(self._read(link), name=f"link {link.name}"))
+            yield
+        finally:
+            for reader in readers:
+                reader.cancel()
+            await asyncio.gather(*readers, return_exceptions=True)
+            for link in self.links.values():
+                await link.close()
+
+    async def _read(self, link: Link) -> None:
+        is_stream = link.framing is Framing.BYTE_STREAM
+        decoder = PacketDecoder(FrameDecoder() if is_stream else CanFrameDecoder())
+        async for chunk in link:
+            for received in decoder.feed(chunk.data):
+                self.take(received, chunk)
+
+    async def _ask_once(self, unique_id: bytes, verb: Verb, values: tuple[Any, ...]) -> Answer:
+        exchange = self._begin(unique_id, verb, values)
+        unsent = await self._carry_out(exchange, self.link_of.get(unique_id))
+        for answer in exchange.answers.values():
+            return answer
+        if unsent is not None:
+            raise unsent
+        raise NoAnswerError(
+            f"device {unique_id.hex()} does not answer {verb.name} (asked {exchange.attempts} times): "
+            "is it switched on and in range?"
+        )
+
+    def _begin(self, unique_id: bytes, verb: Verb, values: tuple[Any, ...]) -> Exchange:
+        if VERBS[verb].changes_device and not self.allow_writes:
+            raise WritesLockedError(verb.name)
+        arguments = encode_arguments(verb, *values)
+        return self.transactions.begin(verb, BROADCAST, unique_id, arguments, self._now_s())
+
+    async def _carry_out(self, exchange: Exchange, link: str | None) -> LinkError | None:
+        """Send and wait until the exchange is over. Why nothing could be sent, when nothing could be."""
+        transaction = exchange.command.transaction
+        answered = self._answered[transaction] = asyncio.Event()
+        unsent: LinkError | None = None
+        has_been_sent = False
+        try:
+            while not exchange.is_over(self._now_s()):
+                answered.clear()
+                if exchange.takes_turn(self._now_s()):
+                    # A link that is away may be back at the next attempt, as a restarted device on USB.
+                    unsent = await self._send(exchange, link if exchange.attempts == 1 else None)
+                    has_been_sent |= unsent is None
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(max(exchange.next_s - self._now_s(), 0.0)):
+                        await answered.wait()
+        finally:
+            self.transactions.end(exchange)
+            del self._answered[transaction]
+        return None if has_been_sent else unsent
+
+    async def _send(self, exchange: Exchange, link: str | None) -> LinkError | None:
+        """To the link where the device was heard; to all of them when that is not known or did not help.
+
+        Why it went out on none of them, or None.
+        """
+        target = exchange.target
+        sequence = self._sequences[target]
+        self._sequences[target] = (sequence + 1) % 2**16
+        frame = wire_frame(exchange.command, target, sequence, self._clock_ns() // 1000 % 2**32)
+        chosen = [self.links[link]] if link in self.links else list(self.links.values())
+        unsent = LinkError("there is no link to send a command on: configure one")
+        failures = 0
+        for each in chosen:
+            try:
+                async with asyncio.timeout(_SEND_TIMEOUT_S):
+                    await each.write(_encoded(frame, each.framing))
+            except TimeoutError:
+                unsent = LinkError(f"{each.name} takes nothing: does the other side read what is sent to it?")
+                failures += 1
+            except LinkError as error:
+                unsent = error
+                failures += 1
+        return unsent if failures == len(chosen) else None
+
+    def _now_s(self) -> float:
+        return self._clock_ns() * 1e-9
+
+
+def _encoded(frame: WireFrame, framing: Framing) -> bytes:
+    # Classic CAN frames: every CAN device takes them, FD or not.
+    return encode_frame(frame) if framing is Framing.BYTE_STREAM else pack_can_records(fragment(frame))

@@ -1,0 +1,81 @@
+"""All settings of all devices as plain data, and back again."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from devices.configure import Change, Configurator
+from devices.device_errors import DeviceError
+from devices.roster import Roster
+from devices.setting_values import Value, encoded_setting
+
+
+@dataclass
+class Restored:
+    """What writing a backup back came to, by unique id."""
+
+    changes: list[Change] = field(default_factory=list)
+    unchanged: list[bytes] = field(default_factory=list)
+    absent: list[bytes] = field(default_factory=list)
+    """In the backup, but not on the air."""
+    failures: dict[bytes, str] = field(default_factory=dict)
+
+
+async def read_backup(configurator: Configurator, roster: Roster) -> dict[str, dict[str, Value]]:
+    """Settings by name, by unique id (hexadecimal), of all modules heard. Raises as reading does."""
+    return {
+        unique_id.hex(): await configurator.read_all(unique_id)
+        for unique_id in sorted(roster.ids, key=lambda uid: (roster.ids[uid], uid))
+    }
+
+
+async def restore_backup(
+    configurator: Configurator, backup: Mapping[str, Mapping[str, Any]], reserved: Collection[int] = ()
+) -> Restored:
+    """Write back what differs; ids last and in a safe order. One device that fails does not stop the others.
+
+    Raises ``ValueError``, before anything is sent, for a unique id or a value that cannot be.
+    Raises ``WritesLockedError`` where writing is not allowed, ``UnfinishedError`` for ids.
+    """
+    wanted = {parse_unique_id(text): dict(settings) for text, settings in backup.items()}
+    for settings in wanted.values():
+        for name, value in settings.items():
+            encoded_setting(name, value)
+    present = (await configurator.discover()).ids
+    restored = Restored(absent=[uid for uid in wanted if uid not in present])
+    ids = {uid: settings.pop("module_id") for uid, settings in wanted.items() if "module_id" in settings}
+    for uid, settings in wanted.items():
+        if uid in present and settings:
+            try:
+                change = await configurator.write(uid, settings)
+            except DeviceError as error:
+                if not configurator.client.allow_writes:
+                    raise
+                restored.failures[uid] = str(error)
+            else:
+                _note(restored, change)
+    moved = await configurator.assign_ids({uid: ids[uid] for uid in ids if uid in present}, reserved)
+    restored.changes += moved
+    touched = {change.unique_id for change in restored.changes}
+    restored.unchanged = [
+        uid for uid in wanted if uid in present and uid not in {*touched, *restored.failures}
+    ]
+    return restored
+
+
+def _note(restored: Restored, change: Change) -> None:
+    if dict(change.before) != dict(change.after):
+        restored.changes.append(change)
+
+
+def parse_unique_id(text: str) -> bytes:
+    """12 bytes from hexadecimal. Raises ``ValueError``."""
+    try:
+        unique_id = bytes.fromhex(text)
+    except ValueError:
+        unique_id = b""
+    if len(unique_id) != 12:
+        raise ValueError(f"'{text}' is no unique id: 24 hexadecimal digits are wanted")
+    return unique_id

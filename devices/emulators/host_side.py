@@ -1,0 +1,54 @@
+"""From the host's bytes to packets that reach the devices: decoding, and the radio's faults. Sans-I/O."""
+
+from __future__ import annotations
+
+from numpy.random import Generator
+
+from devices.emulators.imperfections import Imperfections
+from devices.link import Framing
+from firmware_protocol import CanFrameDecoder, FrameDecoder, PacketDecoder, ReceivedPacket
+from firmware_protocol.kinds import FROM_HOST
+
+
+class FromHost:
+    """What the host has said, until it is due."""
+
+    def __init__(self, framing: Framing) -> None:
+        self.decoder = PacketDecoder(CanFrameDecoder() if framing is Framing.CAN else FrameDecoder())
+        """Its ``dropped`` counts what came damaged."""
+        self._waiting: list[tuple[float, bytes]] = []
+
+    def receive(self, data: bytes, at_s: float) -> None:
+        """Bytes, or CAN records, that arrive at a true time, s; not before those given last."""
+        self._waiting.append((at_s, data))
+
+    def before(self, to_s: float) -> list[tuple[float, ReceivedPacket]]:
+        """Takes the packets that arrive before a true time (s), with the times of their arrival."""
+        n_due = sum(at_s < to_s for at_s, _ in self._waiting)
+        due, self._waiting = self._waiting[:n_due], self._waiting[n_due:]
+        return [
+            (at_s, received)
+            for at_s, data in due
+            for received in self.decoder.feed(data)
+            if received.kind in FROM_HOST
+        ]
+
+
+class RadioToDevice:
+    """The last step of the way to one device: delay, loss, repetition."""
+
+    def __init__(self, settings: Imperfections, rng: Generator) -> None:
+        self._settings = settings
+        self._rng = rng
+        self._last_s = 0.0
+
+    def arrivals(self, at_s: float) -> list[float]:
+        """When a packet reaches the device that comes from the host at a true time, s: at most twice."""
+        settings, rng = self._settings, self._rng
+        copies = 1
+        if settings.loss or settings.duplication:
+            lost, repeated = rng.random(2).tolist()
+            copies = (lost >= settings.loss) * (1 + (repeated < settings.duplication))
+        delay_s = settings.latency + (rng.exponential(settings.jitter) if settings.jitter else 0.0)
+        self._last_s = max(self._last_s, at_s + delay_s)
+        return [self._last_s] * copies

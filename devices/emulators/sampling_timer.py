@@ -1,0 +1,76 @@
+"""When a device samples, by its own clock: evenly, until it is told otherwise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from devices.emulators.bodies import FloatArray
+from devices.emulators.imperfections import ModuleClock
+
+_NO_INSTANTS: FloatArray = np.empty(0)
+
+
+class Schedule:
+    """Instants ``phase + k interval`` of a clock, taken in order."""
+
+    def __init__(self, clock: ModuleClock, interval_s: float, phase_s: float) -> None:
+        self._clock = clock
+        self._interval = interval_s
+        self._phase = phase_s
+        self._taken = 0
+
+    def until(self, true_time: float) -> FloatArray:
+        """Takes the instants (n,) not yet taken that lie before a true time, by the clock, s."""
+        instants = self.ahead(true_time)
+        self._taken += len(instants)
+        return instants
+
+    def ahead(self, true_time: float) -> FloatArray:
+        """The same instants, left where they are."""
+        end = self.count_before(self._clock.elapsed(true_time))
+        if end <= self._taken:
+            return _NO_INSTANTS
+        return self._phase + np.arange(self._taken, end, dtype=np.float64) * self._interval
+
+    def count_before(self, elapsed: float) -> int:
+        """How many instants lie before one of the clock's times."""
+        # An instant at that very time does not, whatever the rounding.
+        return max(0, math.ceil((elapsed - self._phase) / self._interval - 1e-6))
+
+
+class SamplingTimer:
+    """One schedule after the other, with pauses, and a count of all samples."""
+
+    def __init__(self, clock: ModuleClock) -> None:
+        """Does not run yet."""
+        self._clock = clock
+        self._schedule: Schedule | None = None
+        self._taken_before = 0
+
+    def run(self, rate_hz: float, first_s: float) -> None:
+        """Sample from the clock's time ``first_s`` on; ``stop`` first if it runs."""
+        self._schedule = Schedule(self._clock, 1.0 / rate_hz, first_s)
+
+    def stop(self, elapsed: float) -> None:
+        """No sample from now on."""
+        self._taken_before = self.count_before(elapsed)
+        self._schedule = None
+
+    def count_one(self) -> None:
+        """A sample was taken that is none of the timer's: a triggered one."""
+        self._taken_before += 1
+
+    def until(self, true_time: float) -> FloatArray:
+        """Takes the instants (n,) not yet taken before a true time, by the clock, s."""
+        return _NO_INSTANTS if self._schedule is None else self._schedule.until(true_time)
+
+    def ahead(self, true_time: float) -> FloatArray:
+        """The same instants, left where they are: what will be taken if nothing is changed."""
+        return _NO_INSTANTS if self._schedule is None else self._schedule.ahead(true_time)
+
+    def count_before(self, elapsed: float) -> int:
+        """Samples taken before one of the clock's times."""
+        running = 0 if self._schedule is None else self._schedule.count_before(elapsed)
+        return self._taken_before + running

@@ -1,0 +1,225 @@
+"""Wire frames too long for one set of CAN frames, in pieces, with flow control (after ISO 15765-2).
+
+The whole is the wire frame as on a byte stream before stuffing, checksum included. Its pieces are wire
+frames of their own (``TransferToModule`` from the host, ``TransferToHost`` from a module), all of the
+size of the first but the last one. The receiver's flow control names the piece wanted next::
+
+    sender                      receiver
+    first (bytes of the whole)  ->
+                                <-  continue at 1, 8 pieces, 0 between them
+    consecutive 1 ... 8         ->
+                                <-  continue at 9 ...          (or: wait; overflow; repeat from 5)
+    consecutive 9 ... 16        ->
+                                <-  done
+
+Unlike in ISO 15765-2 a lost piece is asked for again. Both ends are state machines that are told the
+time: ``receive`` takes a piece from the other end, ``due`` gives those to be sent by now, and
+``next_time_ns`` says when to ask again. They never raise for what they receive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+from firmware_protocol.elements import FieldsCodec
+from firmware_protocol.fields import WireField
+from firmware_protocol.framing import WireFrame, serialize
+from firmware_protocol.messages import MAX_PIECE_DATA_SIZE, TransferToHost, TransferToModule
+
+TransferPiece = TransferToModule | TransferToHost
+
+
+class PieceType(IntEnum):
+    """What a piece is."""
+
+    FIRST = 1
+    CONSECUTIVE = 2
+    FLOW_CONTROL = 3
+
+
+class FlowStatus(IntEnum):
+    """What flow control says."""
+
+    CONTINUE = 0
+    WAIT = 1
+    OVERFLOW = 2
+    DONE = 3
+    REPEAT = 4
+
+
+FLOW_CONTROL_FIELDS = (
+    WireField(
+        name="status",
+        code="B",
+        meanings={
+            0: "continue with a block from the piece wanted next",
+            1: "wait for more flow control",
+            2: "give up: too long, or the checksum is wrong",
+            3: "done: the whole has come",
+            4: "repeat from the piece wanted next",
+        },
+        sentence="What the sender is to do.",
+    ),
+    WireField(name="block_size", code="B", sentence="Pieces until the next flow control; 0: all of them."),
+    WireField(name="separation", code="H", unit="s", scale=1e-4, sentence="Least time between two pieces."),
+)
+"""The data of a flow-control piece."""
+
+_FLOW_CONTROL = FieldsCodec(FLOW_CONTROL_FIELDS)
+
+
+class FlowControl(NamedTuple):
+    """What a receiver asks of a sender."""
+
+    wanted: int
+    """Place of the piece wanted next."""
+    status: FlowStatus
+    block_size: int = 0
+    separation: float = 0.0
+    """s"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransferParams:
+    """How patient both ends are, and how a receiver paces a sender."""
+
+    piece_size: int = MAX_PIECE_DATA_SIZE
+    """Bytes of the whole in one piece."""
+    block_size: int = 8
+    """Pieces between two flow controls; 0: no limit."""
+    separation: float = 0.0
+    """Least time between two pieces, s."""
+    flow_timeout_ns: int = 200_000_000
+    """How long a sender waits for flow control before it sends the last piece again."""
+    piece_timeout_ns: int = 100_000_000
+    """How long a receiver waits for a piece before it asks for it again."""
+    max_retries: int = 8
+    """Time-outs in a row after which either end gives up."""
+    wait_interval_ns: int = 50_000_000
+    """How often a busy receiver says so again."""
+    max_waits: int = 200
+    """Waits in a row after which a sender gives up."""
+
+
+class Outcome(Enum):
+    """How a sender's transfer stands."""
+
+    SENDING = "on its way"
+    DONE = "the receiver has all of it"
+    REFUSED = "the receiver gave it up"
+    TIMED_OUT = "the receiver does not answer"
+
+
+def flow_control_piece(make: type[TransferPiece], transfer: int, flow: FlowControl) -> TransferPiece:
+    """A piece that carries flow control."""
+    data = _FLOW_CONTROL.encode(int(flow.status), flow.block_size, flow.separation)
+    return make(PieceType.FLOW_CONTROL, transfer, flow.wanted, data)
+
+
+def flow_control_of(piece: TransferPiece) -> FlowControl | None:
+    """The flow control that a piece carries; None when it carries none. Never raises."""
+    if piece.piece != PieceType.FLOW_CONTROL:
+        return None
+    values = _FLOW_CONTROL.decode(piece.data)
+    return None if values is None else FlowControl(piece.number, FlowStatus(values[0]), values[1], values[2])
+
+
+class TransferSender:
+    """Sends one wire frame in pieces."""
+
+    def __init__(
+        self,
+        frame: WireFrame,
+        transfer: int,
+        now_ns: int,
+        make: type[TransferPiece] = TransferToModule,
+        params: TransferParams | None = None,
+    ) -> None:
+        """``transfer`` counts this sender's transfers modulo 256; ``make`` says which way they go.
+
+        Raises ValueError as ``framing.serialize``.
+        """
+        self.outcome = Outcome.SENDING
+        self._params = params or TransferParams()
+        self._make = make
+        self._transfer = transfer
+        whole, size = serialize(frame), self._params.piece_size
+        self._total = len(whole)
+        self._data = [whole[start : start + size] for start in range(0, len(whole), size)]
+        self._wanted = 0  # what the receiver asked for last
+        self._next, self._limit = 0, 1  # piece to be sent next, and the one at which to wait
+        self._is_granted = False  # the block from _wanted has been allowed
+        self._separation_ns = 0
+        self._time_ns = now_ns  # of the next piece, or at which patience ends
+        self._retries = self._waits = 0
+
+    @property
+    def next_time_ns(self) -> int | None:
+        """When to call ``due`` again at the latest; None when there is nothing more to send."""
+        return self._time_ns if self.outcome is Outcome.SENDING else None
+
+    def due(self, now_ns: int) -> list[TransferPiece]:
+        """The pieces to be sent by now."""
+        pieces: list[TransferPiece] = []
+        while self.outcome is Outcome.SENDING and now_ns >= self._time_ns:
+            if self._next == self._limit and not self._retry():
+                break
+            pieces.append(self._piece(self._next))
+            self._next += 1
+            is_waiting = self._next == self._limit
+            self._time_ns = now_ns + (self._params.flow_timeout_ns if is_waiting else self._separation_ns)
+        return pieces
+
+    def receive(self, piece: TransferPiece, now_ns: int) -> None:
+        """Takes the receiver's flow control; what is no part of this transfer is ignored."""
+        flow = flow_control_of(piece)
+        if flow is None or piece.transfer != self._transfer or self.outcome is not Outcome.SENDING:
+            return
+        if flow.status is FlowStatus.OVERFLOW:
+            self.outcome = Outcome.REFUSED
+        elif self._wanted <= flow.wanted <= len(self._data):
+            self._follow(flow, now_ns)
+
+    def _follow(self, flow: FlowControl, now_ns: int) -> None:
+        if flow.wanted > self._wanted:
+            self._wanted, self._is_granted = flow.wanted, False
+            self._retries = self._waits = 0
+        if flow.status is FlowStatus.DONE:
+            if flow.wanted == len(self._data):
+                self.outcome = Outcome.DONE
+        elif flow.status is FlowStatus.WAIT:
+            self._wait(now_ns)
+        elif flow.status is FlowStatus.REPEAT or not self._is_granted:
+            self._grant(flow, now_ns)
+
+    def _grant(self, flow: FlowControl, now_ns: int) -> None:
+        if flow.wanted == len(self._data):
+            return  # nothing is left to send
+        block = flow.block_size or len(self._data)
+        self._next, self._limit = flow.wanted, min(flow.wanted + block, len(self._data))
+        self._separation_ns = round(flow.separation * 1e9)
+        self._is_granted, self._time_ns = True, now_ns
+
+    def _wait(self, now_ns: int) -> None:
+        self._waits += 1
+        self._is_granted = False
+        self._limit = self._next
+        self._time_ns = now_ns + self._params.flow_timeout_ns
+        self._retries = 0
+        if self._waits > self._params.max_waits:
+            self.outcome = Outcome.TIMED_OUT
+
+    def _retry(self) -> bool:
+        """Goes back to the piece sent last, which makes the receiver say what it wants."""
+        self._retries += 1
+        if self._retries > self._params.max_retries:
+            self.outcome = Outcome.TIMED_OUT
+            return False
+        self._next = max(self._next - 1, 0)
+        return True
+
+    def _piece(self, place: int) -> TransferPiece:
+        kind, number = (PieceType.CONSECUTIVE, place) if place else (PieceType.FIRST, self._total)
+        return self._make(kind, self._transfer, number, self._data[place])

@@ -1,0 +1,149 @@
+"""Which suit a ``modules`` command is about: read by the command itself, or by a running gateway."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import inspect
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from dataclasses import dataclass, fields
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+import typer
+
+from gateway.body.rig import load_rig
+from gateway.errors import GatewayError
+from gateway.modules.journal import Journal, default_journal_path
+from gateway.modules.remote import remote_suit
+from gateway.modules.session import suit_session
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.topics import ANY_GATEWAY
+from gateway.settings import load_gateway_settings
+
+_SUIT = "Which suit"
+
+
+@dataclass(frozen=True)
+class SuitChoice:
+    """What the user said about where the suit is."""
+
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", rich_help_panel=_SUIT, help="Configuration: its links and its rig."),
+    ] = None
+    link: Annotated[
+        str | None, typer.Option(rich_help_panel=_SUIT, help="Port or URL of the suit, with --rig.")
+    ] = None
+    rig: Annotated[str | None, typer.Option(rich_help_panel=_SUIT, help="Rig: a shipped one or a file.")] = (
+        None
+    )
+    mqtt: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", rich_help_panel=_SUIT, help="Ask the running gateway behind this broker."
+        ),
+    ] = None
+    gateway: Annotated[
+        str, typer.Option(rich_help_panel=_SUIT, help="Its name; + for the only one that is online.")
+    ] = ANY_GATEWAY
+    base_topic: Annotated[str, typer.Option(rich_help_panel=_SUIT, help="First part of its topics.")] = (
+        "mocap"
+    )
+    username: Annotated[str | None, typer.Option(rich_help_panel=_SUIT, help="User name at the broker.")] = (
+        None
+    )
+    password_file: Annotated[
+        Path | None,
+        typer.Option(rich_help_panel=_SUIT, help="File with the password; else MOCAP_MQTT_PASSWORD."),
+    ] = None
+    allow_writes: Annotated[
+        bool,
+        typer.Option(
+            "--allow-writes", rich_help_panel=_SUIT, help="Let this command change what modules keep."
+        ),
+    ] = False
+
+
+class Operations(Protocol):
+    """What carries out the verbs of ``gateway.modules.verbs``."""
+
+    async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]: ...
+
+
+def with_suit(command: Callable[..., None]) -> Callable[..., None]:
+    """The command, whose first parameter is a ``SuitChoice``, with the options of one in its place."""
+    own = list(inspect.signature(command, eval_str=True).parameters.values())[1:]
+    options = inspect.signature(SuitChoice, eval_str=True).parameters.values()
+    names = [field.name for field in fields(SuitChoice)]
+
+    @wraps(command)
+    def with_options(**given: Any) -> None:
+        choice = SuitChoice(**{name: given.pop(name) for name in names})
+        command(choice, **given)
+
+    parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in [*own, *options]]
+    with_options.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    del with_options.__wrapped__  # its annotations would be taken instead
+    return with_options
+
+
+@contextlib.asynccontextmanager
+async def operations_of(choice: SuitChoice) -> AsyncIterator[Operations]:
+    """The suit, opened. Raises ``GatewayError`` or ``LinkError``."""
+    if choice.mqtt is not None:
+        async with remote_suit(_broker(choice), choice.gateway) as remote:
+            yield remote
+        return
+    journal = Journal(default_journal_path())
+    if choice.link is not None:
+        if choice.rig is None:
+            raise GatewayError("--link needs --rig: name a shipped rig, such as suit_17, or a rig file")
+        suit, urls = load_rig(choice.rig), {"suit": choice.link}
+        async with suit_session(urls, suit, allow_writes=choice.allow_writes, journal=journal) as local:
+            yield local
+        return
+    if choice.config is None:
+        raise GatewayError(
+            "where is the suit? give -c CONFIG, or --link PORT --rig RIG, or --mqtt HOST:PORT of a "
+            "running gateway"
+        )
+    settings = load_gateway_settings(choice.config)
+    async with suit_session(
+        {link.name: link.url for link in settings.links},
+        load_rig(choice.rig or settings.rig, choice.config),
+        allow_writes=choice.allow_writes or settings.allow_device_writes,
+        journal=journal,
+        clock_mode=settings.clock.mode,
+    ) as local:
+        yield local
+
+
+def run_with_suit(choice: SuitChoice, work: Callable[[Operations], Awaitable[int]]) -> None:
+    """Open the suit, do the work, end with its exit code. Ends by Ctrl-C without a word."""
+
+    async def run() -> int:
+        async with operations_of(choice) as operations:
+            return await work(operations)
+
+    try:
+        code = asyncio.run(run())
+    except KeyboardInterrupt:
+        code = 130
+    raise typer.Exit(code)
+
+
+def _broker(choice: SuitChoice) -> MqttSettings:
+    assert choice.mqtt is not None
+    host, colon, port = choice.mqtt.rpartition(":")
+    if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
+        raise GatewayError(f"--mqtt {choice.mqtt}: write HOST:PORT, such as 127.0.0.1:1883")
+    return MqttSettings(
+        host=host,
+        port=int(port),
+        username=choice.username,
+        password_file=choice.password_file,
+        base_topic=choice.base_topic,
+    )

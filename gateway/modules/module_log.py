@@ -1,0 +1,67 @@
+"""What modules say in words, in the gateway's log: their events and log lines, not too many of them."""
+
+from __future__ import annotations
+
+import logging
+
+from devices.link import Chunk
+from firmware_protocol import ReceivedPacket
+from firmware_protocol.messages import Event, LogLine
+from gateway.stream import Stream
+
+_log = logging.getLogger(__name__)
+
+_EVENTS = {
+    1: "button pressed",
+    2: "tapped",
+    3: "tapped twice",
+    4: "shaken",
+    5: "charger connected",
+    6: "charger removed",
+    7: "settings committed",
+    8: "started from the factory settings: the stored ones could not be read",
+}
+_LEVELS = {1: "error", 2: "warning", 3: "info", 4: "debug"}
+
+MOST_LINES = 5
+"""Lines of one module in one interval; what is more is counted and told with the next one."""
+
+INTERVAL_NS = 1_000_000_000
+
+
+class ModuleLog:
+    """Bytes from outside: a module that talks without end must not fill the disk."""
+
+    def __init__(self) -> None:
+        self._interval: dict[int, int] = {}
+        self._lines: dict[int, int] = {}
+
+    def listen_to(self, stream: Stream) -> None:
+        """Log what a stream hears from now on."""
+        stream.listen(Event, self.take)
+        stream.listen(LogLine, self.take)
+
+    def take(self, received: ReceivedPacket, chunk: Chunk) -> None:
+        """Log one packet, by the time at which it came."""
+        packet = received.packet
+        if isinstance(packet, Event):
+            level, text = logging.INFO, _EVENTS.get(packet.event, f"event {packet.event}")
+        elif isinstance(packet, LogLine):
+            # No line of a module may look like several of ours.
+            word = _LEVELS.get(packet.level, "log")
+            level, text = logging.DEBUG if word == "debug" else logging.INFO, f"{word}: {packet.text!r}"
+        else:
+            return
+        suppressed = self._suppressed(received.module, chunk.arrived_ns // INTERVAL_NS)
+        if suppressed is not None:
+            more = f" ({suppressed} lines before that left out)" if suppressed else ""
+            _log.log(level, "module %d: %s%s", received.module, text, more)
+
+    def _suppressed(self, module: int, interval: int) -> int | None:
+        """How many lines were left out just before this one; None: this one is left out too."""
+        left_out = 0
+        if self._interval.get(module) != interval:
+            left_out = max(0, self._lines.get(module, 0) - MOST_LINES)
+            self._interval[module], self._lines[module] = interval, 0
+        self._lines[module] += 1
+        return left_out if self._lines[module] <= MOST_LINES else None

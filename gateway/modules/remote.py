@@ -1,0 +1,117 @@
+"""The same verbs asked of a running gateway, over its broker."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+from collections.abc import AsyncIterator, Mapping
+from typing import Any
+
+import aiomqtt
+import orjson
+from pydantic import ValidationError
+
+from gateway.errors import GatewayError
+from gateway.modules.operations import Plain, RequestError
+from gateway.outputs import topics
+from gateway.outputs.connection import broker_connection, explain, unique_identifier
+from gateway.outputs.messages import BridgeState
+from gateway.outputs.request_messages import ResponseMessage
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import BrokerUnreachableError
+from gateway.outputs.topics import ANY_GATEWAY, Topics
+
+_RETAINED_S = 1.0
+"""Time for the retained states of gateways to come."""
+
+_ANSWER_S = 90.0
+"""Longest wait for an answer: changing many ids, with a module that restarts, takes a while."""
+
+
+class RemoteOperations:
+    """Asks a gateway; made by ``remote_suit``."""
+
+    def __init__(self, client: aiomqtt.Client, settings: MqttSettings, topics_of_gateway: Topics) -> None:
+        self._client = client
+        self._topics = topics_of_gateway
+        self._settings = settings
+
+    async def perform(self, verb: str, data: Mapping[str, Any]) -> Plain:
+        """As ``ModuleOperations.perform``; whatever went wrong there is a ``RequestError`` here."""
+        transaction = secrets.token_hex(8)
+        request = orjson.dumps({**data, "transaction": transaction})
+        try:
+            await self._client.publish(self._topics.request(f"modules/{verb}"), request, qos=1)
+            async with asyncio.timeout(_ANSWER_S):
+                return await self._answer(transaction)
+        except TimeoutError:
+            raise BrokerUnreachableError(
+                f"gateway '{self._topics.gateway}' did not answer within {_ANSWER_S:.0f} s: is it running?"
+            ) from None
+        except aiomqtt.MqttError as error:
+            raise BrokerUnreachableError(explain(error, self._settings, self._settings.port)) from error
+
+    async def _answer(self, transaction: str) -> Plain:
+        async for message in self._client.messages:
+            response = _response(message)
+            if response is None or response.transaction != transaction:
+                continue
+            if response.status == "error":
+                raise RequestError(f"gateway '{self._topics.gateway}': {response.error}")
+            return dict(response.data)
+        raise RequestError("the broker ended the connection: ask again")
+
+
+@contextlib.asynccontextmanager
+async def remote_suit(settings: MqttSettings, gateway: str = ANY_GATEWAY) -> AsyncIterator[RemoteOperations]:
+    """Connect to the broker of a gateway; without a name to that of the only one that is online.
+
+    Raises ``BrokerUnreachableError``, and ``RequestError`` when there is none or more than one.
+    """
+    async with contextlib.AsyncExitStack() as stack:
+        identifier = unique_identifier("modules")
+        try:
+            client = await stack.enter_async_context(broker_connection(settings, settings.port, identifier))
+            if gateway == ANY_GATEWAY:
+                gateway = await _only_gateway(client, settings)
+            of_gateway = Topics(settings.base_topic, gateway)
+            await client.subscribe(of_gateway.response("modules/+"), qos=1)
+        except GatewayError:
+            raise
+        except Exception as error:
+            raise BrokerUnreachableError(explain(error, settings, settings.port)) from error
+        yield RemoteOperations(client, settings, of_gateway)
+
+
+async def _only_gateway(client: aiomqtt.Client, settings: MqttSettings) -> str:
+    every = Topics(settings.base_topic, ANY_GATEWAY)
+    await client.subscribe(every.bridge_state, qos=1)
+    online: set[str] = set()
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(_RETAINED_S):
+            async for message in client.messages:
+                address = every.split(message.topic.value)
+                if address is not None and address[1] == topics.BRIDGE_STATE and _is_online(message):
+                    online.add(address[0])
+    await client.unsubscribe(every.bridge_state)
+    if len(online) != 1:
+        there = (
+            f"online are {', '.join(sorted(online))}: name one with --gateway" if online else "none is online"
+        )
+        raise RequestError(f"which gateway at {settings.host}:{settings.port}? {there}")
+    return online.pop()
+
+
+def _is_online(message: aiomqtt.Message) -> bool:
+    try:
+        return BridgeState.model_validate_json(message.payload).state == "online"
+    except ValidationError:
+        return False
+
+
+def _response(message: aiomqtt.Message) -> ResponseMessage | None:
+    try:
+        return ResponseMessage.model_validate_json(message.payload)
+    except ValidationError:
+        return None  # not one of a request

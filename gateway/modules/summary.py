@@ -1,0 +1,158 @@
+"""What is told of each module in a list."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from devices.roster import Conflict, Device, Roster
+from firmware_protocol.kinds import Kind
+from gateway.body.skeleton import WornSuit
+from gateway.statistics import ModuleRecord
+from gateway.stream import Stream
+
+SAMPLE_KINDS = (
+    Kind.INERTIAL_SAMPLE,
+    Kind.INERTIAL_SAMPLE_FINE,
+    Kind.FUSED_SAMPLE,
+    Kind.LOCAL_MEASUREMENT,
+    Kind.PRESSURE_SAMPLE,
+)
+"""Kinds that a rate is told of."""
+
+
+CLOCK_SETTLED_NS = 20_000_000_000
+"""Before so long, the jitter of a radio looks like hundreds of ppm."""
+
+
+class _Plain(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ModuleSummary(_Plain):
+    """One device that answered, or is only heard sending."""
+
+    module: int = Field(description="module id; 254 is the relay")
+    unique_id: str | None = Field(description="none: it sends, but does not answer commands")
+    segment: str | None = Field(description="by the rig; none: the rig has no module of this id")
+    link: str | None = None
+    firmware: str | None = None
+    protocol: int | None = Field(default=None, description="version spoken; none: none in common")
+    battery_percent: int | None = None
+    rate_hz: float = Field(description="samples a second, measured")
+    loss_percent: float | None = Field(description="packets lost since the link is read")
+    clock_ppm: float | None = Field(description="faster than the gateway's clock; none: not known yet")
+
+
+class ConflictSummary(_Plain):
+    """A module id that several devices have."""
+
+    module: int
+    unique_ids: tuple[str, ...]
+
+
+class ModuleList(_Plain):
+    """Who is there."""
+
+    modules: tuple[ModuleSummary, ...]
+    conflicts: tuple[ConflictSummary, ...]
+    segments: dict[str, int] = Field(description="module id that the rig gives to each segment")
+
+
+class Counts(NamedTuple):
+    """Sample counts at one moment, for rates."""
+
+    time_ns: int
+    samples: dict[int, int]
+
+
+def segments_of(suit: WornSuit) -> dict[str, int]:
+    """Module id by segment, for the segments that wear one."""
+    worn = zip(suit.skeleton.segment_names, suit.module_of_segment.tolist(), strict=True)
+    return {name: suit.module_ids[row] for name, row in worn if row >= 0}
+
+
+def local_devices_of(suit: WornSuit) -> dict[int, str]:
+    """What to call the local measuring devices, by id."""
+    return {
+        local.device: f"{suit.skeleton.segment_names[local.segment]} ({local.quantity.name.lower()})"
+        for local in suit.local_devices
+        if local.device is not None
+    }
+
+
+def count_samples(stream: Stream, time_ns: int) -> Counts:
+    """Samples received so far, by module id."""
+    return Counts(time_ns, {module: _samples(record) for module, record in stream.modules.items()})
+
+
+def summarise(roster: Roster, stream: Stream, suit: WornSuit, before: Counts, after: Counts) -> ModuleList:
+    """The list of a roster, with rates between two counts."""
+    segments = segments_of(suit)
+    names = {module: segment for segment, module in segments.items()} | local_devices_of(suit)
+    span_s = max((after.time_ns - before.time_ns) * 1e-9, 1e-9)
+    rates = {
+        module: (count - before.samples.get(module, 0)) / span_s for module, count in after.samples.items()
+    }
+    answering = [
+        _summary(device.module, device, stream.modules.get(device.module), names, rates)
+        for device in roster.devices
+    ]
+    known = {device.module for device in roster.devices}
+    silent = [
+        _summary(module, None, record, names, rates)
+        for module, record in sorted(stream.modules.items())
+        if module not in known and rates.get(module)
+    ]
+    return ModuleList(
+        modules=tuple(sorted([*answering, *silent], key=lambda each: each.module)),
+        conflicts=tuple(map(_conflict, roster.conflicts)),
+        segments=segments,
+    )
+
+
+def _summary(
+    module: int,
+    device: Device | None,
+    record: ModuleRecord | None,
+    names: Mapping[int, str],
+    rates: Mapping[int, float],
+) -> ModuleSummary:
+    info = (device.info if device is not None else None) or (record.info if record is not None else None)
+    health = device.health if device is not None else record.health if record is not None else None
+    return ModuleSummary(
+        module=module,
+        unique_id=device.unique_id.hex() if device is not None else None,
+        segment=names.get(module),
+        link=device.link if device is not None else None,
+        firmware=".".join(map(str, info.firmware_version)) if info is not None else None,
+        protocol=device.version if device is not None else None,
+        battery_percent=health.battery_percent if health is not None else None,
+        rate_hz=round(rates.get(module, 0.0), 1),
+        loss_percent=_loss_percent(record),
+        clock_ppm=_clock_ppm(record),
+    )
+
+
+def _conflict(conflict: Conflict) -> ConflictSummary:
+    return ConflictSummary(
+        module=conflict.module, unique_ids=tuple(unique_id.hex() for unique_id in conflict.unique_ids)
+    )
+
+
+def _samples(record: ModuleRecord) -> int:
+    return sum(record.sequences[kind].received for kind in SAMPLE_KINDS if kind in record.sequences)
+
+
+def _loss_percent(record: ModuleRecord | None) -> float | None:
+    if record is None or not record.received:
+        return None
+    return round(100 * record.lost / (record.received + record.lost), 2)
+
+
+def _clock_ppm(record: ModuleRecord | None) -> float | None:
+    if record is None or record.last_arrival_ns - record.first_arrival_ns < CLOCK_SETTLED_NS:
+        return None
+    return round(record.clock.figures().skew_ppm, 1)

@@ -1,0 +1,186 @@
+"""Requests to the gateway over MQTT: ``bridge/request/<verb>`` to ``bridge/response/<verb>``.
+
+It has a connection of its own, so that an answer never stands in the way of a pose. Requests are
+carried out one after another by one task; a queue too long is answered with an error at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import aiomqtt
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from pydantic import JsonValue
+
+from devices.device_errors import DeviceError
+from devices.link import LinkError
+from gateway.errors import GatewayError, nearest
+from gateway.outputs import topics
+from gateway.outputs.connection import (
+    Backoff,
+    broker_connection,
+    end_tasks,
+    explain,
+    unique_identifier,
+)
+from gateway.outputs.request_messages import (
+    RequestProblem,
+    ResponseMessage,
+    Transaction,
+    parse_request,
+)
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.topics import Topics
+
+_log = logging.getLogger(__name__)
+
+_LONGEST_QUEUE = 8
+_LONGEST_VERB = 80
+
+Perform = Callable[[str, Mapping[str, Any]], Awaitable[dict[str, Any]]]
+"""Verb (below the family's name) and data to the data of the answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A request, and where its answer goes."""
+
+    verb: str
+    data: dict[str, JsonValue]
+    transaction: Transaction
+    answer_to: str
+    correlation: bytes | None
+
+
+class RequestResponder:
+    """Answers requests for ever: a broker that is away is tried again and again.
+
+    families: what carries out ``<family>/<verb>``, by family.
+    """
+
+    def __init__(self, settings: MqttSettings, gateway: str, families: Mapping[str, Perform]) -> None:
+        self.answered = 0
+        self.is_connected = False
+        self._settings = settings
+        self._topics = Topics(settings.base_topic, gateway)
+        self._families = families
+        self._queue: asyncio.Queue[_Asked] = asyncio.Queue(_LONGEST_QUEUE)
+        self._client: aiomqtt.Client | None = None
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def start(self, port: int) -> None:
+        """Begin to answer, at the broker on this port; returns at once."""
+        self._tasks = [
+            asyncio.create_task(self._listen_for_ever(port), name="requests"),
+            asyncio.create_task(self._work(), name="request worker"),
+        ]
+
+    async def stop(self) -> None:
+        """End at once; a request under way is not answered any more."""
+        await end_tasks(*self._tasks)
+        self._tasks = []
+
+    async def _listen_for_ever(self, port: int) -> None:
+        backoff, waited = Backoff(), 0.0
+        while True:
+            try:
+                identifier = unique_identifier("requests")
+                async with broker_connection(self._settings, port, identifier) as client:
+                    await client.subscribe(self._topics.request("#"), qos=1)
+                    self._client, self.is_connected, waited = client, True, 0.0
+                    async for message in client.messages:
+                        await self._take(message)
+            except Exception as error:
+                # The output for poses says so too, as a warning.
+                _log.debug("requests: %s", explain(error, self._settings, port))
+            self._client, self.is_connected = None, False
+            waited = backoff.after(waited)
+            await asyncio.sleep(waited)
+
+    async def _take(self, message: aiomqtt.Message) -> None:
+        verb = self._verb_of(message)
+        # A retained request would be carried out again at every start.
+        if verb is None or message.retain:
+            return
+        answer_to, correlation = self._way_back(message, verb)
+        try:
+            data, transaction = parse_request(message.payload)
+        except RequestProblem as problem:
+            asked = _Asked(verb, {}, problem.transaction, answer_to, correlation)
+            await self._answer(asked, _error(asked, str(problem)))
+            return
+        asked = _Asked(verb, data, transaction, answer_to, correlation)
+        try:
+            self._queue.put_nowait(asked)
+        except asyncio.QueueFull:
+            await self._answer(asked, _error(asked, "too many requests are waiting: ask again later"))
+
+    async def _work(self) -> None:
+        while True:
+            asked = await self._queue.get()
+            try:
+                await self._answer(asked, await self._perform(asked))
+            except Exception:
+                # Whatever it was, the next request finds somebody who answers.
+                _log.exception("request '%s' was not answered", asked.verb)
+
+    async def _perform(self, asked: _Asked) -> ResponseMessage:
+        family, _, verb = asked.verb.partition("/")
+        perform = self._families.get(family)
+        if perform is None:
+            return _error(asked, f"there is no request '{asked.verb}'{nearest(family, self._families)}")
+        try:
+            data = await perform(verb, asked.data)
+            return ResponseMessage(status="ok", data=data, transaction=asked.transaction)
+        except (GatewayError, DeviceError, LinkError) as error:
+            return _error(asked, str(error))
+        except Exception as error:
+            _log.exception("request '%s' failed", asked.verb)
+            return _error(asked, f"this should not have happened ({error!r}): the gateway's log has more")
+
+    async def _answer(self, asked: _Asked, response: ResponseMessage) -> None:
+        if self._client is None:
+            return
+        properties = None
+        if self._settings.spoken_protocol == "5":
+            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+            if asked.correlation is not None:
+                properties.CorrelationData = asked.correlation
+        try:
+            await self._client.publish(asked.answer_to, response.payload(), qos=1, properties=properties)
+            self.answered += 1
+        except aiomqtt.MqttError as error:
+            _log.warning("the answer to '%s' was lost: %s", asked.verb, error)
+
+    def _verb_of(self, message: aiomqtt.Message) -> str | None:
+        address = self._topics.split(message.topic.value)
+        prefix = f"{topics.BRIDGE_REQUEST}/"
+        if address is None or not address[1].startswith(prefix):
+            return None
+        return address[1].removeprefix(prefix)[:_LONGEST_VERB]
+
+    def _way_back(self, message: aiomqtt.Message, verb: str) -> tuple[str, bytes | None]:
+        """Topic and correlation data of the answer: those asked for with MQTT 5, where that is harmless."""
+        properties = message.properties
+        wanted = getattr(properties, "ResponseTopic", None)
+        correlation = getattr(properties, "CorrelationData", None)
+        if not isinstance(wanted, str) or not self._is_harmless(wanted):
+            wanted = self._topics.response(verb)
+        return wanted, correlation if isinstance(correlation, bytes) else None
+
+    def _is_harmless(self, topic: str) -> bool:
+        """Whether an answer there can be taken for nothing else: nobody may have poses published for him."""
+        is_ours = topic.startswith(f"{self._settings.base_topic}/")
+        is_response = topic.startswith(f"{self._topics.response('')}")
+        return (
+            bool(topic) and not set(topic) & set("+#\0") and topic[0] != "$" and (is_response or not is_ours)
+        )
+
+
+def _error(asked: _Asked, error: str) -> ResponseMessage:
+    return ResponseMessage(status="error", error=error, transaction=asked.transaction)
