@@ -1,4 +1,4 @@
-"""``python -m benchmarks accuracy|speed|latency|all``."""
+"""``python -m benchmarks accuracy|speed|latency|clock|all``."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, latency, speed
+from benchmarks import accuracy, clock, latency, speed
 from benchmarks.figures import Report, write_docs
 
 SUITES: dict[str, Callable[[], Report]] = {
     "accuracy": accuracy.run,
     "speed": speed.run,
     "latency": latency.run,
+    "clock": clock.run,
 }
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 

@@ -1,7 +1,7 @@
 """mocap-gateway: a wearable inertial suit in, a skeleton over MQTT out.
 
 Reading order: ``pipeline`` (the flow as code), ``frames`` (every value that flows), ``stream`` and
-``clock`` (bytes to readings in gateway time), ``assembly`` (readings to frames of one instant),
+``clocks`` (bytes to readings in gateway time), ``assembly`` (readings to frames of one instant),
 ``reconstruction`` (frames to segment orientations), ``outputs`` (MQTT), ``service`` (all of it with
 links and a broker), ``cli`` (one file a subcommand).
 """

@@ -9,9 +9,13 @@ the same skeleton frames, bit for bit. ``gateway.service`` puts links before it 
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
+from gateway.clocks import ClockTable, load_clock_table
+from gateway.despiking import Despiker
 from gateway.frames import LocalReading, SkeletonFrame
 from gateway.reconstruction import RECONSTRUCTORS
 from gateway.settings import GatewaySettings
@@ -27,16 +31,27 @@ class Pipeline:
         params: AssemblyParams,
         reconstructor: str = "independent",
         clock_mode: ClockMode = ClockMode.ESTIMATED,
+        clock_table: ClockTable | None = None,
+        despiker: Despiker | None = None,
     ) -> None:
-        self.stream = Stream(clock_mode)
+        self.stream = Stream(clock_mode, clock_table)
+        self.despiker = despiker
         self.assembler = FrameAssembler(suit.module_ids, params)
         self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
         self.skeleton_frames = 0
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
-        """The pipeline that a configuration describes."""
-        return cls(suit, settings.assembly.params(), settings.reconstructor, settings.clock.mode)
+        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table."""
+        table = settings.clock.table
+        return cls(
+            suit,
+            settings.assembly.params(),
+            settings.reconstructor,
+            settings.clock.mode,
+            None if table is None else load_clock_table(Path(table)),
+            Despiker() if settings.assembly.despike else None,
+        )
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
@@ -49,7 +64,10 @@ class Pipeline:
             if isinstance(reading, LocalReading):
                 self.assembler.add_local(reading)
                 continue
-            imu_frames = self.assembler.add(reading, chunk.arrived_ns)
+            clean = reading if self.despiker is None else self.despiker.add(reading)
+            if clean is None:
+                continue
+            imu_frames = self.assembler.add(clean, chunk.arrived_ns)
             skeleton_frames.extend(self.reconstructor.update(imu_frame) for imu_frame in imu_frames)
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
@@ -66,5 +84,6 @@ class Pipeline:
             "dropped_by_assembly": {
                 reason.name.lower(): count for reason, count in self.assembler.lost.items()
             },
+            "spikes": self.despiker.summary() if self.despiker is not None else {},
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
         }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
@@ -35,8 +35,21 @@ class ClockSettings(_Strict):
 
     mode: ClockMode = Field(
         default=ClockMode.ESTIMATED,
-        description="estimated: every module has its own crystal; shared: they count one clock already",
+        description="estimated: every module has its own crystal; shared: they count one clock already; "
+        "table: rates as measured by `calibrate clocks`",
     )
+    table: str | None = Field(
+        default=None,
+        description="for mode table: file that `calibrate clocks` wrote; a path, or beside this file",
+    )
+
+    @model_validator(mode="after")
+    def _has_table(self) -> ClockSettings:
+        if (self.mode is ClockMode.TABLE) != (self.table is not None):
+            raise ValueError(
+                "mode 'table' needs 'table: <file>' (see `calibrate clocks`), and no other mode does"
+            )
+        return self
 
 
 class AssemblySettings(_Strict):
@@ -51,6 +64,9 @@ class AssemblySettings(_Strict):
     )
     hold_ms: float = Field(
         default=500, ge=0, le=60_000, description="how long a silent module's last value stands"
+    )
+    despike: bool = Field(
+        default=False, description="take single wild values out of raw samples; costs one sample of delay"
     )
 
     def params(self) -> AssemblyParams:
@@ -107,5 +123,12 @@ class GatewaySettings(_Strict):
 
 
 def load_gateway_settings(path: Path) -> GatewaySettings:
-    """The configuration file. Raises ``SettingsError`` with one line for each thing wrong."""
-    return load_settings(path, GatewaySettings)
+    """The configuration file. Raises ``SettingsError`` with one line for each thing wrong.
+
+    A clock table named in it may lie beside it.
+    """
+    settings = load_settings(path, GatewaySettings)
+    if settings.clock.table is not None and (path.parent / settings.clock.table).is_file():
+        clock = settings.clock.model_copy(update={"table": str(path.parent / settings.clock.table)})
+        settings = settings.model_copy(update={"clock": clock})
+    return settings

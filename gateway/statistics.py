@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from firmware_protocol import DeviceInfo, Health
-from gateway.clock import ModuleClock, unwrap
+from gateway.clocks import ModuleClock, unwrap
 
 SEQUENCE_BITS = 16
 _REMEMBERED = 256
 """How far back a packet may be overtaken and still be told from a duplicate."""
+_GAP_NAMES = ("1", "2", *(f"{2**k + 1}-{2 ** (k + 1)}" for k in range(1, 8)), "more")
 
 
 class SequenceCounter:
@@ -20,6 +21,8 @@ class SequenceCounter:
         self.received = 0
         self.lost = 0
         self.duplicates = 0
+        self.gaps: Counter[int] = Counter()
+        """How often so many packets were lost in a row."""
         self._newest = -1
         self._shift = 0  # wire number minus our own: 0 until the module has restarted
         self._is_anew = True
@@ -33,7 +36,10 @@ class SequenceCounter:
         full = unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1)
         if full <= self._newest:
             return self._overtaken(full)
-        self.lost += full - self._newest - 1
+        gap = full - self._newest - 1
+        if gap:
+            self.lost += gap
+            self.gaps[gap] += 1
         self._missing.extend(range(max(self._newest + 1, full - _REMEMBERED), full))
         self._newest = full
         self.received += 1
@@ -43,10 +49,21 @@ class SequenceCounter:
         if full not in self._missing:
             self.duplicates += 1
             return None
+        self._split_gap(full)
         self._missing.remove(full)
         self.lost -= 1
         self.received += 1
         return full
+
+    def _split_gap(self, full: int) -> None:
+        """A packet of a gap came after all: what is left of the gap on either side of it."""
+        before = after = 0
+        while full - before - 1 in self._missing:
+            before += 1
+        while full + after + 1 in self._missing:
+            after += 1
+        self.gaps[before + 1 + after] -= 1
+        self.gaps.update(part for part in (before, after) if part)
 
     def restart(self) -> None:
         """The module counts from anew: its next number, whatever it is, follows on the last one."""
@@ -78,6 +95,15 @@ class ModuleRecord:
     def duplicates(self) -> int:
         return sum(counter.duplicates for counter in self.sequences.values())
 
+    @property
+    def gap_histogram(self) -> dict[str, int]:
+        """How often packets were lost in a row, by how many: ``1``, ``2``, ``3-4``, ``5-8``, …"""
+        histogram: Counter[int] = Counter()
+        for counter in self.sequences.values():
+            for length, count in counter.gaps.items():
+                histogram[min((length - 1).bit_length(), len(_GAP_NAMES) - 1)] += count
+        return {_GAP_NAMES[order]: histogram[order] for order in sorted(histogram) if histogram[order]}
+
     def summary(self) -> dict[str, object]:
         """For the health message: plain names and values."""
         figures = self.clock.figures()
@@ -85,10 +111,17 @@ class ModuleRecord:
             "received": self.received,
             "lost": self.lost,
             "duplicates": self.duplicates,
+            "gaps": self.gap_histogram,
             "restarts": self.clock.restarts,
+            "offset_ns": figures.offset_ns,
             "clock_ppm": round(figures.skew_ppm, 2),
+            "residual_us": round(figures.residual_us, 1),
+            "clock_sigma_us": round(figures.sigma_us, 1),
+            "clock_steps": figures.steps,
             "last_arrival_ns": self.last_arrival_ns,
         }
+        if figures.bound_us is not None:
+            summary["clock_bound_us"] = round(figures.bound_us, 1)
         if self.health is not None:
             summary["battery_percent"] = self.health.battery_percent
             summary["temperature_celsius"] = self.health.temperature_celsius

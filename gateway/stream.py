@@ -27,7 +27,16 @@ from firmware_protocol import (
     ReceivedPacket,
 )
 from firmware_protocol.kinds import FROM_HOST
-from gateway.clock import EstimatedClock, ModuleClock, SharedClock, SharedOffset
+from gateway.clocks import (
+    ClockTable,
+    EstimatedClock,
+    LinkBatching,
+    ModuleClock,
+    SharedClock,
+    SharedOffset,
+    TableClocks,
+    warm_up,
+)
 from gateway.frames import InertialReading, LocalReading, Quantity
 from gateway.statistics import ModuleRecord, SequenceCounter
 
@@ -44,21 +53,28 @@ class ClockMode(StrEnum):
     """Every module has its own crystal: rate and offset are estimated from arrival times."""
     SHARED = "shared"
     """All modules count one clock already (wired suit, one controller): one offset for all."""
+    TABLE = "table"
+    """Rates come from a table measured beforehand (`calibrate clocks`), offsets from arrival times."""
 
 
 class Stream:
     """Decodes, counts and timestamps. Bytes are untrusted: nothing here raises for what they hold."""
 
-    def __init__(self, clock_mode: ClockMode = ClockMode.ESTIMATED) -> None:
+    def __init__(
+        self, clock_mode: ClockMode = ClockMode.ESTIMATED, clock_table: ClockTable | None = None
+    ) -> None:
         self.modules: dict[int, ModuleRecord] = {}
         self._decoders: dict[str, PacketDecoder] = {}
+        self._batching: dict[str, LinkBatching] = {}
+        self._arriving = LinkBatching()  # of the link that the chunk in hand came over
         self._listeners: dict[type[Packet], list[Listener]] = {}
-        self._new_clock = _clock_factory(clock_mode)
+        self._new_clock = _clock_factory(clock_mode, clock_table)
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
         frames = FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder()
         self._decoders[name] = PacketDecoder(frames)
+        self._batching[name] = LinkBatching()
 
     def listen(self, packet_class: type[Packet], listener: Listener) -> None:
         """Have every packet of a class told to ``listener`` too, also one that came before."""
@@ -71,6 +87,8 @@ class Stream:
     def receive(self, chunk: Chunk) -> list[Reading]:
         """The readings that a chunk completes, in order of arrival."""
         readings = []
+        self._arriving = self._batching[chunk.link]
+        self._arriving.observe(chunk.arrived_ns)
         for packet in self._decoders[chunk.link].feed(chunk.data):
             for listener in self._listeners.get(type(packet.packet), ()):
                 listener(packet, chunk)
@@ -89,7 +107,8 @@ class Stream:
     def _read(self, received: ReceivedPacket, arrived_ns: int) -> Reading | None:
         record = self.modules.get(received.module)
         if record is None:
-            record = ModuleRecord(received.module, self._new_clock(), first_arrival_ns=arrived_ns)
+            clock = self._new_clock(received.module, self._arriving)
+            record = ModuleRecord(received.module, clock, first_arrival_ns=arrived_ns)
             self.modules[received.module] = record
         restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(received.module_time_us, arrived_ns)
@@ -108,11 +127,15 @@ class Stream:
         return None if handler is None else handler(record, received.packet, sequence, time_ns)
 
 
-def _clock_factory(mode: ClockMode) -> Callable[[], ModuleClock]:
+def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, LinkBatching], ModuleClock]:
     if mode is ClockMode.SHARED:
         shared = SharedOffset()
-        return lambda: SharedClock(shared)
-    return EstimatedClock
+        return lambda _module, _batching: SharedClock(shared)
+    warm_up()
+    if mode is ClockMode.TABLE and table is not None:
+        clocks = TableClocks(table)
+        return clocks.clock
+    return lambda _module, batching: EstimatedClock(batching)
 
 
 def _inertial(

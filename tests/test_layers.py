@@ -33,11 +33,11 @@ def test_the_wire_needs_only_the_standard_library_and_cobs():
 
 def test_nothing_below_the_shell_reads_a_clock():
     sans_io = [*(ROOT / "firmware_protocol").rglob("*.py")]
-    for part in ("geometry", "body", "reconstruction"):
+    for part in ("geometry", "body", "clocks", "reconstruction"):
         sans_io += (ROOT / "gateway" / part).rglob("*.py")
     sans_io += [
         ROOT / "gateway" / f"{name}.py"
-        for name in ("pipeline", "stream", "clock", "assembly", "statistics", "frames")
+        for name in ("pipeline", "stream", "assembly", "despiking", "statistics", "frames")
     ]
     for path in sans_io:
         for line, name in imported_roots(path):

@@ -10,6 +10,7 @@ import typer
 import gateway
 from devices.device_errors import DeviceError
 from devices.link import LinkError
+from gateway.cli.calibrate_clocks import calibrate_app
 from gateway.cli.configuration import config_app
 from gateway.cli.demo import demo
 from gateway.cli.doctor import doctor
@@ -32,6 +33,7 @@ app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link
 app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
 app.command(epilog="Example: mocap-gateway doctor -c config/gateway.yaml")(doctor)
 app.add_typer(modules_app, name="modules")
+app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(config_app, name="config")
 
 

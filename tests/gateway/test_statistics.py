@@ -3,7 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.statistics import SequenceCounter
+from gateway.clocks import EstimatedClock
+from gateway.statistics import ModuleRecord, SequenceCounter
 
 
 @given(st.integers(0, 65535), st.sets(st.integers(1, 399), max_size=60))
@@ -28,3 +29,16 @@ def test_after_a_restart_the_count_goes_on():
     counter.restart()
     assert [counter.count(n) for n in (0, 1, 3)] == [3, 4, 6]
     assert (counter.received, counter.lost) == (6, 1)
+
+
+def test_gaps_are_counted_by_length_and_shrink_when_packets_come_after_all():
+    record = ModuleRecord(3, EstimatedClock())
+    counter = record.sequences[0x10] = SequenceCounter()
+    for n in (0, 2, 3, 10, 20, 60):
+        counter.count(n)
+    assert record.gap_histogram == {"1": 1, "5-8": 1, "9-16": 1, "33-64": 1}
+    counter.count(1)
+    counter.count(6)  # 4, 5 and 7, 8, 9 are still missing
+    assert record.gap_histogram == {"2": 1, "3-4": 1, "9-16": 1, "33-64": 1}
+    assert record.lost == sum(length * count for length, count in counter.gaps.items())
+    assert record.summary()["gaps"] == record.gap_histogram

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.clock import EstimatedClock, SharedClock, SharedOffset, unwrap
+from gateway.clocks import EstimatedClock, SharedClock, SharedOffset, unwrap
 
 SECOND_NS = 1_000_000_000
 

@@ -1,0 +1,45 @@
+"""Module time to gateway time.
+
+Every module counts its own crystal. Reading order: ``counter`` (32 bits, restarts) → ``module_clock`` (what a
+clock is; modules that share one) → ``batching``, ``floor_filter``, ``delay_floor``, ``estimated`` (rate and
+offset while capturing, from arrival times alone) → ``sync_exchange`` (two-way exchanges) → ``table``,
+``table_calibration``, ``table_clock``, ``reference_instants`` (mode 1, distributed compensation: a table
+measured beforehand) → ``trigger`` (mode 2, unified control: the gateway says when to sample).
+
+Sans-I/O and deterministic: arrival times are arguments, and gateway time is the host's monotonic clock.
+"""
+
+from gateway.clocks.batching import LinkBatching
+from gateway.clocks.counter import unwrap
+from gateway.clocks.delay_floor import warm_up
+from gateway.clocks.estimated import EstimatedClock
+from gateway.clocks.module_clock import ClockFigures, ModuleClock, SharedClock, SharedOffset
+from gateway.clocks.reference_instants import Datum, ReferenceInstants
+from gateway.clocks.sync_exchange import Exchange, SyncExchanges
+from gateway.clocks.table import ClockTable, clock_table, load_clock_table, save_clock_table
+from gateway.clocks.table_calibration import ClockCalibration
+from gateway.clocks.table_clock import TableClock, TableClocks
+from gateway.clocks.trigger import TriggerScheduler
+
+__all__ = [
+    "ClockCalibration",
+    "ClockFigures",
+    "ClockTable",
+    "Datum",
+    "EstimatedClock",
+    "Exchange",
+    "LinkBatching",
+    "ModuleClock",
+    "ReferenceInstants",
+    "SharedClock",
+    "SharedOffset",
+    "SyncExchanges",
+    "TableClock",
+    "TableClocks",
+    "TriggerScheduler",
+    "clock_table",
+    "load_clock_table",
+    "save_clock_table",
+    "unwrap",
+    "warm_up",
+]

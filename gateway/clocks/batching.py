@@ -1,0 +1,49 @@
+"""How a link hands over what it has: at once, or at multiples of a slot (USB frames, adapter timers).
+
+All modules of a link share this. The clocks need it: a packet that came at the end of a slot may have been
+ready at any time within it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+_SAME_CHUNK_NS = 200_000
+"""Reads that follow each other more closely belong to one hand-over."""
+_SHORTEST_SLOT_US = 400.0
+_GAPS = 256
+_TOLERANCE = 0.15
+"""How far, as a part of the slot, a gap may be from a multiple of it: the host wakes up late."""
+_SHARE = 0.95
+
+
+class LinkBatching:
+    """Finds the slot of one link from the arrival times of its chunks."""
+
+    def __init__(self) -> None:
+        self.slot_us = 0.0
+        """0: packets are handed over as they come."""
+        self._last_ns = 0
+        self._gaps: list[int] = []
+
+    def observe(self, arrived_ns: int) -> None:
+        """A chunk came."""
+        gap = arrived_ns - self._last_ns
+        if gap < _SAME_CHUNK_NS:
+            return
+        self._last_ns = arrived_ns
+        self._gaps.append(gap)
+        if len(self._gaps) > _GAPS:
+            self.slot_us = slot_of_gaps(self._gaps[1:])
+            self._gaps = []
+
+
+def slot_of_gaps(gaps_ns: list[int]) -> float:
+    """The slot in µs that gaps between hand-overs are multiples of; 0 for none."""
+    gaps_us = np.array(gaps_ns) * 1e-3
+    slot_us = float(np.quantile(gaps_us, 0.02))
+    for _ in range(2):  # the shortest gaps give it roughly, all of them exactly
+        multiples = np.maximum(np.round(gaps_us / slot_us), 1.0)
+        slot_us = float(np.median(gaps_us / multiples))
+    fits = np.abs(gaps_us - np.round(gaps_us / slot_us) * slot_us) < _TOLERANCE * slot_us
+    return slot_us if slot_us >= _SHORTEST_SLOT_US and fits.mean() >= _SHARE else 0.0

@@ -1,0 +1,114 @@
+"""The least delay of one way, as a line that is followed: state around the kernels of ``floor_filter``."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gateway.clocks import floor_filter
+from gateway.frames import FloatArray
+
+REMEMBERED = 1_000
+"""Packets over which the mean delay is averaged."""
+SHORTEST_SLOT_US = 40.0
+"""No host's arrival time is finer."""
+_LARGEST_RATE_PPM = 10_000.0
+_OFFSET_SIGMA_US = 1e6
+_MEAN_DELAY_US = 1_000.0
+
+
+class Walk(NamedTuple):
+    """How a floor changes by itself."""
+
+    rate_sigma_ppm: float
+    """Of the rate, before anything is known."""
+    rate_ppm2_per_s: float
+    offset_us2_per_s: float
+
+
+CRYSTAL = Walk(rate_sigma_ppm=3_000.0, rate_ppm2_per_s=1.0 / 60.0, offset_us2_per_s=4.0)
+"""Real modules have been seen 0.3 % off; temperature moves a rate by 1 ppm in a minute; sampling timers
+are not perfect."""
+TRANSPORT = Walk(rate_sigma_ppm=1e-3, rate_ppm2_per_s=0.0, offset_us2_per_s=1.0)
+"""The shortest round trip of a link stays what it is."""
+
+
+class DelayFloor:
+    """Offset and rate of the floor of delays, with their covariance."""
+
+    def __init__(self, walk: Walk = CRYSTAL) -> None:
+        self._walk = walk
+        self.packets = 0
+        """Taken in so far; counted up to ``REMEMBERED``."""
+        self.residual_us = 0.0
+        """Mean delay of recent packets above the floor."""
+        self._mean_delay_us = _MEAN_DELAY_US
+        self._x: FloatArray = np.zeros(2)
+        self._P: FloatArray = np.zeros((2, 2))
+        self.begin(walk.rate_sigma_ppm)
+
+    def begin(self, rate_sigma_ppm: float) -> None:
+        """Forget the offset; keep the rate as a first guess, so sure."""
+        self._time_us: int | None = None
+        self._x[0] = 0.0
+        self._P = np.diag([_OFFSET_SIGMA_US**2, rate_sigma_ppm**2])
+
+    def rebase(self) -> None:
+        """Module time is counted from anew, and the floor is what it was."""
+        if self._time_us is not None:
+            self._time_us = 0
+
+    @property
+    def is_known(self) -> bool:
+        return self._time_us is not None
+
+    @property
+    def rate_ppm(self) -> float:
+        return float(self._x[1])
+
+    @property
+    def sigma_us(self) -> float:
+        """Standard deviation of the offset at the newest time; of no meaning before there is one."""
+        return math.sqrt(self._P[0, 0])
+
+    def offset_us(self, time_us: int) -> float:
+        """The floor at a module time."""
+        since_us = 0 if self._time_us is None else time_us - self._time_us
+        return float(self._x[0] + self._x[1] * 1e-6 * since_us)
+
+    def update(self, newest_us: int, elapsed_s: FloatArray, delays_us: FloatArray, slot_us: float) -> None:
+        """Take in packets.
+
+        newest_us: module time that the state shall stand at; elapsed_s: (n,) before it (<= 0);
+        delays_us: (n,).
+        """
+        if self._time_us is None:
+            self._x[0] = float(delays_us.min())
+            x, P = self._x.copy(), self._P
+        else:
+            since_s, walk = (newest_us - self._time_us) * 1e-6, self._walk
+            x, P = floor_filter.predict(
+                self._x, self._P, since_s, walk.offset_us2_per_s, walk.rate_ppm2_per_s
+            )
+        slot_us = max(slot_us, SHORTEST_SLOT_US)
+        after, P_after, score, residual_us = floor_filter.update(
+            x, P, elapsed_s, delays_us, self._mean_delay_us, slot_us
+        )
+        if abs(after[1]) < _LARGEST_RATE_PPM:
+            x, P = after, P_after
+        else:  # no crystal is like that: a backlog that came all at once; it tells the least delay only
+            x[0] = min(x[0], float((delays_us - x[1] * elapsed_s).min()))
+        self._x, self._P, self._time_us = x, P, newest_us
+        n = len(delays_us)
+        self.packets = min(self.packets + n, REMEMBERED)
+        self._mean_delay_us *= math.exp(min(max(score / (self.packets + 20), -0.5), 0.5))
+        self.residual_us += (residual_us - self.residual_us) * n / self.packets
+
+
+def warm_up() -> None:
+    """Compile the kernels now, not when the first packets wait."""
+    floor = DelayFloor()
+    for time_us in (1, 2):
+        floor.update(time_us, np.zeros(1), np.ones(1), 0.0)

@@ -1,0 +1,188 @@
+"""One module's clock, estimated while the capture runs from its stamps and their arrival times."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gateway.clocks.batching import LinkBatching
+from gateway.clocks.counter import Counter32
+from gateway.clocks.delay_floor import CRYSTAL, REMEMBERED, TRANSPORT, DelayFloor
+from gateway.clocks.module_clock import MICROSECOND_NS, ClockFigures
+from gateway.frames import FloatArray
+
+_FIRST_BLOCK_US = 50_000
+_BLOCK_US = 1_000_000
+_MOST_PACKETS = 2_000
+"""Of one block, so that a module with a runaway rate does not make it dearer."""
+_SLEW_PPM = 500.0
+_FIRST_SLEW_PPM = 20_000.0
+_SETTLING_US = 10_000_000
+_STEP_US = 50_000.0
+"""An estimate that is off by more is adopted at once: slewing would take too long."""
+_IN_STEP = 0.02
+_RESTARTED_RATE_SIGMA_PPM = 2.0  # the same crystal
+_FADE_US = 1_000_000.0
+_BOUND_SIGMAS = 3.0
+
+
+class EstimatedClock:
+    """Offset and rate by the lower envelope of the delays (see ``floor_filter``), published without jumps.
+
+    What a stamp is turned into depends on nothing that came after it. Between blocks the instants follow
+    the line of the last block; its correction is spread out (slewed), so that instants of advancing stamps
+    never run backwards, and no instant lies after its arrival.
+
+    Arrivals alone leave the constant part of the delay in the offset. Two-way exchanges
+    (``add_exchange``) take it out: the least delays of the way there and of the way back enclose the
+    offset, and it lies in their middle where the two ways are alike.
+    """
+
+    def __init__(self, batching: LinkBatching | None = None) -> None:
+        self._batching = batching or LinkBatching()
+        self._counter = Counter32()
+        self._back = DelayFloor(CRYSTAL)  # module to host: every packet
+        self._round_trip = DelayFloor(TRANSPORT)  # exchanges only; by the clock of the way back
+        self._steps = 0
+        self._begin(0, 0)
+
+    def _begin(self, stamp_us: int, arrived_ns: int) -> None:
+        """Count elapsed and arrival time from here. A rate found before is a good first guess."""
+        self._start_us, self._start_ns = stamp_us, arrived_ns
+        self._expected_us = stamp_us  # full count that arrives at the start
+        is_sure = self._back.packets >= REMEMBERED
+        self._back.begin(_RESTARTED_RATE_SIGMA_PPM if is_sure else CRYSTAL.rate_sigma_ppm)
+        self._round_trip.rebase()
+        self._elapsed: list[int] = []
+        self._delays: list[float] = []
+        self._exchanges: list[tuple[int, float]] = []
+        self._block_us = _FIRST_BLOCK_US
+        self._block_end_us = _FIRST_BLOCK_US
+        # published: offset + rate (t - fit) + correction, which fades away
+        self._fit_us, self._offset_us, self._rate = 0, 0.0, self._back.rate_ppm * 1e-6
+        self._correction_us, self._fade_us = 0.0, _FADE_US
+        self._clamped_us, self._clamped_ns = 0, arrived_ns  # newest stamp that arrived before its instant
+
+    @property
+    def restarts(self) -> int:
+        return self._counter.restarts
+
+    def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
+        """Gateway time in ns of a 32-bit stamp that arrived at ``arrived_ns``."""
+        since_ns = arrived_ns - self._start_ns
+        full_us = self._counter.full_us(module_time_us, self._expected_us + since_ns // 1000, arrived_ns)
+        if full_us is None:
+            self._begin(module_time_us, arrived_ns)
+            full_us, since_ns = module_time_us, 0
+        elapsed_us = full_us - self._start_us
+        self._elapsed.append(elapsed_us)
+        self._delays.append(since_ns * 1e-3 - elapsed_us)
+        if elapsed_us >= self._block_end_us or len(self._delays) >= _MOST_PACKETS:
+            self._close_block(elapsed_us)
+        since_fit_us = elapsed_us - self._fit_us
+        offset_us = self._offset_us + self._rate * since_fit_us
+        if self._correction_us and since_fit_us < self._fade_us:
+            offset_us += self._correction_us * (1.0 - since_fit_us / self._fade_us)
+        time_ns = self._start_ns + elapsed_us * 1000 + int(offset_us * 1000.0)
+        return time_ns if time_ns <= arrived_ns else self._clamped(elapsed_us, arrived_ns)
+
+    def _clamped(self, elapsed_us: int, arrived_ns: int) -> int:
+        """Nothing arrives before it was sent; yet later stamps get later instants."""
+        if elapsed_us <= self._clamped_us:
+            return arrived_ns
+        self._clamped_us, self._clamped_ns = elapsed_us, max(arrived_ns, self._clamped_ns + 1)
+        return self._clamped_ns
+
+    def add_exchange(self, sent_ns: int, received_us: int, replied_us: int, arrived_ns: int) -> None:
+        """Take in a two-way exchange: gateway time sent, module stamps received and replied, and arrival."""
+        restarts = self.restarts
+        self.gateway_time(replied_us, arrived_ns)
+        if self.restarts == restarts:
+            newest_us = self._elapsed[-1] if self._elapsed else self._fit_us
+            elapsed_us = newest_us - (replied_us - received_us) % 2**32
+            self._exchanges.append((elapsed_us, elapsed_us - (sent_ns - self._start_ns) * 1e-3))
+
+    def instant_ns(self, full_us: int) -> int:
+        """Gateway time of a full count, by what is known now."""
+        elapsed_us = full_us - self._start_us
+        return self._start_ns + elapsed_us * 1000 + int(self._published_us(elapsed_us) * 1000.0)
+
+    def count_us(self, time_ns: int) -> float:
+        """The full count at a gateway time, by what is known now."""
+        since_us = (time_ns - self._start_ns) * 1e-3
+        # two steps: the offset changes by a small part of the change in time
+        elapsed_us = since_us - self._published_us(round(since_us))
+        elapsed_us = since_us - self._published_us(round(elapsed_us))
+        return self._start_us + elapsed_us
+
+    def forget(self) -> None:
+        """The next stamp starts anew; what is known of the rate stays."""
+        self._counter.newest_us = None
+
+    @property
+    def newest_us(self) -> int:
+        """The largest full count heard since the last start."""
+        return self._counter.newest_us or 0
+
+    def _published_us(self, elapsed_us: int) -> float:
+        since_fit_us = elapsed_us - self._fit_us
+        fading = max(0.0, 1.0 - since_fit_us / self._fade_us)
+        return self._offset_us + self._rate * since_fit_us + self._correction_us * fading
+
+    def _close_block(self, newest_us: int) -> None:
+        """Take the packets since the last block into the estimate, and plan how to follow it."""
+        newest_us = max(newest_us, self._fit_us)
+        is_first = not self._back.is_known
+        elapsed_s = (np.array(self._elapsed, dtype=np.float64) - newest_us) * 1e-6
+        self._back.update(newest_us, elapsed_s, np.array(self._delays), self._slot_us(elapsed_s))
+        if self._exchanges:
+            received = np.array(self._exchanges)  # (n, 2): module time, delay of the way there
+            since_s = (received[:, 0] - newest_us) * 1e-6
+            trips_us = received[:, 1] + self._back.offset_us(newest_us) + self._back.rate_ppm * since_s
+            self._round_trip.update(newest_us, since_s, trips_us, 0.0)
+        self._follow(newest_us, is_first)
+        self._elapsed, self._delays, self._exchanges = [], [], []
+        self._block_us = min(2 * self._block_us, _BLOCK_US)
+        self._block_end_us = newest_us + self._block_us
+
+    def _follow(self, newest_us: int, is_first: bool) -> None:
+        """Take the new line as the one to publish; what it differs by now fades away at a bounded rate."""
+        published_us = self._published_us(newest_us)
+        offset_us, rate_ppm = self._back.offset_us(newest_us), self._back.rate_ppm
+        if self._round_trip.is_known:
+            offset_us -= 0.5 * self._round_trip.offset_us(newest_us)
+        correction_us = published_us - offset_us
+        if abs(correction_us) > _STEP_US:
+            self._steps += not is_first
+            correction_us = 0.0
+        slew_ppm = _FIRST_SLEW_PPM if newest_us < _SETTLING_US else _SLEW_PPM
+        self._correction_us = correction_us
+        self._fade_us = max(_FADE_US, abs(correction_us) / (slew_ppm * 1e-6))
+        self._fit_us, self._offset_us, self._rate = newest_us, offset_us, rate_ppm * 1e-6
+        self._expected_us = self._start_us - int(offset_us)
+
+    def _slot_us(self, elapsed_s: FloatArray) -> float:
+        """The link's slot, unless the module samples in step with it: then it tells nothing."""
+        slot_us = self._batching.slot_us
+        if slot_us and len(elapsed_s) > 1:
+            intervals = np.sort(np.diff(elapsed_s))
+            samples = slot_us * 1e-6 / max(float(intervals[len(intervals) // 2]), 1e-6)
+            if round(samples) >= 1 and abs(samples - round(samples)) < _IN_STEP:
+                return 0.0
+        return slot_us
+
+    def figures(self) -> ClockFigures:
+        newest_us = self.newest_us - self._start_us
+        back, round_trip, bound_us = self._back, self._round_trip, None
+        sigma_us = back.sigma_us if back.is_known else 0.0
+        if round_trip.is_known:
+            sigma_us = float(np.hypot(sigma_us, 0.5 * round_trip.sigma_us))
+            bound_us = 0.5 * round_trip.offset_us(newest_us) + _BOUND_SIGMAS * sigma_us
+        published_ns = round(self._published_us(newest_us) * 1e3)
+        return ClockFigures(
+            offset_ns=self._start_ns - self._start_us * MICROSECOND_NS + published_ns,
+            skew_ppm=(1.0 / (1.0 + self._rate) - 1.0) * 1e6,
+            residual_us=back.residual_us,
+            sigma_us=sigma_us,
+            bound_us=bound_us,
+            steps=self._steps,
+        )

@@ -1,0 +1,88 @@
+"""What a module clock is, and the clock of modules that already count one time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from gateway.clocks.counter import Counter32
+
+MICROSECOND_NS = 1000
+SAME_CLOCK_NS = 2_000_000_000
+"""Modules whose offsets differ by more do not count the same clock."""
+
+
+class ClockFigures(NamedTuple):
+    """What is known of a module's clock."""
+
+    offset_ns: int
+    """Gateway time minus module time at the newest stamp."""
+    skew_ppm: float
+    """How much faster than the gateway's the module's clock runs (negative: slower)."""
+    residual_us: float = 0.0
+    """Mean of the delay of arrivals above the floor that the estimate stands on (the constant part of the
+    delay cannot be told from an offset)."""
+    sigma_us: float = 0.0
+    """Standard deviation of the offset, as the estimate has it; 0 where nothing is estimated."""
+    bound_us: float | None = None
+    """How far the offset can be off at most, whatever the delays of the two ways: half the shortest round
+    trip, and the estimate's own error. None without two-way exchanges."""
+    steps: int = 0
+    """How often the instants had to jump, because the estimate was too far off to be slewed."""
+
+
+class ModuleClock(Protocol):
+    """Turns the time stamps of one module into gateway time."""
+
+    @property
+    def restarts(self) -> int:
+        """How often the module was found to count from anew."""
+        ...
+
+    def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
+        """Gateway time in ns of a 32-bit stamp that arrived at ``arrived_ns``."""
+        ...
+
+    def figures(self) -> ClockFigures: ...
+
+
+class SharedOffset:
+    """The one offset of all modules that count the same clock; set by the first stamp."""
+
+    def __init__(self) -> None:
+        self.offset_ns: int | None = None
+
+
+class SharedClock:
+    """A module that counts the same clock as its fellows: one offset for all, rate as stamped."""
+
+    def __init__(self, shared: SharedOffset) -> None:
+        self._shared = shared
+        self._counter = Counter32()
+        self._offset_ns = 0
+        self._arrived_ns = 0  # of the newest stamp
+
+    @property
+    def restarts(self) -> int:
+        return self._counter.restarts
+
+    def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
+        # from packet to packet: data may be played faster than they were taken, and nothing is estimated
+        newest_us = self._counter.newest_us or 0
+        expected_us = newest_us + (arrived_ns - self._arrived_ns) // MICROSECOND_NS
+        full_us = self._counter.full_us(module_time_us, expected_us, arrived_ns)
+        if self._counter.newest_us != newest_us:
+            self._arrived_ns = arrived_ns
+        if full_us is None:
+            full_us = module_time_us
+            self._offset_ns = self._join(module_time_us * MICROSECOND_NS, arrived_ns)
+        return full_us * MICROSECOND_NS + self._offset_ns
+
+    def _join(self, time_ns: int, arrived_ns: int) -> int:
+        """The common offset, or a new one when this module's stamps cannot belong to it."""
+        shared = self._shared.offset_ns
+        if shared is None or abs(time_ns + shared - arrived_ns) > SAME_CLOCK_NS:
+            self._shared.offset_ns = shared = arrived_ns - time_ns
+        return shared
+
+    def figures(self) -> ClockFigures:
+        return ClockFigures(self._offset_ns, 0.0)

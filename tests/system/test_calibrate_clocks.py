@@ -1,0 +1,103 @@
+"""``calibrate clocks`` as a user types it, on an emulated suit, and the table it writes in use."""
+
+import asyncio
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+
+from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.imperfections import Imperfections
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.emulators.transports import PtyTransport
+from devices.link import Chunk, Framing, gateway_time_ns
+from gateway.body.rig import load_rig
+from gateway.cli.emulated_rig import dress, move
+from gateway.clocks import load_clock_table
+from gateway.errors import SettingsError
+from gateway.pipeline import Pipeline
+from gateway.settings import load_gateway_settings
+
+pytestmark = pytest.mark.system
+
+CLOCKS = Imperfections(
+    clock_skew_ppm=3000.0, has_random_clock_start=True, has_random_phase=True, latency=0.001, jitter=0.0005
+)
+
+
+def emulated_traffic():
+    suit = load_rig("robot_arm_4")
+    motion = move(dress(suit), suit.skeleton.name, seed=5)
+    return suit, SuitTraffic(motion, SuitSettings(), CLOCKS, seed=5)
+
+
+def write_config(folder, **changes):
+    settings = {"links": [{"name": "suit", "url": str(folder / "suit")}], "rig": "robot_arm_4"} | changes
+    (folder / "gateway.yaml").write_text(yaml.safe_dump(settings))
+    return folder / "gateway.yaml"
+
+
+def calibrate(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-m", "gateway", "calibrate", "clocks", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+async def test_the_table_has_the_emulated_rates_and_the_pipeline_takes_it(tmp_path):
+    config = write_config(tmp_path)
+    suit, traffic = emulated_traffic()
+    emulated = EmulatedSuit(
+        traffic.transmissions(40.0), PtyTransport(tmp_path / "suit"), start_ns=gateway_time_ns()
+    )
+    playing = asyncio.create_task(emulated.run())
+    shortened = ("--minutes", 2, "--minute-s", 4, "--settling-s", 3)
+    with calibrate("-c", config, *shortened) as process:
+        out, error = await asyncio.to_thread(process.communicate, timeout=60)
+    playing.cancel()
+    await asyncio.gather(playing, return_exceptions=True)
+    assert process.returncode == 0, error
+    assert "robot_arm_4.clocks.yaml" in out
+    table = load_clock_table(tmp_path / "robot_arm_4.clocks.yaml")
+    skews = {i: 1e6 * traffic.senders[i].clock.skew for i in suit.module_ids}
+    ranked = [skews[module] for module in table.ranking]
+    assert np.all(np.diff(ranked) > -300)  # slowest first, as far as so short a time can tell them apart
+    for module, skew in skews.items():
+        assert table.skew_ppm(module) == pytest.approx(skew - skews[table.reference], abs=300)
+
+    settings = load_gateway_settings(
+        write_config(
+            tmp_path, clock={"mode": "table", "table": "robot_arm_4.clocks.yaml"}, assembly={"despike": True}
+        )
+    )
+    pipeline = Pipeline.from_settings(settings, suit)
+    pipeline.add_link("suit", Framing.BYTE_STREAM)
+    _, again = emulated_traffic()
+    frames = []
+    for sent in again.transmissions(4.0):
+        frames += pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), "suit"))
+    assert len(frames) > 350
+    modules = pipeline.statistics()["modules"]
+    assert set(modules) == {
+        str(i) for i in (*suit.module_ids, *(d.device for d in suit.local_devices if d.device))
+    }
+    assert {"offset_ns", "clock_ppm", "residual_us", "restarts", "lost", "gaps"} <= set(modules["1"])
+
+
+def test_what_cannot_be_measured_is_one_line(tmp_path):
+    config = write_config(tmp_path)
+    with calibrate("-c", config, "-o", tmp_path / "no" / "such" / "table.yaml") as process:
+        _, error = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "there is no folder" in error
+    assert len(error.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("clock", [{"mode": "table"}, {"mode": "estimated", "table": "x.yaml"}])
+def test_a_table_and_its_mode_go_together(tmp_path, clock):
+    with pytest.raises(SettingsError, match="mode 'table' needs"):
+        load_gateway_settings(write_config(tmp_path, clock=clock))
