@@ -23,6 +23,8 @@ from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings
+from gateway.stream import ClockMode, Stream
+from gateway.synchronisation import Synchroniser
 
 log = logging.getLogger(__name__)
 
@@ -46,19 +48,23 @@ class Service:
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
+        self._synchroniser = _synchroniser(settings, self.links, stream)
         self.requests = RequestResponder(settings.mqtt, settings.gateway, {"modules": operations.perform})
 
     async def run(self) -> None:
         """Open everything, and pass on what comes. Raises ``OutputError`` if an output cannot start."""
         async with self.mqtt:
             self.requests.start(self.mqtt.port)
-            reporter = asyncio.create_task(self._report(), name="report")
+            companions = [asyncio.create_task(self._report(), name="report")]
+            if self._synchroniser is not None:
+                companions.append(asyncio.create_task(self._synchroniser.run(), name="synchroniser"))
             try:
                 async with asyncio.TaskGroup() as group:
                     for link in self.links:
                         group.create_task(self._ingest(link), name=f"link {link.name}")
             finally:
-                reporter.cancel()
+                for companion in companions:
+                    companion.cancel()
                 await self.requests.stop()
 
     async def _ingest(self, link: Link) -> None:
@@ -98,6 +104,14 @@ class Service:
 def _links_of(settings: GatewaySettings) -> list[Link]:
     links = [link_from_url(link.url, name=link.name) for link in settings.links]
     return [link if isinstance(link, ReplayLink) else ReconnectingLink(link) for link in links]
+
+
+def _synchroniser(settings: GatewaySettings, links: Sequence[Link], stream: Stream) -> Synchroniser | None:
+    """None where clocks need no exchanges, or none are wanted."""
+    if settings.clock.mode is not ClockMode.ESTIMATED or not settings.clock.sync_rate_hz:
+        return None
+    live = [link for link in links if not isinstance(link, ReplayLink)]
+    return Synchroniser(live, stream, 1.0 / settings.clock.sync_rate_hz)
 
 
 def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:

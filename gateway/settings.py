@@ -43,6 +43,14 @@ class ClockSettings(_Strict):
         description="for mode table: file that `calibrate clocks` wrote; a path, or beside this file",
     )
 
+    sync_rate_hz: float = Field(
+        default=4,
+        ge=0,
+        le=50,
+        description="for mode estimated: how often all modules are asked for their time, which takes the "
+        "transport's delay out of the clocks of those that answer; 0: never",
+    )
+
     @model_validator(mode="after")
     def _has_table(self) -> ClockSettings:
         if (self.mode is ClockMode.TABLE) != (self.table is not None):
