@@ -108,14 +108,14 @@ def read_repoimu_pendulum(folder: Path) -> Recording:
 
     The logger repeated what had not changed: rows without a new angular rate are dropped, and the
     accelerometer and the magnetometer, which changed more rarely still, are interpolated between their
-    own changes. Reference rows with a flip of the optical markers are NaN.
+    own changes. Reference rows with a flip of the optical markers are NaN. The source's world has X up.
     """
     paths = sorted(folder.glob("*_Segment_[123].csv"))
     if len(paths) != 3:
         raise FileNotFoundError(f"{len(paths)} segments of a pendulum in {folder}; three are needed")
     pairs = [_read_repoimu(path, n, f"segment_{n}") for n, path in enumerate(paths, start=1)]
     modules = tuple(module for module, _ in pairs)
-    references = tuple(_without_flips(reference) for _, reference in pairs)
+    references = tuple(_x_up_to_z_up(_without_flips(reference)) for _, reference in pairs)
     return Recording("repoimu_pendulum", 50.0, modules, references)
 
 
@@ -187,6 +187,16 @@ def _without_flips(track: ReferenceTrack) -> ReferenceTrack:
     q_wb = track.q_wb.copy()
     q_wb[:-1][is_flip] = np.nan
     q_wb[1:][is_flip] = np.nan
+    return replace(track, q_wb=q_wb)
+
+
+def _x_up_to_z_up(track: ReferenceTrack) -> ReferenceTrack:
+    """The reference in a world with Z up, from one with X up."""
+    known = np.isfinite(track.q_wb).all(axis=1)
+    turn = Rotation.from_euler("y", -90, degrees=True)
+    q_wb = np.full_like(track.q_wb, np.nan)
+    turned = turn * Rotation.from_quat(track.q_wb[known], scalar_first=True)
+    q_wb[known] = turned.as_quat(scalar_first=True)
     return replace(track, q_wb=q_wb)
 
 
