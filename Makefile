@@ -14,7 +14,7 @@ help:
 	@echo "make test    install what the tests need (mosquitto too, where apt may) and run them"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   measure, and rewrite the figures in docs/"
-	@echo "make soak    ten million wire frames, damaged and good, through the decoders"
+	@echo "make soak    slow tests, and ten million wire frames, damaged and good, through the decoders"
 	@echo "make lock    pin the dependencies anew"
 
 $(VENV)/pyvenv.cfg:
@@ -64,6 +64,7 @@ bench: install-dev mosquitto
 	$(BIN)/python -m benchmarks all --write-docs
 
 soak: install-dev
+	$(BIN)/python -m pytest -m slow
 	$(BIN)/python -m benchmarks.wire_campaign --frames 10000000
 
 lock:

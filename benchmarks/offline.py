@@ -2,23 +2,49 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from devices.emulators.recordings import Recording, play
 from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, SkeletonFrame
+from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
 from gateway.pipeline import Pipeline
+from gateway.reconstruction import create_reconstructor
 from gateway.stream import ClockMode
 
 LINK = "recording"
 
 
+class _Recorder:
+    """Stands in for a reconstructor and keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.imu_frames: list[ImuFrame] = []
+
+    def update(self, observation: ImuFrame) -> None:
+        """Keep it."""
+        self.imu_frames.append(observation)
+
+
+def imu_frames(recording: Recording, suit: WornSuit) -> list[ImuFrame]:
+    """Assembled frames, to be given to several reconstructors."""
+    recorder = _Recorder()
+    _play(recording, suit, recorder)
+    return recorder.imu_frames
+
+
 def solve(recording: Recording, suit: WornSuit, reconstructor: str) -> list[SkeletonFrame]:
     """Skeleton frames at the recording's sampling rate; its modules' clocks are taken as one."""
+    return _play(recording, suit, create_reconstructor(reconstructor, suit, 1.0 / recording.sampling_rate_hz))
+
+
+def _play(recording: Recording, suit: WornSuit, reconstructor: Any) -> list[SkeletonFrame]:
     params = AssemblyParams(1e9 / recording.sampling_rate_hz, 5 * 10**9, 10**8, 5 * 10**9)
-    pipeline = Pipeline(suit, params, reconstructor, ClockMode.SHARED)
+    pipeline = Pipeline(suit, params, "independent", ClockMode.SHARED)
+    pipeline.reconstructor = reconstructor
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
     frames: list[SkeletonFrame] = []
     for sent in play(recording):

@@ -67,6 +67,7 @@ def run() -> Report:
         return work
 
     vqf_us = _best_us(vqf_alone)
+    joint_us, outward_us = _best_us(reconstruct("joint")), _best_us(reconstruct("outward"))
     literal_us = _best_us(reconstruct("articulated"))
     report = Report("speed")
     report.figures = [
@@ -78,12 +79,14 @@ def run() -> Report:
             "decode_single_packets_per_s", 1e6 / _best_us(decode([c.data for c in singles])), "1/s", "",
             "the same, every packet in a wire frame and chunk of its own",
         ),
-        Figure("frame_17_us", literal_us, "µs", "<=100", "`articulated`, 17 segments, one frame"),
-        Figure("frame_17_ratio_vqf", literal_us / vqf_us, "", "", "the same over 17 single `vqf` updates"),
+        Figure("frame_17_us", joint_us, "µs", "<=100", "`joint`, 17 segments, one frame"),
+        Figure("frame_17_ratio_vqf", joint_us / vqf_us, "", "", "the same over 17 single `vqf` updates"),
+        Figure("frame_17_outward_us", outward_us, "µs", "<=25", "`outward`, 17 segments, one frame"),
+        Figure("frame_17_literal_us", literal_us, "µs", "", "`articulated`, 17 segments, one frame"),
         Figure("vqf_17_us", vqf_us, "µs", "", "17 single updates of the library vqf, from Python"),
         Figure(
-            "offline_x_realtime", 1e6 / _best_us(pipeline("articulated")) / 100, "×", ">=100",
-            "bytes to skeleton of 17 modules at 100 Hz, `articulated`, whole pipeline",
+            "offline_x_realtime", 1e6 / _best_us(pipeline("joint")) / 100, "×", ">=100",
+            "bytes to skeleton of 17 modules at 100 Hz, `joint`, whole pipeline",
         ),
         Figure(
             "offline_independent_x_realtime", 1e6 / _best_us(pipeline("independent")) / 100, "×", "",

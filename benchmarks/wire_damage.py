@@ -116,7 +116,7 @@ class CanBus:
         while at < BLOCK_SIZE:
             end = min(at + rng.randint(1, 40), BLOCK_SIZE)
             chunk, intact = self._chunk(frames[at:end], records[at:end], traffic)
-            if rng.random() < 0.05:
+            if chunk and rng.random() < 0.05:  # all of it may have been lost
                 traffic.n_damaged += 1
                 cut = rng.randrange(len(chunk))
                 chunk = rng.choice((chunk[:cut], turn_bits(rng, chunk, cut, len(chunk))))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from gateway.body.skeleton import WornSuit
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
+from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
 from gateway.reconstruction.reconstructor import Reconstructor
 
 __all__ = ["RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
@@ -14,6 +15,8 @@ __all__ = ["RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
 RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
     "articulated": ArticulatedReconstructor,
     "independent": IndependentReconstructor,
+    "joint": JointReconstructor,
+    "outward": OutwardReconstructor,
 }
 """Name to constructor; its arguments: the suit, and the nominal interval of the frames in s."""
 

@@ -1,1 +1,2 @@
-"""Inertial reconstruction: ``articulated`` (the source's method, literally), ``independent`` (by module)."""
+"""Inertial reconstruction: ``articulated`` (the source's method, literally), ``independent`` (by module),
+``joint`` and ``outward`` (the estimators)."""

@@ -1,0 +1,141 @@
+"""Prediction and correction of the chain filters: everything that turns with a segment. Compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import FloatArray, StatusArray
+from gateway.geometry import rotation_matrix
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import cross, is_finite, norm
+from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
+from gateway.reconstruction.inertial.tree_filter import propagate
+
+LONGEST_COAST_S = 0.1
+"""A silent segment keeps its rate for about that long."""
+LONGEST_SILENCE_S = 1.0
+"""After a longer silence, or saturation, a segment begins anew."""
+SATURATED_NOISE = 5.0
+"""rad/s/√Hz of a gyrometer at its limit."""
+
+
+@compiled
+def predict(
+    body: ChainBody, state: FilterState, noise: Noise, rate: FloatArray, is_valid: FloatArray, dt: float
+) -> None:
+    """Turns every started segment over dt by the mean of its last two rates (n, 3), in place."""
+    n = len(body.parents)
+    M = np.zeros((n, 3, 3))
+    for s in range(n):
+        if state.is_started[s] == 0:
+            continue
+        M[s] = state.R[s] * dt
+        if is_valid[s] > 0.0:
+            w = 0.5 * (rate[s] + state.rate[s]) - state.bias[s]
+            speed = norm(w)
+            density = noise.gyrometer**2 + (noise.gyrometer_scale * speed) ** 2 * noise.scale_memory_s
+            if _exceeds(rate[s], noise.largest_rate):
+                density += SATURATED_NOISE**2
+                state.silent_s[s] += dt
+            else:
+                state.silent_s[s] = 0.0
+            state.rate[s] = rate[s]
+        else:
+            state.rate[s] = state.bias[s] + (state.rate[s] - state.bias[s]) * math.exp(-dt / LONGEST_COAST_S)
+            w = state.rate[s] - state.bias[s]
+            state.silent_s[s] += dt
+            density = noise.dead_rate**2 * LONGEST_COAST_S
+        if state.silent_s[s] > LONGEST_SILENCE_S:
+            state.is_started[s] = 2
+        turn = rotation_matrix.from_rotation_vector(w * dt)
+        state.R[s] = rotation_matrix.multiply(state.R[s], turn)
+        propagate(state.P[s], M[s], M[s])
+        for i in range(3):
+            # an orientation cannot be worse than unknown: keeps a long silence finite
+            state.P[s, i, i] += density * dt if state.P[s, i, i] < OPEN_SIGMA**2 else 0.0
+            state.P[s, 3 + i, 3 + i] += noise.bias_walk**2 * dt
+        if body.parents[s] >= 0:
+            propagate(state.C[s], M[s], M[body.parents[s]])
+
+
+@compiled
+def _exceeds(v: FloatArray, limit: float) -> bool:
+    return bool(abs(v[0]) >= limit or abs(v[1]) >= limit or abs(v[2]) >= limit)
+
+
+@compiled
+def valid_rows(noise: Noise, force: FloatArray, rate: FloatArray, status: StatusArray) -> FloatArray:
+    """(n,) 0: no sample; 1: turns by its gyrometer; 2: its specific force counts too."""
+    n = len(status)
+    is_valid = np.zeros(n)
+    for s in range(n):
+        if status[s] <= 1 and is_finite(rate[s]):
+            is_valid[s] = 1.0
+            usable = is_finite(force[s]) and not _exceeds(force[s], noise.largest_force)
+            if usable and not _exceeds(rate[s], noise.largest_rate):
+                is_valid[s] = 2.0
+    return is_valid
+
+
+@compiled
+def start(
+    body: ChainBody, state: FilterState, noise: Noise, s: int, f: FloatArray, w: FloatArray, m: FloatArray
+) -> None:
+    """Segment s from its first sample: level by the specific force, facing as the field says, if any."""
+    secondary, secondary_w = m, body.field
+    if not (body.uses_field and is_finite(m)):
+        secondary, secondary_w = np.zeros(3), np.zeros(3)
+        secondary[int(abs(f[0]) > abs(f[1]))] = 1.0
+        secondary_w[1] = 1.0
+    R = rotation_matrix.from_two_vectors(f, secondary, -body.gravity, secondary_w)
+    if not is_finite(R[0]):
+        return
+    state.R[s], state.bias[s], state.rate[s] = R, 0.0, w
+    state.P[s], state.C[s] = 0.0, 0.0
+    for i in range(3):
+        state.P[s, i, i] = noise.start_tilt**2
+        state.P[s, 3 + i, 3 + i] = noise.bias**2
+    state.P[s, 2, 2] = OPEN_SIGMA**2
+    state.is_started[s], state.is_open[s] = 1, body.opens[s]
+    state.fresh_s[s], state.silent_s[s] = 0.0, 0.0
+    state.heading[s], state.rest[s] = 0.0, 0.0
+
+
+@compiled
+def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray) -> None:
+    """World rotations (n, 3) of segments, and of all remembered that turns with them, in place."""
+    n = len(body.parents)
+    for s in range(n):
+        p = body.parents[s]
+        if p >= 0 and _is_turn(turns[p]):
+            E = rotation_matrix.from_rotation_vector(turns[p])
+            state.parent_velocity[s] = rotation_matrix.rotate(E, state.parent_velocity[s])
+        if _is_turn(turns[s]):
+            E = rotation_matrix.from_rotation_vector(turns[s])
+            state.R[s] = rotation_matrix.multiply(E, state.R[s])
+            state.force[s] = rotation_matrix.rotate(E, state.force[s])
+            state.last_force[s] = rotation_matrix.rotate(E, state.last_force[s])
+            state.long_force[s] = rotation_matrix.rotate(E, state.long_force[s])
+            state.joint_velocity[s] = rotation_matrix.rotate(E, state.joint_velocity[s])
+            state.turn[s] = rotation_matrix.rotate(E, state.turn[s])
+    for d in range(len(body.device_segment)):
+        if _is_turn(turns[body.device_segment[d]]):
+            E = rotation_matrix.from_rotation_vector(turns[body.device_segment[d]])
+            state.device_velocity[d] = rotation_matrix.rotate(E, state.device_velocity[d])
+            for j in range(state.history.shape[1]):
+                if state.history[d, j, 0] > -np.inf:
+                    state.history[d, j, 1:4] = rotation_matrix.rotate(E, state.history[d, j, 1:4])
+                    state.history[d, j, 4:7] = rotation_matrix.rotate(E, state.history[d, j, 4:7])
+
+
+@compiled
+def _is_turn(v: FloatArray) -> bool:
+    return bool(v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0)
+
+
+@compiled
+def velocity(R: FloatArray, w: FloatArray, arm: FloatArray) -> FloatArray:
+    """R (ω × r), (3,) world, m/s: of a point at ``arm`` relative to the module."""
+    return rotation_matrix.rotate(R, cross(w, arm))

@@ -1,0 +1,157 @@
+"""What the chain filters know and remember: the body, the noise, the state. All plain arrays."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gateway.body.skeleton import WornSuit
+from gateway.frames import FloatArray, IntArray, Quantity
+
+N_READINGS = 9
+"""Readings of a local device that a derivative is fitted to, at most."""
+N_HISTORY = 64
+"""Frames remembered of the segment that carries a local device."""
+OPEN_SIGMA = 1.6
+"""rad: a heading of which nothing is known."""
+
+
+class Noise(NamedTuple):
+    """One set for all bodies and motions; per axis, one standard deviation."""
+
+    specific_force: float = 1.0
+    """m/s² at ``REFERENCE_INTERVAL_S``: what a row of accelerations is off by besides the lever arms. Sensors
+    are several times better; this is play of joints, soft tissue and clock residue."""
+    lever_arm: float = 0.1
+    """m: uncertainty of a lever arm, times ‖[ω̇, ω]‖. Larger than a ruler's error because the derivative's
+    error grows with it too."""
+    huber: float = 2.0
+    """Standard deviations beyond which a row counts linearly, no longer quadratically."""
+    smoothing_s: float = 0.1
+    """Time constant of the low-pass through which both sides of a row go: bandwidth 1.6 Hz."""
+    gyrometer: float = 0.002
+    """rad/s/√Hz: consumer sensors have 0.0002; sampling at tens of Hz and aliasing add."""
+    gyrometer_scale: float = 0.005
+    """Relative error of scale and axes."""
+    scale_memory_s: float = 0.1
+    """For how long a scale error keeps its effect in a motion to and fro."""
+    bias: float = 0.01
+    """rad/s at the start: half a degree per second, as after a factory calibration."""
+    bias_walk: float = 2e-4
+    """rad/s/√s."""
+    start_tilt: float = 0.3
+    """rad: of a first orientation from one specific force."""
+    heading: float = 0.3
+    """rad: how far the field's heading is off where it passes all tests: buildings bend it that much."""
+    heading_memory_s: float = 10.0
+    """For how long it stays off to the same side."""
+    unaided_speed: float = 0.5
+    """m/s: how fast a body moves whose acceleration nothing tells."""
+    unaided_window_s: float = 1.0
+    """Over it the mean acceleration is that speed over the window."""
+    local_window_s: float = 0.2
+    """Span of readings of a local device that an acceleration is fitted to: bandwidth about 5 Hz."""
+    heading_evidence: float = 20.0
+    """Concentration (von Mises) from which an open heading is taken as shown."""
+    heading_coherence: float = 0.6
+    """Least agreement of the two sides' horizontal accelerations for that."""
+    rest_rate: float = 0.1
+    """rad/s: less change of the rate than this, for ``REST_S``, is rest."""
+    dead_rate: float = 2.0
+    """rad/s: how a segment turns while its module is silent."""
+    largest_rate: float = 34.8
+    """rad/s: beyond it (2000 °/s less rounding) a gyrometer is saturated."""
+    largest_force: float = 156.0
+    """m/s²: beyond it (16 g less rounding) an accelerometer is saturated."""
+
+
+class ChainBody(NamedTuple):
+    """Constant."""
+
+    parents: IntArray  # (n,) nearest segment towards the root if both carry modules, else −1
+    opens: IntArray  # (n,) 1 where motion can show the heading: against the parent, or by a device on a root
+    to_joint: FloatArray  # (n, 3) module to proximal joint, own axes, m
+    from_parent: FloatArray  # (n, 3) parent's module to this joint, parent's axes, m
+    device_segment: IntArray  # (d,)
+    device_kind: IntArray  # (d,) Quantity
+    device_arm: FloatArray  # (d, 3) module to device, segment axes, m
+    gravity: FloatArray  # (3,)
+    field: FloatArray  # (3,)
+    uses_field: bool
+
+
+class FilterState(NamedTuple):
+    """By segment, changed in place. Averages are world vectors and turn with every correction."""
+
+    time_ns: IntArray  # (2,) of the last frame and of the first; −1: none yet
+    is_started: IntArray  # (n,) 0: no, 1: yes, 2: yes, but silent for so long that it begins anew
+    is_open: IntArray  # (n,) heading not yet shown: against the parent, of a root against the world
+    silent_s: FloatArray  # (n,) since the module's last sample
+    fresh_s: FloatArray  # (n,) since the averages were begun
+    R: FloatArray  # (n, 3, 3)
+    bias: FloatArray  # (n, 3)
+    P: FloatArray  # (n, 6, 6)
+    C: FloatArray  # (n, 6, 6)
+    rate: FloatArray  # (n, 3) last measured, bias included
+    force: FloatArray  # (n, 3) average of R f
+    last_force: FloatArray  # (n, 3) R f of the frame before
+    long_force: FloatArray  # (n, 3) the same over the unaided window
+    joint_velocity: FloatArray  # (n, 3) average of R (ω × r) at the proximal joint
+    parent_velocity: FloatArray  # (n, 3) the same of the parent's module to that joint
+    turn: FloatArray  # (n, 3) average of R ω
+    heading: FloatArray  # (n, 3) cosine and sine sums of an open heading, and their possible length
+    rest: FloatArray  # (n, 9) average rate, force, their variances, and seconds at rest
+    device_velocity: FloatArray  # (d, 3) as joint_velocity, for fixed points
+    device_age_s: FloatArray  # (d,) since the device last told something
+    readings: FloatArray  # (d, N_READINGS, 5) seconds of frame time, value, standard deviation
+    n_readings: IntArray  # (d, 2) how many; 1 while the last one waits for its frames
+    history: FloatArray  # (d, N_HISTORY, 7) time, R f, R r or R (ω × r) towards the device
+
+
+def initial_state(n: int, d: int) -> FilterState:
+    """Nothing known, of n segments and d devices."""
+
+    def z(*shape: int) -> FloatArray:
+        return np.zeros(shape)
+
+    return FilterState(
+        np.full(2, -1, np.int64), np.zeros(n, np.int64), np.ones(n, np.int64), z(n), z(n),
+        z(n, 3, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3),
+        z(n, 3), z(n, 3), z(n, 9), z(d, 3), np.full(d, np.inf), z(d, N_READINGS, 5),
+        np.zeros((d, 2), np.int64),
+        np.full((d, N_HISTORY, 7), -np.inf),
+    )  # fmt: skip
+
+
+def chain_body(suit: WornSuit, uses_field: bool) -> ChainBody:
+    """The suit as the filters see it. Devices on segments without module tell nothing and are left out."""
+    skeleton = suit.skeleton
+    has_module = suit.module_of_segment >= 0
+    parents = skeleton.parents.astype(np.int64)
+    joined = (parents >= 0) & has_module & has_module[parents]
+    devices = [device for device in suit.local_devices if has_module[device.segment]]
+    lever_arms = np.asarray(suit.lever_arms, np.float64)
+    opens = joined.astype(np.int64)
+    for device in devices:
+        if device.quantity is not Quantity.FIXED_POINT:
+            opens[device.segment] = 1
+    arms = [np.asarray(device.position, np.float64) - lever_arms[device.segment] for device in devices]
+    return ChainBody(
+        parents=np.where(joined, parents, -1),
+        opens=opens,
+        to_joint=-lever_arms,
+        from_parent=np.where(joined[:, None], skeleton.offsets - lever_arms[parents], 0.0),
+        device_segment=np.array([device.segment for device in devices], np.int64),
+        device_kind=np.array([int(device.quantity) for device in devices], np.int64),
+        device_arm=np.array(arms, np.float64).reshape(len(devices), 3),
+        gravity=np.array(suit.gravity, np.float64),
+        field=np.array(suit.magnetic_field, np.float64),
+        uses_field=uses_field,
+    )
+
+
+def fixed_points(body: ChainBody) -> IntArray:
+    """(d,) 1 where a device is a fixed point."""
+    fixed: IntArray = (body.device_kind == int(Quantity.FIXED_POINT)).astype(np.int64)
+    return fixed

@@ -1,0 +1,244 @@
+"""One instant of the chain filters: predict, average, open headings, rows, update, correct. Compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import FloatArray, IntArray
+from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial import chain_rows
+from gateway.reconstruction.inertial.chain_averages import REST_WINDOW_S, SETTLED, average, watch_rest
+from gateway.reconstruction.inertial.chain_prediction import predict, start, turn_segments, valid_rows
+from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
+from gateway.reconstruction.inertial.heading_start import (
+    COMPASS_S,
+    gather_heading,
+    shown_heading,
+    turn_evidence,
+)
+from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
+from gateway.reconstruction.inertial.observations import SegmentObservations
+from gateway.reconstruction.inertial.tree_filter import (
+    Evidence,
+    add_edge,
+    add_own,
+    no_evidence,
+    update_outward,
+    update_tree,
+)
+
+AIDED_S = 0.5
+"""A local device that has been silent for longer no longer holds up its chain."""
+
+
+@compiled
+def step(
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    fixed: IntArray,
+    is_joint: bool,
+    dt: float,
+    time_s: float,
+    observed: SegmentObservations,
+) -> tuple[FloatArray, FloatArray]:
+    """dt: since the frame before, s (> 0); time_s: of the frame since the first. ``state`` changes in place.
+
+    Returns the accelerations of all proximal joints (n, 3), world, NaN where not known; and (n,) whether the
+    segment's module counted: 0 no, 1 its gyrometer, 2 all of it.
+    """
+    n = len(body.parents)
+    force, rate, field = observed.specific_force, observed.angular_rate, observed.magnetic_field
+    is_valid = valid_rows(noise, force, rate, observed.status)
+    predict(body, state, noise, rate, is_valid, dt)
+    for s in range(n):
+        if state.is_started[s] != 1:
+            if is_valid[s] == 2.0:
+                start(body, state, noise, s, force[s], rate[s], field[s])
+            if state.is_started[s] != 1:
+                is_valid[s] = 0.0
+    U, U_parent, U_device, motion = average(body, state, noise, force, rate, is_valid, fixed, dt)
+    evidence = no_evidence(n)
+    turns = np.zeros((n, 3))
+    if body.uses_field:
+        _follow_field(evidence, body, state, noise, is_valid, field, dt, turns)
+    anchored = _device_rows(
+        evidence, body, state, noise, fixed, is_valid, force, rate, U_device, motion, dt, time_s, turns
+    )
+    _joint_rows(evidence, body, state, noise, is_valid, U, U_parent, motion, dt, anchored, turns)
+    for s in range(n):
+        if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):
+            chain_rows.rest_row(evidence, state, s, REST_WINDOW_S, dt)
+    turn_segments(body, state, turns)
+    if is_joint:
+        errors = update_tree(body.parents, state.P, state.C, evidence)
+    else:
+        errors = update_outward(body.parents, state.P, evidence)
+    state.bias[:] += errors[:, 3:]
+    turn_segments(body, state, errors[:, :3].copy())
+    acceleration = np.full((n, 3), np.nan)
+    for s in range(n):
+        if is_valid[s] == 2.0:
+            acceleration[s] = U[s] + body.gravity
+    return acceleration, is_valid
+
+
+@compiled
+def _follow_field(
+    evidence: Evidence,
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    is_valid: FloatArray,
+    field: FloatArray,
+    dt: float,
+    turns: FloatArray,
+) -> None:
+    """A row where the heading is settled; where it is open the field leads it as a compass."""
+    for s in range(len(body.parents)):
+        if is_valid[s] == 0.0 or not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
+            continue
+        if state.is_open[s] == 0:
+            chain_rows.field_row(evidence, body, state, noise, s, field[s], dt)
+            continue
+        off, _ = chain_rows.field_error(body, state, s, field[s])
+        turns[s, 2] = -off * min(1.0, dt / COMPASS_S)
+    for s in range(len(body.parents)):
+        turn_evidence(state, s, turns[s, 2])
+        if body.parents[s] >= 0:
+            turn_evidence(state, s, -turns[body.parents[s], 2])
+
+
+@compiled
+def _device_rows(
+    evidence: Evidence,
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    fixed: IntArray,
+    is_valid: FloatArray,
+    force: FloatArray,
+    rate: FloatArray,
+    U_device: FloatArray,
+    motion: FloatArray,
+    dt: float,
+    time_s: float,
+    turns: FloatArray,
+) -> FloatArray:
+    """Rows of all local devices; (n,) 1 for segments that one of them holds up."""
+    anchored = np.zeros(len(body.parents))
+    for d in range(len(fixed)):
+        s = body.device_segment[d]
+        state.device_age_s[d] += dt
+        if is_valid[s] < 2.0:
+            continue
+        if fixed[d]:
+            if state.fresh_s[s] > SETTLED * noise.smoothing_s:
+                variance = chain_rows.row_variance(noise, motion[s], dt)
+                chain_rows.known_row(evidence, state, noise, s, U_device[d], -body.gravity, variance, False)
+                anchored[s] = 1.0
+            continue
+        note_frame(body, state, noise, d, time_s, force[s], rate[s] - state.bias[s])
+        is_new, u, y, variance, span = local_pair(body, state, noise, d, time_s)
+        if is_new:
+            interval = min(state.device_age_s[d], span)
+            state.device_age_s[d] = 0.0
+            # overlapping windows share their readings
+            variance = variance * 0.5 * span / interval + chain_rows.row_variance(noise, motion[s], interval)
+            if body.parents[s] < 0 and state.is_open[s]:
+                gather_heading(state, s, u, y, variance, interval)
+                _open_root(evidence, body, state, noise, s, turns)
+            chain_rows.known_row(
+                evidence, state, noise, s, u, y, variance, state.is_open[s] == 1 or turns[s, 2] != 0.0
+            )
+        if state.device_age_s[d] < AIDED_S:
+            anchored[s] = 1.0
+    return anchored
+
+
+@compiled
+def _open_root(
+    evidence: Evidence, body: ChainBody, state: FilterState, noise: Noise, s: int, turns: FloatArray
+) -> None:
+    """Once shown, the heading against the world: turns the whole tree."""
+    variance, angle = shown_heading(state, noise, s)
+    if variance > 0.0:
+        state.is_open[s] = 0
+        row = np.zeros(3)
+        row[2] = 1.0
+        add_own(evidence, s, row, 0.0, variance)
+        _turn_beyond(body, s, angle, turns)
+
+
+@compiled
+def _turn_beyond(body: ChainBody, s: int, angle: float, turns: FloatArray) -> None:
+    """Segment s and all beyond it."""
+    beyond = np.zeros(len(body.parents))
+    beyond[s] = 1.0
+    for c in range(s, len(body.parents)):
+        if body.parents[c] >= 0 and beyond[body.parents[c]] > 0.0:
+            beyond[c] = 1.0
+        if beyond[c] > 0.0:
+            turns[c, 2] += angle
+
+
+@compiled
+def _joint_rows(
+    evidence: Evidence,
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    is_valid: FloatArray,
+    U: FloatArray,
+    U_parent: FloatArray,
+    motion: FloatArray,
+    dt: float,
+    anchored: FloatArray,
+    turns: FloatArray,
+) -> None:
+    """Rows of all joints; chains that no device holds up get the unaided row at their first segment."""
+    n, settled_s = len(body.parents), SETTLED * noise.smoothing_s
+    chain = np.arange(n)
+    for s in range(n):
+        p = body.parents[s]
+        if p < 0 or is_valid[s] < 2.0 or is_valid[p] < 2.0:
+            continue
+        if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
+            continue
+        chain[s] = chain[p]
+        anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
+        variance = chain_rows.row_variance(noise, math.hypot(motion[s], motion[p]), dt)
+        if state.is_open[s]:
+            gather_heading(state, s, U[s], U_parent[s], variance, dt)
+            shown, angle = shown_heading(state, noise, s)
+            if shown > 0.0:
+                state.is_open[s] = 0
+                _settle(evidence, s, shown)
+                _turn_beyond(body, s, angle, turns)
+                continue
+        if (turns[s, 2] == 0.0 and turns[p, 2] == 0.0) or state.is_open[s]:
+            chain_rows.joint_row(evidence, state, noise, s, p, U[s], U_parent[s], variance)
+    for s in range(n):
+        if chain[s] == s and anchored[s] == 0.0 and is_valid[s] == 2.0:
+            chain_rows.unaided_row(evidence, state, noise, s, body.gravity, dt)
+
+
+@compiled
+def _settle(evidence: Evidence, s: int, variance: float) -> None:
+    """The heading against the parent is what it is now, to that variance."""
+    row, row_p = np.zeros(3), np.zeros(3)
+    row[2], row_p[2] = 1.0, -1.0
+    add_edge(evidence, s, row, row_p, 0.0, variance)
+
+
+@compiled
+def orientation_sigma(state: FilterState) -> FloatArray:
+    """(n,) rad: root of the expected square of the angle of error."""
+    sigma = np.full(len(state.is_started), np.nan)
+    for s in range(len(sigma)):
+        if state.is_started[s]:
+            P = state.P[s]
+            sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), 2.0 * OPEN_SIGMA)
+    return sigma

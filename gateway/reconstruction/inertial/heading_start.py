@@ -1,0 +1,55 @@
+"""Headings that nobody knows yet: found by the motion itself, in closed form. Compiled.
+
+While a segment's heading against its parent is open, a linearised filter may converge to anything. But the
+horizontal accelerations of the joint seen from both sides are the same vector up to one angle ψ, whose
+posterior is von Mises: ``exp(κ cos(ψ − ψ₀))`` with ``κ e^{iψ₀} = Σ u_p ū / σ²`` (horizontal parts as complex
+numbers). Once κ is large enough the segment and all beyond it are turned by ψ₀ and the filter takes over.
+Until then the field, if there is one, leads the heading as a compass does.
+"""
+
+from __future__ import annotations
+
+import math
+
+from gateway.frames import FloatArray
+from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial.chain_state import FilterState, Noise
+
+FORGET_S = 20.0
+"""Evidence older than this counts less: gyrometers drift."""
+COMPASS_S = 1.0
+"""Time constant with which the field leads an open heading."""
+DENSE = 5.0
+"""Rows share errors: the angle found is less sure than the evidence says by this factor."""
+
+
+@compiled
+def gather_heading(
+    state: FilterState, s: int, u: FloatArray, y: FloatArray, variance: float, interval_s: float
+) -> None:
+    """One pair more: u (3,) of segment s, y (3,) what it must agree with, world."""
+    decay = math.exp(-interval_s / FORGET_S)
+    heading = state.heading[s]
+    heading[0] = heading[0] * decay + (y[0] * u[0] + y[1] * u[1]) / variance
+    heading[1] = heading[1] * decay + (y[1] * u[0] - y[0] * u[1]) / variance
+    length = math.hypot(u[0], u[1]) * math.hypot(y[0], y[1])
+    heading[2] = heading[2] * decay + length / variance
+
+
+@compiled
+def shown_heading(state: FilterState, noise: Noise, s: int) -> tuple[float, float]:
+    """Variance (rad²) and angle of a heading that motion has shown; variance 0: not yet."""
+    heading = state.heading[s]
+    concentration = math.hypot(heading[0], heading[1])
+    if concentration < noise.heading_evidence or concentration < noise.heading_coherence * heading[2]:
+        return 0.0, 0.0
+    return DENSE / concentration, math.atan2(heading[1], heading[0])
+
+
+@compiled
+def turn_evidence(state: FilterState, s: int, angle: float) -> None:
+    """The evidence after segment s was turned by ``angle`` about the vertical (its parent: by −angle)."""
+    heading = state.heading[s]
+    cosine, sine = math.cos(angle), math.sin(angle)
+    x, y = heading[0], heading[1]
+    heading[0], heading[1] = x * cosine + y * sine, y * cosine - x * sine

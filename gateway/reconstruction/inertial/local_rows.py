@@ -1,0 +1,177 @@
+"""Local measuring devices: from readings at their own rate to an acceleration and its uncertainty. Compiled.
+
+A derivative of the readings by least squares over a window is ``Σ w_i p(t_i)``, and for every motion
+whatever that is ``∫ K(t) a(t) dt`` with the kernel ``K(t) = Σ w_i (t_i − t)₊`` (Peano; for velocities a step
+in place of the ramp). So the module's side of the row is its own acceleration averaged with the same kernel:
+neither delay nor bandwidth of the fit is an error of the row, only the readings' noise is, ``σ² Σ w_i²``.
+Where the device sits off the module, ``Σ w_i R r(t_i)`` is what the arm adds, again without any derivative
+of ω. Accelerations are summed to velocities over the window first.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import FloatArray, Quantity
+from gateway.geometry import rotation_matrix
+from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial.chain_prediction import velocity
+from gateway.reconstruction.inertial.chain_state import (
+    N_HISTORY,
+    N_READINGS,
+    ChainBody,
+    FilterState,
+    Noise,
+)
+
+ACCELERATION, POSITION = Quantity.ACCELERATION.value, Quantity.POSITION.value
+LEAST_READINGS = 4
+LONGEST_GAP_S = 0.35
+"""Between readings; over a longer one nothing is differentiated."""
+HISTORY_PER_WINDOW = 30.0
+
+
+@compiled
+def take_reading(
+    state: FilterState, noise: Noise, d: int, time_s: float, value: FloatArray, sigma: float
+) -> None:
+    """Keeps a reading of device d; those much denser than the window needs are passed over."""
+    readings, n = state.readings[d], state.n_readings[d, 0]
+    if n > 0:
+        since = time_s - readings[n - 1, 0]
+        if since < 0.8 * noise.local_window_s / (N_READINGS - 1):
+            return
+        if since > LONGEST_GAP_S:
+            n = 0
+    if n == N_READINGS:
+        for i in range(N_READINGS - 1):
+            readings[i] = readings[i + 1]
+        n -= 1
+    readings[n, 0], readings[n, 4] = time_s, sigma
+    readings[n, 1:4] = value
+    state.n_readings[d, 0], state.n_readings[d, 1] = n + 1, 1
+
+
+@compiled
+def note_frame(
+    body: ChainBody, state: FilterState, noise: Noise, d: int, time_s: float, f: FloatArray, w: FloatArray
+) -> None:
+    """Remembers what device d's segment felt; f, w (3,) bias taken off, segment axes."""
+    history, R = state.history[d], state.R[body.device_segment[d]]
+    if time_s - history[N_HISTORY - 1, 0] < noise.local_window_s / HISTORY_PER_WINDOW:
+        return
+    for j in range(N_HISTORY - 1):
+        history[j] = history[j + 1]
+    history[N_HISTORY - 1, 0] = time_s
+    history[N_HISTORY - 1, 1:4] = rotation_matrix.rotate(R, f)
+    if body.device_kind[d] == POSITION:
+        history[N_HISTORY - 1, 4:7] = rotation_matrix.rotate(R, body.device_arm[d])
+    else:
+        history[N_HISTORY - 1, 4:7] = velocity(R, w, body.device_arm[d])
+
+
+@compiled
+def local_pair(
+    body: ChainBody, state: FilterState, noise: Noise, d: int, time_s: float
+) -> tuple[bool, FloatArray, FloatArray, float, float]:
+    """Whether there is a new row; u, y (3,) that must agree; variance of the fit; span of the window, s."""
+    none = (False, np.zeros(3), np.zeros(3), 0.0, 0.0)
+    n = state.n_readings[d, 0]
+    if state.n_readings[d, 1] == 0 or n < LEAST_READINGS or state.readings[d, n - 1, 0] > time_s:
+        return none
+    state.n_readings[d, 1] = 0
+    first = max(0, n - LEAST_READINGS)
+    while (
+        first > 0
+        and state.readings[d, n - 1, 0] - state.readings[d, first - 1, 0] < 1.05 * noise.local_window_s
+    ):
+        first -= 1
+    t, values = state.readings[d, first:n, 0], state.readings[d, first:n, 1:4].copy()
+    order = 2 if body.device_kind[d] == POSITION else 1
+    if body.device_kind[d] == ACCELERATION:
+        values = _summed(t, values)
+    weights = derivative_weights(t, order)
+    is_covered, u, arm = _own_side(state.history[d], t, weights, order)
+    if not is_covered:
+        return none
+    y, variance = body.gravity * -1.0, 0.0
+    for i in range(len(t)):
+        y += weights[i] * values[i]
+        variance += (weights[i] * state.readings[d, first + i, 4]) ** 2
+    if body.device_kind[d] == ACCELERATION:
+        variance = state.readings[d, n - 1, 4] ** 2 / len(t)
+    return True, u + arm, y, variance, t[-1] - t[0]
+
+
+@compiled
+def _summed(t: FloatArray, values: FloatArray) -> FloatArray:
+    """Accelerations to velocities, trapezoidal, from zero; (n, 3)."""
+    velocities = np.zeros_like(values)
+    for i in range(1, len(t)):
+        velocities[i] = velocities[i - 1] + 0.5 * (t[i] - t[i - 1]) * (values[i] + values[i - 1])
+    return velocities
+
+
+@compiled
+def derivative_weights(t: FloatArray, order: int) -> FloatArray:
+    """w (n,) with Σ w_i p(t_i) the derivative of the polynomial of that order (1, 2) fitted to p."""
+    x = t - np.mean(t)
+    squares = np.sum(x * x)
+    if order == 1:
+        slope: FloatArray = x / squares
+        return slope
+    q = x * x - np.sum(x**3) / squares * x - squares / len(t)
+    curvature: FloatArray = 2.0 * q / np.sum(q * q)
+    return curvature
+
+
+@compiled
+def _own_side(
+    history: FloatArray, t: FloatArray, weights: FloatArray, order: int
+) -> tuple[bool, FloatArray, FloatArray]:
+    """R f averaged with the fit's kernel, and Σ w_i of what the arm does; world."""
+    u, arm, total = np.zeros(3), np.zeros(3), 0.0
+    if not _reaches(history, t[0]):
+        return False, u, arm
+    for j in range(1, N_HISTORY):
+        if history[j - 1, 0] == -np.inf or history[j, 0] < t[0]:
+            continue
+        step = history[j, 0] - history[j - 1, 0]
+        if step > LONGEST_GAP_S:
+            return False, u, arm
+        middle = 0.5 * (history[j, 0] + history[j - 1, 0])
+        kernel = 0.0
+        for i in range(len(t)):
+            ahead = t[i] - middle
+            if ahead > 0.0:
+                kernel += weights[i] * (ahead if order == 2 else 1.0)
+        u += 0.5 * kernel * step * (history[j, 1:4] + history[j - 1, 1:4])
+        total += kernel * step
+    for i in range(len(t)):
+        arm += weights[i] * _at(history, t[i])
+    # the kernel's area is 1; what is missing was lost at the ends of the window
+    return math.isfinite(total) and total > 0.5, u / total, arm
+
+
+@compiled
+def _reaches(history: FloatArray, time_s: float) -> bool:
+    """Whether some remembered frame is as old."""
+    for j in range(N_HISTORY):
+        if history[j, 0] > -np.inf:
+            return bool(history[j, 0] <= time_s)
+    return False
+
+
+@compiled
+def _at(history: FloatArray, time_s: float) -> FloatArray:
+    """The arm's columns at an instant, linear between frames; the nearest outside."""
+    last = N_HISTORY - 1
+    while last > 1 and history[last - 1, 0] >= time_s:
+        last -= 1
+    step = history[last, 0] - history[last - 1, 0]
+    part = min(1.0, max(0.0, (time_s - history[last - 1, 0]) / step)) if math.isfinite(step) else 1.0
+    if part == 1.0:
+        return history[last, 4:7].copy()
+    return history[last - 1, 4:7] + part * (history[last, 4:7] - history[last - 1, 4:7])

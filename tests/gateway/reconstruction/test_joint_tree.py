@@ -1,0 +1,112 @@
+"""The filter's parts against independent truth: dense algebra, finite differences, calculus."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gateway.reconstruction.inertial import tree_filter
+from gateway.reconstruction.inertial.local_rows import derivative_weights
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+PARENTS = np.array([-1, 0, 1, 1, -1, 4])
+
+
+def random_tree(rng):
+    """A dense Gaussian that is Markov on PARENTS; its blocks P and C."""
+    n = len(PARENTS)
+    dense = np.zeros((6 * n, 6 * n))
+    for s, p in enumerate(PARENTS):
+        A, B = 0.3 * rng.standard_normal((2, 6, 6))
+        block = slice(6 * s, 6 * s + 6)
+        noise = B @ B.T + 0.2 * np.eye(6)
+        if p >= 0:
+            parent = slice(6 * p, 6 * p + 6)
+            dense[block, : 6 * s] = A @ dense[parent, : 6 * s]
+            dense[: 6 * s, block] = dense[block, : 6 * s].T
+            noise = noise + A @ dense[parent, parent] @ A.T
+        dense[block, block] = noise
+    return dense, *blocks(dense)
+
+
+def blocks(dense):
+    n = len(PARENTS)
+    P = np.array([dense[6 * s : 6 * s + 6, 6 * s : 6 * s + 6] for s in range(n)])
+    C = np.zeros((n, 6, 6))
+    for s, p in enumerate(PARENTS):
+        if p >= 0:
+            C[s] = dense[6 * s : 6 * s + 6, 6 * p : 6 * p + 6]
+    return P, C
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_two_sweeps_equal_the_dense_update(seed):
+    rng = np.random.default_rng(seed)
+    n = len(PARENTS)
+    dense, P, C = random_tree(rng)
+    evidence, rows, residuals, variances = tree_filter.no_evidence(n), [], [], []
+    for s, p in enumerate(PARENTS):
+        for _ in range(3):
+            row, row_p, residual, variance = (
+                *rng.standard_normal((2, 3)),
+                rng.standard_normal(),
+                rng.uniform(0.1, 2),
+            )
+            full = np.zeros(6 * n)
+            full[6 * s : 6 * s + 3] = row
+            if p >= 0:
+                full[6 * p : 6 * p + 3] = row_p
+                tree_filter.add_edge(evidence, s, row, row_p, residual, variance)
+            else:
+                tree_filter.add_own(evidence, s, row, residual, variance)
+            rows.append(full)
+            residuals.append(residual)
+            variances.append(variance)
+    H, R = np.array(rows), np.diag(variances)
+    gain = dense @ H.T @ np.linalg.inv(H @ dense @ H.T + R)
+    after = dense - gain @ H @ dense
+    x = tree_filter.update_tree(PARENTS, P, C, evidence)
+    np.testing.assert_allclose(x.ravel(), gain @ residuals, atol=1e-10)
+    P_after, C_after = blocks(after)
+    np.testing.assert_allclose(P, P_after, atol=1e-10)
+    np.testing.assert_allclose(C, C_after, atol=1e-10)
+
+
+def test_without_evidence_nothing_changes():
+    _, P, C = random_tree(np.random.default_rng(1))
+    P_before, C_before = P.copy(), C.copy()
+    x = tree_filter.update_tree(PARENTS, P, C, tree_filter.no_evidence(len(PARENTS)))
+    np.testing.assert_array_equal(x, 0.0)
+    np.testing.assert_allclose(P, P_before, atol=1e-12)
+    np.testing.assert_allclose(C, C_before, atol=1e-12)
+
+
+def test_propagation_is_that_of_the_turning_error():
+    """Against finite differences of the world error δ of R exp((ω − b) Δt) with respect to δ and b."""
+    rng = np.random.default_rng(2)
+    R, w, dt = Rotation.random(random_state=3), rng.standard_normal(3), 0.01
+
+    def error_after(delta, bias):
+        true = Rotation.from_rotvec(delta) * R * Rotation.from_rotvec((w - bias) * dt)
+        return (true * (R * Rotation.from_rotvec(w * dt)).inv()).as_rotvec()
+
+    step = 1e-6
+    F = np.eye(6)
+    for i, e in enumerate(step * np.eye(3)):
+        F[:3, i] = error_after(e, np.zeros(3)) / step
+        F[:3, 3 + i] = error_after(np.zeros(3), e) / step
+    A = rng.standard_normal((6, 6))
+    P = A @ A.T
+    expected = F @ P @ F.T
+    M = R.as_matrix() * dt
+    tree_filter.propagate(P, M, M)
+    np.testing.assert_allclose(P, expected, atol=2e-3 * dt * 100)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_weights_differentiate_polynomials_exactly_at_uneven_times(order):
+    t = np.sort(np.random.default_rng(4).uniform(0.0, 0.2, 8))
+    weights = derivative_weights(t, order)
+    for power in range(order + 1):
+        wanted = {1: [0.0, 1.0], 2: [0.0, 0.0, 2.0]}[order][power]
+        assert weights @ t**power == pytest.approx(wanted, abs=1e-8)
