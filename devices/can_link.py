@@ -74,7 +74,7 @@ class CanLink:
         """Send CAN frame records. Raises ``LinkError`` when the bus is closed, lost or does not take them."""
         if self._bus is None or self._arrivals.has_ended:
             raise self._arrivals.error or LinkError(f"{self.name} is closed")
-        messages = [_message(frame) for frame in unpack_can_records(data)]
+        messages = [message_of(frame) for frame in unpack_can_records(data)]
         try:
             await asyncio.to_thread(_send_all, self._bus, messages)
         except Exception as error:  # drivers raise all kinds
@@ -115,7 +115,7 @@ def _waiting_records(bus: can.BusABC) -> bytes:
         if len(messages) == _BATCH:
             break
         message = bus.recv(0)
-    return pack_can_records(map(_can_frame, messages))
+    return pack_can_records(map(frame_of, messages))
 
 
 def _unknown_interface(interface: str) -> str:
@@ -130,7 +130,8 @@ def _send_all(bus: can.BusABC, messages: list[can.Message]) -> None:
         bus.send(message, _SEND_TIMEOUT_S)
 
 
-def _can_frame(message: can.Message) -> CanFrame:
+def frame_of(message: can.Message) -> CanFrame:
+    """A frame as python-can gives it, as ours."""
     return CanFrame(
         identifier=message.arbitration_id,
         data=bytes(message.data),
@@ -142,7 +143,8 @@ def _can_frame(message: can.Message) -> CanFrame:
     )
 
 
-def _message(frame: CanFrame) -> can.Message:
+def message_of(frame: CanFrame) -> can.Message:
+    """A frame of ours as python-can takes it."""
     return can.Message(
         arbitration_id=frame.identifier,
         data=frame.data,

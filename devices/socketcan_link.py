@@ -94,7 +94,7 @@ class SocketCanLink:
                     if kind == _SO_RXQ_OVFL:
                         self.kernel_dropped = int.from_bytes(content, sys.byteorder)
         except BlockingIOError:
-            pass
+            pass  # that was all there is for now
         except OSError as error:
             lost = error
         if frames:

@@ -164,6 +164,7 @@ class _Screen:
         self._due_ns = 0
 
     def show(self, received: ReceivedPose, state: str) -> None:
+        """Take a pose; not every one is drawn."""
         self._view.add(received)
         now_ns = received.received_ns
         if now_ns < self._due_ns:

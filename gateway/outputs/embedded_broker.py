@@ -72,6 +72,7 @@ def explain(error: Exception, port: int, websocket_port: int | None) -> str:
 
 
 def main() -> int:
+    """Serve until the parent process closes our standard input; the exit code."""
     parser = argparse.ArgumentParser(description="MQTT broker on this machine, for a first run")
     parser.add_argument("--port", type=int, default=1883, help="0: any free port")
     parser.add_argument("--websocket-port", type=int, default=None)

@@ -8,6 +8,7 @@ from typing import Any
 
 import can
 
+from devices.can_link import frame_of, message_of
 from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import Framing
 from firmware_protocol import CanFrame, pack_can_records, unpack_can_records
@@ -65,7 +66,7 @@ class CanBusTransport:
         while True:
             frames: list[CanFrame] = []
             while (message := bus.recv(timeout=0)) is not None:
-                frames.append(_frame(message))
+                frames.append(frame_of(message))
             if frames:
                 self._on_receive(pack_can_records(frames))
             await asyncio.sleep(_POLL_INTERVAL_S)
@@ -74,32 +75,8 @@ class CanBusTransport:
         assert self._bus is not None
         while self._rest:
             try:
-                self._bus.send(_message(self._rest[0]), timeout=0)
+                self._bus.send(message_of(self._rest[0]), timeout=0)
             except can.CanError:  # the interface's buffer is full
                 return False
             self._rest.popleft()
         return True
-
-
-def _frame(message: can.Message) -> CanFrame:
-    return CanFrame(
-        identifier=message.arbitration_id,
-        data=bytes(message.data),
-        is_extended=message.is_extended_id,
-        is_fd=message.is_fd,
-        is_remote=message.is_remote_frame,
-        is_error=message.is_error_frame,
-        bitrate_switch=message.bitrate_switch,
-    )
-
-
-def _message(frame: CanFrame) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.identifier,
-        is_extended_id=frame.is_extended,
-        is_fd=frame.is_fd,
-        bitrate_switch=frame.bitrate_switch,
-        is_remote_frame=frame.is_remote,
-        is_error_frame=frame.is_error,
-        data=frame.data,
-    )
