@@ -197,7 +197,7 @@ class CommandClient:
         for each in chosen:
             try:
                 async with asyncio.timeout(_SEND_TIMEOUT_S):
-                    await each.write(_encoded(frame, each.framing))
+                    await each.write(host_bytes(frame, each.framing))
             except TimeoutError:
                 unsent = LinkError(f"{each.name} takes nothing: does the other side read what is sent to it?")
                 failures += 1
@@ -210,6 +210,7 @@ class CommandClient:
         return self._clock_ns() * 1e-9
 
 
-def _encoded(frame: WireFrame, framing: Framing) -> bytes:
+def host_bytes(frame: WireFrame, framing: Framing) -> bytes:
+    """What to write to a link of that framing to send a wire frame from the host."""
     # Classic CAN frames: every CAN device takes them, FD or not.
     return encode_frame(frame) if framing is Framing.BYTE_STREAM else pack_can_records(fragment(frame))

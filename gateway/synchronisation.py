@@ -10,15 +10,13 @@ import asyncio
 import logging
 from collections.abc import Callable, Sequence
 
-from devices.link import Chunk, Framing, Link, LinkError, gateway_time_ns
+from devices.command_client import host_bytes
+from devices.link import Chunk, Link, LinkError, gateway_time_ns
 from firmware_protocol import (
     BROADCAST,
     ReceivedPacket,
     SyncRequest,
     SyncResponse,
-    encode_frame,
-    fragment,
-    pack_can_records,
     wire_frame,
 )
 from gateway.clocks import EstimatedClock, SyncExchanges
@@ -63,14 +61,12 @@ class Synchroniser:
         sent_ns = self._clock_ns()
         request = SyncRequest(token=token, host_time_us=sent_ns // 1000)
         frame = wire_frame(request, BROADCAST, token, sent_ns // 1000 % 2**32)
-        is_stream = link.framing is Framing.BYTE_STREAM
-        data = encode_frame(frame) if is_stream else pack_can_records(fragment(frame))
         for module, record in self._stream.modules.items():
             if isinstance(record.clock, EstimatedClock) and self._link_of.get(module, link.name) == link.name:
                 self._exchanges.setdefault(module, SyncExchanges()).sent(token, sent_ns)
         try:
             async with asyncio.timeout(_SEND_TIMEOUT_S):
-                await link.write(data)
+                await link.write(host_bytes(frame, link.framing))
         except (LinkError, TimeoutError) as error:
             log.debug("no time asked for on %s: %s", link.name, error)
 
