@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import gateway
 from devices.command_client import CommandClient
 from devices.endpoints import link_from_url
-from devices.link import Link
-from devices.reconnect import ReconnectingLink
-from devices.replay_link import ReplayLink
+from devices.link import Framing, Link
+from devices.reconnect import LinkStatus, ReconnectingLink
+from devices.replay_link import ReplayLink, carried_links
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
@@ -22,6 +23,7 @@ from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
 from gateway.pipeline import Pipeline
+from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
 from gateway.synchronisation import Synchroniser
@@ -37,23 +39,33 @@ class Service:
     def __init__(
         self, settings: GatewaySettings, suit: WornSuit, links: Sequence[Link] | None = None
     ) -> None:
-        self.links = links if links is not None else _links_of(settings)
+        self.links = links if links is not None else _links_of(settings, self._note_link)
         self.pipeline = Pipeline.from_settings(settings, suit)
-        self.mqtt = MqttOutput(
-            settings.mqtt, suit.skeleton, _describe(settings, suit), self.pipeline.statistics
+        self.recording = RecordingControl(
+            settings, suit, _framings(self.links), self.pipeline.statistics, self.pipeline.stream.restarts
         )
+        self._records_at_start = settings.recording.at_start
+        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, _describe(settings, suit), self._statistics)
         self._outputs: tuple[Output, ...] = (self.mqtt,)
         stream = self.pipeline.stream
         self.commands = CommandClient(self.links, allow_writes=settings.allow_device_writes)
+        self.commands.on_sent = self.recording.sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
         self._synchroniser = _synchroniser(settings, self.links, stream)
-        self.requests = RequestResponder(settings.mqtt, settings.gateway, {"modules": operations.perform})
+        families = {"modules": operations.perform, "recording": self.recording.perform}
+        self.requests = RequestResponder(settings.mqtt, settings.gateway, families)
 
     async def run(self) -> None:
-        """Open everything, and pass on what comes. Raises ``OutputError`` if an output cannot start."""
+        """Open everything, and pass on what comes.
+
+        Raises ``OutputError`` if an output cannot start, ``RecordingError`` if what it is to record cannot be
+        written.
+        """
         async with self.mqtt:
+            if self._records_at_start:
+                self.recording.start()
             self.requests.start(self.mqtt.port)
             companions = [asyncio.create_task(self._report(), name="report")]
             if self._synchroniser is not None:
@@ -65,22 +77,34 @@ class Service:
             finally:
                 for companion in companions:
                     companion.cancel()
+                await self.recording.stop()
                 await self.requests.stop()
 
     async def _ingest(self, link: Link) -> None:
         """link → pipeline → outputs, for one link."""
         await link.open()
-        self.pipeline.add_link(link.name, link.framing)
+        carried = carried_links(link)
+        for name, framing in carried.items():
+            self.pipeline.add_link(name, framing)
         try:
             async for chunk in link:
+                await self.recording.keep_pace()
+                self.recording.chunk(chunk, carried[chunk.link])
                 skeleton_frames = self.pipeline.feed(chunk)
                 for frame in skeleton_frames:
+                    self.recording.skeleton(frame, chunk.arrived_ns)
                     for output in self._outputs:
                         output.offer(frame)
                 if skeleton_frames:
                     await asyncio.sleep(0)  # a link that is never empty must not starve the outputs
         finally:
             await link.close()
+
+    def _note_link(self, name: str, status: LinkStatus) -> None:
+        self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
+
+    def _statistics(self) -> Mapping[str, object]:
+        return {**self.pipeline.statistics(), "recording": self.recording.status()}
 
     async def _report(self) -> None:
         """A line now and then for whoever reads the log."""
@@ -101,9 +125,19 @@ class Service:
             frames_before = frames
 
 
-def _links_of(settings: GatewaySettings) -> list[Link]:
+def _links_of(settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None]) -> list[Link]:
     links = [link_from_url(link.url, name=link.name) for link in settings.links]
-    return [link if isinstance(link, ReplayLink) else ReconnectingLink(link) for link in links]
+    return [
+        link
+        if isinstance(link, ReplayLink)
+        else ReconnectingLink(link, on_change=functools.partial(on_change, link.name))
+        for link in links
+    ]
+
+
+def _framings(links: Sequence[Link]) -> dict[str, Framing]:
+    """Of all names that chunks will bear."""
+    return {name: framing for link in links for name, framing in carried_links(link).items()}
 
 
 def _synchroniser(settings: GatewaySettings, links: Sequence[Link], stream: Stream) -> Synchroniser | None:

@@ -99,6 +99,10 @@ class Stream:
                 readings.append(reading)
         return readings
 
+    def restarts(self) -> dict[int, int]:
+        """How often each module was found to count from anew."""
+        return {module: record.clock.restarts for module, record in self.modules.items()}
+
     @property
     def dropped(self) -> dict[str, Counter[Defect]]:
         """What was dropped by link and reason."""

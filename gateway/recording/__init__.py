@@ -10,7 +10,6 @@ from gateway.recording.reading import (
     RecordedStatistics,
     Recording,
     RecordingMeta,
-    SentBytes,
     open_recording,
 )
 
@@ -19,7 +18,6 @@ __all__ = [
     "RecordedStatistics",
     "Recording",
     "RecordingMeta",
-    "SentBytes",
     "SkeletonArrays",
     "open_recording",
 ]

@@ -19,7 +19,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from devices import recording_format as fmt
-from devices.link import Chunk, Framing
+from devices.link import Chunk, Framing, SentChunk
 from devices.recording_file import RecordedMessage, RecordingError, RecordingParts
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.errors import SettingsError
@@ -33,16 +33,6 @@ Progress = Callable[[int, int], None]
 """Told bytes read and bytes in all, now and then."""
 
 _MESSAGES_A_TELLING = 512
-
-
-@dataclass(frozen=True, slots=True)
-class SentBytes:
-    """What the gateway wrote to a link."""
-
-    data: bytes
-    sent_ns: int
-    """Gateway time that counts as that of sending, ns."""
-    link: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +54,7 @@ class RecordedStatistics:
     values: dict[str, Any]
 
 
-RecordedItem = Chunk | SentBytes | RecordedEvent | RecordedStatistics | SkeletonFrame
+RecordedItem = Chunk | SentChunk | RecordedEvent | RecordedStatistics | SkeletonFrame
 
 
 class RecordingMeta:
@@ -166,9 +156,14 @@ class Recording:
         """What came over the links, not parsed."""
         return (item for item in self._decoded(fmt.CHUNKS, progress) if isinstance(item, Chunk))
 
-    def sent(self) -> Iterator[SentBytes]:
+    def inputs(self, progress: Progress | None = None) -> Iterator[Chunk | SentChunk]:
+        """All that a reconstruction depends on: what came over the links and what was written to them."""
+        inputs = self._decoded((fmt.CHUNKS, fmt.SENT), progress)
+        return (item for item in inputs if isinstance(item, Chunk | SentChunk))
+
+    def sent(self) -> Iterator[SentChunk]:
         """What the gateway wrote to the links."""
-        return (item for item in self._decoded(fmt.SENT) if isinstance(item, SentBytes))
+        return (item for item in self._decoded(fmt.SENT) if isinstance(item, SentChunk))
 
     def events(self) -> Iterator[RecordedEvent]:
         """What happened."""
@@ -196,7 +191,9 @@ class Recording:
             )
         return arrays
 
-    def _decoded(self, prefix: str, progress: Progress | None = None) -> Iterator[RecordedItem]:
+    def _decoded(
+        self, prefix: str | tuple[str, ...], progress: Progress | None = None
+    ) -> Iterator[RecordedItem]:
         """Messages whose topic begins so, decoded. One that cannot be is left out, as damaged ones are."""
         total = self.parts.size
         for count, message in enumerate(self.parts.messages()):
@@ -225,7 +222,7 @@ def decode_message(message: RecordedMessage) -> RecordedItem | None:
     if topic.startswith(fmt.CHUNKS):
         return Chunk(data, time_ns, topic.removeprefix(fmt.CHUNKS))
     if topic.startswith(fmt.SENT):
-        return SentBytes(data, time_ns, topic.removeprefix(fmt.SENT))
+        return SentChunk(data, time_ns, topic.removeprefix(fmt.SENT))
     try:
         decode = _DECODERS.get(topic)
         return None if decode is None else decode(message)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from devices import recording_format as fmt
-from devices.link import Chunk, Framing
+from devices.link import Chunk, Framing, SentChunk, gateway_time_ns
 from gateway.frames import SkeletonFrame
 from gateway.outputs.messages import plain_json
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
@@ -88,9 +88,10 @@ class Recorder:
         metadata = {"link": chunk.link, "framing": framing.value}
         self._put(fmt.CHUNKS + chunk.link, chunk.arrived_ns, chunk.data, metadata)
 
-    def sent(self, link: str, data: bytes, sent_ns: int, framing: Framing) -> None:
+    def sent(self, sent: SentChunk, framing: Framing) -> None:
         """Take what was written to a link."""
-        self._put(fmt.SENT + link, sent_ns, data, {"link": link, "framing": framing.value})
+        metadata = {"link": sent.link, "framing": framing.value}
+        self._put(fmt.SENT + sent.link, sent.sent_ns, sent.data, metadata)
 
     def skeleton(self, frame: SkeletonFrame, arrived_ns: int) -> None:
         """Take a frame, and when the chunk that completed it arrived."""
@@ -162,6 +163,7 @@ class Recorder:
                 closing = self._closing
                 reason = self._write_queued(unflushed) or closing
             self._write_queued(unflushed)
+            self._write_end(reason)
             self._sink.close()
         except OSError as error:
             reason = f"it cannot be written any more ({error.strerror or error})"
@@ -191,6 +193,12 @@ class Recorder:
             self._queue_bytes -= written
         self.counts.longest_flush_s = max(self.counts.longest_flush_s, time.monotonic() - begun)
         return reason
+
+    def _write_end(self, reason: str) -> None:
+        time_ns = gateway_time_ns()
+        event = {"time_ns": time_ns, "name": "recording_ended", "data": {"reason": reason}}
+        self._sink.write(fmt.EVENTS, time_ns, json.dumps(event).encode(), {})
+        self.counts.written["events"] += 1
 
     def _conclude(self, reason: str, unflushed: Counter[str]) -> None:
         with self._lock:
