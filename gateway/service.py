@@ -13,6 +13,7 @@ from devices.link import Link
 from devices.reconnect import ReconnectingLink
 from devices.replay_link import ReplayLink
 from gateway.body.skeleton import WornSuit
+from gateway.host_sender import HostSender
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
@@ -23,7 +24,7 @@ from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings
-from gateway.stream import ClockMode, Stream
+from gateway.stream import ClockMode
 from gateway.synchronisation import Synchroniser
 
 log = logging.getLogger(__name__)
@@ -48,7 +49,8 @@ class Service:
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
-        self._synchroniser = _synchroniser(settings, self.links, stream)
+        sender = HostSender(self.pipeline.sent)
+        self._synchroniser = _synchroniser(settings, self.links, sender)
         self.requests = RequestResponder(settings.mqtt, settings.gateway, {"modules": operations.perform})
 
     async def run(self) -> None:
@@ -106,12 +108,14 @@ def _links_of(settings: GatewaySettings) -> list[Link]:
     return [link if isinstance(link, ReplayLink) else ReconnectingLink(link) for link in links]
 
 
-def _synchroniser(settings: GatewaySettings, links: Sequence[Link], stream: Stream) -> Synchroniser | None:
+def _synchroniser(
+    settings: GatewaySettings, links: Sequence[Link], sender: HostSender
+) -> Synchroniser | None:
     """None where clocks need no exchanges, or none are wanted."""
     if settings.clock.mode is not ClockMode.ESTIMATED or not settings.clock.sync_rate_hz:
         return None
     live = [link for link in links if not isinstance(link, ReplayLink)]
-    return Synchroniser(live, stream, 1.0 / settings.clock.sync_rate_hz)
+    return Synchroniser(live, sender, 1.0 / settings.clock.sync_rate_hz)
 
 
 def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:
