@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 import gateway
 from devices.command_client import CommandClient
 from devices.endpoints import link_from_url
-from devices.link import Framing, Link
+from devices.link import Framing, Link, SentChunk
 from devices.reconnect import LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
 from gateway.body.skeleton import WornSuit
+from gateway.host_sender import HostSender
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
@@ -25,7 +26,7 @@ from gateway.outputs.requests import RequestResponder
 from gateway.pipeline import Pipeline
 from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
-from gateway.stream import ClockMode, Stream
+from gateway.stream import ClockMode
 from gateway.synchronisation import Synchroniser
 
 log = logging.getLogger(__name__)
@@ -49,11 +50,12 @@ class Service:
         self._outputs: tuple[Output, ...] = (self.mqtt,)
         stream = self.pipeline.stream
         self.commands = CommandClient(self.links, allow_writes=settings.allow_device_writes)
-        self.commands.on_sent = self.recording.sent
+        self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
-        self._synchroniser = _synchroniser(settings, self.links, stream)
+        sender = HostSender(self._note_sent)
+        self._synchroniser = _synchroniser(settings, self.links, sender)
         families = {"modules": operations.perform, "recording": self.recording.perform}
         self.requests = RequestResponder(settings.mqtt, settings.gateway, families)
 
@@ -84,6 +86,8 @@ class Service:
         """link → pipeline → outputs, for one link."""
         await link.open()
         carried = carried_links(link)
+        if isinstance(link, ReplayLink):
+            link.on_sent = self._note_sent
         for name, framing in carried.items():
             self.pipeline.add_link(name, framing)
         try:
@@ -99,6 +103,11 @@ class Service:
                     await asyncio.sleep(0)  # a link that is never empty must not starve the outputs
         finally:
             await link.close()
+
+    def _note_sent(self, sent: SentChunk) -> None:
+        """An input of the pipeline like what comes, and recorded in its place among it."""
+        self.recording.sent(sent)
+        self.pipeline.sent(sent)
 
     def _note_link(self, name: str, status: LinkStatus) -> None:
         self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
@@ -140,12 +149,14 @@ def _framings(links: Sequence[Link]) -> dict[str, Framing]:
     return {name: framing for link in links for name, framing in carried_links(link).items()}
 
 
-def _synchroniser(settings: GatewaySettings, links: Sequence[Link], stream: Stream) -> Synchroniser | None:
+def _synchroniser(
+    settings: GatewaySettings, links: Sequence[Link], sender: HostSender
+) -> Synchroniser | None:
     """None where clocks need no exchanges, or none are wanted."""
     if settings.clock.mode is not ClockMode.ESTIMATED or not settings.clock.sync_rate_hz:
         return None
     live = [link for link in links if not isinstance(link, ReplayLink)]
-    return Synchroniser(live, stream, 1.0 / settings.clock.sync_rate_hz)
+    return Synchroniser(live, sender, 1.0 / settings.clock.sync_rate_hz)
 
 
 def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:

@@ -13,7 +13,7 @@ import numpy as np
 
 import gateway
 from devices import recording_format as fmt
-from devices.link import Chunk
+from devices.link import Chunk, SentChunk
 from devices.recording_file import RecordedMessage, RecordingError
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.body.skeleton import WornSuit
@@ -132,12 +132,11 @@ def write_solved(
 
 def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
     """The frames that a message completes."""
-    if not message.topic.startswith((fmt.CHUNKS, fmt.SENT)):
-        return []
-    item = decode_message(message)
+    item = decode_message(message) if message.topic.startswith((fmt.CHUNKS, fmt.SENT)) else None
     if isinstance(item, Chunk):
         return pipeline.feed(item)
-    pipeline.sent(item)
+    if isinstance(item, SentChunk):
+        pipeline.sent(item)
     return []
 
 
