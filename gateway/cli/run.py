@@ -34,10 +34,11 @@ def run(
         suit.skeleton.name,
         ", ".join(f"{link.name} ({link.url})" for link in settings.links),
     )
-    asyncio.run(_until_signal(service))
+    asyncio.run(until_signal(service))
 
 
-async def _until_signal(service: Service) -> None:
+async def until_signal(service: Service) -> None:
+    """Run a service until it ends, or SIGINT or SIGTERM comes."""
     task = asyncio.ensure_future(service.run())
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -61,7 +61,7 @@ class SessionFiles:
         self.part = 1
         self._settings = settings
         self._contents = contents
-        self._name = _checked(name) if name is not None else settings.name
+        self._name = _checked(name or settings.name)
         self._session = uuid.uuid4().hex
         self._free = free
         self._monotonic = monotonic
@@ -192,9 +192,9 @@ class SessionFiles:
         return None
 
 
-def _checked(name: str) -> str:
-    """The name itself. Raises ``RecordingError`` for one that could mean another folder."""
-    if not re.fullmatch(RECORDING_NAME, name):
+def _checked(name: str | None) -> str | None:
+    """The name itself, or none. Raises ``RecordingError`` for one that could mean another folder."""
+    if name is not None and not re.fullmatch(RECORDING_NAME, name):
         raise RecordingError(
             f"'{name[:80]}' is no name for a recording: up to 64 letters, digits, '-' and '_', and no path"
         )

@@ -79,7 +79,8 @@ class RecordingMeta:
         self.n_parts = len(parts.files)
         self.size = parts.size
         """Bytes, all parts."""
-        self._attachments = head.attachments
+        self.attachments = head.attachments
+        """All of them by name, see ``devices.recording_format``."""
 
     @cached_property
     def suit(self) -> WornSuit:
@@ -102,7 +103,7 @@ class RecordingMeta:
     @property
     def has_suit(self) -> bool:
         """Whether the suit is told: a file downloaded from a memory card has only chunks."""
-        return fmt.SUIT in self._attachments
+        return fmt.SUIT in self.attachments
 
     @property
     def rig(self) -> str:
@@ -117,22 +118,22 @@ class RecordingMeta:
     @property
     def clock_table(self) -> str | None:
         """Text of the clock table used; None without one."""
-        text = self._attachments.get(fmt.CLOCK_TABLE)
+        text = self.attachments.get(fmt.CLOCK_TABLE)
         return None if text is None else text.decode()
 
     @property
     def host(self) -> dict[str, Any]:
         """Versions, kernel and processor of the machine that recorded."""
-        host: dict[str, Any] = json.loads(self._attachments.get(fmt.HOST, b"{}"))
+        host: dict[str, Any] = json.loads(self.attachments.get(fmt.HOST, b"{}"))
         return host
 
     def _attachment(self, name: str) -> bytes:
-        if name not in self._attachments:
+        if name not in self.attachments:
             raise SettingsError(
                 f"{self.path} holds no '{name}': it was not recorded by a gateway (a memory card knows no "
                 "suit); replay it as a link of a configuration that names the rig"
             )
-        return self._attachments[name]
+        return self.attachments[name]
 
 
 class Recording:

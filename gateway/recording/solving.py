@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
 import uuid
 from collections import deque
@@ -44,14 +45,23 @@ class Verification:
         return self.difference is None and self.compared > 0
 
 
-def recording_pipeline(
-    recording: Recording, suit: WornSuit | None = None, settings: GatewaySettings | None = None
-) -> Pipeline:
-    """A pipeline as that of the recording, or with another suit or configuration; its links are announced."""
-    suit = suit or recording.meta.suit
-    settings = settings or recording.meta.settings
-    with tempfile.TemporaryDirectory() as folder:
-        pipeline = Pipeline.from_settings(_with_recorded_table(recording, settings, Path(folder)), suit)
+@dataclass(frozen=True)
+class Source:
+    """What poses are made with."""
+
+    suit: WornSuit
+    settings: GatewaySettings
+
+
+def recorded_source(recording: Recording) -> Source:
+    """What the recorded poses were made with. Raises ``SettingsError``."""
+    return Source(recording.meta.suit, recording.meta.settings)
+
+
+def recording_pipeline(recording: Recording, source: Source) -> Pipeline:
+    """A pipeline that has not begun yet; the recording's links are announced."""
+    with with_recorded_table(recording, source.settings) as settings:
+        pipeline = Pipeline.from_settings(settings, source.suit)
     for name, framing in recording.meta.links.items():
         pipeline.add_link(name, framing)
     return pipeline
@@ -59,12 +69,11 @@ def recording_pipeline(
 
 def solve(
     recording: Recording,
-    suit: WornSuit | None = None,
-    settings: GatewaySettings | None = None,
+    source: Source | None = None,
     progress: Progress | None = None,
 ) -> Iterator[SkeletonFrame]:
-    """Skeleton frames made anew from the recorded bytes."""
-    pipeline = recording_pipeline(recording, suit, settings)
+    """Skeleton frames made anew from the recorded bytes; source: None for what was recorded."""
+    pipeline = recording_pipeline(recording, source or recorded_source(recording))
     for item in recording.inputs(progress):
         if isinstance(item, Chunk):
             yield from pipeline.feed(item)
@@ -77,7 +86,7 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
 
     Raises ``RecordingError`` when no skeleton frames were recorded.
     """
-    pipeline = recording_pipeline(recording)
+    pipeline = recording_pipeline(recording, recorded_source(recording))
     recomputed: deque[bytes] = deque()
     compared = 0
     for message in _told(recording, progress):
@@ -96,15 +105,13 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
 def write_solved(
     recording: Recording,
     target: Path,
-    suit: WornSuit | None = None,
-    settings: GatewaySettings | None = None,
+    source: Source,
     progress: Progress | None = None,
 ) -> int:
     """A new recording of the same bytes, with poses made anew, and the suit and configuration they were made
     with. Returns how many. Raises ``RecordingError`` when ``target`` exists, OSError as ``open`` does.
     """
-    suit, settings = suit or recording.meta.suit, settings or recording.meta.settings
-    pipeline = recording_pipeline(recording, suit, settings)
+    pipeline = recording_pipeline(recording, source)
     meta, frames = recording.meta, 0
     session = session_record(
         meta.links,
@@ -116,8 +123,8 @@ def write_solved(
         name=target.stem,
         solved_from=f"{meta.path.name} {meta.session}",
     )
-    with tempfile.TemporaryDirectory() as folder:
-        attachments = attachments_of(_with_recorded_table(recording, settings, Path(folder)), suit)
+    with with_recorded_table(recording, source.settings) as settings:
+        attachments = attachments_of(settings, source.suit)
     with RecordingWriter(target, session, attachments, meta.begun_ns) as writer:
         for count, message in enumerate(_told(recording, progress)):
             if message.topic != fmt.SKELETON:
@@ -161,15 +168,18 @@ def _metadata(recording: Recording, topic: str) -> dict[str, str]:
     return {}
 
 
-def _with_recorded_table(recording: Recording, settings: GatewaySettings, folder: Path) -> GatewaySettings:
-    """The settings, naming the clock table that the recording brings along."""
+@contextlib.contextmanager
+def with_recorded_table(recording: Recording, settings: GatewaySettings) -> Iterator[GatewaySettings]:
+    """The settings, naming for a while a file with the clock table that the recording brings along."""
     text = recording.meta.clock_table
     if settings.clock.table is None or text is None:
-        return settings
-    path = folder / fmt.CLOCK_TABLE
-    path.write_text(text)
-    clock = settings.clock.model_copy(update={"table": str(path)})
-    return settings.model_copy(update={"clock": clock})
+        yield settings
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / fmt.CLOCK_TABLE
+        path.write_text(text)
+        clock = settings.clock.model_copy(update={"table": str(path)})
+        yield settings.model_copy(update={"clock": clock})
 
 
 def _difference(index: int, recorded: bytes, made: bytes | None) -> str:
