@@ -15,6 +15,7 @@ from pathlib import Path
 from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
+from gateway.calibration.corrections import SensorCorrections
 from gateway.clocks import ClockTable, load_clock_table
 from gateway.despiking import Despiker
 from gateway.frames import LocalReading, SkeletonFrame
@@ -36,6 +37,7 @@ class Pipeline:
         despiker: Despiker | None = None,
     ) -> None:
         self.stream = Stream(clock_mode, clock_table)
+        self.corrections = SensorCorrections(suit.calibrations)
         self.despiker = despiker
         self.assembler = FrameAssembler(suit.module_ids, params)
         self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
@@ -69,7 +71,8 @@ class Pipeline:
             if isinstance(reading, LocalReading):
                 self.assembler.add_local(reading)
                 continue
-            clean = reading if self.despiker is None else self.despiker.add(reading)
+            corrected = self.corrections.apply(reading)
+            clean = corrected if self.despiker is None else self.despiker.add(corrected)
             if clean is None:
                 continue
             imu_frames = self.assembler.add(clean, chunk.arrived_ns)

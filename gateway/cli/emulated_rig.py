@@ -21,6 +21,7 @@ LOCAL_RATE_HZ = 100.0
 
 MOTIONS: dict[str, Callable[[EmulatedBody, int], BodyMotion]] = {
     "human_17": walking_motion,
+    "lower_body_7": walking_motion,
     "pendulum_3": pendulum_motion,
     "robot_arm_4": robot_arm_motion,
 }

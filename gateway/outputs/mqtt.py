@@ -18,6 +18,7 @@ import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
 
 from devices.link import gateway_time_ns
+from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
@@ -39,7 +40,7 @@ from gateway.outputs.messages import (
     plain_json,
 )
 from gateway.outputs.pose_encoding import PoseEncoder
-from gateway.outputs.settings import MqttSettings
+from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.thinning import Thinning
 from gateway.outputs.topics import Topics
 
@@ -75,7 +76,10 @@ class MqttOutput:
         """Port of the broker; with port 0 in the settings, the one that was found free."""
         self._settings = settings
         self._identifier = settings.client_id or unique_identifier(info.gateway)
-        self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include)
+        joint_angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
+        self._encoder = PoseEncoder(
+            skeleton.segment_names, settings.decimals, settings.include, joint_angles
+        )
         self._retained = (
             (self.topics.bridge_info, info.payload()),
             (self.topics.body, describe_body(skeleton).payload()),
