@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib.util
 import json
+import signal
 import socket
+import subprocess
 import sys
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from typing import Annotated
 
 import numpy as np
@@ -75,6 +78,8 @@ def demo(
     reconstructor: Annotated[str, typer.Option(help="independent or articulated.")] = "independent",
     imperfections: Annotated[str, typer.Option(help="ideal, typical or rough.")] = "typical",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Broker port; if busy a free one.")] = 1883,
+    page: Annotated[bool, typer.Option(help="Show the body on a live page in the browser.")] = True,
+    page_port: Annotated[int, typer.Option(min=1, max=65535, help="Its port; if busy a free one.")] = 8080,
 ) -> None:
     """See it work, without any hardware or broker.
 
@@ -95,8 +100,30 @@ def demo(
         )
         console.print("preparing the reconstruction (compiles once) ...", style="dim")
         service = Service(settings, suit)
-        asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
+        with _live_page(settings, _free_port(page_port) if page else None, console):
+            asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
     _print_errors(truth, console)
+
+
+@contextlib.contextmanager
+def _live_page(settings: GatewaySettings, page_port: int | None, console: Console) -> Iterator[None]:
+    """``mocap-gateway view`` as a process of its own, as a user would start it; without the extra, a hint."""
+    if page_port is None:
+        yield
+        return
+    if importlib.util.find_spec("viser") is None:
+        console.print("no live page: pip install 'mocap-gateway[viewer]' for one", style="dim")
+        yield
+        return
+    arguments = ["view", "--wait", "--port", str(settings.mqtt.port), "--gateway", settings.gateway]
+    process = subprocess.Popen([sys.executable, "-m", "gateway", *arguments, "--page-port", str(page_port)])
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(5)
+        process.kill()
 
 
 async def _run(

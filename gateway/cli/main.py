@@ -17,6 +17,7 @@ from gateway.cli.doctor import doctor
 from gateway.cli.emulate import emulate
 from gateway.cli.modules import modules_app
 from gateway.cli.run import run
+from gateway.cli.view import view
 from gateway.cli.watch import watch
 from gateway.errors import GatewayError
 
@@ -31,6 +32,7 @@ app.command(epilog="Example: mocap-gateway demo --seconds 20 --rig robot_arm_4")
 app.command(epilog="Example: mocap-gateway run -c config/gateway.yaml")(run)
 app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link /tmp/suit")(emulate)
 app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
+app.command(epilog="Example: mocap-gateway view --port 1883 --page-port 8080")(view)
 app.command(epilog="Example: mocap-gateway doctor -c config/gateway.yaml")(doctor)
 app.add_typer(modules_app, name="modules")
 app.add_typer(calibrate_app, name="calibrate")
