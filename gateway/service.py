@@ -43,6 +43,7 @@ class Service:
             settings.mqtt, suit.skeleton, _describe(settings, suit), self.pipeline.statistics
         )
         self._outputs: tuple[Output, ...] = (self.mqtt,)
+        self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
         self.commands = CommandClient(self.links, allow_writes=settings.allow_device_writes)
         connect_client(self.commands, stream)
@@ -50,6 +51,11 @@ class Service:
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
         self._synchroniser = _synchroniser(settings, self.links, stream)
         self.requests = RequestResponder(settings.mqtt, settings.gateway, {"modules": operations.perform})
+
+    @property
+    def can_flow(self) -> bool:
+        """Whether every link is attended to: what the watchdog wants to know."""
+        return bool(self._ingesting) and not any(task.done() for task in self._ingesting)
 
     async def run(self) -> None:
         """Open everything, and pass on what comes. Raises ``OutputError`` if an output cannot start."""
@@ -61,7 +67,9 @@ class Service:
             try:
                 async with asyncio.TaskGroup() as group:
                     for link in self.links:
-                        group.create_task(self._ingest(link), name=f"link {link.name}")
+                        self._ingesting.append(
+                            group.create_task(self._ingest(link), name=f"link {link.name}")
+                        )
             finally:
                 for companion in companions:
                     companion.cancel()

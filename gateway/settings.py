@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
+from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
 from gateway.reconstruction import RECONSTRUCTORS
 from gateway.settings_files import load_settings
@@ -91,6 +92,9 @@ class LogSettings(_Strict):
     """Logging."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
+    format: LogFormat = Field(
+        default="auto", description="human, json (an object a line), or auto: human on a terminal, else json"
+    )
 
 
 class GatewaySettings(_Strict):
