@@ -3,15 +3,16 @@
     link → chunk ─┬─ framing → packets → clocks ─┬─ frame assembly ─┬─ reconstructor ─→ outputs
                   └────────── Stream ────────────┘    ImuFrame      └─ SkeletonFrame
 
-``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times it gives
-the same skeleton frames, bit for bit. ``gateway.service`` puts links before it and outputs after.
+``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times, and told in
+the same order what the gateway sent and when (``sent``), it gives the same skeleton frames, bit for bit.
+``gateway.service`` puts links before it and outputs after.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from devices.link import Chunk, Framing
+from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
 from gateway.clocks import ClockTable, load_clock_table
@@ -56,6 +57,10 @@ class Pipeline:
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
         self.stream.add_link(name, framing)
+
+    def sent(self, chunk: SentChunk) -> None:
+        """The gateway put this on a link: time requests and sampling triggers, whose answers need it."""
+        self.stream.sent(chunk)
 
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""

@@ -12,7 +12,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from devices.link import Chunk, Framing
+from devices.link import Chunk, Framing, SentChunk
 from firmware_protocol import (
     CanFrameDecoder,
     Defect,
@@ -25,6 +25,8 @@ from firmware_protocol import (
     Packet,
     PacketDecoder,
     ReceivedPacket,
+    SyncRequest,
+    SyncResponse,
 )
 from firmware_protocol.kinds import FROM_HOST
 from gateway.clocks import (
@@ -37,6 +39,7 @@ from gateway.clocks import (
     TableClocks,
     warm_up,
 )
+from gateway.exchanges import TimeExchanges
 from gateway.frames import InertialReading, LocalReading, Quantity
 from gateway.statistics import ModuleRecord, SequenceCounter
 
@@ -65,15 +68,18 @@ class Stream:
     ) -> None:
         self.modules: dict[int, ModuleRecord] = {}
         self._decoders: dict[str, PacketDecoder] = {}
+        self._sent_decoders: dict[str, PacketDecoder] = {}
         self._batching: dict[str, LinkBatching] = {}
         self._arriving = LinkBatching()  # of the link that the chunk in hand came over
         self._listeners: dict[type[Packet], list[Listener]] = {}
         self._new_clock = _clock_factory(clock_mode, clock_table)
+        self._exchanges = TimeExchanges(self.modules)
+        self.listen(SyncResponse, self._exchanges.answered)
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
-        frames = FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder()
-        self._decoders[name] = PacketDecoder(frames)
+        self._decoders[name] = _decoder(framing)
+        self._sent_decoders[name] = _decoder(framing)
         self._batching[name] = LinkBatching()
 
     def listen(self, packet_class: type[Packet], listener: Listener) -> None:
@@ -98,6 +104,21 @@ class Stream:
             if reading is not None:
                 readings.append(reading)
         return readings
+
+    def restarts(self) -> dict[int, int]:
+        """How often each module was found to count from anew."""
+        return {module: record.clock.restarts for module, record in self.modules.items()}
+
+    def sent(self, chunk: SentChunk) -> None:
+        """Take note of what the gateway put on a link, once it has left and before what answers it.
+
+        An input like ``receive``: what answers are worth depends on when their question left. What was sent
+        over a link that is not announced is let pass.
+        """
+        decoder = self._sent_decoders.get(chunk.link)
+        for sent in [] if decoder is None else decoder.feed(chunk.data):
+            if isinstance(sent.packet, SyncRequest):
+                self._exchanges.asked(sent.packet.token, chunk)
 
     @property
     def dropped(self) -> dict[str, Counter[Defect]]:
@@ -125,6 +146,10 @@ class Stream:
         handler = _HANDLERS.get(type(received.packet))
         # What has no handler is for the listeners alone; it is counted like the rest.
         return None if handler is None else handler(record, received.packet, sequence, time_ns)
+
+
+def _decoder(framing: Framing) -> PacketDecoder:
+    return PacketDecoder(FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder())
 
 
 def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, LinkBatching], ModuleClock]:

@@ -105,3 +105,15 @@ class _Supervisor:
             return
         if self._task is not None:
             self._task.cancel()
+
+
+async def until_signal(service: Service) -> None:
+    """Run a service until it ends, or SIGINT or SIGTERM comes."""
+    task = asyncio.ensure_future(service.run())
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, task.cancel)
+    try:
+        await task
+    except asyncio.CancelledError:
+        log.info("stopped")
