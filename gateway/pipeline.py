@@ -15,7 +15,7 @@ from pathlib import Path
 from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
-from gateway.clocks import ClockTable, load_clock_table
+from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
 from gateway.frames import LocalReading, SkeletonFrame
 from gateway.reconstruction import RECONSTRUCTORS
@@ -34,8 +34,13 @@ class Pipeline:
         clock_mode: ClockMode = ClockMode.ESTIMATED,
         clock_table: ClockTable | None = None,
         despiker: Despiker | None = None,
+        trigger_patience_ns: int = 250_000_000,
     ) -> None:
-        self.stream = Stream(clock_mode, clock_table)
+        """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
+        triggers = None
+        if clock_mode is ClockMode.TRIGGER:
+            triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns)
+        self.stream = Stream(clock_mode, clock_table, triggers)
         self.despiker = despiker
         self.assembler = FrameAssembler(suit.module_ids, params)
         self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
@@ -52,6 +57,7 @@ class Pipeline:
             settings.clock.mode,
             None if table is None else load_clock_table(Path(table)),
             Despiker() if settings.assembly.despike else None,
+            round(settings.clock.trigger_patience_ms * 1e6),
         )
 
     def add_link(self, name: str, framing: Framing) -> None:
@@ -83,7 +89,9 @@ class Pipeline:
             link: {defect.name.lower(): count for defect, count in defects.items()}
             for link, defects in self.stream.dropped.items()
         }
+        triggers = self.stream.triggers
         return {
+            **({} if triggers is None else {"triggers": triggers.figures.summary()}),
             "skeleton_frames": self.skeleton_frames,
             "dropped_by_link": dropped,
             "dropped_by_assembly": {

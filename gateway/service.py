@@ -24,8 +24,9 @@ from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings
-from gateway.stream import ClockMode
+from gateway.stream import ClockMode, Stream
 from gateway.synchronisation import Synchroniser
+from gateway.triggering import Triggerer
 
 log = logging.getLogger(__name__)
 
@@ -40,9 +41,7 @@ class Service:
     ) -> None:
         self.links = links if links is not None else _links_of(settings)
         self.pipeline = Pipeline.from_settings(settings, suit)
-        self.mqtt = MqttOutput(
-            settings.mqtt, suit.skeleton, _describe(settings, suit), self.pipeline.statistics
-        )
+        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, _describe(settings, suit), self.statistics)
         self._outputs: tuple[Output, ...] = (self.mqtt,)
         stream = self.pipeline.stream
         self.commands = CommandClient(self.links, allow_writes=settings.allow_device_writes)
@@ -51,7 +50,13 @@ class Service:
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
         sender = HostSender(self.pipeline.sent)
         self._synchroniser = _synchroniser(settings, self.links, sender)
+        self._triggerer = _triggerer(settings, self.links, sender, stream)
         self.requests = RequestResponder(settings.mqtt, settings.gateway, {"modules": operations.perform})
+
+    def statistics(self) -> dict[str, object]:
+        """Counters for the health message."""
+        timer = {} if self._triggerer is None else {"trigger_timer": self._triggerer.statistics()}
+        return {**timer, **self.pipeline.statistics()}
 
     async def run(self) -> None:
         """Open everything, and pass on what comes. Raises ``OutputError`` if an output cannot start."""
@@ -60,6 +65,8 @@ class Service:
             companions = [asyncio.create_task(self._report(), name="report")]
             if self._synchroniser is not None:
                 companions.append(asyncio.create_task(self._synchroniser.run(), name="synchroniser"))
+            if self._triggerer is not None:
+                companions.append(asyncio.create_task(self._triggerer.run(), name="triggerer"))
             try:
                 async with asyncio.TaskGroup() as group:
                     for link in self.links:
@@ -112,10 +119,24 @@ def _synchroniser(
     settings: GatewaySettings, links: Sequence[Link], sender: HostSender
 ) -> Synchroniser | None:
     """None where clocks need no exchanges, or none are wanted."""
-    if settings.clock.mode is not ClockMode.ESTIMATED or not settings.clock.sync_rate_hz:
+    estimates = settings.clock.mode in {ClockMode.ESTIMATED, ClockMode.TRIGGER}
+    if not estimates or not settings.clock.sync_rate_hz:
         return None
-    live = [link for link in links if not isinstance(link, ReplayLink)]
-    return Synchroniser(live, sender, 1.0 / settings.clock.sync_rate_hz)
+    return Synchroniser(_live(links), sender, 1.0 / settings.clock.sync_rate_hz)
+
+
+def _triggerer(
+    settings: GatewaySettings, links: Sequence[Link], sender: HostSender, stream: Stream
+) -> Triggerer | None:
+    """None unless the gateway says when to sample."""
+    if stream.triggers is None:
+        return None
+    return Triggerer(_live(links), sender, stream.triggers, settings.clock.trigger_rate_hz)
+
+
+def _live(links: Sequence[Link]) -> list[Link]:
+    """Those with modules at the other end."""
+    return [link for link in links if not isinstance(link, ReplayLink)]
 
 
 def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:
