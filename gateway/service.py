@@ -49,8 +49,9 @@ class Service:
         ModuleLog().listen_to(stream)
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
         sender = HostSender(self.pipeline.sent)
-        self._synchroniser = _synchroniser(settings, self.links, sender)
-        self._triggerer = _triggerer(settings, self.links, sender, stream)
+        self._announced: list[Link] = []  # to the pipeline, and with modules at the other end
+        self._synchroniser = _synchroniser(settings, self._announced, sender)
+        self._triggerer = _triggerer(settings, self._announced, sender, stream)
         self.requests = RequestResponder(settings.mqtt, settings.gateway, {"modules": operations.perform})
 
     def statistics(self) -> dict[str, object]:
@@ -80,6 +81,8 @@ class Service:
         """link → pipeline → outputs, for one link."""
         await link.open()
         self.pipeline.add_link(link.name, link.framing)
+        if not isinstance(link, ReplayLink):
+            self._announced.append(link)
         try:
             async for chunk in link:
                 skeleton_frames = self.pipeline.feed(chunk)
@@ -122,7 +125,7 @@ def _synchroniser(
     estimates = settings.clock.mode in {ClockMode.ESTIMATED, ClockMode.TRIGGER}
     if not estimates or not settings.clock.sync_rate_hz:
         return None
-    return Synchroniser(_live(links), sender, 1.0 / settings.clock.sync_rate_hz)
+    return Synchroniser(links, sender, 1.0 / settings.clock.sync_rate_hz)
 
 
 def _triggerer(
@@ -131,12 +134,7 @@ def _triggerer(
     """None unless the gateway says when to sample."""
     if stream.triggers is None:
         return None
-    return Triggerer(_live(links), sender, stream.triggers, settings.clock.trigger_rate_hz)
-
-
-def _live(links: Sequence[Link]) -> list[Link]:
-    """Those with modules at the other end."""
-    return [link for link in links if not isinstance(link, ReplayLink)]
+    return Triggerer(links, sender, stream.triggers, settings.clock.trigger_rate_hz)
 
 
 def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:

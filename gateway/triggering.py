@@ -33,6 +33,7 @@ class Triggerer:
         rate_hz: float,
         clock_ns: Callable[[], int] = gateway_time_ns,
     ) -> None:
+        """links: those that are announced to the stream; others may join them."""
         self.timer = TriggerTimer(1e9 / rate_hz)
         self._links = links
         self._sender = sender
