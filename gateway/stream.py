@@ -43,10 +43,10 @@ from gateway.clocks import (
     warm_up,
 )
 from gateway.exchanges import TimeExchanges
-from gateway.frames import InertialReading, LocalReading, Quantity
+from gateway.frames import FusedReading, InertialReading, LocalReading, Quantity
 from gateway.statistics import ModuleRecord
 
-Reading = InertialReading | LocalReading
+Reading = InertialReading | FusedReading | LocalReading
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
 """Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
@@ -197,6 +197,10 @@ def _inertial(
     )
 
 
+def _fused(record: ModuleRecord, packet: FusedSample, sequence: int, time_ns: int) -> Reading:
+    return FusedReading(record.module, sequence, time_ns, packet.orientation)
+
+
 def _local(record: ModuleRecord, packet: LocalMeasurement, _sequence: int, time_ns: int) -> Reading:
     return LocalReading(
         record.module,
@@ -224,6 +228,7 @@ def _reading(record: ModuleRecord, packet: Packet, sequence: int, time_ns: int) 
 _HANDLERS: dict[type, Callable[..., Reading | None]] = {
     InertialSample: _inertial,
     InertialSampleFine: _inertial,
+    FusedSample: _fused,
     LocalMeasurement: _local,
     DeviceInfo: _info,
     Health: _health,

@@ -28,6 +28,7 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
+from gateway.reconstruction import FUSED
 from gateway.service import Service
 from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
 from gateway.stream import ClockMode
@@ -73,7 +74,9 @@ def demo(
     seconds: Annotated[float, typer.Option(min=5, help="How long to run.")] = 20.0,
     keep: Annotated[bool, typer.Option("--keep", help="Run until Ctrl-C, for your own subscribers.")] = False,
     rig: Annotated[str, typer.Option(help="Rig to emulate (see config/rigs).")] = "suit_17",
-    reconstructor: Annotated[str, typer.Option(help="independent or articulated.")] = "independent",
+    reconstructor: Annotated[
+        str, typer.Option(help="independent, articulated, fused_neutral, …")
+    ] = "independent",
     imperfections: Annotated[str, typer.Option(help="ideal, typical or rough.")] = "typical",
     clock: Annotated[
         ClockMode, typer.Option(help="estimated, shared, or trigger: the gateway says when modules sample.")
@@ -143,6 +146,8 @@ async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncItera
 
 def _sampling_mode(settings: GatewaySettings) -> str:
     """What the emulated modules are to be set to."""
+    if settings.reconstructor in FUSED:
+        return "fused"
     return "triggered" if settings.clock.mode is ClockMode.TRIGGER else "raw"
 
 
