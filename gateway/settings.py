@@ -40,7 +40,8 @@ class ClockSettings(_Strict):
     mode: ClockMode = Field(
         default=ClockMode.ESTIMATED,
         description="estimated: every module has its own crystal; shared: they count one clock already; "
-        "table: rates as measured by `calibrate clocks`",
+        "table: rates as measured by `calibrate clocks`; trigger: the gateway tells modules when to sample "
+        "(they must be set to it: mode 3)",
     )
     table: str | None = Field(
         default=None,
@@ -51,8 +52,21 @@ class ClockSettings(_Strict):
         default=4,
         ge=0,
         le=50,
-        description="for mode estimated: how often all modules are asked for their time, which takes the "
-        "transport's delay out of the clocks of those that answer; 0: never",
+        description="for modes estimated and trigger: how often all modules are asked for their time, which "
+        "takes the transport's delay out of the clocks of those that answer; 0: never",
+    )
+    trigger_rate_hz: float = Field(
+        default=100,
+        ge=1,
+        le=1000,
+        description="for mode trigger: how often all modules are told to sample",
+    )
+    trigger_patience_ms: float = Field(
+        default=250,
+        gt=0,
+        le=10_000,
+        description="for mode trigger: how long an answer is waited for; one that comes later is dropped "
+        "and counts as missed",
     )
 
     @model_validator(mode="after")
