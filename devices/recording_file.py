@@ -17,6 +17,7 @@ from typing import NamedTuple, TypeAlias
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
 from devices import recording_format as fmt
@@ -113,9 +114,14 @@ class RecordingFile:
                 for record in reader.records:
                     self.position = file.tell()
                     if isinstance(record, DataEnd):
-                        self.position = self.size
-                        return
+                        break
                     yield record
+                file.seek(max(self.size - len(MCAP0_MAGIC), 0))
+                if file.read() != MCAP0_MAGIC:
+                    self.defect = (
+                        f"{self.path} was not closed: all of its data is there, its index is not; "
+                        "`mocap-gateway recover` writes it"
+                    )
             except _DAMAGE:
                 self.defect = (
                     f"{self.path} was not closed (power cut, kill, full disk): read up to byte "

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from gateway.cli.modules_table import wide_console
 from gateway.cli.progress import progress_bar
 from gateway.recording import SkeletonArrays, open_recording
 from gateway.recording.difference import difference
@@ -41,7 +41,7 @@ def diff(
         column.justify = "right"
     for row in rows(found):
         table.add_row(*row)
-    Console().print(table)
+    wide_console().print(table)
     for name, only in ((first, found.only_in_first), (second, found.only_in_second)):
         if only:
             typer.echo(f"only in {name}: {', '.join(only)}", err=True)

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from devices.recording_file import RecordingError
+from gateway.cli.modules_table import wide_console
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.recording import RecordingMeta, open_recording
@@ -42,7 +43,7 @@ def recordings(
             table.columns[column].justify = "right"
         for summary in summaries:
             table.add_row(*_row(summary))
-        Console().print(table)
+        wide_console().print(table)
     for problem in problems:
         typer.echo(f"left out: {problem}", err=True)
 
@@ -66,7 +67,7 @@ def info(
         happened = [asdict(event) for event in events]
         typer.echo(json.dumps(_plain(summary) | more | {"events": happened}, indent=2))
         return
-    console = Console(highlight=False)
+    console = wide_console()
     console.print(_overview(recording.meta, summary))
     _print_modules(summary, console)
     for event in events:
@@ -83,7 +84,8 @@ def recover(
 ) -> None:
     """Make a whole file of all that can be read of one: after a kill, a power cut or a full disk.
 
-    `replay`, `info` and the rest read such files as they are; other MCAP tools want the index that this writes.
+    `replay`, `info` and the rest read such files as they are; other MCAP tools want the index that this
+    writes.
     """
     if in_place and output is not None:
         raise GatewayError("--in-place or --output: not both")

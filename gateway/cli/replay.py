@@ -48,16 +48,14 @@ def replay(
 ) -> None:
     """Play a recording: over MQTT like a live suit, or recomputed at once.
 
-    With --verify it ends with 1 unless every recorded pose comes out again, bit for bit: it does with the same
-    version, configuration and libraries, for recordings that began with the gateway.
+    With --verify it ends with 1 unless every recorded pose comes out again, bit for bit: it does with the
+    same version, configuration and libraries, for recordings that began with the gateway.
     """
     recording = open_recording(file)
     source = _source(recording, with_rig, reconstructor, config)
     if verified:
         if with_rig or reconstructor:
-            raise GatewayError(
-                "--verify compares with what was recorded: leave out --with and --reconstructor"
-            )
+            raise GatewayError("--verify compares with the recorded poses: leave out --with, --reconstructor")
         _verify(recording, as_json)
     elif with_rig or reconstructor or output:
         target = output or _target(file, with_rig, reconstructor)
@@ -78,16 +76,15 @@ def _source(
     meta = recording.meta
     if not meta.has_suit and given is None:
         raise SettingsError(
-            f"{meta.path} tells no suit (it is of a memory card, or imported): name a configuration, -c my.yaml"
+            f"{meta.path} tells no suit (it is of a memory card, or imported): name a configuration, "
+            "-c my.yaml"
         )
     settings = meta.settings if meta.has_suit or given is None else given
     if given is not None:
         settings = settings.model_copy(update={"mqtt": given.mqtt, "gateway": given.gateway})
     if reconstructor is not None:
         if reconstructor not in RECONSTRUCTORS:
-            raise SettingsError(
-                f"no such reconstructor: '{reconstructor}'{nearest(reconstructor, RECONSTRUCTORS)}"
-            )
+            raise SettingsError(f"no reconstructor '{reconstructor}'{nearest(reconstructor, RECONSTRUCTORS)}")
         settings = settings.model_copy(update={"reconstructor": reconstructor})
     if with_rig is not None:
         settings = settings.model_copy(update={"rig": with_rig})
@@ -150,9 +147,15 @@ def _reasons(recording: Recording) -> list[str]:
 
 
 def _solve(recording: Recording, source: Source, target: Path | None, as_json: bool) -> None:
-    begun = time.perf_counter()
     first_ns = last_ns = frames = 0
-    with progress_bar("solving", is_shown=not as_json) as tell:
+    begun = 0.0
+    with progress_bar("solving", is_shown=not as_json) as bar:
+
+        def tell(done: int, total: int) -> None:
+            nonlocal begun
+            begun = begun or time.perf_counter()  # the preparations are over
+            bar(done, total)
+
         if target is not None:
             frames = write_solved(recording, target, source, tell)
         else:

@@ -56,7 +56,7 @@ class _Brake:
 
     async def hold(self) -> None:
         await asyncio.sleep(0)
-        while not self._may_go_on():
+        while not self._may_go_on():  # noqa: ASYNC110 - two conditions of others, neither an event
             await asyncio.sleep(_POLL_S)
         self._has_begun = True
 

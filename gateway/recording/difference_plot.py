@@ -42,7 +42,7 @@ def rows(found: Difference) -> list[tuple[str, ...]]:
             figures.segment,
             str(figures.frames),
             *(
-                f"{value:.4g}"
+                f"{value:.3f}"
                 for value in (
                     figures.mean_deg,
                     figures.rms_deg,

@@ -61,7 +61,7 @@ class SessionFiles:
         self.part = 1
         self._settings = settings
         self._contents = contents
-        self._name = _checked(name or settings.name)
+        self._name = _checked(settings.name if name is None else name)
         self._session = uuid.uuid4().hex
         self._free = free
         self._monotonic = monotonic

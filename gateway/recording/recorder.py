@@ -109,7 +109,7 @@ class Recorder:
     @property
     def is_behind(self) -> bool:
         """Whether whoever feeds it should ``catch_up`` first."""
-        return self._queue_bytes > LONGEST_QUEUE_BYTES and self.ended is None
+        return self._queue_bytes > LONGEST_QUEUE_BYTES and self.ended is None and self._closing is None
 
     @property
     def queued_bytes(self) -> int:

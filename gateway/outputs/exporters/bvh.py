@@ -7,6 +7,7 @@ along x. Offsets are the skeleton's own, so joint rotations are exactly parent t
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.outputs.exporters.take import Take, rotation
 
-ORDER = "ZXY"
+ORDER: Final = "ZXY"
 """Of the rotation channels: intrinsic, as BVH multiplies them."""
 _DECIMALS = 6
 

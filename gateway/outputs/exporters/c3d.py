@@ -35,6 +35,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     file.add_parameter("ROTATION", "RATE", [take.rate_hz])
     file["data"]["points"] = _homogeneous(points)
     file["data"]["rotations"] = _matrices(take, units_per_m)
+    file["data"]["analogs"] = np.zeros((1, 0, len(points)))
     file.write(str(path))
 
 
@@ -47,8 +48,8 @@ def _homogeneous(points: FloatArray) -> FloatArray:
 def _matrices(take: Take, units_per_m: float) -> FloatArray:
     """(4, 4, S, F): rotation, and place of the proximal joint, of every segment."""
     frames, segments = take.q_wb.shape[:2]
-    T = np.zeros((frames, segments, 4, 4))
-    T[..., :3, :3] = rotation(take.q_wb).as_matrix().reshape(frames, segments, 3, 3)
-    T[..., :3, 3] = take.p_w * units_per_m
-    T[..., 3, 3] = 1.0
-    return T.transpose(2, 3, 1, 0)
+    pose = np.zeros((frames, segments, 4, 4))
+    pose[..., :3, :3] = rotation(take.q_wb).as_matrix().reshape(frames, segments, 3, 3)
+    pose[..., :3, 3] = take.p_w * units_per_m
+    pose[..., 3, 3] = 1.0
+    return pose.transpose(2, 3, 1, 0)

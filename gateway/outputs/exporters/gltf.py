@@ -56,9 +56,7 @@ class _Document:
         root = int(np.flatnonzero(skeleton.parents < 0)[0])
         joints = list(range(skeleton.n_segments))
         self._gltf.skins.append(
-            library.Skin(
-                name=skeleton.name, joints=joints, skeleton=root, inverseBindMatrices=accessor
-            )
+            library.Skin(name=skeleton.name, joints=joints, skeleton=root, inverseBindMatrices=accessor)
         )
 
     def add_body(self, take: Take, units_per_m: float) -> None:

@@ -1,7 +1,7 @@
 """OpenSim: ``.sto`` with orientations for OpenSense, ``.mot`` with joint angles. Text.
 
-Orientations are segment to world in columns ``<segment>_imu``; segments have axes x anterior, y superior, z to the
-right, as OpenSim's bodies have, so in OpenSense no further rotation is to be given with world axes y-up.
+Orientations are segment to world in columns ``<segment>_imu``; segments have axes x anterior, y superior,
+z to the right, as OpenSim's bodies have, so with world axes y-up OpenSense needs no further rotation.
 """
 
 from __future__ import annotations
@@ -35,7 +35,10 @@ def write_sto(take: Take, path: Path, _units_per_m: float) -> None:
 
 
 def write_mot(take: Take, path: Path, units_per_m: float) -> None:
-    """Angles in degrees: those that the model knows under its names, the others under ours. Raises ``OSError``."""
+    """Angles in degrees: those that the model knows under its names, the others under ours.
+
+    Raises ``OSError``.
+    """
     columns, values = ["time"], [take.time_s]
     for name, series in (*_root_columns(take, units_per_m), *_angle_columns(take)):
         columns.append(name)

@@ -22,4 +22,4 @@ COORDINATES: dict[str, tuple[str, float]] = {
     "spine_right_bending": ("lumbar_bending", 1.0),
     "spine_left_rotation": ("lumbar_rotation", 1.0),
 }
-"""Ours to (theirs, factor). Angles without a counterpart keep their names; OpenSim ignores those it does not know."""
+"""Ours to (theirs, factor). Angles without a counterpart keep their names; OpenSim passes them over."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -74,4 +75,4 @@ def _cells(values: NDArray[Any]) -> list[str]:
     """As texts; a float keeps nine significant digits, what is not known is empty."""
     if values.dtype.kind != "f":
         return [str(value) for value in values.tolist()]
-    return ["" if value != value else f"{value:.9g}" for value in values.tolist()]
+    return ["" if math.isnan(value) else f"{value:.9g}" for value in values.tolist()]
