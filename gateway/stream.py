@@ -127,8 +127,8 @@ class Stream:
     def sent(self, chunk: SentChunk) -> None:
         """Take note of what the gateway put on a link, once it has left and before what answers it.
 
-        An input like ``receive``: what answers are worth depends on when their question left. Over a link that
-        is not announced nothing is expected back.
+        An input like ``receive``: what answers are worth depends on when their question left. Over a link
+        that is not announced nothing is expected back.
         """
         decoder = self._sent_decoders.get(chunk.link)
         for sent in [] if decoder is None else decoder.feed(chunk.data):
