@@ -17,6 +17,7 @@ from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
+from gateway.observability import Observer
 from gateway.outputs.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
@@ -39,10 +40,10 @@ class Service:
     ) -> None:
         self.links = links if links is not None else _links_of(settings)
         self.pipeline = Pipeline.from_settings(settings, suit)
-        self.mqtt = MqttOutput(
-            settings.mqtt, suit.skeleton, _describe(settings, suit), self.pipeline.statistics
-        )
+        info = _describe(settings, suit)
+        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, info, self.pipeline.statistics)
         self._outputs: tuple[Output, ...] = (self.mqtt,)
+        self.observer = Observer(settings, suit, info, self.pipeline, self.links, self.mqtt)
         stream = self.pipeline.stream
         self.commands = CommandClient(self.links, allow_writes=settings.allow_device_writes)
         connect_client(self.commands, stream)
@@ -53,7 +54,7 @@ class Service:
 
     async def run(self) -> None:
         """Open everything, and pass on what comes. Raises ``OutputError`` if an output cannot start."""
-        async with self.mqtt:
+        async with self.mqtt, self.observer.watching():
             self.requests.start(self.mqtt.port)
             companions = [asyncio.create_task(self._report(), name="report")]
             if self._synchroniser is not None:

@@ -69,6 +69,11 @@ class DelayFloor:
         return float(self._x[1])
 
     @property
+    def rate_sigma_ppm(self) -> float:
+        """Standard deviation of the rate; before anything is known, that of crystals as such."""
+        return math.sqrt(self._P[1, 1])
+
+    @property
     def sigma_us(self) -> float:
         """Standard deviation of the offset at the newest time; of no meaning before there is one."""
         return math.sqrt(self._P[0, 0])

@@ -185,4 +185,5 @@ class EstimatedClock:
             sigma_us=sigma_us,
             bound_us=bound_us,
             steps=self._steps,
+            rate_sigma_ppm=back.rate_sigma_ppm,
         )
