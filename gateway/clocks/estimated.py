@@ -21,6 +21,9 @@ _STEP_US = 50_000.0
 """An estimate that is off by more is adopted at once: slewing would take too long."""
 _IN_STEP = 0.02
 _SLOT_NEWS = 0.2
+_UNREST_GAIN, _UNREST_SIGMAS = 0.5, 2.0
+"""A rate that still moves from block to block is not as well known as its covariance has it: delays that come
+in bursts are less independent than the estimate takes them for."""
 _RESTARTED_RATE_SIGMA_PPM = 2.0  # the same crystal
 _FADE_US = 1_000_000.0
 _BOUND_SIGMAS = 3.0
@@ -44,6 +47,7 @@ class EstimatedClock:
         self._back = DelayFloor(CRYSTAL)  # module to host: every packet
         self._round_trip = DelayFloor(TRANSPORT)  # exchanges only; by the clock of the way back
         self._steps = 0
+        self._unrest_ppm = 0.0
         self._believed_slot_us = self._batching.slot_us
         self._begin(0, 0)
 
@@ -151,6 +155,8 @@ class EstimatedClock:
     def _follow(self, newest_us: int, is_first: bool) -> None:
         """Take the new line as the one to publish; what it differs by now fades away at a bounded rate."""
         published_us = self._published_us(newest_us)
+        moved_ppm = abs(self._back.rate_ppm - self._rate * 1e6)
+        self._unrest_ppm += _UNREST_GAIN * (moved_ppm - self._unrest_ppm)
         offset_us, rate_ppm = self._back.offset_us(newest_us), self._back.rate_ppm
         if self._round_trip.is_known:
             offset_us -= 0.5 * self._round_trip.offset_us(newest_us)
@@ -194,5 +200,5 @@ class EstimatedClock:
             sigma_us=sigma_us,
             bound_us=bound_us,
             steps=self._steps,
-            rate_sigma_ppm=back.rate_sigma_ppm,
+            rate_sigma_ppm=float(np.hypot(back.rate_sigma_ppm, _UNREST_SIGMAS * self._unrest_ppm)),
         )

@@ -12,7 +12,7 @@ SAME_CLOCK_NS = 2_000_000_000
 
 
 RATE_SETTLED_PPM = 5.0
-"""A rate is told once its standard deviation is no more than this: after some 6 s over an ordinary link."""
+"""A rate is told once its standard deviation is no more than this: after some 10 s over an ordinary link."""
 
 
 class ClockFigures(NamedTuple):
