@@ -22,13 +22,17 @@ from gateway.outputs import topics
 from gateway.outputs.contract_text import reference_page
 from gateway.outputs.messages import PUBLICATIONS, Message, Publication
 from gateway.outputs.request_messages import LONGEST_TRANSACTION, ResponseMessage
+from gateway.recording.verbs import REQUESTS as RECORDING_REQUESTS
 
 Schema = dict[str, Any]
 
 VERSION = "1.0.0"
 """Of the contract: the first number changes when an app must be changed."""
 
-REQUEST_FAMILIES: Mapping[str, Mapping[str, type[BaseModel]]] = {"modules": MODULE_REQUESTS}
+REQUEST_FAMILIES: Mapping[str, Mapping[str, type[BaseModel]]] = {
+    "modules": MODULE_REQUESTS,
+    "recording": RECORDING_REQUESTS,
+}
 """What may be asked of a gateway, ``bridge/request/<family>/<verb>``, and the data it takes."""
 
 _ROOT = "{base_topic}/{gateway}"

@@ -11,12 +11,15 @@ import orjson
 import pytest
 import yaml
 
+from gateway.body.rig import load_rig
 from gateway.frames import SkeletonFrame
 from gateway.outputs import contract
 from gateway.outputs.contract import REQUEST_FAMILIES, asyncapi, files, json_schemas, topic_pattern
 from gateway.outputs.messages import PUBLICATIONS
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
+from gateway.service import Service
+from gateway.settings import GatewaySettings
 
 FOLDER = Path(__file__).resolve().parents[3] / "docs" / "mqtt"
 
@@ -95,6 +98,13 @@ def test_schemas_of_asyncapi_are_draft_7_and_take_a_real_pose():
         validator(schema).validate(pose)
         with pytest.raises(jsonschema.ValidationError):
             validator(schema).validate(pose | {"segments": {"a": [1, 0, 0]}})
+
+
+def test_every_request_that_a_gateway_answers_is_in_the_contract():
+    settings = GatewaySettings(links=[{"name": "suit", "url": "tcp://127.0.0.1:1"}], rig="robot_arm_4")
+    service = Service(settings, load_rig("robot_arm_4"))
+    assert set(service.requests._families) == set(REQUEST_FAMILIES)
+    assert set(service.recording._verbs) == set(REQUEST_FAMILIES["recording"])
 
 
 def test_topic_patterns_tell_publications_apart():
