@@ -1,6 +1,7 @@
-"""Products and inverses of the small square blocks that covariances are made of. Compiled.
+"""Products and inverses of the 6 × 6 blocks that covariances are made of, into given arrays. Compiled.
 
-Plain loops: at 3 to 6 rows they beat a call of BLAS, and compile in a fraction of its time.
+Plain loops of fixed length over arrays that exist already: at this size they beat a call of BLAS, and a
+small array made inside them would cost as much as the arithmetic. No output may be one of the inputs.
 """
 
 from __future__ import annotations
@@ -14,6 +15,82 @@ from gateway.geometry.compiled import compiled
 
 LEAST_PIVOT = 1e-14
 """A pivot below it is rounding: the block counts as having that little variance."""
+
+
+@compiled
+def product_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
+    """C ← A B; shapes (6, 6)."""
+    for i in range(6):
+        for j in range(6):
+            C[i, j] = (
+                (A[i, 0] * B[0, j] + A[i, 1] * B[1, j])
+                + (A[i, 2] * B[2, j] + A[i, 3] * B[3, j])
+                + (A[i, 4] * B[4, j] + A[i, 5] * B[5, j])
+            )
+
+
+@compiled
+def symmetric_sum_into(C: FloatArray, D: FloatArray, sign: float, A: FloatArray, B: FloatArray) -> None:
+    """C ← D + sign A Bᵀ where that is known to be symmetric; shapes (6, 6). D may be C."""
+    for i in range(6):
+        for j in range(i + 1):
+            total = (
+                (A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1])
+                + (A[i, 2] * B[j, 2] + A[i, 3] * B[j, 3])
+                + (A[i, 4] * B[j, 4] + A[i, 5] * B[j, 5])
+            )
+            C[i, j] = D[i, j] + sign * total
+            C[j, i] = C[i, j]
+
+
+@compiled
+def times_vector_into(y: FloatArray, A: FloatArray, x: FloatArray) -> None:
+    """y ← A x; shapes (6,), (6, 6), (6,)."""
+    for i in range(6):
+        y[i] = (
+            (A[i, 0] * x[0] + A[i, 1] * x[1])
+            + (A[i, 2] * x[2] + A[i, 3] * x[3])
+            + (A[i, 4] * x[4] + A[i, 5] * x[5])
+        )
+
+
+@compiled
+def inverse_into(M: FloatArray, A: FloatArray) -> None:
+    """M ← A⁻¹ of a symmetric positive definite block, symmetric to the last bit; shapes (6, 6)."""
+    _inverse_into(M, A, 6)
+
+
+@compiled
+def inverse_3_into(M: FloatArray, A: FloatArray) -> None:
+    """The same for (3, 3)."""
+    _inverse_into(M, A, 3)
+
+
+@compiled
+def _inverse_into(M: FloatArray, A: FloatArray, n: int) -> None:
+    """By Cholesky. Below the diagonal M holds L (its diagonal inverted), then L⁻¹, then L⁻ᵀ L⁻¹.
+
+    n is a constant of each caller, so that the loops unroll: twice as fast.
+    """
+    for i in range(n):
+        for j in range(i + 1):
+            total = A[i, j]
+            for k in range(j):
+                total -= M[i, k] * M[j, k]
+            M[i, j] = 1.0 / math.sqrt(max(total, LEAST_PIVOT)) if i == j else total * M[j, j]
+    for i in range(n):
+        for j in range(i):
+            total = 0.0
+            for k in range(j, i):
+                total -= M[i, k] * M[k, j]
+            M[i, j] = total * M[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, n):
+                total += M[k, i] * M[k, j]
+            M[i, j] = total
+            M[j, i] = total
 
 
 @compiled
@@ -64,17 +141,6 @@ def times_vector(A: FloatArray, x: FloatArray) -> FloatArray:
     for i in range(n):
         for j in range(n):
             y[i] += A[i, j] * x[j]
-    return y
-
-
-@compiled
-def transposed_times_vector(A: FloatArray, x: FloatArray) -> FloatArray:
-    """Aᵀ x; shapes (n, n), (n,)."""
-    n = len(x)
-    y = np.zeros(n)
-    for i in range(n):
-        for j in range(n):
-            y[j] += A[i, j] * x[i]
     return y
 
 

@@ -98,8 +98,7 @@ def test_propagation_is_that_of_the_turning_error():
     A = rng.standard_normal((6, 6))
     P = A @ A.T
     expected = F @ P @ F.T
-    M = R.as_matrix() * dt
-    tree_filter.propagate(P, M, M)
+    tree_filter.propagate(P, R.as_matrix(), R.as_matrix(), dt)
     np.testing.assert_allclose(P, expected, atol=2e-3 * dt * 100)
 
 
