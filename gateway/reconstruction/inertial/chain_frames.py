@@ -1,0 +1,189 @@
+"""Frames of a suit through a chain filter in one call: modules to segments, step, outputs. Compiled.
+
+A live frame and a whole recording go through the same function, so they agree bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gateway.body.kinematics import joint_positions
+from gateway.body.skeleton import LocalDevice, WornSuit
+from gateway.frames import FloatArray, IntArray, Status, StatusArray
+from gateway.geometry import quaternion
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import is_finite
+from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
+from gateway.reconstruction.inertial.chain_step import orientation_sigma, step
+from gateway.reconstruction.inertial.held_arguments import Held
+from gateway.reconstruction.inertial.local_rows import take_reading
+from gateway.reconstruction.inertial.observations import by_segment, sensor_to_segment_matrices
+
+SHORTEST_STEP_S = 1e-5
+MISSING, PREDICTED = Status.MISSING.value, Status.PREDICTED.value
+
+
+class Wearing(NamedTuple):
+    """How the suit is worn, as far as the filter itself need not know; constant."""
+
+    module_of_segment: IntArray  # (n_segments,) −1: none
+    R_bs: FloatArray  # (n_segments, 3, 3) sensor to segment
+    parents: IntArray  # (n_segments,) of the skeleton
+    offsets: FloatArray  # (n_segments, 3) of the skeleton, m
+    root_device: IntArray  # (1,) segment whose device measures where the root is; −1: nothing does
+    root_arm: FloatArray  # (3,) that device on it, segment axes, m
+    nominal_interval_ns: IntArray  # (1,)
+
+
+class Constants(NamedTuple):
+    """All that does not change from frame to frame but the state's arrays, which change in place."""
+
+    wearing: Wearing
+    body: ChainBody
+    noise: Noise
+    fixed: IntArray  # (d,) see ``chain_state.fixed_points``
+    is_joint: bool
+    state: FilterState
+
+
+class Inputs(NamedTuple):
+    """T instants of m modules in sensor axes, as in ``ImuFrame``; k readings of local devices in all."""
+
+    time_ns: IntArray  # (T,)
+    specific_force: FloatArray  # (T, m, 3)
+    angular_rate: FloatArray  # (T, m, 3)
+    magnetic_field: FloatArray  # (T, m, 3)
+    status: StatusArray  # (T, m)
+    root_position: FloatArray  # (T, 3) measured, m; of no meaning without a device for it
+    readings_end: IntArray  # (T,) how many of the readings have come with this instant
+    readings: FloatArray  # (k, 8) device of the filter, s since the first frame, value, standard deviation
+
+
+Outputs = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, StatusArray]
+"""``q_wb`` (T, n, 4), ``angular_rate``, ``joint_acceleration``, ``p_w`` (T, n, 3), ``sigma``, ``status``
+(T, n), as in ``SkeletonFrame``."""
+
+
+def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval_s: float) -> Wearing:
+    """root_device: what measures where the skeleton's root is, if anything does."""
+    return Wearing(
+        suit.module_of_segment.astype(np.int64),
+        sensor_to_segment_matrices(suit),
+        suit.skeleton.parents.astype(np.int64),
+        np.array(suit.skeleton.offsets, np.float64),
+        np.array([-1 if root_device is None else root_device.segment], np.int64),
+        np.zeros(3) if root_device is None else np.array(root_device.position, np.float64),
+        np.array([round(nominal_interval_s * 1e9)], np.int64),
+    )
+
+
+@compiled
+def advance(
+    held: Held,
+    time_ns: IntArray,
+    specific_force: FloatArray,
+    angular_rate: FloatArray,
+    magnetic_field: FloatArray,
+    status: StatusArray,
+    root_position: FloatArray,
+    readings_end: IntArray,
+    readings: FloatArray,
+) -> Outputs:
+    """All instants in turn; arguments after the first: the fields of ``Inputs``."""
+    constants = held.all
+    n_frames, n = len(time_ns), len(constants.wearing.parents)
+    q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
+    acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
+    sigma, status_out = np.empty((n_frames, n)), np.empty((n_frames, n), np.uint8)
+    taken = 0
+    for t in range(n_frames):
+        _advance_one(
+            constants, time_ns[t], specific_force[t], angular_rate[t], magnetic_field[t], status[t],
+            root_position[t], readings[taken : readings_end[t]],
+            q_wb[t], rate[t], acceleration[t], p_w[t], sigma[t], status_out[t],
+        )  # fmt: skip
+        taken = readings_end[t]
+    return q_wb, rate, acceleration, p_w, sigma, status_out
+
+
+@compiled
+def _advance_one(
+    constants: Constants,
+    time_ns: int,
+    specific_force: FloatArray,
+    angular_rate: FloatArray,
+    magnetic_field: FloatArray,
+    status: StatusArray,
+    root_position: FloatArray,
+    readings: FloatArray,
+    q_wb: FloatArray,
+    rate: FloatArray,
+    acceleration: FloatArray,
+    p_w: FloatArray,
+    sigma: FloatArray,
+    status_out: StatusArray,
+) -> None:
+    wearing, state, noise = constants.wearing, constants.state, constants.noise
+    observed = by_segment(
+        wearing.module_of_segment, wearing.R_bs, specific_force, angular_rate, magnetic_field, status
+    )
+    clock = state.time_ns
+    if clock[1] < 0:
+        clock[0], clock[1] = time_ns - wearing.nominal_interval_ns[0], time_ns
+    dt = (time_ns - clock[0]) * 1e-9
+    is_valid = np.zeros(len(wearing.parents))
+    if dt > SHORTEST_STEP_S:
+        clock[0] = time_ns
+        _take(state, noise, readings)
+        acceleration[:], is_valid = step(
+            constants.body, state, noise, constants.fixed, constants.is_joint, dt,
+            (time_ns - clock[1]) * 1e-9, observed,
+        )  # fmt: skip
+    _outputs(wearing, state, is_valid, observed.status, q_wb, rate, status_out)
+    sigma[:] = orientation_sigma(state)
+    root, origin = wearing.root_device[0], np.zeros(3)
+    if root >= 0:
+        origin = root_position - quaternion.rotate(q_wb[root], wearing.root_arm)
+    p_w[:] = joint_positions(wearing.parents, wearing.offsets, q_wb, origin)
+
+
+@compiled
+def _take(state: FilterState, noise: Noise, readings: FloatArray) -> None:
+    for reading in readings:
+        value, sigma = reading[2:5].copy(), 0.0
+        if is_finite(value):
+            for i in range(5, 8):
+                if not math.isnan(reading[i]):
+                    sigma = max(sigma, min(reading[i], np.finfo(np.float64).max))
+            take_reading(state, noise, int(reading[0]), reading[1], value, sigma)
+
+
+@compiled
+def _outputs(
+    wearing: Wearing,
+    state: FilterState,
+    is_valid: FloatArray,
+    measured_status: StatusArray,
+    q_wb: FloatArray,
+    rate: FloatArray,
+    status: StatusArray,
+) -> None:
+    """Segments without module go with their parent; the others as the filter has them."""
+    for s in range(len(wearing.parents)):
+        p = wearing.parents[s]
+        status[s] = measured_status[s]
+        if wearing.module_of_segment[s] < 0:
+            status[s] = MISSING
+            if p >= 0 and status[p] != MISSING:
+                q_wb[s], rate[s], status[s] = q_wb[p], rate[p], PREDICTED
+        elif state.is_started[s] == 0:
+            status[s] = MISSING
+        else:
+            q_wb[s] = quaternion.from_matrix(state.R[s])
+            for i in range(3):
+                rate[s, i] = state.rate[s, i] - state.bias[s, i]
+            if is_valid[s] == 0.0:
+                status[s] = PREDICTED
