@@ -8,9 +8,9 @@ from gateway.body.skeleton import WornSuit
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
-from gateway.reconstruction.reconstructor import Reconstructor
+from gateway.reconstruction.reconstructor import Reconstructor, update_many
 
-__all__ = ["RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
+__all__ = ["RECONSTRUCTORS", "Reconstructor", "create_reconstructor", "update_many"]
 
 RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
     "articulated": ArticulatedReconstructor,

@@ -94,60 +94,51 @@ def advance(
 ) -> Outputs:
     """All instants in turn; arguments after the first: the fields of ``Inputs``."""
     constants = held.all
-    n_frames, n = len(time_ns), len(constants.wearing.parents)
+    wearing, state, noise = constants.wearing, constants.state, constants.noise
+    n_frames, n = len(time_ns), len(wearing.parents)
     q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
     acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
     sigma, status_out = np.empty((n_frames, n)), np.empty((n_frames, n), np.uint8)
-    taken = 0
+    taken, none_valid = 0, np.zeros(n)
     for t in range(n_frames):
-        _advance_one(
-            constants, time_ns[t], specific_force[t], angular_rate[t], magnetic_field[t], status[t],
-            root_position[t], readings[taken : readings_end[t]],
-            q_wb[t], rate[t], acceleration[t], p_w[t], sigma[t], status_out[t],
+        observed = by_segment(
+            wearing.module_of_segment, wearing.R_bs, specific_force[t], angular_rate[t], magnetic_field[t],
+            status[t],
         )  # fmt: skip
+        is_valid, dt = none_valid, _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
+        if dt > SHORTEST_STEP_S:
+            _take(state, noise, readings[taken : readings_end[t]])
+            acceleration[t], is_valid = step(
+                constants.body, state, noise, constants.fixed, constants.is_joint, dt,
+                (time_ns[t] - state.time_ns[1]) * 1e-9, observed,
+            )  # fmt: skip
         taken = readings_end[t]
+        _outputs(wearing, state, is_valid, observed.status, q_wb[t], rate[t], status_out[t])
+        sigma[t] = orientation_sigma(state)
+        p_w[t] = _positions(wearing, q_wb[t], root_position[t])
     return q_wb, rate, acceleration, p_w, sigma, status_out
 
 
 @compiled
-def _advance_one(
-    constants: Constants,
-    time_ns: int,
-    specific_force: FloatArray,
-    angular_rate: FloatArray,
-    magnetic_field: FloatArray,
-    status: StatusArray,
-    root_position: FloatArray,
-    readings: FloatArray,
-    q_wb: FloatArray,
-    rate: FloatArray,
-    acceleration: FloatArray,
-    p_w: FloatArray,
-    sigma: FloatArray,
-    status_out: StatusArray,
-) -> None:
-    wearing, state, noise = constants.wearing, constants.state, constants.noise
-    observed = by_segment(
-        wearing.module_of_segment, wearing.R_bs, specific_force, angular_rate, magnetic_field, status
-    )
-    clock = state.time_ns
+def _tick(clock: IntArray, time_ns: int, nominal_interval_ns: int) -> float:
+    """Seconds since the frame before; one that is not later leaves the clock as it is."""
     if clock[1] < 0:
-        clock[0], clock[1] = time_ns - wearing.nominal_interval_ns[0], time_ns
+        clock[0], clock[1] = time_ns - nominal_interval_ns, time_ns
     dt = (time_ns - clock[0]) * 1e-9
-    is_valid = np.zeros(len(wearing.parents))
     if dt > SHORTEST_STEP_S:
         clock[0] = time_ns
-        _take(state, noise, readings)
-        acceleration[:], is_valid = step(
-            constants.body, state, noise, constants.fixed, constants.is_joint, dt,
-            (time_ns - clock[1]) * 1e-9, observed,
-        )  # fmt: skip
-    _outputs(wearing, state, is_valid, observed.status, q_wb, rate, status_out)
-    sigma[:] = orientation_sigma(state)
+    return dt
+
+
+@compiled
+def _positions(wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> FloatArray:
+    """(n, 3) of the proximal joints: from the device on the skeleton's root, else from the origin."""
     root, origin = wearing.root_device[0], np.zeros(3)
     if root >= 0:
-        origin = root_position - quaternion.rotate(q_wb[root], wearing.root_arm)
-    p_w[:] = joint_positions(wearing.parents, wearing.offsets, q_wb, origin)
+        arm = quaternion.rotate(q_wb[root], wearing.root_arm)
+        for i in range(3):
+            origin[i] = root_position[i] - arm[i]
+    return joint_positions(wearing.parents, wearing.offsets, q_wb, origin)
 
 
 @compiled

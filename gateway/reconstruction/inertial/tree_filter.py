@@ -93,7 +93,7 @@ def propagate(P: FloatArray, R: FloatArray, R_other: FloatArray, dt: float) -> N
 class _Workspace(NamedTuple):
     """What one update needs besides its arguments; by segment, then blocks that are used again and again."""
 
-    inverse_P: FloatArray  # (n, 6, 6) of segments with children
+    known: FloatArray  # (n, 6, 6) prior information, of segments with children
     G: FloatArray  # (n, 6, 6) of a segment on its parent
     W: FloatArray  # (n, 6, 6) covariance given the parent
     offset: FloatArray  # (n, 6) error where the parent has none
@@ -118,16 +118,16 @@ def update_tree(parents: IntArray, P: FloatArray, C: FloatArray, evidence: Evide
     for s in range(n - 1, -1, -1):
         p = parents[s]
         if p < 0 and not is_known[s]:
-            inverse_into(work.inverse_P[s], P[s])
+            inverse_into(work.known[s], P[s])
         if p >= 0:
             if not is_known[p]:
-                inverse_into(work.inverse_P[p], P[p])
+                inverse_into(work.known[p], P[p])
                 is_known[p] = True
             _gather(s, p, P, C, evidence, work)
     x = np.empty((n, 6))
     for s in range(n):
         if parents[s] < 0:
-            _add_into(work.X, work.inverse_P[s], evidence.own[s])
+            _add_into(work.X, work.known[s], evidence.own[s])
             inverse_into(P[s], work.X)
             times_vector_into(x[s], P[s], evidence.own_vector[s])
         else:
@@ -145,7 +145,7 @@ def _gather(s: int, p: int, P: FloatArray, C: FloatArray, evidence: Evidence, wo
     """
     A, T, X, W, G = work.A, work.T, work.X, work.W[s], work.G[s]
     own, own_p, B = evidence.own[s], evidence.own[p], evidence.cp[s]
-    product_into(A, C[s], work.inverse_P[p])
+    product_into(A, C[s], work.known[p])
     symmetric_sum_into(W, P[s], -1.0, A, C[s])
     inverse_into(X, W)
     for i in range(3):
