@@ -124,7 +124,7 @@ def _tick(clock: IntArray, time_ns: int, nominal_interval_ns: int) -> float:
     """Seconds since the frame before; one that is not later leaves the clock as it is."""
     if clock[1] < 0:
         clock[0], clock[1] = time_ns - nominal_interval_ns, time_ns
-    dt = (time_ns - clock[0]) * 1e-9
+    dt = 1e-9 * float(time_ns - clock[0])
     if dt > SHORTEST_STEP_S:
         clock[0] = time_ns
     return dt

@@ -15,16 +15,20 @@ from gateway.geometry.compiled import compiled
 
 
 @structref.register
-class HeldType(types.StructRef):  # type: ignore[misc]  # numba is not typed
+class HeldType(types.StructRef):
     """Numba's side of ``Held``."""
 
     def preprocess_fields(self, fields: Any) -> Any:
         """Values are variables, not constants of the type: one compiled kernel serves all."""
-        return tuple((name, types.unliteral(field)) for name, field in fields)
+        unliteral: Any = types.unliteral
+        return tuple((name, unliteral(field)) for name, field in fields)
 
 
-class Held(structref.StructRefProxy):  # type: ignore[misc]  # numba is not typed
-    """Made by ``hold``; its one field ``all`` is read by kernels only."""
+class Held(structref.StructRefProxy):
+    """Made by ``hold``."""
+
+    all: Any
+    """Read by kernels only."""
 
     def __new__(cls, everything: Any) -> Held:
         """See ``hold``."""
@@ -32,7 +36,7 @@ class Held(structref.StructRefProxy):  # type: ignore[misc]  # numba is not type
         return held
 
 
-structref.define_proxy(Held, HeldType, ["all"])
+structref.define_proxy(Held, HeldType, ["all"])  # type: ignore[no-untyped-call]  # numba's
 
 
 @compiled

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,10 +115,9 @@ class ChainReconstructor:
         if not observations:
             return []
         arrays = advance(self._held, *self._inputs(observations))
-        root = self._root
         return [
-            SkeletonFrame(observation.sequence, observation.time_ns, *arrays_of_one, root)
-            for observation, *arrays_of_one in zip(observations, *arrays, strict=True)
+            SkeletonFrame(o.sequence, o.time_ns, q_wb, rate, acceleration, p_w, sigma, status, self._root)
+            for o, q_wb, rate, acceleration, p_w, sigma, status in zip(observations, *arrays, strict=True)
         ]
 
     def _inputs(self, observations: Sequence[ImuFrame]) -> Inputs:
@@ -127,10 +127,10 @@ class ChainReconstructor:
             readings, readings_end = self._readings(observations)
         return Inputs(
             time_ns,
-            np.array([observation.specific_force for observation in observations], np.float64),
-            np.array([observation.angular_rate for observation in observations], np.float64),
-            np.array([observation.magnetic_field for observation in observations], np.float64),
-            np.array([observation.status for observation in observations], np.uint8),
+            _stacked([observation.specific_force for observation in observations], np.float64),
+            _stacked([observation.angular_rate for observation in observations], np.float64),
+            _stacked([observation.magnetic_field for observation in observations], np.float64),
+            _stacked([observation.status for observation in observations], np.uint8),
             self._root_positions(observations),
             readings_end,
             readings,
@@ -180,3 +180,10 @@ class OutwardReconstructor(ChainReconstructor):
 
 
 JointReconstructor = ChainReconstructor
+
+
+def _stacked(arrays: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
+    """(T, …) copied, so that a read-only or strided array does not have the kernel compiled again."""
+    if len(arrays) == 1:  # three times as fast
+        return np.array(arrays[0], dtype, order="C", ndmin=arrays[0].ndim + 1)
+    return np.array(arrays, dtype, order="C")
