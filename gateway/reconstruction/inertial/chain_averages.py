@@ -16,7 +16,7 @@ from gateway.frames import FloatArray, IntArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot
-from gateway.reconstruction.inertial.chain_prediction import velocity
+from gateway.reconstruction.inertial.chain_prediction import velocity, velocity_into
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
 
 SETTLED = 3.0
@@ -44,7 +44,7 @@ def average(
     of each fixed point, (d, 3); and ‖[ω̇, ω]‖ of each segment, (n,) 1/s². In place: the averages."""
     n, n_devices = len(body.parents), len(body.device_segment)
     U, U_parent, U_device = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n_devices, 3))
-    motion = np.zeros(n)
+    motion, w, f_w, w_w, v = np.zeros(n), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     gain = 1.0 - math.exp(-dt / noise.smoothing_s)
     long_gain = 1.0 - math.exp(-dt / noise.unaided_window_s)
     per_s = gain / dt
@@ -52,28 +52,36 @@ def average(
         if is_valid[s] < 2.0:
             state.fresh_s[s] = 0.0
             continue
-        w = rate[s] - state.bias[s]
-        f_w, w_w = rotation_matrix.rotate(state.R[s], force[s]), rotation_matrix.rotate(state.R[s], w)
-        v = velocity(state.R[s], w, body.to_joint[s])
+        for i in range(3):
+            w[i] = rate[s, i] - state.bias[s, i]
+            f_w[i], w_w[i] = force[s, i], w[i]
+        rotation_matrix.turn(state.R[s], f_w)
+        rotation_matrix.turn(state.R[s], w_w)
+        velocity_into(v, state.R[s], w, body.to_joint[s])
         if state.fresh_s[s] == 0.0:
             state.force[s], state.long_force[s], state.turn[s], state.joint_velocity[s] = f_w, f_w, w_w, v
             state.last_force[s] = f_w
-        # the mean over the step, as the difference of v is
-        state.force[s] += gain * (0.5 * (f_w + state.last_force[s]) - state.force[s])
-        state.last_force[s] = f_w
-        state.long_force[s] += long_gain * (f_w - state.long_force[s])
-        U[s] = state.force[s] + per_s * (v - state.joint_velocity[s])
-        derivative = per_s * (w_w - state.turn[s])
-        motion[s] = math.sqrt(dot(derivative, derivative) + dot(w, w) ** 2)
-        state.turn[s] += gain * (w_w - state.turn[s])
-        state.joint_velocity[s] += gain * (v - state.joint_velocity[s])
+        squared = dot(w, w) ** 2
+        for i in range(3):
+            # the mean over the step, as the difference of v is
+            state.force[s, i] += gain * (0.5 * (f_w[i] + state.last_force[s, i]) - state.force[s, i])
+            state.last_force[s, i] = f_w[i]
+            state.long_force[s, i] += long_gain * (f_w[i] - state.long_force[s, i])
+            U[s, i] = state.force[s, i] + per_s * (v[i] - state.joint_velocity[s, i])
+            state.joint_velocity[s, i] += gain * (v[i] - state.joint_velocity[s, i])
+            squared += (per_s * (w_w[i] - state.turn[s, i])) ** 2
+            state.turn[s, i] += gain * (w_w[i] - state.turn[s, i])
+        motion[s] = math.sqrt(squared)
         p = body.parents[s]
         if p >= 0 and is_valid[p] >= 2.0:
-            v = velocity(state.R[p], rate[p] - state.bias[p], body.from_parent[s])
+            for i in range(3):
+                w[i] = rate[p, i] - state.bias[p, i]
+            velocity_into(v, state.R[p], w, body.from_parent[s])
             if state.fresh_s[s] == 0.0 or state.fresh_s[p] <= 1.5 * dt:
                 state.parent_velocity[s] = v
-            U_parent[s] = state.force[p] + per_s * (v - state.parent_velocity[s])
-            state.parent_velocity[s] += gain * (v - state.parent_velocity[s])
+            for i in range(3):
+                U_parent[s, i] = state.force[p, i] + per_s * (v[i] - state.parent_velocity[s, i])
+                state.parent_velocity[s, i] += gain * (v[i] - state.parent_velocity[s, i])
         state.fresh_s[s] += dt
     for d in range(n_devices):
         s = body.device_segment[d]

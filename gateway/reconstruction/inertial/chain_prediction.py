@@ -9,7 +9,7 @@ import numpy as np
 from gateway.frames import FloatArray, StatusArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import cross, is_finite, norm
+from gateway.geometry.vectors import is_finite, norm
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.tree_filter import propagate
 
@@ -139,4 +139,15 @@ def _is_turn(v: FloatArray) -> bool:
 @compiled
 def velocity(R: FloatArray, w: FloatArray, arm: FloatArray) -> FloatArray:
     """R (ω × r), (3,) world, m/s: of a point at ``arm`` relative to the module."""
-    return rotation_matrix.rotate(R, cross(w, arm))
+    v = np.empty(3)
+    velocity_into(v, R, w, arm)
+    return v
+
+
+@compiled
+def velocity_into(v: FloatArray, R: FloatArray, w: FloatArray, arm: FloatArray) -> None:
+    """v ← R (ω × r); see ``velocity``."""
+    v[0] = w[1] * arm[2] - w[2] * arm[1]
+    v[1] = w[2] * arm[0] - w[0] * arm[2]
+    v[2] = w[0] * arm[1] - w[1] * arm[0]
+    rotation_matrix.turn(R, v)

@@ -14,9 +14,9 @@ from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, skew
-from gateway.reconstruction.inertial.blocks import inverse, product, product_transposed, times_vector
+from gateway.reconstruction.inertial.blocks import inverse_3_into
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.tree_filter import Evidence, add_edge, add_own
+from gateway.reconstruction.inertial.tree_filter import Evidence, add_edge, add_joint, add_known, add_own
 
 REFERENCE_INTERVAL_S = 0.025
 """``Noise.specific_force`` belongs to rows this far apart; denser rows say no more in all."""
@@ -41,20 +41,19 @@ def joint_row(
     variance: float,
 ) -> None:
     """The joint's acceleration seen from both sides; variance of a component, (m/s²)²."""
-    H, H_p, residual = skew(u), -skew(u_p), u - u_p
     if state.is_open[s]:
         # heading against the parent unknown: the horizontal parts are only equally long
+        H, H_p, residual = skew(u), -skew(u_p), u - u_p
         spread = variance + dot(u[:2], u[:2]) + dot(u_p[:2], u_p[:2])
         for i in range(3):
             H[i, 2], H_p[i, 2] = 0.0, 0.0
             add_edge(evidence, s, H[i], H_p[i], residual[i], spread if i < 2 else variance)
         return
-    P, P_p = state.P[s, :3, :3].copy(), state.P[p, :3, :3].copy()
-    crossed = product_transposed(product(H, state.C[s, :3, :3].copy()), H_p)
-    S = _projected(H, P) + _projected(H_p, P_p) + crossed + crossed.T
-    variance *= _huber(S, residual, variance, noise.huber)
-    for i in range(3):
-        add_edge(evidence, s, H[i], H_p[i], residual[i], variance)
+    S = np.zeros((3, 3))
+    _add_projected(S, u, state.P[s], u, 1.0)
+    _add_projected(S, u_p, state.P[p], u_p, 1.0)
+    _add_projected(S, u, state.C[s], u_p, -2.0)
+    add_joint(evidence, s, u, u_p, variance * _huber(S, u, u_p, variance, noise.huber))
 
 
 @compiled
@@ -69,31 +68,43 @@ def known_row(
     is_open: bool,
 ) -> None:
     """A vector that is known in the world; is_open: its horizontal direction says nothing yet."""
-    H, residual = skew(u), u - y
     if is_open:
+        H, residual = skew(u), u - y
         spread = variance + dot(u[:2], u[:2]) + dot(y[:2], y[:2])
         for i in range(3):
             H[i, 2] = 0.0
             add_own(evidence, s, H[i], residual[i], spread if i < 2 else variance)
         return
-    S = _projected(H, state.P[s, :3, :3].copy())
-    variance *= _huber(S, residual, variance, noise.huber)
+    S = np.zeros((3, 3))
+    _add_projected(S, u, state.P[s], u, 1.0)
+    add_known(evidence, s, u, y, variance * _huber(S, u, y, variance, noise.huber))
+
+
+@compiled
+def _add_projected(S: FloatArray, a: FloatArray, P: FloatArray, b: FloatArray, factor: float) -> None:
+    """S ← S + factor · symmetric part of [a]× P [b]×ᵀ; P: the orientations' part of a (6, 6) block."""
     for i in range(3):
-        add_own(evidence, s, H[i], residual[i], variance)
+        j, k = (i + 1) % 3, (i + 2) % 3
+        x = a[j] * P[k, 0] - a[k] * P[j, 0]
+        y = a[j] * P[k, 1] - a[k] * P[j, 1]
+        z = a[j] * P[k, 2] - a[k] * P[j, 2]
+        row = (b[1] * z - b[2] * y, b[2] * x - b[0] * z, b[0] * y - b[1] * x)
+        for n in range(3):
+            S[i, n] += 0.5 * factor * row[n]
+            S[n, i] += 0.5 * factor * row[n]
 
 
 @compiled
-def _projected(H: FloatArray, P: FloatArray) -> FloatArray:
-    return product_transposed(product(H, P), H)
-
-
-@compiled
-def _huber(S: FloatArray, residual: FloatArray, variance: float, limit: float) -> float:
-    """By how much the variance is raised: 1 within ``limit`` standard deviations of the innovation."""
+def _huber(S: FloatArray, u: FloatArray, y: FloatArray, variance: float, limit: float) -> float:
+    """By how much the variance is raised: 1 within ``limit`` standard deviations of the innovation u − y."""
     for i in range(3):
         S[i, i] += variance
-    distance = math.sqrt(max(0.0, dot(residual, times_vector(inverse(S), residual))))
-    return max(1.0, distance / limit)
+    information, squared = np.empty((3, 3)), 0.0
+    inverse_3_into(information, S)
+    for i in range(3):
+        for j in range(3):
+            squared += (u[i] - y[i]) * information[i, j] * (u[j] - y[j])
+    return max(1.0, math.sqrt(max(0.0, squared)) / limit)
 
 
 @compiled

@@ -18,6 +18,7 @@ import numpy as np
 from gateway.frames import FloatArray, IntArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import cross, dot
 from gateway.reconstruction.inertial.blocks import (
     inverse_3_into,
     inverse_into,
@@ -75,6 +76,39 @@ def add_edge(
             evidence.cc[s, i, j] += row[i] * row[j] / variance
             evidence.cp[s, i, j] += row[i] * row_p[j] / variance
             evidence.pp[s, i, j] += row_p[i] * row_p[j] / variance
+
+
+@compiled
+def add_joint(evidence: Evidence, s: int, u: FloatArray, u_p: FloatArray, variance: float) -> None:
+    """``u − u_p = [u]× δ − [u_p]× δ_p``, of segment s and its parent; (3,), variance of each component.
+
+    In closed form, with ``[a]×ᵀ [b]× = (a · b) I − b aᵀ``.
+    """
+    weight = 1.0 / variance
+    across = cross(u, u_p)
+    uu, up, pp = dot(u, u), dot(u, u_p), dot(u_p, u_p)
+    for i in range(3):
+        evidence.c[s, i] += weight * across[i]
+        evidence.p[s, i] -= weight * across[i]
+        evidence.cc[s, i, i] += weight * uu
+        evidence.cp[s, i, i] -= weight * up
+        evidence.pp[s, i, i] += weight * pp
+        for j in range(3):
+            evidence.cc[s, i, j] -= weight * u[i] * u[j]
+            evidence.cp[s, i, j] += weight * u_p[i] * u[j]
+            evidence.pp[s, i, j] -= weight * u_p[i] * u_p[j]
+
+
+@compiled
+def add_known(evidence: Evidence, s: int, u: FloatArray, y: FloatArray, variance: float) -> None:
+    """``u − y = [u]× δ``, of segment s; (3,), variance of each component."""
+    weight = 1.0 / variance
+    across, uu = cross(u, y), dot(u, u)
+    for i in range(3):
+        evidence.own_vector[s, i] += weight * across[i]
+        evidence.own[s, i, i] += weight * uu
+        for j in range(3):
+            evidence.own[s, i, j] -= weight * u[i] * u[j]
 
 
 @compiled
