@@ -22,7 +22,7 @@ class _Commands(LazyGroup):
         ),
         "run": LazyCommand(
             "gateway.cli.run:run",
-            "Read the suit, reconstruct, publish. Ends on Ctrl-C or SIGTERM.",
+            "Read the suit, reconstruct, publish. Ends on Ctrl-C or SIGTERM; SIGHUP reads the configuration anew.",
             "Example: mocap-gateway run -c config/gateway.yaml",
         ),
         "emulate": LazyCommand(
@@ -34,6 +34,42 @@ class _Commands(LazyGroup):
             "gateway.cli.watch:watch",
             "Show the poses that a gateway publishes.",
             "Example: mocap-gateway watch --port 1883 --gateway gateway1",
+        ),
+        "view": LazyCommand(
+            "gateway.cli.view:view",
+            "Show the moving body on a page in the browser, live.",
+            "Example: mocap-gateway view --port 1883 --page-port 8080",
+        ),
+        "record": LazyCommand(
+            "gateway.cli.record:record",
+            "Run the gateway and record everything: raw bytes, what was sent, poses, events.",
+            "Example: mocap-gateway record -c my.yaml --name walk",
+        ),
+        "replay": LazyCommand(
+            "gateway.cli.replay:replay",
+            "Play a recording: over MQTT like a live suit, or recomputed at once.",
+            "Examples: mocap-gateway replay walk.mcap --speed 2 --embedded; "
+            "mocap-gateway replay walk.mcap --verify; mocap-gateway replay walk.mcap --with my_rig.yaml",
+        ),
+        "diff": LazyCommand(
+            "gateway.cli.diff:diff",
+            "Compare the poses of two recordings: angle between the orientations, by segment.",
+            "Example: mocap-gateway diff walk.mcap walk_joint.mcap --plot diff.html",
+        ),
+        "recordings": LazyCommand(
+            "gateway.cli.recordings:recordings",
+            "List the recordings of a folder: when, how long, how large, modules, loss.",
+            "Example: mocap-gateway recordings recordings/",
+        ),
+        "info": LazyCommand(
+            "gateway.cli.recordings:info",
+            "Show what is in a recording: settings, suit, software, channels, losses, events.",
+            "Example: mocap-gateway info walk.mcap --extract walk_files/",
+        ),
+        "recover": LazyCommand(
+            "gateway.cli.recordings:recover",
+            "Make a whole file of all that can be read of one: after a kill, a power cut or a full disk.",
+            "Example: mocap-gateway recover walk.mcap --in-place",
         ),
         "doctor": LazyCommand(
             "gateway.cli.doctor:doctor",
