@@ -22,7 +22,8 @@ class _Commands(LazyGroup):
         ),
         "run": LazyCommand(
             "gateway.cli.run:run",
-            "Read the suit, reconstruct, publish. Ends on Ctrl-C or SIGTERM; SIGHUP reads the configuration anew.",
+            "Read the suit, reconstruct, publish. Ends on Ctrl-C or SIGTERM; "
+            "SIGHUP reads the configuration anew.",
             "Example: mocap-gateway run -c config/gateway.yaml",
         ),
         "emulate": LazyCommand(
