@@ -44,7 +44,7 @@ def joint_row(
     if state.is_open[s]:
         # heading against the parent unknown: the horizontal parts are only equally long
         H, H_p, residual = skew(u), -skew(u_p), u - u_p
-        spread = variance + dot(u[:2], u[:2]) + dot(u_p[:2], u_p[:2])
+        spread = variance + dot(u, u) + dot(u_p, u_p)
         for i in range(3):
             H[i, 2], H_p[i, 2] = 0.0, 0.0
             add_edge(evidence, s, H[i], H_p[i], residual[i], spread if i < 2 else variance)
@@ -70,7 +70,7 @@ def known_row(
     """A vector that is known in the world; is_open: its horizontal direction says nothing yet."""
     if is_open:
         H, residual = skew(u), u - y
-        spread = variance + dot(u[:2], u[:2]) + dot(y[:2], y[:2])
+        spread = variance + dot(u, u) + dot(y, y)
         for i in range(3):
             H[i, 2] = 0.0
             add_own(evidence, s, H[i], residual[i], spread if i < 2 else variance)
