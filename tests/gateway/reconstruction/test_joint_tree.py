@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gateway.reconstruction.inertial import blocks as blocks_module
 from gateway.reconstruction.inertial import tree_filter
 from gateway.reconstruction.inertial.local_rows import derivative_weights
 
@@ -79,6 +80,37 @@ def test_without_evidence_nothing_changes():
     np.testing.assert_array_equal(x, 0.0)
     np.testing.assert_allclose(P, P_before, atol=1e-12)
     np.testing.assert_allclose(C, C_before, atol=1e-12)
+
+
+def cross_matrix(a):
+    return np.cross(a, np.eye(3)).T
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_vector_row_is_its_three_scalar_rows(seed):
+    u, u_p, y = np.random.default_rng(seed).standard_normal((3, 3))
+    whole, rows = (tree_filter.no_evidence(len(PARENTS)) for _ in range(2))
+    tree_filter.add_joint(whole, 2, u, u_p, 0.3)
+    tree_filter.add_known(whole, 3, u, y, 0.7)
+    for i in range(3):
+        H, H_p = cross_matrix(u)[i], -cross_matrix(u_p)[i]
+        tree_filter.add_edge(rows, 2, H, H_p, (u - u_p)[i], 0.3)
+        tree_filter.add_own(rows, 3, H, (u - y)[i], 0.7)
+    for name, array in rows._asdict().items():
+        np.testing.assert_allclose(getattr(whole, name), array, atol=1e-14, err_msg=name)
+
+
+@pytest.mark.parametrize("size", [3, 6])
+def test_inverse_of_ill_conditioned_blocks(size):
+    """A heading unknown to 1.6 rad beside tilts known to a milliradian and biases to 1e-4 rad/s."""
+    rng = np.random.default_rng(5)
+    scale = np.diag([1e-3, 1e-3, 1.6, 1e-4, 1e-4, 1e-3][:size])
+    A = scale @ (np.eye(size) + 0.3 * (B := rng.standard_normal((size, size))) @ B.T) @ scale
+    M = np.empty_like(A)
+    (blocks_module.inverse_into if size == 6 else blocks_module.inverse_3_into)(M, A)
+    np.testing.assert_array_equal(M, M.T)
+    unscaled = np.linalg.inv(scale)
+    np.testing.assert_allclose(scale @ M @ scale @ unscaled @ A @ unscaled, np.eye(size), atol=1e-12)
 
 
 def test_propagation_is_that_of_the_turning_error():
