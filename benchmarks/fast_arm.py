@@ -130,9 +130,7 @@ def _wobbling(values: SensorValues, rng: np.random.Generator) -> SensorValues:
     def turned(vectors: FloatArray) -> FloatArray:
         return np.asarray(back.apply(vectors.reshape(-1, 3)).reshape(vectors.shape))
 
-    return SensorValues(
-        turned(values.specific_force + shaking), turned(rate), turned(values.magnetic_field)
-    )
+    return SensorValues(turned(values.specific_force + shaking), turned(rate), turned(values.magnetic_field))
 
 
 def _measured(values: SensorValues, switches: Switches, rng: np.random.Generator) -> SensorValues:
