@@ -100,8 +100,12 @@ def start(
         state.P[s, i, i] = noise.start_tilt**2
         state.P[s, 3 + i, 3 + i] = noise.bias**2
     state.P[s, 2, 2] = OPEN_SIGMA**2
+    # a module that comes back may sit elsewhere
+    state.arm_covariance[s] = 0.0
+    for i in range(6):
+        state.arm_covariance[s, i, i] = noise.lever_arm_offset**2
     state.is_started[s], state.is_open[s] = 1, body.opens[s]
-    state.fresh_s[s], state.silent_s[s] = 0.0, 0.0
+    state.fresh_s[s], state.silent_s[s], state.compass_s[s] = 0.0, 0.0, 0.0
     state.heading[s], state.rest[s] = 0.0, 0.0
 
 
@@ -110,21 +114,16 @@ def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray) -> Non
     """World rotations (n, 3) of segments, and of all remembered that turns with them, in place."""
     E = np.empty((len(body.parents), 3, 3))
     for s in range(len(body.parents)):
-        p = body.parents[s]
-        if p >= 0 and _is_turn(turns[p]):
-            rotation_matrix.turn(E[p], state.parent_velocity[s])
         if _is_turn(turns[s]):
             rotation_matrix.exponential_into(E[s], turns[s, 0], turns[s, 1], turns[s, 2])
             rotation_matrix.turn_columns(E[s], state.R[s])
+            rotation_matrix.turn_columns(E[s], state.swing[s])
             rotation_matrix.turn(E[s], state.force[s])
             rotation_matrix.turn(E[s], state.last_force[s])
             rotation_matrix.turn(E[s], state.long_force[s])
-            rotation_matrix.turn(E[s], state.joint_velocity[s])
-            rotation_matrix.turn(E[s], state.turn[s])
     for d in range(len(body.device_segment)):
         s = body.device_segment[d]
         if _is_turn(turns[s]):
-            rotation_matrix.turn(E[s], state.device_velocity[d])
             for j in range(state.history.shape[1]):
                 if state.history[d, j, 0] > -np.inf:
                     rotation_matrix.turn(E[s], state.history[d, j, 1:4])

@@ -1,7 +1,9 @@
 """The observations of the chain filters as rows on orientation errors. Compiled.
 
 A world vector ``u = R̂ s`` is truly ``exp(δ) R̂ s ≈ u − [u]× δ``. Two sides that must agree therefore give
-``u − u_p = [u]× δ − [u_p]× δ_p``, and a known vector ``y``: ``u − y = [u]× δ``.
+``u − u_p = [m]× (δ − δ_p)`` with their mean ``m = (u + u_p) / 2``, and a known vector ``y``:
+``u − y = [y]× δ``.
+With u and u_p in their own places noise would seem to show a turn of both together, which no joint shows.
 """
 
 from __future__ import annotations
@@ -14,12 +16,10 @@ from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, skew
-from gateway.reconstruction.inertial.blocks import inverse_3_into
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
+from gateway.reconstruction.inertial.lever_arms import relative_covariance, spread
 from gateway.reconstruction.inertial.tree_filter import Evidence, add_edge, add_joint, add_known, add_own
 
-REFERENCE_INTERVAL_S = 0.025
-"""``Noise.specific_force`` belongs to rows this far apart; denser rows say no more in all."""
 DIP_TOLERANCE = 0.1
 """rad: a field steeper or flatter than it should be by that much is half disturbed."""
 NORM_TOLERANCE = 0.1
@@ -39,21 +39,21 @@ def joint_row(
     u: FloatArray,
     u_p: FloatArray,
     variance: float,
+    dt: float,
 ) -> None:
-    """The joint's acceleration seen from both sides; variance of a component, (m/s²)²."""
+    """The joint's acceleration seen from both sides, every dt; variance of a component, (m/s²)²."""
+    residual, middle = u - u_p, 0.5 * (u + u_p)
     if state.is_open[s]:
         # heading against the parent unknown: the horizontal parts are only equally long
-        H, H_p, residual = skew(u), -skew(u_p), u - u_p
-        spread = variance + dot(u, u) + dot(u_p, u_p)
+        H, H_p = skew(u), -skew(u_p)
+        wide = variance + dot(u, u) + dot(u_p, u_p)
         for i in range(3):
             H[i, 2], H_p[i, 2] = 0.0, 0.0
-            add_edge(evidence, s, H[i], H_p[i], residual[i], spread if i < 2 else variance)
+            add_edge(evidence, s, H[i], H_p[i], residual[i], wide if i < 2 else variance)
         return
-    S = np.zeros((3, 3))
-    _add_projected(S, u, state.P[s], u, 1.0)
-    _add_projected(S, u_p, state.P[p], u_p, 1.0)
-    _add_projected(S, u, state.C[s], u_p, -2.0)
-    add_joint(evidence, s, u, u_p, variance * _huber(S, u, u_p, variance, noise.huber))
+    at_once = variance * min(1.0, dt / noise.row_memory_s)
+    variance *= _huber(spread(middle, relative_covariance(state, s, p)), residual, at_once, noise.huber)
+    add_joint(evidence, s, middle, residual, variance)
 
 
 @compiled
@@ -68,43 +68,28 @@ def known_row(
     is_open: bool,
 ) -> None:
     """A vector that is known in the world; is_open: its horizontal direction says nothing yet."""
+    residual = u - y
     if is_open:
-        H, residual = skew(u), u - y
-        spread = variance + dot(u, u) + dot(y, y)
+        H = skew(0.5 * (u + y))
+        wide = variance + dot(u, u) + dot(y, y)
         for i in range(3):
             H[i, 2] = 0.0
-            add_own(evidence, s, H[i], residual[i], spread if i < 2 else variance)
+            add_own(evidence, s, H[i], residual[i], wide if i < 2 else variance)
         return
-    S = np.zeros((3, 3))
-    _add_projected(S, u, state.P[s], u, 1.0)
-    add_known(evidence, s, u, y, variance * _huber(S, u, y, variance, noise.huber))
+    variance *= _huber(spread(y, state.P[s, :3, :3]), residual, variance, noise.huber)
+    add_known(evidence, s, y, residual, variance)
 
 
 @compiled
-def _add_projected(S: FloatArray, a: FloatArray, P: FloatArray, b: FloatArray, factor: float) -> None:
-    """S ← S + factor · symmetric part of [a]× P [b]×ᵀ; P: the orientations' part of a (6, 6) block."""
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        x = a[j] * P[k, 0] - a[k] * P[j, 0]
-        y = a[j] * P[k, 1] - a[k] * P[j, 1]
-        z = a[j] * P[k, 2] - a[k] * P[j, 2]
-        row = (b[1] * z - b[2] * y, b[2] * x - b[0] * z, b[0] * y - b[1] * x)
-        for n in range(3):
-            S[i, n] += 0.5 * factor * row[n]
-            S[n, i] += 0.5 * factor * row[n]
+def _huber(uncertain: FloatArray, residual: FloatArray, variance: float, limit: float) -> float:
+    """By how much the variance is raised: 1 within ``limit`` standard deviations of the innovation.
 
-
-@compiled
-def _huber(S: FloatArray, u: FloatArray, y: FloatArray, variance: float, limit: float) -> float:
-    """By how much the variance is raised: 1 within ``limit`` standard deviations of the innovation u − y."""
+    uncertain: (3,) variances that the orientation gives it.
+    """
+    square = 0.0
     for i in range(3):
-        S[i, i] += variance
-    information, squared = np.empty((3, 3)), 0.0
-    inverse_3_into(information, S)
-    for i in range(3):
-        for j in range(3):
-            squared += (u[i] - y[i]) * information[i, j] * (u[j] - y[j])
-    return max(1.0, math.sqrt(max(0.0, squared)) / limit)
+        square += residual[i] ** 2 / (uncertain[i] + variance)
+    return max(1.0, math.sqrt(square) / limit)
 
 
 @compiled
@@ -126,7 +111,7 @@ def field_row(
     off, disturbance = field_error(body, state, s, m)
     sigma = math.sqrt(noise.heading**2 + min(state.P[s, 2, 2], OPEN_SIGMA**2))
     weight = max(1.0, abs(off) / sigma / noise.huber) * disturbance
-    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > noise.heading**2
+    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > noise.start_heading**2
     memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
     variance = noise.heading**2 * memory_s / dt * weight
     row = np.zeros(3)
@@ -156,4 +141,4 @@ def rest_row(evidence: Evidence, state: FilterState, s: int, window_s: float, dt
 def row_variance(noise: Noise, motion: float, interval_s: float) -> float:
     """(m/s²)² of a row of accelerations that comes every ``interval_s``; motion: ‖[ω̇, ω]‖ or rms sum."""
     variance = noise.specific_force**2 + (noise.lever_arm * motion) ** 2
-    return variance * REFERENCE_INTERVAL_S / interval_s
+    return variance * noise.row_memory_s / interval_s

@@ -79,36 +79,32 @@ def add_edge(
 
 
 @compiled
-def add_joint(evidence: Evidence, s: int, u: FloatArray, u_p: FloatArray, variance: float) -> None:
-    """``u − u_p = [u]× δ − [u_p]× δ_p``, of segment s and its parent; (3,), variance of each component.
+def add_joint(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, variance: float) -> None:
+    """``residual = [m]× (δ − δ_p)``, of segment s and its parent; (3,), variance of each component.
 
-    In closed form, with ``[a]×ᵀ [b]× = (a · b) I − b aᵀ``.
+    In closed form, with ``[m]×ᵀ [m]× = (m · m) I − m mᵀ``.
     """
     weight = 1.0 / variance
-    across = cross(u, u_p)
-    uu, up, pp = dot(u, u), dot(u, u_p), dot(u_p, u_p)
+    across, square = cross(residual, m), dot(m, m)
     for i in range(3):
         evidence.c[s, i] += weight * across[i]
         evidence.p[s, i] -= weight * across[i]
-        evidence.cc[s, i, i] += weight * uu
-        evidence.cp[s, i, i] -= weight * up
-        evidence.pp[s, i, i] += weight * pp
         for j in range(3):
-            evidence.cc[s, i, j] -= weight * u[i] * u[j]
-            evidence.cp[s, i, j] += weight * u_p[i] * u[j]
-            evidence.pp[s, i, j] -= weight * u_p[i] * u_p[j]
+            information = weight * ((square if i == j else 0.0) - m[i] * m[j])
+            evidence.cc[s, i, j] += information
+            evidence.cp[s, i, j] -= information
+            evidence.pp[s, i, j] += information
 
 
 @compiled
-def add_known(evidence: Evidence, s: int, u: FloatArray, y: FloatArray, variance: float) -> None:
-    """``u − y = [u]× δ``, of segment s; (3,), variance of each component."""
+def add_known(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, variance: float) -> None:
+    """``residual = [m]× δ``, of segment s; (3,), variance of each component."""
     weight = 1.0 / variance
-    across, uu = cross(u, y), dot(u, u)
+    across, square = cross(residual, m), dot(m, m)
     for i in range(3):
         evidence.own_vector[s, i] += weight * across[i]
-        evidence.own[s, i, i] += weight * uu
         for j in range(3):
-            evidence.own[s, i, j] -= weight * u[i] * u[j]
+            evidence.own[s, i, j] += weight * ((square if i == j else 0.0) - m[i] * m[j])
 
 
 @compiled

@@ -88,14 +88,13 @@ def cross_matrix(a):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_vector_row_is_its_three_scalar_rows(seed):
-    u, u_p, y = np.random.default_rng(seed).standard_normal((3, 3))
+    m, residual, other = np.random.default_rng(seed).standard_normal((3, 3))
     whole, rows = (tree_filter.no_evidence(len(PARENTS)) for _ in range(2))
-    tree_filter.add_joint(whole, 2, u, u_p, 0.3)
-    tree_filter.add_known(whole, 3, u, y, 0.7)
-    for i in range(3):
-        H, H_p = cross_matrix(u)[i], -cross_matrix(u_p)[i]
-        tree_filter.add_edge(rows, 2, H, H_p, (u - u_p)[i], 0.3)
-        tree_filter.add_own(rows, 3, H, (u - y)[i], 0.7)
+    tree_filter.add_joint(whole, 2, m, residual, 0.3)
+    tree_filter.add_known(whole, 3, m, other, 0.7)
+    for i, H in enumerate(cross_matrix(m)):
+        tree_filter.add_edge(rows, 2, H, -H, residual[i], 0.3)
+        tree_filter.add_own(rows, 3, H, other[i], 0.7)
     for name, array in rows._asdict().items():
         np.testing.assert_allclose(getattr(whole, name), array, atol=1e-14, err_msg=name)
 
