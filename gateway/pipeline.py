@@ -88,12 +88,19 @@ class Pipeline:
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
 
-    def replay(self, chunks: Iterable[Chunk]) -> Iterator[SkeletonFrame]:
-        """A recording: the frames that ``feed`` of each chunk gives, bit for bit, but many at a time."""
-        imu_frames = chain.from_iterable(map(self._imu_frames, chunks))
+    def replay(self, items: Iterable[Chunk | SentChunk]) -> Iterator[SkeletonFrame]:
+        """A recording: the frames that ``feed`` and ``sent`` of each item give, bit for bit, but many at a
+        time."""
+        imu_frames = chain.from_iterable(map(self._played, items))
         while block := list(islice(imu_frames, FRAMES_AT_A_TIME)):
             self.skeleton_frames += len(block)
             yield from update_many(self.reconstructor, block)
+
+    def _played(self, item: Chunk | SentChunk) -> list[ImuFrame]:
+        if isinstance(item, Chunk):
+            return self._imu_frames(item)
+        self.sent(item)
+        return []
 
     def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
         imu_frames: list[ImuFrame] = []
