@@ -157,12 +157,12 @@ def _update_each(reconstructor: Reconstructor, frames: list[ImuFrame]) -> int:
 
 
 def _best_us(work: Callable[[], int]) -> float:
-    """Least time of one unit of work, µs: the machine is shared, and noise only ever adds."""
+    """Least processor time of one unit of work, µs: the machine is shared, and noise only ever adds."""
     times = []
     for _ in range(REPEATS):
-        begin = time.perf_counter()
+        begin = time.process_time()
         count = work()
-        times.append((time.perf_counter() - begin) / count * 1e6)
+        times.append((time.process_time() - begin) / count * 1e6)
     return float(np.min(times))
 
 
