@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import gateway
 from devices.command_client import CommandClient
@@ -26,8 +26,9 @@ from gateway.outputs.requests import RequestResponder
 from gateway.pipeline import Pipeline
 from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
-from gateway.stream import ClockMode
+from gateway.stream import ClockMode, Stream
 from gateway.synchronisation import Synchroniser
+from gateway.triggering import Triggerer
 
 log = logging.getLogger(__name__)
 
@@ -46,8 +47,9 @@ class Service:
             settings, suit, _framings(self.links), self.pipeline.statistics, self.pipeline.stream.restarts
         )
         self._records_at_start = settings.recording.at_start
-        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, _describe(settings, suit), self._statistics)
+        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, _describe(settings, suit), self.statistics)
         self._outputs: tuple[Output, ...] = (self.mqtt,)
+        self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
         self.commands = CommandClient(self.links, allow_writes=settings.allow_device_writes)
         self.commands.on_sent = self._note_sent
@@ -55,9 +57,21 @@ class Service:
         ModuleLog().listen_to(stream)
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
         sender = HostSender(self._note_sent)
-        self._synchroniser = _synchroniser(settings, self.links, sender)
+        self._announced: list[Link] = []  # to the pipeline, and with modules at the other end
+        self._synchroniser = _synchroniser(settings, self._announced, sender)
+        self._triggerer = _triggerer(settings, self._announced, sender, stream)
         families = {"modules": operations.perform, "recording": self.recording.perform}
         self.requests = RequestResponder(settings.mqtt, settings.gateway, families)
+
+    @property
+    def can_flow(self) -> bool:
+        """Whether every link is attended to: what the watchdog wants to know."""
+        return bool(self._ingesting) and not any(task.done() for task in self._ingesting)
+
+    def statistics(self) -> dict[str, object]:
+        """Counters for the health message."""
+        timer = {} if self._triggerer is None else {"trigger_timer": self._triggerer.statistics()}
+        return {**timer, **self.pipeline.statistics(), "recording": self.recording.status()}
 
     async def run(self) -> None:
         """Open everything, and pass on what comes.
@@ -72,10 +86,14 @@ class Service:
             companions = [asyncio.create_task(self._report(), name="report")]
             if self._synchroniser is not None:
                 companions.append(asyncio.create_task(self._synchroniser.run(), name="synchroniser"))
+            if self._triggerer is not None:
+                companions.append(asyncio.create_task(self._triggerer.run(), name="triggerer"))
             try:
                 async with asyncio.TaskGroup() as group:
                     for link in self.links:
-                        group.create_task(self._ingest(link), name=f"link {link.name}")
+                        self._ingesting.append(
+                            group.create_task(self._ingest(link), name=f"link {link.name}")
+                        )
             finally:
                 for companion in companions:
                     companion.cancel()
@@ -90,6 +108,8 @@ class Service:
             link.on_sent = self._note_sent
         for name, framing in carried.items():
             self.pipeline.add_link(name, framing)
+        if not isinstance(link, ReplayLink):
+            self._announced.append(link)
         try:
             async for chunk in link:
                 await self.recording.keep_pace()
@@ -111,9 +131,6 @@ class Service:
 
     def _note_link(self, name: str, status: LinkStatus) -> None:
         self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
-
-    def _statistics(self) -> Mapping[str, object]:
-        return {**self.pipeline.statistics(), "recording": self.recording.status()}
 
     async def _report(self) -> None:
         """A line now and then for whoever reads the log."""
@@ -153,10 +170,19 @@ def _synchroniser(
     settings: GatewaySettings, links: Sequence[Link], sender: HostSender
 ) -> Synchroniser | None:
     """None where clocks need no exchanges, or none are wanted."""
-    if settings.clock.mode is not ClockMode.ESTIMATED or not settings.clock.sync_rate_hz:
+    estimates = settings.clock.mode in {ClockMode.ESTIMATED, ClockMode.TRIGGER}
+    if not estimates or not settings.clock.sync_rate_hz:
         return None
-    live = [link for link in links if not isinstance(link, ReplayLink)]
-    return Synchroniser(live, sender, 1.0 / settings.clock.sync_rate_hz)
+    return Synchroniser(links, sender, 1.0 / settings.clock.sync_rate_hz)
+
+
+def _triggerer(
+    settings: GatewaySettings, links: Sequence[Link], sender: HostSender, stream: Stream
+) -> Triggerer | None:
+    """None unless the gateway says when to sample."""
+    if stream.triggers is None:
+        return None
+    return Triggerer(links, sender, stream.triggers, settings.clock.trigger_rate_hz)
 
 
 def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:

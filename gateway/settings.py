@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
+from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
 from gateway.reconstruction import RECONSTRUCTORS
 from gateway.settings_files import load_settings
@@ -39,7 +40,8 @@ class ClockSettings(_Strict):
     mode: ClockMode = Field(
         default=ClockMode.ESTIMATED,
         description="estimated: every module has its own crystal; shared: they count one clock already; "
-        "table: rates as measured by `calibrate clocks`",
+        "table: rates as measured by `calibrate clocks`; trigger: the gateway tells modules when to sample "
+        "(they must be set to it: mode 3)",
     )
     table: str | None = Field(
         default=None,
@@ -50,8 +52,21 @@ class ClockSettings(_Strict):
         default=4,
         ge=0,
         le=50,
-        description="for mode estimated: how often all modules are asked for their time, which takes the "
-        "transport's delay out of the clocks of those that answer; 0: never",
+        description="for modes estimated and trigger: how often all modules are asked for their time, which "
+        "takes the transport's delay out of the clocks of those that answer; 0: never",
+    )
+    trigger_rate_hz: float = Field(
+        default=100,
+        ge=1,
+        le=1000,
+        description="for mode trigger: how often all modules are told to sample",
+    )
+    trigger_patience_ms: float = Field(
+        default=250,
+        gt=0,
+        le=10_000,
+        description="for mode trigger: how long an answer is waited for; one that comes later is dropped "
+        "and counts as missed",
     )
 
     @model_validator(mode="after")
@@ -129,6 +144,9 @@ class LogSettings(_Strict):
     """Logging."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
+    format: LogFormat = Field(
+        default="auto", description="human, json (an object a line), or auto: human on a terminal, else json"
+    )
 
 
 class GatewaySettings(_Strict):

@@ -26,6 +26,7 @@ class Synchroniser:
         interval_s: float,
         clock_ns: Callable[[], int] = gateway_time_ns,
     ) -> None:
+        """links: those that are announced to the pipeline; others may join them."""
         self._links = links
         self._sender = sender
         self._interval_s = interval_s

@@ -21,6 +21,7 @@ from gateway.cli.record import record
 from gateway.cli.recordings import info, recordings, recover
 from gateway.cli.replay import replay
 from gateway.cli.run import run
+from gateway.cli.view import view
 from gateway.cli.watch import watch
 from gateway.errors import GatewayError
 
@@ -35,6 +36,7 @@ app.command(epilog="Example: mocap-gateway demo --seconds 20 --rig robot_arm_4")
 app.command(epilog="Example: mocap-gateway run -c config/gateway.yaml")(run)
 app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link /tmp/suit")(emulate)
 app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
+app.command(epilog="Example: mocap-gateway view --port 1883 --page-port 8080")(view)
 app.command(epilog="Example: mocap-gateway record -c my.yaml --name walk")(record)
 app.command(
     epilog="Examples: mocap-gateway replay walk.mcap --speed 2 --embedded; "

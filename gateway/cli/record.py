@@ -14,6 +14,7 @@ from rich.table import Table
 
 from gateway.body.rig import load_rig
 from gateway.cli.run import until_signal
+from gateway.log_format import set_up_logging
 from gateway.service import Service
 from gateway.settings import GatewaySettings, load_gateway_settings
 
@@ -40,7 +41,7 @@ def record(
     recording = settings.recording.model_copy(update={"at_start": True, **wanted})
     settings = settings.model_copy(update={"recording": recording})
     suit = load_rig(settings.rig, config)
-    logging.getLogger().setLevel(settings.log.level.upper())
+    set_up_logging(settings.log.level, settings.log.format)
     service = Service(settings, suit)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))
     status = service.recording.status()
