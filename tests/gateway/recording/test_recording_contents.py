@@ -160,3 +160,27 @@ def test_without_skeleton_frames_there_are_no_arrays(record, arm_chunks):
 def test_names_that_could_mean_another_folder_are_refused(record, name):
     with pytest.raises(RecordingError, match="is no name for a recording"):
         record(name=name)
+
+
+def test_settings_of_another_version_are_left_out_and_named(record, caplog):
+    meta = open_recording(record()).meta
+    plain = json.loads(meta.attachments["gateway.yaml"])
+    newer = plain | {"gloves": 2, "clock": plain["clock"] | {"leap": True}}
+    newer["links"][0]["colour"] = "red"
+    meta.attachments = {**meta.attachments, "gateway.yaml": json.dumps(newer).encode()}
+    assert meta.settings.rig == "robot_arm_4"
+    assert "clock.leap" in caplog.text
+    assert "gloves" in caplog.text
+    assert "links.0.colour" in caplog.text
+
+
+def test_a_configuration_that_cannot_be_is_said_in_a_line(record):
+    meta = open_recording(record()).meta
+    plain = json.loads(meta.attachments["gateway.yaml"])
+    meta.attachments = {
+        **meta.attachments,
+        "gateway.yaml": json.dumps(plain | {"reconstructor": "magic"}).encode(),
+    }
+    with pytest.raises(SettingsError, match=r"'reconstructor': .*no such reconstructor") as error:
+        _ = meta.settings
+    assert "\n" not in str(error.value)
