@@ -52,6 +52,12 @@ class _Commands(LazyGroup):
             "Examples: mocap-gateway replay walk.mcap --speed 2 --embedded; "
             "mocap-gateway replay walk.mcap --verify; mocap-gateway replay walk.mcap --with my_rig.yaml",
         ),
+        "import": LazyCommand(
+            "gateway.cli.import_files:import_files",
+            "Make a recording of other makers' files: Xsens, MVNX, x-IMU3, Movella DOT, OpenSense, any CSV.",
+            "Examples: mocap-gateway import femur.csv tibia.csv -o knee.mcap; "
+            "mocap-gateway import IMUData/ --map myIMUMappings.xml --neutral 0:1 --forward z -o gait.mcap",
+        ),
         "export": LazyCommand(
             "gateway.cli.export:export",
             "Write the poses of a recording as BVH, C3D, glTF, OpenSim .sto and .mot, TRC, CSV or Parquet.",
