@@ -15,7 +15,16 @@ from gateway.body.rig import load_body, load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError, nearest
-from gateway.imports import FORMATS, ReadOptions, Worn, detected, dressed, mapped_segments, read, write_imported
+from gateway.imports import (
+    FORMATS,
+    ReadOptions,
+    Worn,
+    detected,
+    dressed,
+    mapped_segments,
+    read,
+    write_imported,
+)
 from gateway.imports.map_files import read_maps
 from gateway.imports.suits import BODY, aligned
 from gateway.imports.writing import is_fused, settings_of, solved
@@ -26,7 +35,9 @@ FormatName = StrEnum("FormatName", {name: name for name in ("auto", *FORMATS)}) 
 
 
 def import_files(
-    files: Annotated[list[Path], typer.Argument(help="Files, one a module where the maker has it so; or folders.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Files, one a module where the maker has it so; or folders.")
+    ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The recording; else NAME.mcap in this folder.")
     ] = None,
@@ -35,26 +46,35 @@ def import_files(
     ] = FormatName("auto"),
     maps: Annotated[
         list[str] | None,
-        typer.Option("--map", help="NAME=SEGMENT, a YAML file of such lines, or OpenSense's XML. Repeatable."),
+        typer.Option(
+            "--map", help="NAME=SEGMENT, a YAML file of such lines, or OpenSense's XML. Repeatable."
+        ),
     ] = None,
     columns: Annotated[Path | None, typer.Option(help="For csv: map of its columns (YAML).")] = None,
-    body: Annotated[str | None, typer.Option(help=f"Body, name or file; else what is worn of {BODY}.")] = None,
+    body: Annotated[
+        str | None, typer.Option(help=f"Body, name or file; else what is worn of {BODY}.")
+    ] = None,
     rig: Annotated[str | None, typer.Option(help="Rig, name or file, instead of any map.")] = None,
     reconstructor: Annotated[
         str | None, typer.Option(help="Method; else independent, or fused where only orientations came.")
     ] = None,
     neutral: Annotated[
-        str | None, typer.Option(metavar="FROM:TO", help="Seconds in which the wearer stood upright, arms down.")
+        str | None,
+        typer.Option(metavar="FROM:TO", help="Seconds in which the wearer stood upright, arms down."),
     ] = None,
     forward: Annotated[
         Literal["x", "y", "z", "-x", "-y", "-z"] | None,
         typer.Option(help="With --neutral: axis of the root's module that points forward."),
     ] = None,
-    rate: Annotated[float | None, typer.Option(min=0.1, help="Samples a second, where files do not tell.")] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.1, help="Samples a second, where files do not tell.")
+    ] = None,
     align: Annotated[
         Literal["stamps", "start"], typer.Option(help="Modules by their time stamps, or all begin together.")
     ] = "stamps",
-    partial: Annotated[bool, typer.Option("--partial", help="Take what comes before the first damage.")] = False,
+    partial: Annotated[
+        bool, typer.Option("--partial", help="Take what comes before the first damage.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
     """Make a recording of other makers' files: Xsens, MVNX, x-IMU3, Movella DOT, OpenSense, any CSV.

@@ -64,6 +64,17 @@ class _Commands(LazyGroup):
             "Examples: mocap-gateway export walk.mcap --to bvh; "
             "mocap-gateway export walk.mcap --to c3d --to csv -o exports/ --axes y-up --unit mm",
         ),
+        "report": LazyCommand(
+            "gateway.cli.report:report",
+            "Write one HTML page: loss and clocks by module, status, orientations, joint angles, events.",
+            "Example: mocap-gateway report walk.mcap -o walk.html",
+        ),
+        "batch": LazyCommand(
+            "gateway.cli.batch:batch",
+            "Export, report or re-solve every recording of a folder, on all cores or on a Dask cluster.",
+            "Examples: mocap-gateway batch recordings/ --to report --to csv -o results/; "
+            "mocap-gateway batch recordings/ --to bvh --with my_rig.yaml --dask tcp://head:8786",
+        ),
         "diff": LazyCommand(
             "gateway.cli.diff:diff",
             "Compare the poses of two recordings: angle between the orientations, by segment.",

@@ -88,7 +88,9 @@ def reduced(skeleton: Skeleton, worn: list[int]) -> Skeleton:
     )
 
 
-def aligned(suit: WornSuit, seen: SkeletonArrays, start_s: float, end_s: float, forward: str | None) -> WornSuit:
+def aligned(
+    suit: WornSuit, seen: SkeletonArrays, start_s: float, end_s: float, forward: str | None
+) -> WornSuit:
     """The suit whose wearer stood in the neutral posture from ``start_s`` to ``end_s``.
 
     seen: poses solved with the suit as it was. forward: axis of the root's module that pointed to where the
