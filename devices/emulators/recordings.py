@@ -97,17 +97,21 @@ class Recording:
     @property
     def module_ids(self) -> tuple[int, ...]:
         """Modules, in order: those with raw readings, then those with orientations alone."""
-        return tuple(dict.fromkeys(track.module for track in (*self.modules, *self.fused)))
+        return tuple(dict.fromkeys(track.module for track in self._tracks))
 
     @property
     def names(self) -> dict[int, str]:
         """What each module is called."""
-        return {track.module: track.name for track in (*self.fused, *self.modules)}
+        return {track.module: track.name for track in self._tracks}
+
+    @property
+    def _tracks(self) -> tuple[ModuleTrack | FusedTrack, ...]:
+        return (*self.modules, *self.fused)
 
     @property
     def duration_s(self) -> float:
         """Time of the last sample of any module, s."""
-        return max(float(track.times[-1]) for track in (*self.modules, *self.fused))
+        return max(float(track.times[-1]) for track in self._tracks)
 
     def reference(self, name: str) -> ReferenceTrack:
         """Reference of a segment by name. Raises ``KeyError`` naming those there are."""

@@ -17,7 +17,7 @@ _MOST_GAPS = 20
 
 
 def unwrapped(counter: FloatArray, bits: int, path: Path, column: str) -> IntArray:
-    """(n,) counter that goes on where it wrapped. Raises ``FormatError`` where it stands still or is absent."""
+    """(n,) counter that goes on where it wrapped. Raises ``FormatError`` where it stands still."""
     if not np.isfinite(counter).all():
         raise FormatError(f"{path}: row {_first(~np.isfinite(counter))} has no '{column}'")
     whole = counter.astype(np.int64)
@@ -27,7 +27,7 @@ def unwrapped(counter: FloatArray, bits: int, path: Path, column: str) -> IntArr
         raise FormatError(f"{path}: row {_first(steps == 0) + 1} has the same '{column}' as the one before")
     if (steps > size // 2).any():
         raise FormatError(f"{path}: row {_first(steps > size // 2) + 1}: '{column}' goes back")
-    return whole[0] + np.concatenate([[0], np.cumsum(steps)])
+    return np.concatenate([whole[:1], whole[0] + np.cumsum(steps)])
 
 
 def index_of_times(times: FloatArray, path: Path) -> IntArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from os.path import commonprefix
 from pathlib import Path
 
 from devices.vendor_formats.sheets import FormatError
@@ -16,9 +15,13 @@ MOST_MODULES = 60
 def labels_of(paths: Sequence[Path]) -> list[str]:
     """A name for each file: its stem without what all have in common, cut between words."""
     stems = [path.stem for path in paths]
-    shared = commonprefix(stems) if len(stems) > 1 else ""
-    shared = shared[: len(shared) - len(re.split(r"[_\- ]", shared)[-1])]
-    return [stem.removeprefix(shared) or stem for stem in stems]
+    words = [re.split(r"(?<=[_\- ])", stem) for stem in stems]
+    shared = 0
+    while len(stems) > 1 and all(len(each) > shared + 1 for each in words):
+        if len({each[shared] for each in words}) > 1:
+            break
+        shared += 1
+    return ["".join(each[shared:]) for each in words]
 
 
 def refuse_repeats(labels: Sequence[str]) -> None:

@@ -57,7 +57,7 @@ def read_mvnx(path: Path, *, partial: bool = False) -> Recording:
         raise FormatError(f"{path} cannot be read: {error.strerror}") from error
     if len(found.orientations) < 2:
         raise FormatError(
-            f"{path}: {len(found.orientations)} frames with <orientation>; export it from MVN with orientations"
+            f"{path}: {len(found.orientations)} frames have an <orientation>: export it from MVN with them"
         )
     return _recording(path, found, note)
 

@@ -18,7 +18,7 @@ _SHOWN = 40
 
 
 class FormatError(RecordingError):
-    """A file that is not what its format promises; ``str(error)`` says where, what was found, what would do."""
+    """A file that is not what its format promises; ``str(error)`` says where, what, and the remedy."""
 
 
 @dataclass
@@ -45,6 +45,8 @@ class Sheet:
                 f"there are {', '.join(self.names)}"
             )
         at = [self.names.index(name) for name in wanted]
+        if not self.rows:
+            raise FormatError(f"{self.path} has no row of numbers below line {len(self.preamble) + 1}")
         try:
             table: FloatArray = np.loadtxt(
                 self.rows, delimiter=self.delimiter, usecols=at, ndmin=2, comments=None

@@ -114,11 +114,11 @@ def _client(address: str) -> Any:
             "a Dask cluster needs the extra 'dask': pip install 'mocap-gateway[dask]'"
         ) from None
     try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+        client = Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
         client.wait_for_workers(1, timeout=_CONNECT_S)
     except (OSError, TimeoutError, ValueError) as error:
         raise GatewayError(
-            f"no Dask scheduler with a worker at {address} ({type(error).__name__}): start `dask scheduler` and "
-            "`dask worker`, or leave out --dask"
+            f"no Dask scheduler with a worker at {address} ({type(error).__name__}): start `dask scheduler` "
+            "and `dask worker`, or leave out --dask"
         ) from error
     return client

@@ -49,8 +49,8 @@ def batch(
     """Export, report or re-solve every recording of a folder, on all cores or on a Dask cluster.
 
     Started again it goes on where it was: manifest.jsonl beside the results tells what is done. A recording
-    that fails stops no other: failures are listed, and the exit code is then 3. Workers of a cluster need this
-    program and the same paths. `--to report` needs the extra `plot`, `--dask` the extra `dask`.
+    that fails stops no other: failures are listed, and the exit code is then 3. Workers of a cluster need
+    this program and the same paths. `--to report` needs the extra `plot`, `--dask` the extra `dask`.
     """
     if reconstructor is not None and reconstructor not in RECONSTRUCTORS:
         raise SettingsError(f"no reconstructor '{reconstructor}'{nearest(reconstructor, RECONSTRUCTORS)}")

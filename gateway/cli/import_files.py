@@ -146,8 +146,8 @@ def _aligned(
 def _place(suit: WornSuit, module: int) -> str | None:
     if module not in suit.module_ids:
         return None
-    row = suit.module_ids.index(module)
-    return suit.skeleton.segment_names[suit.module_of_segment.tolist().index(row)]
+    segment = suit.module_of_segment.tolist().index(suit.module_ids.index(module))
+    return str(suit.skeleton.segment_names[segment])
 
 
 def _tell(outcome: dict[str, object], as_json: bool) -> None:

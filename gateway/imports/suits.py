@@ -103,7 +103,7 @@ def aligned(
         )
     carried = np.flatnonzero(suit.module_of_segment >= 0)
     neutral = Rotation.from_quat(suit.skeleton.neutral, scalar_first=True)
-    means = {int(s): _mean(suit, seen.q_wb[rows, s], s) for s in carried}
+    means = {s: _mean(suit, seen.q_wb[rows, s], s) for s in carried.tolist()}
     heading = _heading(means[int(carried[0])], forward)
     alignment = suit.sensor_to_segment.copy()
     for segment, q_ws in means.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,18 +24,15 @@ _SHORTEST_BIN_S = 0.5
 _LONGEST_EVENTS = 200
 
 
-@dataclass
 class ModuleFindings:
     """One module over time. Arrays have one element a bin of time; NaN before its first packet."""
 
-    module: int
-    segment: str
-    lost: FloatArray
-    received: FloatArray
-    clock_ppm: FloatArray
-    residual_us: FloatArray
-    totals: dict[str, Any] = field(default_factory=dict)
-    """As in ``bridge/health``, at the end."""
+    def __init__(self, module: int, segment: str, bins: int) -> None:
+        self.module = module
+        self.segment = segment
+        self.lost, self.received, self.clock_ppm, self.residual_us = np.full((4, bins), np.nan)
+        self.totals: dict[str, Any] = {}
+        """As in ``bridge/health``, at the end."""
 
     @property
     def loss_percent(self) -> float:
@@ -110,8 +107,7 @@ class _Modules:
         for module, record in self._stream.modules.items() if self._stream else ():
             found = self.found.get(module)
             if found is None:
-                empty = [np.full(self._bins, np.nan) for _ in range(4)]
-                found = ModuleFindings(module, self._names.get(module, ""), *empty)
+                found = ModuleFindings(module, self._names.get(module, ""), self._bins)
                 self.found[module] = found
             lost, received = self._before.get(module, (0, 0))
             figures = record.clock.figures()
@@ -146,13 +142,14 @@ def gather(recording: Recording, progress: Progress | None = None) -> Findings:
         elif isinstance(item, RecordedStatistics):
             totals = item.values
     modules.look()
+    bin_times_s = np.linspace(0.5, bins - 0.5, bins) * np.float64(bin_s)
     arrays = arrays_of(poses.kept, suit.skeleton) if suit else None
     summary.modules = summary.modules or _counts(totals)
     return Findings(
         recording=recording,
         summary=summary,
         suit=suit,
-        bin_times_s=(np.arange(bins) + 0.5) * bin_s,
+        bin_times_s=bin_times_s,
         modules=[modules.found[module] for module in sorted(modules.found)],
         events=events[:_LONGEST_EVENTS],
         more_events=max(len(events) - _LONGEST_EVENTS, 0),

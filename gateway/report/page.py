@@ -18,12 +18,14 @@ from gateway.report.gathering import Findings, ModuleFindings
 from gateway.stream import ClockMode
 
 _STYLE = """
-body{font:14px/1.45 system-ui,sans-serif;color:#1c2733;max-width:1060px;margin:2em auto;padding:0 1.5em}
+body{font:14px/1.45 system-ui,sans-serif;color:#1c2733;max-width:1060px;margin:2em auto;
+padding:0 1.5em}
 h1{font-size:1.7em;margin:0 0 .1em}h2{font-size:1.15em;border-bottom:2px solid #1f6fb2;margin:1.8em 0 .6em}
 .sub{color:#5b6b7b;margin:0 0 1.2em}.tiles{display:flex;flex-wrap:wrap;gap:.7em}
 .tile{background:#f1f5f9;border-radius:6px;padding:.5em .9em;min-width:7em}
 .tile b{display:block;font-size:1.35em}.tile span{color:#5b6b7b;font-size:.85em}
-table{border-collapse:collapse;width:100%;font-size:12.5px}td,th{padding:.22em .55em;border-bottom:1px solid #dde4ea;
+table{border-collapse:collapse;width:100%;font-size:12.5px}
+td,th{padding:.22em .55em;border-bottom:1px solid #dde4ea;
 text-align:right}th{color:#5b6b7b;font-weight:600}td.t,th.t{text-align:left}
 .warn{background:#fff3cd;border-left:4px solid #e0a800;padding:.5em .9em;margin:.8em 0}
 img{width:100%;height:auto}pre{background:#f6f8fa;padding:.8em;font-size:11px;white-space:pre-wrap}
@@ -135,8 +137,9 @@ def _module_row(module: ModuleFindings) -> list[str]:
     return [
         str(module.module), module.segment, str(totals.get("received", "")), str(totals.get("lost", "")),
         f"!{loss}" if module.loss_percent > _BAD_LOSS_PERCENT else loss, gaps[-1] if gaps else "–",
-        str(totals.get("duplicates", "")), str(totals.get("restarts", "")), f"{totals.get('clock_ppm', 0):+.1f}",
-        f"{residual_ms:.2f}", str(totals.get("battery_percent", "–")), str(totals.get("firmware_version", "–")),
+        str(totals.get("duplicates", "")), str(totals.get("restarts", "")),
+        f"{totals.get('clock_ppm', 0):+.1f}", f"{residual_ms:.2f}", str(totals.get("battery_percent", "–")),
+        str(totals.get("firmware_version", "–")),
     ]  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 from collections.abc import Sequence
 from typing import Any
@@ -24,10 +25,8 @@ _LINES = ("#1f6fb2", "#e07a1f", "#4f9d4f")
 
 def require_matplotlib() -> None:
     """Raises ``GatewayError`` where the extra is not installed."""
-    try:
-        import matplotlib as _  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise GatewayError("a report needs the extra 'plot': pip install 'mocap-gateway[plot]'") from None
+    if importlib.util.find_spec("matplotlib") is None:
+        raise GatewayError("a report needs the extra 'plot': pip install 'mocap-gateway[plot]'")
 
 
 def loss(found: Findings) -> bytes:
@@ -37,8 +36,8 @@ def loss(found: Findings) -> bytes:
     with np.errstate(invalid="ignore", divide="ignore"):
         share = 100.0 * np.array([module.lost for module in found.modules]) / sent
     ceiling = max(float(np.nanmax(share, initial=0.0)), 1.0)
-    image = axes[0].imshow(share, aspect="auto", cmap="YlOrRd", vmin=0, vmax=ceiling, extent=_extent(found, share),
-                           interpolation="nearest")  # fmt: skip
+    image = axes[0].imshow(share, aspect="auto", cmap="YlOrRd", vmin=0, vmax=ceiling,
+                           extent=_extent(found, share), interpolation="nearest")  # fmt: skip
     axes[0].set_yticks(range(len(found.modules)), [_label(module) for module in found.modules], fontsize=7)
     axes[0].set_xlabel("s")
     figure.colorbar(image, ax=axes[0], label="lost, %", pad=0.01)
@@ -122,7 +121,8 @@ def _heading_pitch_roll(poses: SkeletonArrays) -> FloatArray:
     for s in range(shape[1]):
         whole = np.isfinite(angles[:, s, 0])
         angles[whole, s] = np.unwrap(angles[whole, s], axis=0)
-    return np.degrees(angles)
+    degrees: FloatArray = np.degrees(angles)
+    return degrees
 
 
 def _small_multiples(times: FloatArray, panels: Sequence[tuple[str, FloatArray, tuple[str, ...]]]) -> bytes:
