@@ -1,4 +1,4 @@
-"""``python -m benchmarks accuracy|speed|latency|clock|record|all``."""
+"""``python -m benchmarks accuracy|speed|latency|clock|record|batch|all``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, clock, latency, record, speed
+from benchmarks import accuracy, batch, clock, latency, record, speed
 from benchmarks.figures import Report, write_docs
 
 SUITES: dict[str, Callable[[], Report]] = {
@@ -16,6 +16,7 @@ SUITES: dict[str, Callable[[], Report]] = {
     "latency": latency.run,
     "clock": clock.run,
     "record": record.run,
+    "batch": batch.run,
 }
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 

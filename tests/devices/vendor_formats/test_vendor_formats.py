@@ -268,7 +268,7 @@ def test_whatever_is_cut_or_changed_gives_a_recording_or_one_clear_line(tmp_path
     try:
         recording = read(path, data.draw(st.booleans(), label="partial"))
     except FormatError as error:
-        assert "\n" not in str(error)
+        assert "\n" not in str(error)  # noqa: PT017 - either outcome is right
     else:
         assert isinstance(recording, Recording)
         assert list(play(recording))

@@ -36,11 +36,10 @@ def here(monkeypatch):
     monkeypatch.setattr("gateway.cli.batch.run_jobs", run)
 
 
-def test_results_are_those_of_the_single_commands(sessions, typed, tmp_path):
-    """By the byte, also through two processes, and for poses solved anew."""
+def test_results_are_those_of_the_single_commands(sessions, typed, tmp_path, here):
+    """By the byte, also for poses solved anew."""
     out = tmp_path / "out"
-    code, told = typed("batch", sessions, "--to", "csv", "--to", "report", "--to", "mcap", "--workers", 2,
-                       "-o", out, "--json")  # fmt: skip
+    code, told = typed("batch", sessions, "--to", "csv", "--to", "report", "--to", "mcap", "-o", out, "--json")  # fmt: skip
     assert (code, told["done"], list(told["failed"])) == (3, 3, ["bad.mcap"])
     assert "is no recording" in told["failed"]["bad.mcap"]
     assert "was not closed" in told["notes"]["cut.mcap"]
@@ -113,6 +112,7 @@ class _Deadly(Job):
         return os._exit, (9,)
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_costs_its_own_recording_only(sessions, tmp_path):
     task = Task(("sto",))
     jobs = jobs_in(sessions, tmp_path / "out", task)

@@ -105,7 +105,7 @@ def test_mvnx_keeps_its_segments_and_its_axes(typed, tmp_path):
 def test_nothing_that_is_no_recording_is_taken_for_one(typed, tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(b"\x00\x01" * 20)
-    with pytest.raises(FormatError, match="no format that is known.*name one with --format"):
+    with pytest.raises(FormatError, match=r"no format that is known.*name one with --format"):
         typed("import", path)
     with pytest.raises(FormatError, match="cannot be read: No such file"):
         typed("import", tmp_path / "absent.txt")
