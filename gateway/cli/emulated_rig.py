@@ -14,6 +14,7 @@ from devices.emulators.motions import (
     robot_arm_motion,
     walking_motion,
 )
+from devices.emulators.tumbling import TumblingMotion
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import Quantity
 
@@ -55,6 +56,11 @@ def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> E
 def move(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
     """A motion that suits the body: walking for people, swinging for pendulums."""
     return MOTIONS.get(body_name, generic_motion)(body, seed)
+
+
+def tumble(body: EmulatedBody, _body_name: str, seed: int) -> BodyMotion:
+    """The suit in a box that is put on all sides and turned: for calibrating sensors."""
+    return TumblingMotion(body, seed)
 
 
 def _local_device(device: LocalDevice, sigma: float) -> EmulatedLocalDevice:

@@ -11,6 +11,7 @@ import gateway
 from devices.device_errors import DeviceError
 from devices.link import LinkError
 from gateway.cli.calibrate_clocks import calibrate_app
+from gateway.cli.calibrate_sensors import sensors as calibrate_sensors
 from gateway.cli.configuration import config_app
 from gateway.cli.demo import demo
 from gateway.cli.doctor import doctor
@@ -33,6 +34,9 @@ app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link
 app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
 app.command(epilog="Example: mocap-gateway doctor -c config/gateway.yaml")(doctor)
 app.add_typer(modules_app, name="modules")
+calibrate_app.command(
+    "sensors", epilog="Example: mocap-gateway calibrate sensors --link /dev/ttyUSB0 --rig suit_17 -o mine.yaml"
+)(calibrate_sensors)
 app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(config_app, name="config")
 
