@@ -123,7 +123,7 @@ ROUGH = Imperfections(
 UNCALIBRATED = replace(
     TYPICAL,
     accelerometer_bias=0.3,
-    gyrometer_bias=math.radians(2.0),
+    gyrometer_bias=math.radians(1.0),
     magnetometer_bias=15.0,
     scale=0.03,
 )

@@ -24,9 +24,11 @@ TURNS = 60
 """Random turns without rest after the positions; then all begins anew."""
 
 _SIDES = (
-    *((axis, angle) for axis in "xyz" for angle in (0, 90, 180, 270)),
-    *(("xy", (45, angle)) for angle in (45, 135, 225, 315)),
+    *(("xy", (angle, 0)) for angle in (0, 90, 180, 270)),
+    *(("xy", (0, angle)) for angle in (90, 270)),
+    *(("xy", (angle, lean)) for lean in (35, -35) for angle in (45, 135, 225, 315)),
 )
+"""Six sides and eight corners: rotations about x, then y, degrees."""
 
 
 @dataclass(frozen=True)
