@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
+from gateway.body.skeleton import Interpolation, LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
 from gateway.settings_files import find_file, load_settings
@@ -26,6 +26,13 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class SegmentInterpolation(_Strict):
+    """Where a segment without module is: between two others."""
+
+    between: tuple[str, str] = Field(description="two segments with modules")
+    fraction: float = Field(ge=0, le=1, description="of the way from the first to the second")
+
+
 class BodySegment(_Strict):
     """One rigid segment."""
 
@@ -33,6 +40,12 @@ class BodySegment(_Strict):
     parent: str | None = Field(description="segment it is joined to; null for the root")
     joint: Vector = Field(default=(0, 0, 0), description="proximal joint in the parent's axes, m")
     tip: Vector = Field(description="where the segment ends, own axes, m")
+    contacts: list[Vector] = Field(
+        default=[], description="points that carry the body on the ground (heel, ball), own axes, m"
+    )
+    interpolate: SegmentInterpolation | None = Field(
+        default=None, description="what a segment without module follows; its parent if left out"
+    )
 
 
 class BodyFile(_Strict):
@@ -107,6 +120,7 @@ def load_body(name: str, beside: Path | None = None) -> Skeleton:
         if segment.name in names[:position]:
             raise SettingsError(f"{path}: segment '{segment.name}' stands twice")
         parents.append(_parent_index(path, segment, names[:position]))
+    _refuse_unknown_neighbours(path, body)
     return _skeleton(body, names, parents)
 
 
@@ -133,7 +147,28 @@ def _skeleton(body: BodyFile, names: list[str], parents: list[int]) -> Skeleton:
         offsets=np.array([segment.joint for segment in body.segments], dtype=np.float64),
         tips=np.array([segment.tip for segment in body.segments], dtype=np.float64),
         neutral=np.array(body.neutral) / np.linalg.norm(body.neutral),
+        contacts=tuple(
+            (s, np.array(point, dtype=np.float64))
+            for s, segment in enumerate(body.segments)
+            for point in segment.contacts
+        ),
+        interpolations=tuple(
+            Interpolation(s, *(names.index(name) for name in rule.between), rule.fraction)
+            for s, segment in enumerate(body.segments)
+            if (rule := segment.interpolate) is not None
+        ),
     )
+
+
+def _refuse_unknown_neighbours(path: Path, body: BodyFile) -> None:
+    names = [segment.name for segment in body.segments]
+    for segment in body.segments:
+        for neighbour in segment.interpolate.between if segment.interpolate else ():
+            if neighbour not in names or neighbour == segment.name:
+                raise SettingsError(
+                    f"{path}: '{segment.name}' is interpolated from '{neighbour}', which is no other "
+                    "segment of this body" + nearest(neighbour, names)
+                )
 
 
 def load_rig(name: str, beside: Path | None = None) -> WornSuit:

@@ -14,6 +14,17 @@ from gateway.frames import FloatArray, IntArray, Quantity
 
 
 @dataclass(frozen=True)
+class Interpolation:
+    """A segment whose orientation lies between those of two others."""
+
+    segment: int
+    first: int
+    second: int
+    fraction: float
+    """Of the way from the first to the second."""
+
+
+@dataclass(frozen=True)
 class Skeleton:
     """Rigid segments joined in a tree."""
 
@@ -28,6 +39,10 @@ class Skeleton:
     """(n_segments, 3) where the segment ends (its distal joint or tip), in its own axes, m."""
     neutral: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
     """(4,) ``q_wb`` of every segment in the neutral posture, facing east."""
+    contacts: tuple[tuple[int, FloatArray], ...] = ()
+    """Points that carry the body on the ground: segment, and (3,) from its proximal joint, own axes, m."""
+    interpolations: tuple[Interpolation, ...] = ()
+    """How segments without module follow others; those that have no rule follow their parent."""
 
     @property
     def n_segments(self) -> int:

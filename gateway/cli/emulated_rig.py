@@ -9,10 +9,10 @@ import numpy as np
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, EmulatedLocalDevice, emulated_body
 from devices.emulators.motions import (
     BodyMotion,
+    gait_motion,
     generic_motion,
     pendulum_motion,
     robot_arm_motion,
-    walking_motion,
 )
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import Quantity
@@ -20,7 +20,8 @@ from gateway.frames import Quantity
 LOCAL_RATE_HZ = 100.0
 
 MOTIONS: dict[str, Callable[[EmulatedBody, int], BodyMotion]] = {
-    "human_17": walking_motion,
+    "human_17": gait_motion,
+    "human_23": gait_motion,
     "pendulum_3": pendulum_motion,
     "robot_arm_4": robot_arm_motion,
 }
@@ -48,6 +49,7 @@ def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> E
             for device in suit.local_devices
             if device.device is not None
         ),
+        contacts=skeleton.contacts,
     )
 
 
