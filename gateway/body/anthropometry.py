@@ -79,6 +79,8 @@ def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skel
     ``where``, for a length that the body does not have.
     """
     offsets, tips, stature = skeleton.offsets.copy(), skeleton.tips.copy(), skeleton.stature_m
+    points = np.array([point for _, point in skeleton.contacts]).reshape(-1, 3)
+    carriers = np.array([segment for segment, _ in skeleton.contacts], dtype=np.int64)
     if subject.height_m is not None:
         if stature is None:
             raise SettingsError(
@@ -87,6 +89,7 @@ def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skel
             )
         offsets *= subject.height_m / stature
         tips *= subject.height_m / stature
+        points *= subject.height_m / stature
         stature = subject.height_m
     for name, length in subject.lengths.items():
         if name in WIDTHS and set(WIDTHS[name]) <= set(skeleton.segment_names):
@@ -95,10 +98,12 @@ def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skel
             ratio = length / float(np.linalg.norm(tips[segment]))
             tips[segment] *= ratio
             offsets[skeleton.parents == segment] *= ratio
+            points[carriers == segment] *= ratio
     for name, pair in WIDTHS.items():
         if name in subject.lengths and set(pair) <= set(skeleton.segment_names):
             _set_width(skeleton, offsets, tips, pair, subject.lengths[name])
-    return replace(skeleton, offsets=offsets, tips=tips, stature_m=stature)
+    contacts = tuple(zip(carriers.tolist(), points, strict=True))
+    return replace(skeleton, offsets=offsets, tips=tips, contacts=contacts, stature_m=stature)
 
 
 def segment_masses(skeleton: Skeleton, mass_kg: float, sex: str | None = None) -> FloatArray:

@@ -97,6 +97,9 @@ def scale(
         segment["tip"] = np.round(skeleton.tips[i], 6).tolist()
         if segment.get("parent") is not None:
             segment["joint"] = np.round(skeleton.offsets[i], 6).tolist()
+        points = [point for carrier, point in skeleton.contacts if carrier == i]
+        if points:
+            segment["contacts"] = np.round(points, 6).tolist()
     _write(output, f"# {path.stem}, scaled.\n", content, force)
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, EmulatedLocalDevice, emulated_body
 from devices.emulators.motions import (
     BodyMotion,
+    gait_motion,
     generic_motion,
     pendulum_motion,
     robot_arm_motion,
-    walking_motion,
 )
 from devices.emulators.tumbling import TumblingMotion
 from gateway.body.skeleton import LocalDevice, WornSuit
@@ -21,8 +21,9 @@ from gateway.frames import Quantity
 LOCAL_RATE_HZ = 100.0
 
 MOTIONS: dict[str, Callable[[EmulatedBody, int], BodyMotion]] = {
-    "human_17": walking_motion,
-    "lower_body_7": walking_motion,
+    "human_17": gait_motion,
+    "human_23": gait_motion,
+    "lower_body_7": gait_motion,
     "pendulum_3": pendulum_motion,
     "robot_arm_4": robot_arm_motion,
 }
@@ -50,6 +51,7 @@ def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> E
             for device in suit.local_devices
             if device.device is not None
         ),
+        contacts=skeleton.contacts,
     )
 
 
