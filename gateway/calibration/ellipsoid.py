@@ -21,6 +21,8 @@ from scipy.optimize import least_squares
 from gateway.calibration.coverage import coverage
 from gateway.frames import FloatArray, IntArray
 
+_ROUNDS = 3
+
 
 class Shape(Enum):
     """What the matrix may be, by the number of its parameters."""
@@ -84,8 +86,12 @@ def fit_ellipsoid(readings: FloatArray, strength: float, shape: Shape = Shape.SY
         return np.linalg.norm((readings - bias) @ matrix.T, axis=1) / strength - 1.0
 
     start = np.concatenate([start_bias / strength, _packed(start_matrix, shape, rows, columns)])
-    noise = max(1.4826 * float(np.median(np.abs(residuals(start)))), 1e-4)
-    solved = least_squares(residuals, start, loss="soft_l1", f_scale=3.0 * noise, x_scale="jac", max_nfev=200)
+    for _ in range(_ROUNDS):  # as the fit gets better, so does the estimate of what is an outlier
+        noise = max(1.4826 * float(np.median(np.abs(residuals(start)))), 1e-4)
+        solved = least_squares(
+            residuals, start, loss="cauchy", f_scale=3.0 * noise, x_scale="jac", max_nfev=60
+        )
+        start = solved.x
     matrix, bias = unpack(solved.x)
     corrected = (readings - bias) @ matrix.T
     left = residuals(solved.x)
