@@ -16,6 +16,7 @@ from devices.emulators.recording_formats import (
     read_broad,
     read_hipose_mtw17,
     read_repoimu_pendulum,
+    read_repoimu_tstick,
     read_ring_chain5,
 )
 from devices.emulators.recordings import Recording
@@ -25,7 +26,11 @@ from gateway.frames import FloatArray
 STRENGTH_UT = 50.0
 ERGOWEAR_RATE_HZ = 100.0
 RIOT_RATE_HZ = 200.0
+BROAD_INTERVAL_S = 0.0035
 SYNTHETIC = 200
+HARD = np.array([22.0, -15.0, 30.0])
+SOFT = np.array([[1.10, 0.04, -0.03], [0.02, 0.93, 0.05], [-0.05, 0.03, 1.02]])
+"""Iron added to the real readings of a calibrated module (`broad_distorted`)."""
 
 
 def run() -> Report:
@@ -104,14 +109,17 @@ def _recordings() -> Iterator[tuple[str, str, FloatArray, float]]:
         ("hipose_mtw17", read_hipose_mtw17, DATA / "hipose_mtw17"),
         ("ring_chain5", read_ring_chain5, DATA / "ring_chain5" / "trial1"),
         ("repoimu_pendulum", read_repoimu_pendulum, DATA / "repoimu_pendulum"),
+        *(("tstick", read_repoimu_tstick, trial) for trial in sorted((DATA / "repoimu_tstick").glob("*.csv"))),
         *(("broad", read_broad, trial) for trial in sorted((DATA / "broad").glob("*.mat"))),
     ]
     for source, read, place in sources:
         if place.exists():
             recording: Recording = read(place)
             for track in recording.modules:
-                name = place.stem if source == "broad" else track.name
+                name = place.stem if len(recording.modules) == 1 else track.name
                 yield source, name, track.magnetic_field, recording.sampling_rate_hz
+                if source == "broad":
+                    yield "broad_distorted", name, track.magnetic_field @ SOFT.T + HARD, 1.0 / BROAD_INTERVAL_S
 
 
 def _riot(path: Path) -> Iterator[tuple[str, str, FloatArray, float]]:

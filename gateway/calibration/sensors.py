@@ -19,6 +19,7 @@ FEWEST_POSITIONS = 6
 WANTED_COVERAGE = 0.75
 """Share of directions that the magnetometer should have seen."""
 _SYMMETRIC_COVERAGE = 0.4  # below it the ellipsoid is not determined: a sphere is fitted
+_LARGEST_SCALE = 2.0  # a sphere of another size is a patch of one that was guessed
 _A_CELL = 12  # readings of each cell that are used
 _NEW_POSITION = np.cos(np.radians(15.0))
 
@@ -172,6 +173,10 @@ def magnetometer_ellipsoid(readings: FloatArray, strength: float) -> EllipsoidRe
     centre = 0.5 * (readings.min(axis=0) + readings.max(axis=0))
     chosen = evenly(readings, centre, _A_CELL)
     fit = fit_ellipsoid(chosen, strength, Shape.SCALE)
+    if not 1.0 / _LARGEST_SCALE < fit.matrix[0, 0] < _LARGEST_SCALE:
+        raise ValueError(
+            "it was turned too little, or in a field that varies: turn it about all its axes, away from iron"
+        )
     if fit.coverage >= _SYMMETRIC_COVERAGE:
         fit = fit_ellipsoid(evenly(readings, fit.bias, _A_CELL), strength)
     return EllipsoidResult(fit, len(chosen), _magnetometer_quality(fit, chosen, strength))
