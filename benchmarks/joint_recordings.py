@@ -86,7 +86,9 @@ def joint_trial(recording: Recording, still: tuple[float, float], reconstructor:
     turned = _common_heading(q_ws, q_ref, is_still, index, has_field=bool(recording.modules[0].sensors[2:]))
     reference = joint_angles(suit.skeleton, _as_segments(q_ref, is_still, facing, suit.skeleton))
     found = joint_angles(suit.skeleton, _as_segments(turned, is_still, facing, suit.skeleton))
-    return JointTrial(recording.name, suit.skeleton, reference[times > still[1]], found[times > still[1]], still[1])
+    return JointTrial(
+        recording.name, suit.skeleton, reference[times > still[1]], found[times > still[1]], still[1]
+    )
 
 
 def hipose(folder: Path) -> JointTrial:

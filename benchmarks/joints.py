@@ -38,7 +38,9 @@ def run() -> Report:
         known = errors[np.isfinite(errors)]
         name = trial.name
         report.figures += [
-            Figure(f"{name}_joint_median_deg", float(np.median(known)), "°", PUBLISHED, f"median angle, {what}"),
+            Figure(
+                f"{name}_joint_median_deg", float(np.median(known)), "°", PUBLISHED, f"median angle, {what}"
+            ),
             Figure(f"{name}_joint_worst_deg", float(known.max()), "°", "", f"worst angle, {what}"),
         ]
     return report
@@ -59,7 +61,11 @@ def _trials() -> Iterator[tuple[JointTrial, str]]:
     sources = [
         ("ring_chain5/trial1", _ring, "five links with optical reference, `independent`"),
         ("hipose_mtw17", hipose, "our reconstruction of raw readings against the vendor's (not a truth)"),
-        ("qmt_fullbody16/full_body_example_data.mat", _qmt, "no magnetometer, against the set's orientations"),
+        (
+            "qmt_fullbody16/full_body_example_data.mat",
+            _qmt,
+            "no magnetometer, against the set's orientations",
+        ),
     ]
     for path, read, what in sources:
         if (DATA / path).exists():
@@ -90,13 +96,15 @@ def _ring(trial: Path) -> JointTrial:
     recording, suit = read_ring_chain5(trial), load_rig("chain_5")
     times, q_wb = orientations(solve(recording, suit, "independent"), 0.0)
     q_ref = np.stack([reference_at(times, reference) for reference in recording.references], axis=1)
-    known = np.isfinite(q_ref).all(axis=(1, 2)) & np.isfinite(q_wb).all(axis=(1, 2)) & (times >= METAL_TABLE_S)
+    known = (
+        np.isfinite(q_ref).all(axis=(1, 2)) & np.isfinite(q_wb).all(axis=(1, 2)) & (times >= METAL_TABLE_S)
+    )
     aligned = np.stack([align(q_wb[known, i], q_ref[known, i]) for i in range(q_wb.shape[1])], axis=1)
-    neutral = [Rotation.from_quat(q_ref[known, i], scalar_first=True).mean().inv() for i in range(q_ref.shape[1])]
-    skeleton = load_body("chain_5")
-    both = [
-        joint_angles(skeleton, _from_neutral(q, neutral)) for q in (q_ref[known], aligned)
+    neutral = [
+        Rotation.from_quat(q_ref[known, i], scalar_first=True).mean().inv() for i in range(q_ref.shape[1])
     ]
+    skeleton = load_body("chain_5")
+    both = [joint_angles(skeleton, _from_neutral(q, neutral)) for q in (q_ref[known], aligned)]
     return JointTrial("ring", skeleton, both[0], both[1], METAL_TABLE_S)
 
 
@@ -111,7 +119,9 @@ def _from_neutral(q: FloatArray, neutral: list[Rotation]) -> FloatArray:
 
 def _table(trial: JointTrial, errors: FloatArray, what: str) -> str:
     rows = []
-    for joint, error, seen in zip(trial.skeleton.joints, errors, np.moveaxis(trial.reference, 1, 0), strict=True):
+    for joint, error, seen in zip(
+        trial.skeleton.joints, errors, np.moveaxis(trial.reference, 1, 0), strict=True
+    ):
         for i, angle in enumerate(joint.angles):
             if np.isfinite(error[i]):
                 low, high = np.degrees([np.nanmin(seen[:, i]), np.nanmax(seen[:, i])])

@@ -109,7 +109,10 @@ def _recordings() -> Iterator[tuple[str, str, FloatArray, float]]:
         ("hipose_mtw17", read_hipose_mtw17, DATA / "hipose_mtw17"),
         ("ring_chain5", read_ring_chain5, DATA / "ring_chain5" / "trial1"),
         ("repoimu_pendulum", read_repoimu_pendulum, DATA / "repoimu_pendulum"),
-        *(("tstick", read_repoimu_tstick, trial) for trial in sorted((DATA / "repoimu_tstick").glob("*.csv"))),
+        *(
+            ("tstick", read_repoimu_tstick, trial)
+            for trial in sorted((DATA / "repoimu_tstick").glob("*.csv"))
+        ),
         *(("broad", read_broad, trial) for trial in sorted((DATA / "broad").glob("*.mat"))),
     ]
     for source, read, place in sources:
@@ -119,7 +122,12 @@ def _recordings() -> Iterator[tuple[str, str, FloatArray, float]]:
                 name = place.stem if len(recording.modules) == 1 else track.name
                 yield source, name, track.magnetic_field, recording.sampling_rate_hz
                 if source == "broad":
-                    yield "broad_distorted", name, track.magnetic_field @ SOFT.T + HARD, 1.0 / BROAD_INTERVAL_S
+                    yield (
+                        "broad_distorted",
+                        name,
+                        track.magnetic_field @ SOFT.T + HARD,
+                        1.0 / BROAD_INTERVAL_S,
+                    )
 
 
 def _riot(path: Path) -> Iterator[tuple[str, str, FloatArray, float]]:

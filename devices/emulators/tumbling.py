@@ -102,12 +102,12 @@ def _schedule(rng: np.random.Generator) -> _Schedule:
     rests += [MOVE_S] * TURNS
     first = REST_S  # the turn to attitude k + 1 begins when the rest in attitude k is over
     begin = first + np.concatenate([[0.0], np.cumsum(rests[1:])])
-    turns = [(a.inv() * b).as_rotvec() for a, b in zip(attitudes, [*attitudes[1:], attitudes[0]], strict=True)]
+    turns = [
+        (a.inv() * b).as_rotvec() for a, b in zip(attitudes, [*attitudes[1:], attitudes[0]], strict=True)
+    ]
     return _Schedule(
         begin=np.concatenate([[0.0], begin]),
         attitude=np.stack([np.eye(3), *(attitude.as_matrix() for attitude in attitudes)]),
         turn=np.stack([np.zeros(3), *turns]),
         period=float(begin[-1] + MOVE_S),
     )
-
-

@@ -139,7 +139,9 @@ def _set_width(
 ) -> None:
     """Stretch sideways what lies between two joints, from the segment they share; changes the arrays."""
     chains = [_ancestors(skeleton, skeleton.index(name)) for name in pair]
-    own = [[i for i in chain if i not in other] for chain, other in zip(chains, reversed(chains), strict=True)]
+    own = [
+        [i for i in chain if i not in other] for chain, other in zip(chains, reversed(chains), strict=True)
+    ]
     left, right = (offsets[chain, _SIDEWAYS].sum() for chain in own)
     ratio = width / abs(right - left)
     for chain in own:

@@ -32,7 +32,9 @@ class AngleEntry(_Strict):
     axis: AxisName | tuple[Finite, Finite, Finite] = Field(
         description="axis about which it grows right-handed: x, -y, …; for a joint of one angle any vector"
     )
-    limits_deg: tuple[Finite, Finite] | None = Field(default=None, description="smallest and largest, degrees")
+    limits_deg: tuple[Finite, Finite] | None = Field(
+        default=None, description="smallest and largest, degrees"
+    )
 
     @field_validator("limits_deg")
     @classmethod
@@ -100,7 +102,10 @@ class JointEntry(Definition):
 
 
 def joints_of(
-    path: Path, entries: Sequence[JointEntry], segments: Sequence[str], chosen: Mapping[str, str] | None = None
+    path: Path,
+    entries: Sequence[JointEntry],
+    segments: Sequence[str],
+    chosen: Mapping[str, str] | None = None,
 ) -> tuple[Joint, ...]:
     """The joints of a body file. Raises ``SettingsError`` naming the joint and the remedy.
 
@@ -110,7 +115,9 @@ def joints_of(
     names = [entry.name for entry in entries]
     for name in chosen:
         if name not in names:
-            raise SettingsError(f"{path}: there is no joint '{name}' to define otherwise{nearest(name, names)}")
+            raise SettingsError(
+                f"{path}: there is no joint '{name}' to define otherwise{nearest(name, names)}"
+            )
     for name in names:
         if names.count(name) > 1:
             raise SettingsError(f"{path}: joint '{name}' stands twice")
@@ -148,7 +155,11 @@ def _joint(path: Path, entry: JointEntry, segments: list[str], alternative: str 
 
 
 def _decomposition(definition: Definition) -> Decomposition:
-    return Decomposition.HINGE if len(definition.angles) == 1 else Decomposition[definition.decomposition.upper()]
+    return (
+        Decomposition.HINGE
+        if len(definition.angles) == 1
+        else Decomposition[definition.decomposition.upper()]
+    )
 
 
 def _check_order(axes: Sequence[AxisName | Vector3], decomposition: str) -> None:

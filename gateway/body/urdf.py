@@ -157,7 +157,9 @@ def _root(text: str, where: str) -> Element:
     try:
         robot: Element = fromstring(text, forbid_dtd=True)
     except DefusedXmlException as error:
-        raise SettingsError(f"{where}: refused, a URDF needs no document type or entities ({error})") from error
+        raise SettingsError(
+            f"{where}: refused, a URDF needs no document type or entities ({error})"
+        ) from error
     except (ParseError, ValueError) as error:
         raise SettingsError(f"{where}: no XML: {error}") from error
     if robot.tag != "robot":

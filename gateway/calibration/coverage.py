@@ -25,7 +25,14 @@ def _spiral(n: int) -> FloatArray:
 DIRECTIONS = _spiral(CELLS)
 """(CELLS, 3) the middles of the cells."""
 
-SIDES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+SIDES = {
+    "+x": (1, 0, 0),
+    "-x": (-1, 0, 0),
+    "+y": (0, 1, 0),
+    "-y": (0, -1, 0),
+    "+z": (0, 0, 1),
+    "-z": (0, 0, -1),
+}
 """Directions of the sensor's axes by name."""
 
 _SIDE_WIDTH = math.cos(math.radians(40.0))
@@ -33,7 +40,8 @@ _SIDE_WIDTH = math.cos(math.radians(40.0))
 
 def cells_of(vectors: FloatArray) -> IntArray:
     """(n,) the cell that each of (n, 3) vectors points into."""
-    return np.argmax(vectors @ DIRECTIONS.T, axis=1)
+    cells: IntArray = np.argmax(vectors @ DIRECTIONS.T, axis=1)
+    return cells
 
 
 def coverage(vectors: FloatArray, centre: FloatArray | None = None) -> float:

@@ -62,7 +62,8 @@ class EllipsoidFit:
 
     def corrected(self, readings: FloatArray) -> FloatArray:
         """A (m − b); shape (n, 3)."""
-        return (readings - self.bias) @ self.matrix.T
+        corrected: FloatArray = (readings - self.bias) @ self.matrix.T
+        return corrected
 
 
 def fit_ellipsoid(readings: FloatArray, strength: float, shape: Shape = Shape.SYMMETRIC) -> EllipsoidFit:
@@ -83,7 +84,8 @@ def fit_ellipsoid(readings: FloatArray, strength: float, shape: Shape = Shape.SY
 
     def residuals(p: FloatArray) -> FloatArray:
         matrix, bias = unpack(p)
-        return np.linalg.norm((readings - bias) @ matrix.T, axis=1) / strength - 1.0
+        lengths: FloatArray = np.linalg.norm((readings - bias) @ matrix.T, axis=1)
+        return lengths / strength - 1.0
 
     start = np.concatenate([start_bias / strength, _packed(start_matrix, shape, rows, columns)])
     for _ in range(_ROUNDS):  # as the fit gets better, so does the estimate of what is an outlier
@@ -98,7 +100,7 @@ def fit_ellipsoid(readings: FloatArray, strength: float, shape: Shape = Shape.SY
     return EllipsoidFit(
         matrix,
         bias,
-        strength * _sigma(solved.jac, left)[:3],
+        strength * _sigma(np.asarray(solved.jac, dtype=np.float64), left)[:3],
         float(np.sqrt(np.mean(left**2))),
         _spread(readings),
         _spread(corrected),
@@ -117,9 +119,11 @@ def _start(readings: FloatArray, strength: float, shape: Shape) -> tuple[FloatAr
         return sphere
     quadratic, bias = form
     if shape is Shape.TRIANGULAR:
-        return strength * np.linalg.cholesky(quadratic).T, bias
+        factor: FloatArray = np.asarray(strength * np.linalg.cholesky(quadratic).T, dtype=np.float64)
+        return factor, bias
     values, axes = np.linalg.eigh(quadratic)
-    return strength * (axes * np.sqrt(values)) @ axes.T, bias
+    root: FloatArray = np.asarray(strength * (axes * np.sqrt(values)) @ axes.T, dtype=np.float64)
+    return root, bias
 
 
 def _sphere(readings: FloatArray) -> tuple[FloatArray, float]:
@@ -183,7 +187,8 @@ def _sigma(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
     normal = jacobian.T @ jacobian
     if np.linalg.cond(normal) > 1e14:
         return np.full(jacobian.shape[1], np.inf)
-    return np.sqrt(np.diag(np.linalg.inv(normal)) * np.sum(residuals**2) / freedom)
+    sigma: FloatArray = np.sqrt(np.diag(np.linalg.inv(normal)) * np.sum(residuals**2) / freedom)
+    return sigma
 
 
 def _spread(vectors: FloatArray) -> float:

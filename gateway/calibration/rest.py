@@ -28,7 +28,7 @@ class RestStretch:
     begin_ns: int
     end_ns: int
     windows: list[tuple[int, FloatArray, FloatArray]] = field(default_factory=list)
-    """(samples, mean specific force (3,) m/s², mean angular rate (3,) rad/s) of each."""
+    """Of each: samples, mean specific force (3,) m/s², mean angular rate (3,) rad/s."""
 
     @property
     def duration_s(self) -> float:
@@ -47,7 +47,7 @@ class RestStretch:
 
     def _mean(self, which: int) -> FloatArray:
         counts = np.array([window[0] for window in self.windows], dtype=np.float64)
-        means = np.stack([window[which] for window in self.windows])  # type: ignore[arg-type]
+        means = np.stack([window[which] for window in self.windows])
         return np.average(means, axis=0, weights=counts)
 
 

@@ -7,7 +7,7 @@ still in different positions the accelerometer's ellipsoid, being turned the mag
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from gateway.calibration.sensors import (
     rest_positions,
     six_positions,
 )
-from gateway.frames import Vector3
+from gateway.frames import FloatArray, Vector3
 
 SENSORS = ("gyrometer", "accelerometer", "magnetometer")
 REST_S = 3.0
@@ -167,22 +167,12 @@ class SensorSession:
 def combined(results: dict[str, Result | str], kept: SensorCalibration | None = None) -> SensorCalibration:
     """The calibration that results add up to; sensors without one keep what ``kept`` says."""
     kept = kept or SensorCalibration()
-    gyrometer, accelerometer = results.get("gyrometer"), results.get("accelerometer")
-    magnetometer = results.get("magnetometer")
-    has_force, has_field = isinstance(accelerometer, EllipsoidResult), isinstance(magnetometer, EllipsoidResult)
-    return SensorCalibration(
-        accelerometer.fit.matrix if has_force else kept.accelerometer_matrix,
-        accelerometer.fit.bias if has_force else kept.accelerometer_bias,
-        gyrometer.bias if isinstance(gyrometer, GyrometerResult) else kept.gyrometer_bias,
-        magnetometer.fit.matrix if has_field else kept.magnetometer_matrix,
-        magnetometer.fit.bias if has_field else kept.magnetometer_bias,
-        kept.temperature_c,
-    )
-
-
-def spread_of(results: dict[str, Result | str], sensor: str) -> tuple[float, float] | None:
-    """Standard deviation of |reading| over its mean, before and after; None without a result."""
-    result = results.get(sensor)
-    return (result.fit.spread_before, result.fit.spread_after) if isinstance(result, EllipsoidResult) else None
-
-
+    rate, force, magnetic = (results.get(sensor) for sensor in SENSORS)
+    fields: dict[str, FloatArray] = {}
+    if isinstance(rate, GyrometerResult):
+        fields["gyrometer_bias"] = rate.bias
+    if isinstance(force, EllipsoidResult):
+        fields |= {"accelerometer_matrix": force.fit.matrix, "accelerometer_bias": force.fit.bias}
+    if isinstance(magnetic, EllipsoidResult):
+        fields |= {"magnetometer_matrix": magnetic.fit.matrix, "magnetometer_bias": magnetic.fit.bias}
+    return replace(kept, **fields)  # type: ignore[arg-type]  # the names are those of arrays

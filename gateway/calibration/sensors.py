@@ -158,7 +158,9 @@ def _accelerometer_quality(fit: EllipsoidFit, positions: FloatArray, gravity: fl
             graded(residual, 0.05, 0.5),
             f"|f| is still off by {residual:.2f} m/s² at rest: it was touched or stood on something that shakes",
         ),
-        Finding(graded(scale, 0.08, 0.25), f"a scale error of {100 * scale:.0f} % is unusual: is the range right?"),
+        Finding(
+            graded(scale, 0.08, 0.25), f"a scale error of {100 * scale:.0f} % is unusual: is the range right?"
+        ),
     )
 
 
@@ -189,14 +191,16 @@ def _magnetometer_quality(fit: EllipsoidFit, readings: FloatArray, strength: flo
     uncertain = float(fit.bias_sigma.max())
     return judged(
         Finding(
-            graded(fit.coverage, WANTED_COVERAGE, 0.2), f"only {100 * fit.coverage:.0f} % of directions seen{hint}"
+            graded(fit.coverage, WANTED_COVERAGE, 0.2),
+            f"only {100 * fit.coverage:.0f} % of directions seen{hint}",
         ),
         Finding(
             graded(fit.residual, 0.03, 0.2),
             f"the field still varies by {100 * fit.residual:.1f} %: go away from iron, cables and loudspeakers",
         ),
         Finding(
-            graded(uncertain / strength, 0.02, 0.2), f"hard iron is uncertain by {uncertain:.1f} µT: turn it more"
+            graded(uncertain / strength, 0.02, 0.2),
+            f"hard iron is uncertain by {uncertain:.1f} µT: turn it more",
         ),
         Finding(
             graded(float(axes[0] / axes[-1]), 2.0, 4.0),

@@ -49,7 +49,9 @@ def list_bodies() -> None:
     Console().print(table)
 
 
-@body_app.command(epilog="Example: mocap-gateway body show human_17 --height 1.82 --mass 78 --length thigh=0.44")
+@body_app.command(
+    epilog="Example: mocap-gateway body show human_17 --height 1.82 --mass 78 --length thigh=0.44"
+)
 def show(
     body: BodyName,
     height: Height = None,
@@ -78,7 +80,9 @@ def check(body: BodyName) -> None:
     typer.echo(f"{body}: {skeleton.n_segments} segments, {len(skeleton.joints)} joints, all as it should be")
 
 
-@body_app.command(epilog="Example: mocap-gateway body scale human_17 --height 1.62 --length shank=0.38 -o anna.yaml")
+@body_app.command(
+    epilog="Example: mocap-gateway body scale human_17 --height 1.62 --length shank=0.38 -o anna.yaml"
+)
 def scale(
     body: BodyName, output: Output, height: Height = None, length: Lengths = None, force: Force = False
 ) -> None:
@@ -125,9 +129,7 @@ def import_robot(
     Console().print(_tree(skeleton, None), _joint_table(skeleton))
 
 
-def _subject(
-    height: float | None, mass: float | None, sex: str | None, lengths: list[str] | None
-) -> Subject:
+def _subject(height: float | None, mass: float | None, sex: str | None, lengths: list[str] | None) -> Subject:
     measured: dict[str, str] = {}
     for text in lengths or ():
         name, equals, value = text.partition("=")
@@ -135,9 +137,7 @@ def _subject(
             raise GatewayError(f"--length {text}: write NAME=METRES, such as thigh=0.43")
         measured[name] = value
     try:
-        return Subject.model_validate(
-            {"height_m": height, "mass_kg": mass, "sex": sex, "lengths": measured}
-        )
+        return Subject.model_validate({"height_m": height, "mass_kg": mass, "sex": sex, "lengths": measured})
     except ValidationError as error:
         problem = error.errors()[0]
         where = ".".join(map(str, problem["loc"]))

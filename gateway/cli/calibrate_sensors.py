@@ -58,7 +58,9 @@ def sensors(
         bool, typer.Option("--flash", help="Write to the modules, not to a rig file; needs --allow-writes.")
     ] = False,
     poor: Annotated[bool, typer.Option("--poor", help="Keep results of poor quality too.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON; no live table.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the results as JSON; no live table.")
+    ] = False,
 ) -> None:
     """Measure the sensors' own errors: put all modules in a box, let it lie, put it on its sides, turn it about.
 

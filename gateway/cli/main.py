@@ -51,7 +51,8 @@ app.command(epilog="Example: mocap-gateway recover walk.mcap --in-place")(recove
 app.command(epilog="Example: mocap-gateway doctor -c config/gateway.yaml")(doctor)
 app.add_typer(modules_app, name="modules")
 calibrate_app.command(
-    "sensors", epilog="Example: mocap-gateway calibrate sensors --link /dev/ttyUSB0 --rig suit_17 -o mine.yaml"
+    "sensors",
+    epilog="Example: mocap-gateway calibrate sensors --link /dev/ttyUSB0 --rig suit_17 -o mine.yaml",
 )(calibrate_sensors)
 app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(body_app, name="body")

@@ -119,9 +119,7 @@ def joint_table(pose: PoseMessage) -> Table | None:
     table = Table("joint", "angles °", "")
     warnings = pose.joint_warnings or {}
     for joint, angles in pose.joint_angles.items():
-        shown = "  ".join(
-            f"{name.replace('_', ' ')} {value:7.1f}" for name, value in (angles or {}).items()
-        )
+        shown = "  ".join(f"{name.replace('_', ' ')} {value:7.1f}" for name, value in (angles or {}).items())
         words = ", ".join(warnings.get(joint, ())).replace("_", " ")
         table.add_row(joint, shown or _UNDEFINED, Text(words, "yellow"))
     return table

@@ -28,7 +28,9 @@ def advice(session: SensorSession, progress: Mapping[int, Progress]) -> str:
     ):
         moving = not all(one.is_at_rest for one in heard)
         return (
-            "hold still for two seconds" if moving else "now turn them to another side, and let them lie there"
+            "hold still for two seconds"
+            if moving
+            else "now turn them to another side, and let them lie there"
         )
     if "magnetometer" in session.sensors and any(one.coverage < WANTED_COVERAGE for one in heard):
         return "turn them slowly about all axes, away from iron, until the bars are full"
@@ -62,7 +64,12 @@ def result_table(found: Mapping[int, Mapping[str, Result | str]]) -> Table:
             quality = result.quality
             verdict = Text(f"{quality.verdict} {quality.score:.2f}", _COLOURS[quality.verdict])
             table.add_row(
-                str(module), sensor, _bias(sensor, result), _spread(result), verdict, "; ".join(quality.reasons)
+                str(module),
+                sensor,
+                _bias(sensor, result),
+                _spread(result),
+                verdict,
+                "; ".join(quality.reasons),
             )
     return table
 

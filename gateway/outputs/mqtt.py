@@ -77,9 +77,7 @@ class MqttOutput:
         self._settings = settings
         self._identifier = settings.client_id or unique_identifier(info.gateway)
         joint_angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
-        self._encoder = PoseEncoder(
-            skeleton.segment_names, settings.decimals, settings.include, joint_angles
-        )
+        self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include, joint_angles)
         self._retained = (
             (self.topics.bridge_info, info.payload()),
             (self.topics.body, describe_body(skeleton).payload()),

@@ -83,7 +83,9 @@ class PoseEncoder:
         """Angles in degrees by joint and name, and the joints whose angles need care."""
         found = joint_angles.update(q_wb)
         rows = np.degrees(found.angles)
-        rounded = rows if self._decimals is None else np.round(rows, min(self._decimals, _ANGLE_DECIMALS)) + 0.0
+        rounded = (
+            rows if self._decimals is None else np.round(rows, min(self._decimals, _ANGLE_DECIMALS)) + 0.0
+        )
         joints = joint_angles.joints
         return {
             "joint_angles": {

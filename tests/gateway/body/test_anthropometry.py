@@ -53,7 +53,8 @@ def test_widths_are_between_joint_centres(body):
 def test_shoulder_width_stretches_the_girdle():
     wide = scaled(HUMAN, Subject(lengths={"shoulder_width": 0.50}))
     half = [
-        wide.offsets[wide.index(f"{side}_shoulder_girdle"), 2] + wide.offsets[wide.index(f"{side}_upper_arm"), 2]
+        wide.offsets[wide.index(f"{side}_shoulder_girdle"), 2]
+        + wide.offsets[wide.index(f"{side}_upper_arm"), 2]
         for side in ("left", "right")
     ]
     np.testing.assert_allclose(half, [-0.25, 0.25])
@@ -71,7 +72,8 @@ def test_wrong_lengths_are_refused():
 def test_masses_add_up_to_the_body():
     for sex in (0, 1):
         total = sum(
-            pair[sex] * (1 if name in ("head", "thorax", "pelvis") else 2) for name, pair in MASS_OF_BODY.items()
+            pair[sex] * (1 if name in ("head", "thorax", "pelvis") else 2)
+            for name, pair in MASS_OF_BODY.items()
         )
         assert total == pytest.approx(1.0, abs=0.001)
     for sex in ("female", "male", None):

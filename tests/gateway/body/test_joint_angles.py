@@ -18,7 +18,9 @@ OUTWARD = {"left": -1.0, "right": 1.0}
 
 def pair(joint: Joint) -> Skeleton:
     """Two segments with axes along the world's."""
-    return Skeleton("pair", ("a", "b"), np.array([-1, 0]), np.zeros((2, 3)), np.zeros((2, 3)), joints=(joint,))
+    return Skeleton(
+        "pair", ("a", "b"), np.array([-1, 0]), np.zeros((2, 3)), np.zeros((2, 3)), joints=(joint,)
+    )
 
 
 def cardan_joint(sequence, decomposition=Decomposition.CARDAN, limits=None):
@@ -32,7 +34,10 @@ def poses(q_pd):
     """Poses of the pair whose joint is turned so, the proximal segment turned anyhow."""
     q_pd = Rotation.from_quat(q_pd, scalar_first=True)
     base = Rotation.from_rotvec([0.3, -1.1, 0.4])
-    both = [np.tile(base.as_quat(scalar_first=True), (len(q_pd), 1)), (base * q_pd).as_quat(scalar_first=True)]
+    both = [
+        np.tile(base.as_quat(scalar_first=True), (len(q_pd), 1)),
+        (base * q_pd).as_quat(scalar_first=True),
+    ]
     return np.stack(both, axis=1)
 
 
@@ -48,7 +53,9 @@ def test_angles_turn_back_into_the_rotation(sequence):
 
 def test_angles_agree_with_scipy_where_both_take_the_principal_branch():
     rotations = Rotation.random(100, rng=np.random.default_rng(2))
-    stream = JointAngles(pair(cardan_joint("zxy", limits=[(-np.pi, np.pi), (-np.pi / 2, np.pi / 2), (-9, 9)])))
+    stream = JointAngles(
+        pair(cardan_joint("zxy", limits=[(-np.pi, np.pi), (-np.pi / 2, np.pi / 2), (-9, 9)]))
+    )
     for pose, rotation in zip(poses(rotations.as_quat(scalar_first=True)), rotations, strict=True):
         stream.reset()
         np.testing.assert_allclose(stream.update(pose).angles[0], rotation.as_euler("ZXY"), atol=1e-9)
@@ -59,7 +66,10 @@ def test_angles_agree_with_scipy_where_both_take_the_principal_branch():
 def test_a_posture_within_the_limits_reads_back(share):
     share = np.array(share).reshape(16, 3)
     angles = {
-        joint.name: [low + s * (high - low) for (low, high), s in zip((a.limits for a in joint.angles), row, strict=True)]
+        joint.name: [
+            low + s * (high - low)
+            for (low, high), s in zip((a.limits for a in joint.angles), row, strict=True)
+        ]
         for joint, row in zip(HUMAN.joints, share, strict=True)
     }
     for joint in HUMAN.joints:  # away from the shoulder's singularity, and within its unambiguous half
@@ -153,7 +163,9 @@ def arm_swing(noise_deg, seed=0):
     rng = np.random.default_rng(seed)
     t = np.arange(600) / 100
     swing = Rotation.from_rotvec(np.radians(25 * np.sin(2 * np.pi * t))[:, None] * np.array([0.1, 0, 1.0]))
-    return (swing * Rotation.from_rotvec(np.radians(noise_deg) * rng.normal(size=(600, 3)))).as_quat(scalar_first=True)
+    return (swing * Rotation.from_rotvec(np.radians(noise_deg) * rng.normal(size=(600, 3)))).as_quat(
+        scalar_first=True
+    )
 
 
 def test_angles_stay_continuous_through_gimbal_lock_and_say_so():
@@ -163,7 +175,9 @@ def test_angles_stay_continuous_through_gimbal_lock_and_say_so():
     angles = np.stack([frame.angles[0] for frame in frames])
     near = np.array([frame.near_gimbal[0] for frame in frames])
     steps = np.degrees(np.abs(np.diff(angles, axis=0))).max()
-    plain = np.degrees(np.abs(np.diff(Rotation.from_quat(q, scalar_first=True).as_euler("YXY"), axis=0))).max()
+    plain = np.degrees(
+        np.abs(np.diff(Rotation.from_quat(q, scalar_first=True).as_euler("YXY"), axis=0))
+    ).max()
     assert plain > 100
     assert steps < 20
     assert 0.05 < near.mean() < 0.4

@@ -67,7 +67,11 @@ def test_triangular_matrix_undoes_scales_and_skewed_axes_exactly():
 
 def test_few_parameters_for_few_readings():
     rng = np.random.default_rng(2)
-    readings = np.vstack([np.eye(3), -np.eye(3), sphere(1, rng)]) * 9.81 * [1.02, 0.99, 1.0] + [0.1, 0.2, -0.1]
+    readings = np.vstack([np.eye(3), -np.eye(3), sphere(1, rng)]) * 9.81 * [1.02, 0.99, 1.0] + [
+        0.1,
+        0.2,
+        -0.1,
+    ]
     fit = fit_ellipsoid(readings, 9.81, Shape.DIAGONAL)
     np.testing.assert_allclose(fit.bias, [0.1, 0.2, -0.1], atol=1e-3)
     with pytest.raises(ValueError, match="7 readings cannot give 9 parameters"):
@@ -85,7 +89,7 @@ def test_no_variation_is_refused(readings):
 def test_poor_data_never_give_anything_but_numbers(seed, kind):
     rng = np.random.default_rng(seed)
     v = sphere(60, rng)
-    v = {"plane": v * [1, 1, 0], "arc": np.abs(v) * [1, 1, 0.01], "cap": v + [0, 0, 5.0]}[kind] * STRENGTH
+    v = {"plane": v * [1, 1, 0], "arc": np.abs(v) * [1, 1, 0.01], "cap": v + np.array([0, 0, 5.0])}[kind] * STRENGTH
     fit = fit_ellipsoid(v, STRENGTH, Shape.SCALE)
     assert np.isfinite(fit.matrix).all()
     assert np.isfinite(fit.bias).all()

@@ -123,7 +123,9 @@ def test_six_sides_of_a_cube_give_all_twelve_numbers():
 def test_stretches_in_one_position_count_once():
     side = np.array([GRAVITY, 0, 0])
     moving = np.radians([100, 0, 0])
-    found = rest_positions(fed((2, UP, BIAS), (1, UP, moving), (2, side, BIAS), (1, UP, moving), (2, UP, BIAS)))
+    found = rest_positions(
+        fed((2, UP, BIAS), (1, UP, moving), (2, side, BIAS), (1, UP, moving), (2, UP, BIAS))
+    )
     assert len(found) == 2
     np.testing.assert_allclose(found, [UP, side], atol=0.05)
 

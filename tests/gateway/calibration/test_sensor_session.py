@@ -143,7 +143,13 @@ def test_one_correction_after_another_is_one_correction(seed):
 def test_the_setting_of_modules_is_the_same_thing():
     calibration = random_calibration(1)
     again = SensorCalibration.from_setting(calibration.to_setting())
-    for name in ("accelerometer_matrix", "accelerometer_bias", "gyrometer_bias", "magnetometer_matrix", "magnetometer_bias"):
+    for name in (
+        "accelerometer_matrix",
+        "accelerometer_bias",
+        "gyrometer_bias",
+        "magnetometer_matrix",
+        "magnetometer_bias",
+    ):
         np.testing.assert_array_equal(getattr(again, name), getattr(calibration, name))
     assert SensorCalibration().to_setting() == tuple(factory_settings()[9])
     with pytest.raises(ValueError, match="30 finite numbers"):
