@@ -1,6 +1,6 @@
 """Magnetometer ellipsoids on synthetic and real data: how much |field| varies before and after.
 
-Fitted on every other second of a recording, judged on the seconds between, so that nothing is fitted to noise.
+Fitted on every other second of a recording, judged on the seconds between: nothing is fitted to noise.
 """
 
 from __future__ import annotations

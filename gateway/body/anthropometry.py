@@ -30,7 +30,7 @@ LENGTH_OF_STATURE = {
     "hip_height": 0.530,
     "shoulder_height": 0.818,
 }
-"""Fractions of stature (Drillis & Contini). Foot: its length; ``foot_height``: the ankle's above the floor."""
+"""Fractions of stature (Drillis & Contini). ``foot``: its length; ``foot_height``: of the ankle."""
 
 MASS_OF_BODY: dict[str, tuple[float, float]] = {
     "head": (0.0694, 0.0668),
@@ -107,7 +107,7 @@ def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skel
 
 
 def segment_masses(skeleton: Skeleton, mass_kg: float, sex: str | None = None) -> FloatArray:
-    """(n_segments,) kg. NaN for a segment that the tables do not have (a shoulder girdle counts as thorax)."""
+    """(n_segments,) kg. NaN for a segment that the tables do not have (shoulder girdles count as thorax)."""
     masses = np.full(skeleton.n_segments, np.nan)
     for i, name in enumerate(skeleton.segment_names):
         fractions = MASS_OF_BODY.get(_without_side(name))

@@ -1,6 +1,6 @@
 """The rotation of a joint as angles, continuous from one instant to the next. Compiled.
 
-Three successive rotations by the direct method of Bernardes & Viollet (2022, PLoS ONE 17(11): e0276302), which
+Three successive rotations by the direct method of Bernardes & Viollet (2022, PLoS ONE 17(11): e0276302): it
 finds the half sum and the half difference of the first and third angle. Near gimbal lock (second angle at
 ±90°, or at 0° or 180° where the first axis comes again) one of the two is lost in noise while the other stays
 well defined: the lost one then follows what is measured the more slowly the nearer the lock is.
@@ -21,7 +21,7 @@ from gateway.geometry.vectors import dot, vector
 GIMBAL_ZONE = math.radians(5.0)
 """Distance from the singularity below which angles are held together, and flagged, rad."""
 RETURN_ZONE = math.radians(15.0)
-"""Distance from the singularity from which on angles may return to the way of writing inside the limits, rad."""
+"""Distance from the singularity beyond which angles may return to the way inside the limits, rad."""
 RETURN_EXCESS = math.radians(30.0)
 """How far outside the limits they have to be for that, more than the other way, rad."""
 
@@ -97,7 +97,7 @@ def _steady(found: FloatArray, before: FloatArray, lock: float, handed: float, l
 
 @compiled
 def _half_angles(q: FloatArray, axes: IntArray) -> tuple[float, float, float, float, float]:
-    """Half sum and half difference of ``handed · first`` and third; the middle angle in [0, π] plus its shift.
+    """Half sum and half difference of ``handed · first`` and third, middle in [0, π], handed, middle's shift.
 
     The source's rotations are about fixed axes, ours about moving ones: its first is our third.
     """

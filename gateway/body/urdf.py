@@ -1,8 +1,8 @@
 """Robots described in URDF, as bodies.
 
 A segment is a link with all that is fixed to it; its origin is where its joint is. As in every body file, all
-segments' axes are parallel in the neutral posture, here those of the base link with all joints at zero: axes of
-joints keep their URDF directions in that posture, whatever way each link's own frame is turned.
+segments' axes are parallel in the neutral posture, here those of the base link with all joints at zero: joint
+axes keep their URDF directions in that posture, whatever way each link's own frame is turned.
 
 Parsed with the standard library's parser behind ``defusedxml``, since URDF files come from anywhere. The URDF
 libraries (yourdfpy, urchin) would bring a mesh library along for what is a tree of joints.
@@ -15,7 +15,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
-from xml.etree.ElementTree import Element, ParseError  # noqa: S405 - types only, parsing is defusedxml's
+from xml.etree.ElementTree import Element, ParseError  # types only; defusedxml parses
 
 import numpy as np
 from defusedxml import DefusedXmlException

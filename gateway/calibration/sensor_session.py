@@ -95,7 +95,7 @@ class ModuleSession:
         if not self._field:
             return 0.0
         half = 0.5 * (self._high - self._low)
-        # A sensor that has hardly been turned sees a short arc: as a share of its own width it would be a lot.
+        # A sensor that has hardly been turned sees a short arc: of its own width that would be a lot.
         if half.min() < 0.35 * half.max() or half.max() < 5.0:
             return min(1.0 / CELLS * len(self._field), 0.05)
         newest = (np.array(self._field[-2000:]) - 0.5 * (self._high + self._low)) / half

@@ -1,4 +1,4 @@
-"""Gyrometer, accelerometer and magnetometer of one module: what is wrong with them, and how well that is known."""
+"""Gyrometer, accelerometer and magnetometer of one module: what is wrong, and how well it is known."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def gyrometer_bias(stretches: Sequence[RestStretch], wanted_s: float = 3.0) -> G
             ),
             Finding(
                 graded(np.degrees(wander), 0.15, 1.5),
-                f"angular rate at rest changed by {np.degrees(wander):.2f}°/s: it was moved, or is warming up",
+                f"angular rate at rest changed by {np.degrees(wander):.2f}°/s: it was moved, or warms up",
             ),
             Finding(
                 graded(float(np.degrees(np.abs(bias).max())), 5.0, 12.0),
@@ -156,7 +156,7 @@ def _accelerometer_quality(fit: EllipsoidFit, positions: FloatArray, gravity: fl
         ),
         Finding(
             graded(residual, 0.05, 0.5),
-            f"|f| is still off by {residual:.2f} m/s² at rest: it was touched or stood on something that shakes",
+            f"|f| is still off by {residual:.2f} m/s² at rest: it was touched, or the table shakes",
         ),
         Finding(
             graded(scale, 0.08, 0.25), f"a scale error of {100 * scale:.0f} % is unusual: is the range right?"
@@ -196,7 +196,7 @@ def _magnetometer_quality(fit: EllipsoidFit, readings: FloatArray, strength: flo
         ),
         Finding(
             graded(fit.residual, 0.03, 0.2),
-            f"the field still varies by {100 * fit.residual:.1f} %: go away from iron, cables and loudspeakers",
+            f"the field still varies by {100 * fit.residual:.1f} %: go away from iron and cables",
         ),
         Finding(
             graded(uncertain / strength, 0.02, 0.2),

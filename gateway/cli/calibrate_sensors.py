@@ -1,4 +1,4 @@
-"""``mocap-gateway calibrate sensors``: gyrometer bias, accelerometer and magnetometer ellipsoids of all modules."""
+"""``mocap-gateway calibrate sensors``: biases and ellipsoids of all modules' sensors."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ def sensors(
         bool, typer.Option("--json", help="Print the results as JSON; no live table.")
     ] = False,
 ) -> None:
-    """Measure the sensors' own errors: put all modules in a box, let it lie, put it on its sides, turn it about.
+    """Measure the sensors' own errors: modules in a box, let it lie, put it on its sides, turn it about.
 
     Lying still gives the gyrometers' bias, lying still in twelve positions (each side, and askew) the
     accelerometers' scales, turning in all directions the magnetometers' hard and soft iron, away from iron.
-    The order does not matter; it ends by itself when every module has shown enough. Ctrl-C takes what there is.
+    The order does not matter; it ends when every module has shown enough. Ctrl-C takes what there is.
     """
     rig, urls = _rig_and_urls(suit)
     source = find_file(rig, "rigs", suit.config)

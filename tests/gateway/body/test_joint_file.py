@@ -57,7 +57,7 @@ def test_a_rig_chooses_another_definition_of_a_joint(tmp_path):
     assert joints["left_shoulder"].sequence == "swing_twist"
     assert joints["right_shoulder"].sequence == "xzy"
     path.write_text(rig + "joint_definitions: {left_shoulder: zyx}\n")
-    with pytest.raises(SettingsError, match="no definition 'zyx'.*did you mean 'xzy'"):
+    with pytest.raises(SettingsError, match=r"no definition 'zyx'.*did you mean 'xzy'"):
         load_rig(str(path))
     path.write_text(rig + "joint_definitions: {left_sholder: xzy}\n")
     with pytest.raises(SettingsError, match="did you mean 'left_shoulder'"):

@@ -16,8 +16,13 @@ from gateway.errors import SettingsError
 
 URDF = (Path(__file__).parents[2] / "data" / "arm6.urdf").read_text()
 JOINTS = [
-    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
-]  # fmt: skip
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+]
 IDENTITY = np.array([1.0, 0, 0, 0])
 
 

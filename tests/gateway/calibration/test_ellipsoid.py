@@ -89,7 +89,8 @@ def test_no_variation_is_refused(readings):
 def test_poor_data_never_give_anything_but_numbers(seed, kind):
     rng = np.random.default_rng(seed)
     v = sphere(60, rng)
-    v = {"plane": v * [1, 1, 0], "arc": np.abs(v) * [1, 1, 0.01], "cap": v + np.array([0, 0, 5.0])}[kind] * STRENGTH
+    bad = {"plane": v * [1, 1, 0], "arc": np.abs(v) * [1, 1, 0.01], "cap": v + np.array([0, 0, 5.0])}
+    v = bad[kind] * STRENGTH
     fit = fit_ellipsoid(v, STRENGTH, Shape.SCALE)
     assert np.isfinite(fit.matrix).all()
     assert np.isfinite(fit.bias).all()

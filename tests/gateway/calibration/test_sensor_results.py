@@ -1,4 +1,4 @@
-"""Gyrometer, accelerometer and magnetometer results: right numbers, and the right reason when they are poor."""
+"""Gyrometer, accelerometer and magnetometer results: right numbers, and right reasons when poor."""
 
 import numpy as np
 import pytest
