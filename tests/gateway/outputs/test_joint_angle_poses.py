@@ -65,7 +65,12 @@ def test_they_come_on_request_only():
 def test_the_body_message_describes_the_joints():
     message = BodyMessage.model_validate_json(describe_body(load_body("human_17")).payload())
     knee = next(joint for joint in message.joints if joint.name == "left_knee")
-    assert (knee.proximal, knee.distal, knee.kind, knee.sequence) == ("left_thigh", "left_shank", "hinge", "zxy")
+    assert (knee.proximal, knee.distal, knee.kind, knee.sequence) == (
+        "left_thigh",
+        "left_shank",
+        "hinge",
+        "zxy",
+    )
     assert knee.angles["flexion"] == (-10, 155)
     swing = describe_body(load_body("pendulum_3")).joints[0]
     assert swing.proximal is None
