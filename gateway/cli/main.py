@@ -82,8 +82,9 @@ class _Commands(LazyGroup):
             "List, identify, assign and configure the modules of a suit; fetch files from its memory card.",
         ),
         "calibrate": LazyCommand(
-            "gateway.cli.calibrate_clocks:calibrate_app", "Measure what has to be known before a capture."
+            "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."
         ),
+        "body": LazyCommand("gateway.cli.body:body_app", "Bodies: segments, joints, lengths."),
         "config": LazyCommand(
             "gateway.cli.configuration:config_app",
             "Check a configuration file, or show what may stand in one.",
