@@ -16,6 +16,7 @@ from pathlib import Path
 from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
+from gateway.calibration.corrections import SensorCorrections
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
@@ -43,6 +44,7 @@ class Pipeline:
         if clock_mode is ClockMode.TRIGGER:
             triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns)
         self.stream = Stream(clock_mode, clock_table, triggers)
+        self.corrections = SensorCorrections(suit.calibrations)
         self.despiker = despiker
         self.assembler = FrameAssembler(suit.module_ids, params)
         self.fused_assembler: FusedAssembler | None = None
@@ -99,7 +101,8 @@ class Pipeline:
         if fused is not None or isinstance(reading, LocalReading):
             self.unused["local" if isinstance(reading, LocalReading) else "raw"] += 1
             return []
-        clean = reading if self.despiker is None else self.despiker.add(reading)
+        corrected = self.corrections.apply(reading)
+        clean = corrected if self.despiker is None else self.despiker.add(corrected)
         return [] if clean is None else self.assembler.add(clean, arrived_ns)
 
     def statistics(self) -> dict[str, object]:
