@@ -10,7 +10,9 @@ import typer
 import gateway
 from devices.device_errors import DeviceError
 from devices.link import LinkError
+from gateway.cli.body import body_app
 from gateway.cli.calibrate_clocks import calibrate_app
+from gateway.cli.calibrate_sensors import sensors as calibrate_sensors
 from gateway.cli.configuration import config_app
 from gateway.cli.demo import demo
 from gateway.cli.diff import diff
@@ -53,7 +55,12 @@ app.command(epilog="Example: mocap-gateway info walk.mcap --extract walk_files/"
 app.command(epilog="Example: mocap-gateway recover walk.mcap --in-place")(recover)
 app.command(epilog="Example: mocap-gateway doctor -c config/gateway.yaml")(doctor)
 app.add_typer(modules_app, name="modules")
+calibrate_app.command(
+    "sensors",
+    epilog="Example: mocap-gateway calibrate sensors --link /dev/ttyUSB0 --rig suit_17 -o mine.yaml",
+)(calibrate_sensors)
 app.add_typer(calibrate_app, name="calibrate")
+app.add_typer(body_app, name="body")
 app.add_typer(config_app, name="config")
 
 
