@@ -216,7 +216,7 @@ def planned_motion(
         foot = Foot(leg, gait, path, first_strike_s=path.start_s + (0.55 + delay) * stride_s)
         angles[:, leg.segments] = leg_angles(leg, place, facing, *foot_path(foot, times))
     spline = make_interp_spline(times, angles.reshape(len(times), -1), k=_DEGREE)
-    knots = times[_MARGIN : -_MARGIN]
+    knots = times[_MARGIN:-_MARGIN]
     powers = [spline.derivative(m)(knots[:-1]) / factorial(m) for m in range(_DEGREE, 0, -1)]
     coefficients = np.array([*powers, spline(knots[:-1])])
     coefficients = coefficients.reshape(_DEGREE + 1, len(knots) - 1, body.n_segments, 3)

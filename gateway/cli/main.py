@@ -38,8 +38,8 @@ class _Commands(LazyGroup):
         ),
         "view": LazyCommand(
             "gateway.cli.view:view",
-            "Show the moving body on a page in the browser, live.",
-            "Example: mocap-gateway view --port 1883 --page-port 8080",
+            "Show the moving body on a page in the browser, live or from a recording.",
+            "Examples: mocap-gateway view --port 1883 --page-port 8080; mocap-gateway view walk.mcap",
         ),
         "record": LazyCommand(
             "gateway.cli.record:record",
@@ -56,6 +56,12 @@ class _Commands(LazyGroup):
             "gateway.cli.diff:diff",
             "Compare the poses of two recordings: angle between the orientations, by segment.",
             "Example: mocap-gateway diff walk.mcap walk_joint.mcap --plot diff.html",
+        ),
+        "export": LazyCommand(
+            "gateway.cli.export:export",
+            "Write the poses of a recording as BVH, C3D, glTF, OpenSim .sto and .mot, TRC, CSV or Parquet.",
+            "Examples: mocap-gateway export walk.mcap --to bvh; "
+            "mocap-gateway export walk.mcap --to c3d --to csv -o exports/ --axes y-up --unit mm",
         ),
         "recordings": LazyCommand(
             "gateway.cli.recordings:recordings",
