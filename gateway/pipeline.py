@@ -17,7 +17,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.clocks import ClockTable, load_clock_table
 from gateway.despiking import Despiker
 from gateway.frames import LocalReading, SkeletonFrame
-from gateway.reconstruction import RECONSTRUCTORS
+from gateway.reconstruction import RootSettings, create_reconstructor
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
 
@@ -33,11 +33,14 @@ class Pipeline:
         clock_mode: ClockMode = ClockMode.ESTIMATED,
         clock_table: ClockTable | None = None,
         despiker: Despiker | None = None,
+        root: RootSettings | None = None,
     ) -> None:
         self.stream = Stream(clock_mode, clock_table)
         self.despiker = despiker
         self.assembler = FrameAssembler(suit.module_ids, params)
-        self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
+        self.reconstructor = create_reconstructor(
+            reconstructor, suit, params.frame_interval_ns * 1e-9, root
+        )
         self.skeleton_frames = 0
 
     @classmethod

@@ -9,10 +9,18 @@ from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
 from gateway.reconstruction.reconstructor import Reconstructor
+from gateway.reconstruction.whole_body import OrientationFinder, RootMode, RootSettings, WholeBodyReconstructor
 
-__all__ = ["RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
+__all__ = [
+    "RECONSTRUCTORS",
+    "Reconstructor",
+    "RootMode",
+    "RootSettings",
+    "WholeBodyReconstructor",
+    "create_reconstructor",
+]
 
-RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
+RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {
     "articulated": ArticulatedReconstructor,
     "independent": IndependentReconstructor,
     "joint": JointReconstructor,
@@ -21,9 +29,12 @@ RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
 """Name to constructor; its arguments: the suit, and the nominal interval of the frames in s."""
 
 
-def create_reconstructor(name: str, suit: WornSuit, nominal_interval_s: float) -> Reconstructor:
-    """The reconstructor of that name. Raises ``ValueError`` for an unknown one, naming those there are."""
+def create_reconstructor(
+    name: str, suit: WornSuit, nominal_interval_s: float, root: RootSettings | None = None
+) -> WholeBodyReconstructor:
+    """The reconstructor of that name, for the whole body. Raises ``ValueError`` for an unknown one, naming those
+    there are, and for a root that shall walk on a body without contacts."""
     if name not in RECONSTRUCTORS:
         known = ", ".join(sorted(RECONSTRUCTORS))
         raise ValueError(f"no reconstructor is called {name!r}; there are: {known}")
-    return RECONSTRUCTORS[name](suit, nominal_interval_s)
+    return WholeBodyReconstructor(suit, RECONSTRUCTORS[name](suit, nominal_interval_s), root)

@@ -97,8 +97,10 @@ class ChainReconstructor:
             array[...] = state[name]
         self._state = FilterState(**fresh)
 
-    def update(self, observation: ImuFrame) -> SkeletonFrame:
-        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
+    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
+        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``.
+
+        resting: (n_segments,) s for how long each has stood still, 0: not; see ``stance``."""
         observed = self._observer.observe(observation)
         clock = self._state.time_ns
         if clock[1] < 0:
@@ -111,7 +113,8 @@ class ChainReconstructor:
             clock[0] = observation.time_ns
             noise = self._settings.noise
             acceleration, is_valid = step(
-                self._body, self._state, noise, self._fixed, self.is_joint, dt, time_s, observed
+                self._body, self._state, noise, self._fixed, self.is_joint, dt, time_s, observed,
+                np.zeros(self._n) if resting is None else resting,
             )
         return self._frame(observation, observed, acceleration, is_valid)
 
