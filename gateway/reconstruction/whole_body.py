@@ -238,16 +238,14 @@ def _contacts(suit: WornSuit, root: RootSettings) -> Contacts | None:
             f"body '{skeleton.name}' has no contacts to walk on: give its feet 'contacts' in the body file, "
             "or set the root motion to 'fixed'"
         )
-    segments = sorted({segment for segment, _ in skeleton.contacts})
-    points = [np.mean([p for s, p in skeleton.contacts if s == segment], axis=0) for segment in segments]
     with_module = np.flatnonzero(suit.module_of_segment >= 0)
     own_root = int(np.flatnonzero(skeleton.parents < 0)[0])
     reference = own_root if own_root in with_module else int(with_module[0])
     return Contacts(
         parents=skeleton.parents.astype(np.int64),
         offsets=np.array(skeleton.offsets, np.float64),
-        segments=np.array(segments, np.int64),
-        points=np.array(points, np.float64),
+        segments=np.array([segment for segment, _ in skeleton.contacts], np.int64),
+        points=np.array([point for _, point in skeleton.contacts], np.float64),
         reference=reference,
         arm=np.array(suit.lever_arms[reference], np.float64),
         gravity=np.array(suit.gravity, np.float64),

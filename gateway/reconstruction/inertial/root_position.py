@@ -17,7 +17,7 @@ import numpy as np
 from gateway.frames import FloatArray, IntArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import cross, is_finite
+from gateway.geometry.vectors import cross, is_finite, norm
 
 
 class PositionSettings(NamedTuple):
@@ -38,6 +38,9 @@ class PositionSettings(NamedTuple):
     """For how long a contact's error lasts: denser frames say no more in all."""
     settling_s: float = 0.03
     """A foot that has been at rest for so long is held where it is."""
+    slip_speed: float = 0.1
+    """m/s: a point that the legs see move faster has left the ground, whatever the foot's module says; and the
+    ball of a foot that rolls off its heel stays until then."""
     relaxation_s: float = 2.0
     """Two feet that are held share out what they contradict each other."""
     push_off_s: float = 0.3
@@ -55,6 +58,7 @@ class PositionState(NamedTuple):
     P: FloatArray  # (2, 3, 3) horizontal, vertical
     acceleration: FloatArray  # (3,) of the frame before, world, m/s²
     anchor: FloatArray  # (c, 3) where a contact is held, m; NaN: it is not
+    rolling_s: FloatArray  # (c,) since its segment last rested
     clock: FloatArray  # (2,) 1 once begun; seconds since anything rested
     standing: IntArray  # (1,) contact segment that the body stands on, −1: none
 
@@ -64,8 +68,8 @@ class Contacts(NamedTuple):
 
     parents: IntArray  # (n,)
     offsets: FloatArray  # (n, 3)
-    segments: IntArray  # (c,) each once
-    points: FloatArray  # (c, 3) from the segment's proximal joint, own axes, m: the middle of its sole
+    segments: IntArray  # (c,)
+    points: FloatArray  # (c, 3) from the segment's proximal joint, own axes, m
     reference: int
     """Segment whose module the filter follows."""
     arm: FloatArray  # (3,) from its proximal joint to the module, own axes, m
@@ -82,6 +86,7 @@ def initial_position(n_contacts: int) -> PositionState:
         np.zeros((2, 3, 3)),
         np.zeros(3),
         np.full((n_contacts, 3), np.nan),
+        np.zeros(n_contacts),
         np.zeros(2),
         np.full(1, -1, np.int64),
     )
@@ -113,9 +118,10 @@ def advance_position(
     _predict(contacts, settings, state, quaternion.rotate(q_wb[ref], force[ref]) + contacts.gravity, dt)
     n_held = 0
     for c in range(len(contacts.segments)):
-        if resting[contacts.segments[c]] > 0.0 and is_finite(r[c]) and is_finite(v_r[c]):
+        resting_s = resting[contacts.segments[c]]
+        if _holds(settings, state, c, resting_s, r[c], v_r[c], dt):
             n_held += 1
-            _stand(contacts, settings, state, c, r[c], v_r[c], resting[contacts.segments[c]], dt)
+            _stand(contacts, settings, state, c, r[c], v_r[c], resting_s, dt)
         else:
             state.anchor[c] = np.nan
     if n_held > 1:
@@ -208,6 +214,26 @@ def _predict(
         P[1, 1] += noise**2 * dt
         P[2, 2] += settings.acceleration_error**2 * (1.0 - keep**2)
         state.P[k] = P
+
+
+@compiled
+def _holds(
+    settings: PositionSettings,
+    state: PositionState,
+    c: int,
+    resting_s: float,
+    r: FloatArray,
+    v_r: FloatArray,
+    dt: float,
+) -> bool:
+    """Whether contact c is on the ground and does not move."""
+    state.rolling_s[c] = 0.0 if resting_s > 0.0 else state.rolling_s[c] + dt
+    if not (is_finite(r) and is_finite(v_r)):
+        return False
+    if not is_finite(state.anchor[c]):
+        return resting_s > 0.0
+    slip = norm(state.x[:, 1] + v_r)
+    return slip < settings.slip_speed and state.rolling_s[c] < settings.push_off_s
 
 
 @compiled
