@@ -17,7 +17,8 @@ from gateway.body.skeleton import WornSuit
 from gateway.clocks import ClockTable, load_clock_table
 from gateway.despiking import Despiker
 from gateway.frames import LocalReading, SkeletonFrame
-from gateway.reconstruction import RootSettings, create_reconstructor
+from gateway.errors import SettingsError
+from gateway.reconstruction import NO_CONTACTS, RootMode, RootSettings, create_reconstructor
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
 
@@ -45,7 +46,10 @@ class Pipeline:
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
-        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table."""
+        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table, and for a
+        body that cannot walk and shall."""
+        if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
+            raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
         table = settings.clock.table
         return cls(
             suit,
@@ -54,6 +58,7 @@ class Pipeline:
             settings.clock.mode,
             None if table is None else load_clock_table(Path(table)),
             Despiker() if settings.assembly.despike else None,
+            settings.root_motion.root(),
         )
 
     def add_link(self, name: str, framing: Framing) -> None:
@@ -88,5 +93,6 @@ class Pipeline:
                 reason.name.lower(): count for reason, count in self.assembler.lost.items()
             },
             "spikes": self.despiker.summary() if self.despiker is not None else {},
+            "joint_agreement": self.reconstructor.joint_agreement(),
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
         }

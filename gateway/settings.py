@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
 from gateway.outputs.settings import MqttSettings
-from gateway.reconstruction import RECONSTRUCTORS
+from gateway.reconstruction import RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Strict(BaseModel):
@@ -87,6 +90,27 @@ class AssemblySettings(_Strict):
         )
 
 
+class RootMotionSettings(_Strict):
+    """Whether the body moves through the world."""
+
+    mode: RootMode = Field(
+        default=RootMode.AUTO,
+        description="walking: the body stands on resting feet, flies between them and so moves through the "
+        "world; fixed: its root stays at the origin, or where a local device measures it; auto: walking for "
+        "bodies with contacts (feet) whose position no device measures",
+    )
+    floor: Literal["level", "open"] = Field(
+        default="level",
+        description="level: feet within 0.1 m of the floor stand on it, so that height does not drift; "
+        "open: heights as they are found (slopes)",
+    )
+    floor_height_m: Finite = Field(default=0, description="height of a level floor")
+
+    def root(self) -> RootSettings:
+        """As the reconstructors take it."""
+        return RootSettings(self.mode, self.floor == "level", self.floor_height_m)
+
+
 class LogSettings(_Strict):
     """Logging."""
 
@@ -104,6 +128,7 @@ class GatewaySettings(_Strict):
     reconstructor: str = Field(
         default="independent", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
     )
+    root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()
     assembly: AssemblySettings = AssemblySettings()
     mqtt: MqttSettings = MqttSettings()

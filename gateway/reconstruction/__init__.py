@@ -9,9 +9,16 @@ from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
 from gateway.reconstruction.reconstructor import Reconstructor
-from gateway.reconstruction.whole_body import OrientationFinder, RootMode, RootSettings, WholeBodyReconstructor
+from gateway.reconstruction.whole_body import (
+    NO_CONTACTS,
+    OrientationFinder,
+    RootMode,
+    RootSettings,
+    WholeBodyReconstructor,
+)
 
 __all__ = [
+    "NO_CONTACTS",
     "RECONSTRUCTORS",
     "Reconstructor",
     "RootMode",

@@ -41,6 +41,11 @@ LONGEST_STEP_S = 0.5
 """After a longer pause what is remembered of rest and place is begun anew, where the body is."""
 
 
+NO_CONTACTS = (
+    "body '{}' has no contacts to walk on: give its feet 'contacts' in the body file, or set 'auto' or 'fixed'"
+)
+
+
 class RootMode(StrEnum):
     """What the skeleton's root does."""
 
@@ -234,10 +239,7 @@ def _contacts(suit: WornSuit, root: RootSettings) -> Contacts | None:
     if not walks:
         return None
     if not skeleton.contacts:
-        raise ValueError(
-            f"body '{skeleton.name}' has no contacts to walk on: give its feet 'contacts' in the body file, "
-            "or set the root motion to 'fixed'"
-        )
+        raise ValueError(NO_CONTACTS.format(skeleton.name))
     with_module = np.flatnonzero(suit.module_of_segment >= 0)
     own_root = int(np.flatnonzero(skeleton.parents < 0)[0])
     reference = own_root if own_root in with_module else int(with_module[0])
