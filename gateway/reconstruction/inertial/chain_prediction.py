@@ -98,8 +98,12 @@ def start(
         state.P[s, i, i] = noise.start_tilt**2
         state.P[s, 3 + i, 3 + i] = noise.bias**2
     state.P[s, 2, 2] = OPEN_SIGMA**2
+    # a module that comes back may sit elsewhere
+    state.arm_covariance[s] = 0.0
+    for i in range(6):
+        state.arm_covariance[s, i, i] = noise.lever_arm_offset**2
     state.is_started[s], state.is_open[s] = 1, body.opens[s]
-    state.fresh_s[s], state.silent_s[s] = 0.0, 0.0
+    state.fresh_s[s], state.silent_s[s], state.compass_s[s] = 0.0, 0.0, 0.0
     state.heading[s], state.rest[s] = 0.0, 0.0
 
 
@@ -108,22 +112,16 @@ def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray) -> Non
     """World rotations (n, 3) of segments, and of all remembered that turns with them, in place."""
     n = len(body.parents)
     for s in range(n):
-        p = body.parents[s]
-        if p >= 0 and _is_turn(turns[p]):
-            E = rotation_matrix.from_rotation_vector(turns[p])
-            state.parent_velocity[s] = rotation_matrix.rotate(E, state.parent_velocity[s])
         if _is_turn(turns[s]):
             E = rotation_matrix.from_rotation_vector(turns[s])
             state.R[s] = rotation_matrix.multiply(E, state.R[s])
             state.force[s] = rotation_matrix.rotate(E, state.force[s])
             state.last_force[s] = rotation_matrix.rotate(E, state.last_force[s])
             state.long_force[s] = rotation_matrix.rotate(E, state.long_force[s])
-            state.joint_velocity[s] = rotation_matrix.rotate(E, state.joint_velocity[s])
-            state.turn[s] = rotation_matrix.rotate(E, state.turn[s])
+            state.swing[s] = rotation_matrix.multiply(E, state.swing[s])
     for d in range(len(body.device_segment)):
         if _is_turn(turns[body.device_segment[d]]):
             E = rotation_matrix.from_rotation_vector(turns[body.device_segment[d]])
-            state.device_velocity[d] = rotation_matrix.rotate(E, state.device_velocity[d])
             for j in range(state.history.shape[1]):
                 if state.history[d, j, 0] > -np.inf:
                     state.history[d, j, 1:4] = rotation_matrix.rotate(E, state.history[d, j, 1:4])

@@ -30,7 +30,7 @@ ACCELERATION, POSITION = Quantity.ACCELERATION.value, Quantity.POSITION.value
 LEAST_READINGS = 4
 LONGEST_GAP_S = 0.35
 """Between readings; over a longer one nothing is differentiated."""
-HISTORY_PER_WINDOW = 30.0
+HISTORY_PER_WINDOW = 80.0
 
 
 @compiled
