@@ -101,8 +101,8 @@ class RootMotionSettings(_Strict):
     )
     floor: Literal["level", "open"] = Field(
         default="level",
-        description="level: feet within 0.1 m of the floor stand on it, so that height does not drift; "
-        "open: heights as they are found (slopes)",
+        description="level: feet stand on one level floor, so that height does not drift; "
+        "open: heights as they are found (stairs, slopes)",
     )
     floor_height_m: Finite = Field(default=0, description="height of a level floor")
 

@@ -47,8 +47,6 @@ class PositionSettings(NamedTuple):
     """A foot counts as what the body stands on for so long after it began to roll."""
     floor_s: float = 0.3
     """Time constant with which a contact is drawn to the floor."""
-    step_height: float = 0.1
-    """m: a contact farther from the floor than that stands on something else."""
 
 
 class PositionState(NamedTuple):
@@ -257,9 +255,8 @@ def _stand(
         for k in range(2):  # from here on place means place relative to what is held
             state.P[k, 0, :], state.P[k, :, 0] = 0.0, 0.0
     if contacts.has_floor:
-        off = state.anchor[c, 2] - contacts.floor
-        if abs(off) < settings.step_height:
-            state.anchor[c, 2] -= off * (1.0 - math.exp(-dt / settings.floor_s))
+        above = state.anchor[c, 2] - contacts.floor
+        state.anchor[c, 2] -= above * (1.0 - math.exp(-dt / settings.floor_s))
     _observe(state, 0, state.anchor[c] - r, settings.contact_place**2 * scale)
 
 
