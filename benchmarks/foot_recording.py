@@ -45,8 +45,8 @@ class FootResult(NamedTuple):
     def heads() -> list[str]:
         """Columns of the table."""
         return [
-            "precision", "recall", "begin late by ms (median)", "end late by ms (median)", "strides", "distance m",
-            "distance error %", "stride RMSE mm",
+            "precision", "recall", "begin late by ms (median)", "end late by ms (median)", "strides",
+            "distance m", "distance error %", "stride RMSE mm",
         ]  # fmt: skip
 
     @staticmethod
@@ -78,7 +78,14 @@ def stances(foot: FootRecording) -> FloatArray:
     carries, measured = np.ones(1), np.zeros(1, np.uint8)
     rested = [
         watch_stance(
-            StanceSettings(), state, carries, 9.81, foot.force[k : k + 1], foot.rate[k : k + 1], measured, 1.0 / RATE_HZ
+            StanceSettings(),
+            state,
+            carries,
+            9.81,
+            foot.force[k : k + 1],
+            foot.rate[k : k + 1],
+            measured,
+            1.0 / RATE_HZ,
         )[0]
         for k in range(n)
     ]

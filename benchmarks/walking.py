@@ -1,4 +1,4 @@
-"""Walking and running through the world: emulated with known truth, and two real feet beside their markers."""
+"""Walking and running through the world: emulated with known truth; two real feet beside their markers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class WalkResult(NamedTuple):
     height_error_m: float
     switches: int
     largest_step_deg: float
-    """Largest change of any segment's orientation error from the frame before a switch to the frame after it."""
+    """Largest change of any segment's orientation error from the frame before a switch to the one after."""
 
 
 def run() -> Report:
@@ -78,7 +78,9 @@ def measure_walk(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float 
     place = np.array([frames[k].p_w[0] for k in kept])
     true_place = truth.joint_position[:, 0]
     off = (place - place[0]) - (true_place - true_place[0])
-    length, true_length = (float(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1).sum()) for p in (place, true_place))
+    length, true_length = (
+        float(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1).sum()) for p in (place, true_place)
+    )
     root = np.array([frames[k].root for k in kept])
     switches = np.flatnonzero(np.diff(root))
     steps = _error_steps_deg(np.stack([frames[k].q_wb for k in kept]), truth.q_wb)
@@ -109,9 +111,10 @@ def _add_emulated(report: Report, rows: list[list[str]], walked: dict[tuple[str,
         "root switches", "largest orientation step at a switch °",
     ]  # fmt: skip
     report.tables.append(
-        "### Emulated person, 17 consumer sensors, lever arms 1 cm off, no local device, 100 Hz, through the wire\n\n"
-        f"Counted from {FROM_S:g} s on. The end error holds the heading's error, the length error does not. The feet of "
-        "the emulated person stand still in the world; its bones are as long as the rig says.\n\n" + table(heads, rows)
+        "### Emulated person, 17 consumer sensors, lever arms 1 cm off, no local device, 100 Hz\n\n"
+        f"Counted from {FROM_S:g} s on. The end error holds the heading's error, the length error does "
+        "not. The feet of the emulated person stand still in the world; its bones are as long as the rig
+        says.\n\n" + table(heads, rows)
     )
     for method in METHODS:
         straight = walked["walk, straight", method]
@@ -122,7 +125,9 @@ def _add_emulated(report: Report, rows: list[list[str]], walked: dict[tuple[str,
         ]
         steps = max(result.largest_step_deg for key, result in walked.items() if key[1] == method)
         report.figures.append(
-            Figure(f"root_switch_step_{method}_deg", steps, "°", "<0.5", f"`{method}`, all gaits, worst segment")
+            Figure(
+                f"root_switch_step_{method}_deg", steps, "°", "<0.5", f"`{method}`, all gaits, worst segment"
+            )
         )
 
 
@@ -138,17 +143,17 @@ def _add_feet(report: Report) -> None:
     ]
     report.tables.append(
         "### Real feet (20 m there and back, optical markers on toe, ball and heel)\n\n"
-        "A foot is truly at rest while all three markers move slower than 0.2 m/s. Strides from one stance to the "
-        "next by `independent` without magnetometer and the zero-velocity updates, against the markers' strides.\n\n"
-        + table(["foot", *FootResult.heads()], rows)
+        "A foot is truly at rest while all three markers move slower than 0.2 m/s. Strides from one stance "
+        "to the next by `independent` without magnetometer and zero-velocity updates, against the
+        markers'.\n\n" + table(["foot", *FootResult.heads()], rows)
     )
     for name, target, note in (
         ("precision", ">=0.95", "stance frames detected that are"),
         ("recall", "", "stance frames that are detected"),
         ("distance_error_percent", "<2", "sum of strides against the markers'"),
     ):
-        worst = (min if name in ("precision", "recall") else max)(abs(getattr(r, name)) for r in results.values())
+        worst = (min if name in ("precision", "recall") else max)(
+            abs(getattr(r, name)) for r in results.values()
+        )
         unit = "%" if "percent" in name else ""
         report.figures.append(Figure(f"feet_{name}", worst, unit, target, f"real feet, the worse: {note}"))
-
-

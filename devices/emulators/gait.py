@@ -132,7 +132,7 @@ class PlannedPath:
             Derivatives(c, -s * psi.rate, -s * psi.acceleration - c * psi.rate**2),
         )
 
-    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:  # noqa: ARG002 - as Waves
+    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
         """World coordinates of the pelvis' joint at ``times`` (T, M)."""
         parts = self.place(times)
         turned = [
@@ -206,7 +206,7 @@ def planned_motion(
     steady_s = path.start_s + path.ramp_s + _START_STRIDES * stride_s
     step = stride_s / STEPS_OF_GRID
     before = int(np.ceil((steady_s - fade.rest_s) / step))
-    times = steady_s + step * np.arange(-before - _MARGIN, STEPS_OF_GRID + _MARGIN + 1)
+    times: FloatArray = steady_s + step * np.arange(-before - _MARGIN, STEPS_OF_GRID + _MARGIN + 1)
     angles = np.zeros((len(times), body.n_segments, 3))
     axial = pelvis.evaluate(times[:, None], fade.evaluate(times[:, None]))[1].value[:, 0]
     facing = path.heading(times).value + axial
@@ -216,7 +216,7 @@ def planned_motion(
         foot = Foot(leg, gait, path, first_strike_s=path.start_s + (0.55 + delay) * stride_s)
         angles[:, leg.segments] = leg_angles(leg, place, facing, *foot_path(foot, times))
     spline = make_interp_spline(times, angles.reshape(len(times), -1), k=_DEGREE)
-    knots = times[_MARGIN : -_MARGIN]
+    knots = times[_MARGIN:-_MARGIN]
     powers = [spline.derivative(m)(knots[:-1]) / factorial(m) for m in range(_DEGREE, 0, -1)]
     coefficients = np.array([*powers, spline(knots[:-1])])
     coefficients = coefficients.reshape(_DEGREE + 1, len(knots) - 1, body.n_segments, 3)

@@ -1,9 +1,10 @@
 """How well neighbouring modules agree about the joint between them: shows modules worn wrong. Compiled.
 
-Both neighbours feel the acceleration of their common joint: ``R (f + [ω̇, ω] ⊳ r) + g``, r from module to joint.
-A module worn the wrong way round, on the wrong segment or at the wrong place puts the joint somewhere else and
-feels another acceleration there. The score of a joint is the rms difference over the rms acceleration of both:
-0 when they agree, about 1 when they have nothing to do with each other. It needs motion.
+Both neighbours feel the acceleration of their common joint: ``R (f + [ω̇, ω] ⊳ r) + g``, r from module to
+joint. A module worn the wrong way round, on the wrong segment or at the wrong place puts the joint
+somewhere else and feels another acceleration there. The score of a joint is the rms difference over the rms
+acceleration of both: 0 when they agree, about 1 when they have nothing to do with each other. It needs
+motion.
 """
 
 from __future__ import annotations

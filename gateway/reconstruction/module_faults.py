@@ -1,8 +1,8 @@
 """Modules that go on sending without sensing. Compiled.
 
-A sensor's noise changes its last bits all the time. A module whose specific force and rate have not changed in
-any bit for a while, though other modules' have, is stuck. (If none changes, they may be noise-free simulations
-at rest: nothing is said.)
+A sensor's noise changes its last bits all the time. A module whose specific force and rate have not changed
+in any bit for a while, though other modules' have, is stuck. (If none changes, they may be noise-free
+simulations at rest: nothing is said.)
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What is the same whatever finds the orientations: before it and after it.
 
-    ImuFrame → stuck modules left out → (rest of each segment) → orientations → segments without module
-             → where the body is in the world → SkeletonFrame
+ImuFrame → stuck modules left out → (rest of each segment) → orientations → segments without module
+         → where the body is in the world → SkeletonFrame
 """
 
 from __future__ import annotations
@@ -38,12 +38,10 @@ from gateway.reconstruction.module_faults import RepeatState, initial_repeats, s
 
 SHORTEST_STEP_S = 1e-5
 LONGEST_STEP_S = 0.5
-"""After a longer pause what is remembered of rest and place is begun anew, where the body is."""
+"""A longer pause counts as one of that length."""
 
 
-NO_CONTACTS = (
-    "body '{}' has no contacts to walk on: give its feet 'contacts' in the body file, or set 'auto' or 'fixed'"
-)
+NO_CONTACTS = "body '{}' has no contacts to walk on: give its feet 'contacts', or set 'auto' or 'fixed'"
 
 
 class RootMode(StrEnum):
@@ -86,8 +84,8 @@ class _Memory(NamedTuple):
 class WholeBodyReconstructor:
     """A reconstructor for the whole body around one that finds orientations.
 
-    root of its frames: the segment that the body stands on, while it walks. p_w: in the world, z from the floor,
-    the start above the origin. status: PREDICTED for segments without module; a stuck module counts as
+    root of its frames: the segment that the body stands on, while it walks. p_w: in the world, z from the
+    floor, the start above the origin. status: PREDICTED for segments without module; a stuck module counts as
     silent. ``joint_agreement``: see that module.
     """
 
@@ -124,9 +122,7 @@ class WholeBodyReconstructor:
     def update(self, observation: ImuFrame) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
         dt = (observation.time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else LONGEST_STEP_S
-        if dt <= SHORTEST_STEP_S:
-            dt = SHORTEST_STEP_S
-        dt = min(dt, LONGEST_STEP_S)
+        dt = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
         self._time_ns = observation.time_ns
         observation = self._without_stuck(observation, dt)
         observed = self._observer.observe(observation)
@@ -143,8 +139,9 @@ class WholeBodyReconstructor:
         return self._finish(self.finder.update(observation, resting), observed, resting, dt)
 
     def joint_agreement(self) -> dict[str, float]:
-        """By segment: 0 when its module agrees with a neighbour's about their joint, about 1 when it agrees with
-        none; only segments of which the last seconds' motion tells it."""
+        """By segment: 0 when its module agrees with a neighbour's about their joint, about 1 when with none.
+
+        Only segments of which the last seconds' motion tells it."""
         scores = segment_scores(self._joints, joint_scores(self._joints, self._memory.agreement))
         names = self._suit.skeleton.segment_names
         return {names[s]: round(float(scores[s]), 3) for s in np.flatnonzero(np.isfinite(scores))}

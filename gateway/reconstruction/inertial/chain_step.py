@@ -53,8 +53,8 @@ def step(
     observed: SegmentObservations,
     resting: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """dt: since the frame before, s (> 0); time_s: of the frame since the first. resting: (n,) s for how long each
-    segment has stood still, 0: not. ``state`` changes in place.
+    """dt: since the frame before, s (> 0); time_s: of the frame since the first. resting: (n,) s for how
+    long each segment has stood still, 0: not. ``state`` changes in place.
 
     Returns the accelerations of all proximal joints (n, 3), world, NaN where not known; and (n,) whether the
     segment's module counted: 0 no, 1 its gyrometer, 2 all of it.

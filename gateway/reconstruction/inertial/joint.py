@@ -113,7 +113,14 @@ class ChainReconstructor:
             clock[0] = observation.time_ns
             noise = self._settings.noise
             acceleration, is_valid = step(
-                self._body, self._state, noise, self._fixed, self.is_joint, dt, time_s, observed,
+                self._body,
+                self._state,
+                noise,
+                self._fixed,
+                self.is_joint,
+                dt,
+                time_s,
+                observed,
                 np.zeros(self._n) if resting is None else resting,
             )
         return self._frame(observation, observed, acceleration, is_valid)

@@ -1,8 +1,8 @@
 """A segment that stands still is the rank-1 segment: its acceleration is known, it is zero. Compiled.
 
-In a filter over the whole tree re-rooting needs no new order of the segments: the foot that stands adds one row,
-``R f = −g`` at its module, and holds up its chain; the joint rows carry it on. In walking the feet alternate,
-and the row comes and goes with its uncertainty, so nothing jumps.
+In a filter over the whole tree re-rooting needs no new order of the segments: the foot that stands adds one
+row, ``R f = −g`` at its module, and holds up its chain; the joint rows carry it on. In walking the feet
+alternate, and the row comes and goes with its uncertainty, so nothing jumps.
 """
 
 from __future__ import annotations

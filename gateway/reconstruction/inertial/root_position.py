@@ -1,10 +1,10 @@
 """Where the body is: it stands on what rests, and flies on what its modules feel. Compiled.
 
-A Kalman filter per world axis over the module of the skeleton's root: position, velocity, and the error of the
-acceleration (tilt error leaks gravity into it). Predicted by the module's own acceleration ``R f + g``; while
-a contact segment rests, the point it stands on has no velocity (zero-velocity update, Foxlin 2005, with the
-legs' kinematics between) and stays where it was. Feet take over from each other without a step, as each is
-held where the filter has it. All axes but the vertical share one covariance.
+A Kalman filter per world axis over the module of the skeleton's root: position, velocity, and the error of
+the acceleration (tilt error leaks gravity into it). Predicted by the module's own acceleration ``R f + g``;
+while a contact segment rests, the point it stands on has no velocity (zero-velocity update, Foxlin 2005,
+with the legs' kinematics between) and stays where it was. Feet take over from each other without a step, as
+each is held where the filter has it. All axes but the vertical share one covariance.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class PositionSettings(NamedTuple):
     settling_s: float = 0.03
     """A foot that has been at rest for so long is held where it is."""
     slip_speed: float = 0.1
-    """m/s: a point that the legs see move faster has left the ground, whatever the foot's module says; and the
-    ball of a foot that rolls off its heel stays until then."""
+    """m/s: a point that the legs see move faster has left the ground, whatever the foot's module says; and
+    the ball of a foot that rolls off its heel stays until then."""
     relaxation_s: float = 2.0
     """Two feet that are held share out what they contradict each other."""
     push_off_s: float = 0.3
@@ -103,8 +103,8 @@ def advance_position(
 ) -> tuple[FloatArray, int]:
     """One frame: where the skeleton root's joint is, (3,) m, and the segment it stands on, −1 for none.
 
-    q_wb: (n, 4). rate: (n, 3) rad/s, segment axes. force: (n, 3) m/s², segment axes; NaN: none. resting: (n,) s.
-    The result is NaN until the reference segment and a contact have orientations.
+    q_wb: (n, 4). rate: (n, 3) rad/s, segment axes. force: (n, 3) m/s², segment axes; NaN: none. resting:
+    (n,) s. The result is NaN until the reference segment and a contact have orientations.
     """
     r, v_r = _relative_motion(contacts, q_wb, rate)
     ref = contacts.reference
@@ -132,9 +132,7 @@ def advance_position(
 
 
 @compiled
-def _relative_motion(
-    contacts: Contacts, q_wb: FloatArray, rate: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _relative_motion(contacts: Contacts, q_wb: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Place (c, 3) and velocity (c, 3) of the contact points relative to the reference module; world."""
     n = len(contacts.parents)
     p, v = np.zeros((n, 3)), np.zeros((n, 3))

@@ -1,13 +1,15 @@
 """Which segments stand still, from their own modules. Compiled.
 
 The detector is SHOE, the generalised likelihood ratio test of Skog, Händel, Nilsson & Rantakokko (IEEE Trans.
-Biomed. Eng. 57, 2010), eq. 15: at rest the specific force is gravity of whatever direction and the rate is zero,
+Biomed. Eng. 57, 2010), eq. 15: at rest the specific force is gravity of whatever direction and the rate is
+zero,
 
     T = mean over a window of ‖f − g f̄/‖f̄‖‖²/σ_f² + ‖ω‖²/σ_ω²,
 
 which is ``(E‖f‖² − 2 g ‖E f‖ + g²)/σ_f² + E‖ω‖²/σ_ω²``, as the mean of ``f · f̄`` is ``‖f̄‖²``: variance and
 magnitude of the specific force in one number. Rest begins below a low threshold and ends above a higher one.
-The window is short and ends abruptly: a running foot is flat on the ground for 0.1 s after a swing of 10 rad/s.
+The window is short and ends abruptly: a running foot is flat on the ground for 0.1 s after a swing of 10
+rad/s.
 """
 
 from __future__ import annotations
@@ -65,8 +67,8 @@ def watch_stance(
 ) -> FloatArray:
     """(n,) for how long each segment has been at rest, s; 0: it is not, or its module is silent.
 
-    carries: (n,) 1 for segments that stand on the ground (feet). gravity: its size, m/s². force, rate: (n, 3),
-    m/s² and rad/s. dt: since the frame before, s.
+    carries: (n,) 1 for segments that stand on the ground (feet). gravity: its size, m/s². force, rate: (n,
+    3), m/s² and rad/s. dt: since the frame before, s.
     """
     n = len(carries)
     resting = np.zeros(n)
