@@ -113,8 +113,8 @@ def _add_emulated(report: Report, rows: list[list[str]], walked: dict[tuple[str,
     report.tables.append(
         "### Emulated person, 17 consumer sensors, lever arms 1 cm off, no local device, 100 Hz\n\n"
         f"Counted from {FROM_S:g} s on. The end error holds the heading's error, the length error does "
-        "not. The feet of the emulated person stand still in the world; its bones are as long as the rig
-        says.\n\n" + table(heads, rows)
+        "not. The feet of the emulated person stand still in the world; its bones are as long as the rig says."
+        "\n\n" + table(heads, rows)
     )
     for method in METHODS:
         straight = walked["walk, straight", method]
@@ -144,8 +144,8 @@ def _add_feet(report: Report) -> None:
     report.tables.append(
         "### Real feet (20 m there and back, optical markers on toe, ball and heel)\n\n"
         "A foot is truly at rest while all three markers move slower than 0.2 m/s. Strides from one stance "
-        "to the next by `independent` without magnetometer and zero-velocity updates, against the
-        markers'.\n\n" + table(["foot", *FootResult.heads()], rows)
+        "to the next by `independent` without magnetometer and zero-velocity updates, against theirs."
+        "\n\n" + table(["foot", *FootResult.heads()], rows)
     )
     for name, target, note in (
         ("precision", ">=0.95", "stance frames detected that are"),
