@@ -113,7 +113,7 @@ def _add_emulated(report: Report, rows: list[list[str]], walked: dict[tuple[str,
     report.tables.append(
         "### Emulated person, 17 consumer sensors, lever arms 1 cm off, no local device, 100 Hz\n\n"
         f"Counted from {FROM_S:g} s on. The end error holds the heading's error, the length error does "
-        "not. The feet of the emulated person stand still in the world; its bones are as long as the rig says."
+        "not. Its feet stand still in the world; its bones are as long as the rig says."
         "\n\n" + table(heads, rows)
     )
     for method in METHODS:

@@ -121,7 +121,7 @@ class WholeBodyReconstructor:
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
-        dt = (observation.time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else LONGEST_STEP_S
+        dt = (observation.time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else 0.0
         dt = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
         self._time_ns = observation.time_ns
         observation = self._without_stuck(observation, dt)
