@@ -6,6 +6,7 @@ world with ``w >= 0``, instants integer nanoseconds since the Unix epoch.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -14,6 +15,7 @@ import numpy as np
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from gateway.body.joints import WORLD, Joint
 from gateway.body.skeleton import Skeleton
 from gateway.frames import Status
 from gateway.outputs import topics
@@ -163,6 +165,19 @@ class BodySegment(Message):
     tip: Vector = Field(description="Its distal joint or end in its own axes, m.")
 
 
+class BodyJoint(Message):
+    """What joint angles describe."""
+
+    name: str = Field(description="Joint name.")
+    proximal: str | None = Field(description="Segment that counts as standing still; null: the world.")
+    distal: str = Field(description="Segment that turns.")
+    kind: str = Field(description="hinge, universal or spherical, by its free angles.")
+    sequence: str = Field(description="Order of rotations: zxy, yxy, …; swing_twist; hinge.")
+    angles: dict[str, tuple[Number | None, Number | None]] = Field(
+        description="Angles in the order of the rotations, with their limits, degrees; null: unlimited."
+    )
+
+
 class BodyMessage(Message):
     """The skeleton that the poses belong to."""
 
@@ -171,6 +186,7 @@ class BodyMessage(Message):
     order: Literal["wxyz"] = Field(default="wxyz", description="Order of quaternion components.")
     length_unit: Literal["m"] = Field(default="m", description="Unit of offsets and tips.")
     segments: tuple[BodySegment, ...] = Field(description="Segments, parents first.")
+    joints: tuple[BodyJoint, ...] = Field(default=(), description="Joints, for joint angles.")
 
 
 class PoseMessage(Message):
@@ -194,6 +210,14 @@ class PoseMessage(Message):
     )
     sigma: dict[str, Number | None] | None = Field(
         default=None, description="Standard deviation of the orientation, rad."
+    )
+    joint_angles: dict[str, dict[str, Number] | None] | None = Field(
+        default=None, description="By joint: each of its angles, degrees, growing in the movement it names."
+    )
+    joint_warnings: dict[str, tuple[Literal["near_gimbal_lock", "beyond_limits"], ...]] | None = Field(
+        default=None,
+        description="With joint_angles: joints whose single angles need care, because their decomposition is "
+        "near its singularity or an angle is beyond what the joint can do.",
     )
 
 
@@ -235,7 +259,22 @@ def describe_body(skeleton: Skeleton) -> BodyMessage:
             strict=True,
         )
     )
-    return BodyMessage(name=skeleton.name, segments=segments)
+    joints = tuple(_describe_joint(joint, names) for joint in skeleton.joints)
+    return BodyMessage(name=skeleton.name, segments=segments, joints=joints)
+
+
+def _describe_joint(joint: Joint, segments: tuple[str, ...]) -> BodyJoint:
+    def degrees(limit: float) -> float | None:
+        return round(math.degrees(limit), 6) if math.isfinite(limit) else None
+
+    return BodyJoint(
+        name=joint.name,
+        proximal=None if joint.proximal == WORLD else segments[joint.proximal],
+        distal=segments[joint.distal],
+        kind=joint.kind,
+        sequence=joint.sequence,
+        angles={angle.name: (degrees(angle.limits[0]), degrees(angle.limits[1])) for angle in joint.angles},
+    )
 
 
 def plain_json(statistics: Mapping[str, object]) -> dict[str, JsonValue]:

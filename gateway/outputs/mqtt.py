@@ -18,6 +18,7 @@ import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
 
 from devices.link import gateway_time_ns
+from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
@@ -42,7 +43,7 @@ from gateway.outputs.messages import (
 )
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.retained import RetainedMessages
-from gateway.outputs.settings import MqttSettings
+from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.thinning import Thinning
 from gateway.outputs.topics import BRIDGE_INFO, Topics
 
@@ -78,7 +79,8 @@ class MqttOutput:
         """Port of the broker; with port 0 in the settings, the one that was found free."""
         self._settings = settings
         self._identifier = settings.client_id or unique_identifier(info.gateway)
-        self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include)
+        joint_angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
+        self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include, joint_angles)
         self._info = info
         self._utc: UtcAnchor | None = None
         self._retained = RetainedMessages()

@@ -10,7 +10,7 @@ from gateway.reconstruction.fused import FusedReconstructor
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
-from gateway.reconstruction.reconstructor import Reconstructor
+from gateway.reconstruction.reconstructor import Reconstructor, update_many
 from gateway.reconstruction.whole_body import (
     NO_CONTACTS,
     OrientationFinder,
@@ -28,6 +28,7 @@ __all__ = [
     "RootSettings",
     "WholeBodyReconstructor",
     "create_reconstructor",
+    "update_many",
 ]
 
 RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {

@@ -6,6 +6,7 @@ ImuFrame → stuck modules left out → (rest of each segment) → orientations 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -121,12 +122,32 @@ class WholeBodyReconstructor:
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
-        dt = (observation.time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else 0.0
-        dt = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
-        self._time_ns = observation.time_ns
-        observation = self._without_stuck(observation, dt)
-        observed = self._observer.observe(observation)
-        resting = watch_stance(
+        return self.update_many((observation,))[0]
+
+    def update_many(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
+        """Instants in time order; the same as ``update`` of each, bit for bit."""
+        if not observations:
+            return []
+        clean, seen, rest, steps = [], [], [], []
+        for observation in observations:
+            steps.append(self._step(observation.time_ns))
+            clean.append(self._without_stuck(observation, steps[-1]))
+            seen.append(self._observer.observe(clean[-1]))
+            rest.append(self._watch(seen[-1], steps[-1]))
+        if isinstance(self.finder, _BatchFinder):
+            found = self.finder.update_many(clean, np.stack(rest))
+        else:
+            found = [self.finder.update(*one) for one in zip(clean, rest, strict=True)]
+        return [self._finish(*one) for one in zip(found, seen, rest, steps, strict=True)]
+
+    def _step(self, time_ns: int) -> float:
+        """Seconds since the frame before."""
+        dt = (time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else 0.0
+        self._time_ns = time_ns
+        return min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
+
+    def _watch(self, observed: SegmentObservations, dt: float) -> FloatArray:
+        return watch_stance(
             StanceSettings(),
             self._memory.stance,
             self._carries,
@@ -136,7 +157,6 @@ class WholeBodyReconstructor:
             observed.status,
             dt,
         )
-        return self._finish(self.finder.update(observation, resting), observed, resting, dt)
 
     def joint_agreement(self) -> dict[str, float]:
         """By segment: 0 when its module agrees with a neighbour's about their joint, about 1 when with none.
@@ -215,6 +235,15 @@ class WholeBodyReconstructor:
         ones, none = np.ones((m, 3)), np.zeros(m, np.int64)
         for k in range(2):
             self.update(ImuFrame(k, k * 10_000_000, ones, 0.1 * ones, ones, none.astype(np.uint8), none))
+
+
+@runtime_checkable
+class _BatchFinder(Protocol):
+    """A finder that takes many frames in one call."""
+
+    def update_many(
+        self, observations: Sequence[ImuFrame], resting: FloatArray | None = None
+    ) -> list[SkeletonFrame]: ...
 
 
 @runtime_checkable
