@@ -21,9 +21,18 @@ from gateway.body.skeleton import WornSuit
 from gateway.calibration.corrections import SensorCorrections
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
+from gateway.errors import SettingsError
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
-from gateway.reconstruction import FUSED, RECONSTRUCTORS, update_many
+from gateway.reconstruction import (
+    FUSED,
+    NO_CONTACTS,
+    RootMode,
+    RootSettings,
+    WholeBodyReconstructor,
+    create_reconstructor,
+    update_many,
+)
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Reading, Stream
 
@@ -43,6 +52,7 @@ class Pipeline:
         clock_table: ClockTable | None = None,
         despiker: Despiker | None = None,
         trigger_patience_ns: int = 250_000_000,
+        root: RootSettings | None = None,
     ) -> None:
         """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
         triggers = None
@@ -59,12 +69,16 @@ class Pipeline:
             self.fused_assembler = FusedAssembler(suit.module_ids, params, reference)
         self.unused: Counter[str] = Counter()
         """Readings of a kind that the reconstructor has no use for."""
-        self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
+        interval_s = params.frame_interval_ns * 1e-9
+        self.reconstructor = create_reconstructor(reconstructor, suit, interval_s, root)
         self.skeleton_frames = 0
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
-        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table."""
+        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table, and
+        for a body that cannot walk and shall."""
+        if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
+            raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
         table = settings.clock.table
         return cls(
             suit,
@@ -74,6 +88,7 @@ class Pipeline:
             None if table is None else load_clock_table(Path(table)),
             Despiker() if settings.assembly.despike else None,
             round(settings.clock.trigger_patience_ms * 1e6),
+            settings.root_motion.root(),
         )
 
     def add_link(self, name: str, framing: Framing) -> None:
@@ -141,5 +156,8 @@ class Pipeline:
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},
             "unused_readings": dict(self.unused),
             "spikes": self.despiker.summary() if self.despiker is not None else {},
+            "joint_agreement": self.reconstructor.joint_agreement()
+            if isinstance(self.reconstructor, WholeBodyReconstructor)
+            else {},
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
         }
