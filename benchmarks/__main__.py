@@ -1,4 +1,4 @@
-"""``python -m benchmarks accuracy|speed|latency|clock|record|all``."""
+"""``python -m benchmarks accuracy|speed|latency|clock|record|joints|sensors|all``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, clock, latency, record, speed
+from benchmarks import accuracy, clock, joints, latency, record, sensors, speed
 from benchmarks.figures import Report, write_docs
 
 SUITES: dict[str, Callable[[], Report]] = {
@@ -16,6 +16,8 @@ SUITES: dict[str, Callable[[], Report]] = {
     "latency": latency.run,
     "clock": clock.run,
     "record": record.run,
+    "joints": joints.run,
+    "sensors": sensors.run,
 }
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 

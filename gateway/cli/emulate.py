@@ -31,7 +31,7 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.cli.emulated_rig import dress, move, tumble
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
@@ -90,6 +90,10 @@ def emulate(
     id_conflict: Annotated[
         bool, typer.Option("--id-conflict", help="The last module has the id of the one before it.")
     ] = False,
+    tumbling: Annotated[
+        bool,
+        typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
+    ] = False,
     seed: Annotated[int, typer.Option(help="Of the motion and of everything random.")] = 1,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="End after so long.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Say where and since when as JSON.")] = False,
@@ -111,7 +115,7 @@ def emulate(
             has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
             encoding=encoding,
         )
-        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict)
+        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, tumbling)
     try:
         _play(source, _transport(on, link, port, channel, fd), as_json, seconds)
     except (OSError, can.CanError) as error:
@@ -119,7 +123,13 @@ def emulate(
 
 
 def _traffic(
-    rig: str, settings: SuitSettings, imperfections: str, seed: int, fresh: int, id_conflict: bool
+    rig: str,
+    settings: SuitSettings,
+    imperfections: str,
+    seed: int,
+    fresh: int,
+    id_conflict: bool,
+    is_tumbling: bool,
 ) -> SuitTraffic:
     if imperfections not in PRESETS:
         raise GatewayError(f"--imperfections {imperfections}: unknown{nearest(imperfections, PRESETS)}")
@@ -132,7 +142,8 @@ def _traffic(
         fresh=frozenset(ids[:fresh]),
         stored_ids={ids[-1]: ids[-2]} if id_conflict and len(ids) > 1 else {},
     )
-    return SuitTraffic(move(dress(suit), suit.skeleton.name, seed), world, PRESETS[imperfections], seed)
+    motion = (tumble if is_tumbling else move)(dress(suit), suit.skeleton.name, seed)
+    return SuitTraffic(motion, world, PRESETS[imperfections], seed)
 
 
 def _read(path: Path, kind: str) -> Recording:
