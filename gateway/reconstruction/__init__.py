@@ -8,12 +8,18 @@ from gateway.body.skeleton import WornSuit
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
+from gateway.reconstruction.inertial.rate_free import (
+    DelayedRateFreeReconstructor,
+    RateFreeReconstructor,
+)
 from gateway.reconstruction.reconstructor import Reconstructor
 
 __all__ = ["RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
 
 RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
     "articulated": ArticulatedReconstructor,
+    "gyro_free": RateFreeReconstructor,
+    "gyro_free_delayed": DelayedRateFreeReconstructor,
     "independent": IndependentReconstructor,
     "joint": JointReconstructor,
     "outward": OutwardReconstructor,
