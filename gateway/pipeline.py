@@ -3,23 +3,26 @@
     link → chunk ─┬─ framing → packets → clocks ─┬─ frame assembly ─┬─ reconstructor ─→ outputs
                   └────────── Stream ────────────┘    ImuFrame      └─ SkeletonFrame
 
-``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times it gives
-the same skeleton frames, bit for bit. ``gateway.service`` puts links before it and outputs after.
+``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times, and told in
+the same order what the gateway sent and when (``sent``), it gives the same skeleton frames, bit for bit.
+``gateway.service`` puts links before it and outputs after.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
-from devices.link import Chunk, Framing
+from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
-from gateway.clocks import ClockTable, load_clock_table
+from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
-from gateway.frames import LocalReading, SkeletonFrame
-from gateway.reconstruction import RECONSTRUCTORS
+from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
+from gateway.fused_assembly import FusedAssembler
+from gateway.reconstruction import FUSED, RECONSTRUCTORS
 from gateway.settings import GatewaySettings
-from gateway.stream import ClockMode, Stream
+from gateway.stream import ClockMode, Reading, Stream
 
 
 class Pipeline:
@@ -33,10 +36,22 @@ class Pipeline:
         clock_mode: ClockMode = ClockMode.ESTIMATED,
         clock_table: ClockTable | None = None,
         despiker: Despiker | None = None,
+        trigger_patience_ns: int = 250_000_000,
     ) -> None:
-        self.stream = Stream(clock_mode, clock_table)
+        """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
+        triggers = None
+        if clock_mode is ClockMode.TRIGGER:
+            triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns)
+        self.stream = Stream(clock_mode, clock_table, triggers)
         self.despiker = despiker
         self.assembler = FrameAssembler(suit.module_ids, params)
+        self.fused_assembler: FusedAssembler | None = None
+        """In the place of the other where orientations fused on board are wanted."""
+        if reconstructor in FUSED:
+            reference = suit.module_ids[0] if clock_table is None else clock_table.reference
+            self.fused_assembler = FusedAssembler(suit.module_ids, params, reference)
+        self.unused: Counter[str] = Counter()
+        """Readings of a kind that the reconstructor has no use for."""
         self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
         self.skeleton_frames = 0
 
@@ -51,26 +66,41 @@ class Pipeline:
             settings.clock.mode,
             None if table is None else load_clock_table(Path(table)),
             Despiker() if settings.assembly.despike else None,
+            round(settings.clock.trigger_patience_ms * 1e6),
         )
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
         self.stream.add_link(name, framing)
 
+    def sent(self, chunk: SentChunk) -> None:
+        """The gateway put this on a link: time requests and sampling triggers, whose answers need it."""
+        self.stream.sent(chunk)
+
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
         skeleton_frames: list[SkeletonFrame] = []
         for reading in self.stream.receive(chunk):
-            if isinstance(reading, LocalReading):
-                self.assembler.add_local(reading)
-                continue
-            clean = reading if self.despiker is None else self.despiker.add(reading)
-            if clean is None:
-                continue
-            imu_frames = self.assembler.add(clean, chunk.arrived_ns)
+            imu_frames = self._assemble(reading, chunk.arrived_ns)
             skeleton_frames.extend(self.reconstructor.update(imu_frame) for imu_frame in imu_frames)
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
+
+    def _assemble(self, reading: Reading, arrived_ns: int) -> list[ImuFrame]:
+        fused = self.fused_assembler
+        if isinstance(reading, LocalReading) and fused is None:
+            self.assembler.add_local(reading)
+            return []
+        if isinstance(reading, FusedReading):
+            if fused is not None:
+                return fused.add(reading, arrived_ns)
+            self.unused["fused"] += 1
+            return []
+        if fused is not None or isinstance(reading, LocalReading):
+            self.unused["local" if isinstance(reading, LocalReading) else "raw"] += 1
+            return []
+        clean = reading if self.despiker is None else self.despiker.add(reading)
+        return [] if clean is None else self.assembler.add(clean, arrived_ns)
 
     def statistics(self) -> dict[str, object]:
         """Counters for the health message."""
@@ -78,12 +108,13 @@ class Pipeline:
             link: {defect.name.lower(): count for defect, count in defects.items()}
             for link, defects in self.stream.dropped.items()
         }
+        triggers, assembler = self.stream.triggers, self.fused_assembler or self.assembler
         return {
+            **({} if triggers is None else {"triggers": triggers.figures.summary()}),
             "skeleton_frames": self.skeleton_frames,
             "dropped_by_link": dropped,
-            "dropped_by_assembly": {
-                reason.name.lower(): count for reason, count in self.assembler.lost.items()
-            },
+            "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},
+            "unused_readings": dict(self.unused),
             "spikes": self.despiker.summary() if self.despiker is not None else {},
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
         }

@@ -9,10 +9,14 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
+from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
 from gateway.reconstruction import RECONSTRUCTORS
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
+
+RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
+"""Nothing that could mean another folder."""
 
 
 class _Strict(BaseModel):
@@ -26,7 +30,7 @@ class LinkSettings(_Strict):
     url: str = Field(
         min_length=1,
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
-        "can://socketcan/can0, tcp://host:port, udp://host:port, replay:///path/to/recording",
+        "can://socketcan/can0, tcp://host:port, udp://host:port, recording:///path/to/file.mcap",
     )
 
 
@@ -36,7 +40,8 @@ class ClockSettings(_Strict):
     mode: ClockMode = Field(
         default=ClockMode.ESTIMATED,
         description="estimated: every module has its own crystal; shared: they count one clock already; "
-        "table: rates as measured by `calibrate clocks`",
+        "table: rates as measured by `calibrate clocks`; trigger: the gateway tells modules when to sample "
+        "(they must be set to it: mode 3)",
     )
     table: str | None = Field(
         default=None,
@@ -47,8 +52,21 @@ class ClockSettings(_Strict):
         default=4,
         ge=0,
         le=50,
-        description="for mode estimated: how often all modules are asked for their time, which takes the "
-        "transport's delay out of the clocks of those that answer; 0: never",
+        description="for modes estimated and trigger: how often all modules are asked for their time, which "
+        "takes the transport's delay out of the clocks of those that answer; 0: never",
+    )
+    trigger_rate_hz: float = Field(
+        default=100,
+        ge=1,
+        le=1000,
+        description="for mode trigger: how often all modules are told to sample",
+    )
+    trigger_patience_ms: float = Field(
+        default=250,
+        gt=0,
+        le=10_000,
+        description="for mode trigger: how long an answer is waited for; one that comes later is dropped "
+        "and counts as missed",
     )
 
     @model_validator(mode="after")
@@ -87,10 +105,48 @@ class AssemblySettings(_Strict):
         )
 
 
+class RecordingSettings(_Strict):
+    """What is kept of a capture, and where."""
+
+    at_start: bool = Field(
+        default=False, description="record from the start of the service; else when asked to"
+    )
+    folder: str = Field(default="recordings", min_length=1, description="where the files go; made if absent")
+    name: str | None = Field(
+        default=None,
+        pattern=RECORDING_NAME,
+        description="added to the file's name, which begins with the time in UTC",
+    )
+    skeleton: bool = Field(
+        default=True, description="record skeleton frames too; without them files are about a third as large"
+    )
+    flush_ms: float = Field(
+        default=200,
+        ge=10,
+        le=60_000,
+        description="data this old is with the system: most that a kill can cost",
+    )
+    fsync_s: float = Field(
+        default=5,
+        ge=0,
+        le=3600,
+        description="data this old is on the disk, for power cuts; 0: only at the end",
+    )
+    rotate_mb: float = Field(default=2000, ge=0, description="a new file beyond this size; 0: never")
+    rotate_minutes: float = Field(default=60, ge=0, description="a new file after this time; 0: never")
+    warn_free_mb: float = Field(default=2000, ge=0, description="warn when the disk has less room")
+    min_free_mb: float = Field(
+        default=500, ge=0, description="stop recording when it has less; the live stream goes on"
+    )
+
+
 class LogSettings(_Strict):
     """Logging."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
+    format: LogFormat = Field(
+        default="auto", description="human, json (an object a line), or auto: human on a terminal, else json"
+    )
 
 
 class GatewaySettings(_Strict):
@@ -107,6 +163,7 @@ class GatewaySettings(_Strict):
     clock: ClockSettings = ClockSettings()
     assembly: AssemblySettings = AssemblySettings()
     mqtt: MqttSettings = MqttSettings()
+    recording: RecordingSettings = RecordingSettings()
     log: LogSettings = LogSettings()
     allow_device_writes: bool = Field(
         default=False,

@@ -20,6 +20,7 @@ from devices.emulators.emulated_suit import Conversation, EmulatedSuit
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import Recording, play
+from devices.emulators.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import (
     CanBusTransport,
@@ -45,6 +46,16 @@ class Medium(StrEnum):
     CAN = "can"
 
 
+class SamplingMode(StrEnum):
+    """What the modules send until a host sets them otherwise."""
+
+    RAW = "raw"
+    FUSED = "fused"
+    TRIGGERED = "triggered"
+
+
+_MODES = {SamplingMode.FUSED: FUSED, SamplingMode.RAW: RAW, SamplingMode.TRIGGERED: TRIGGERED}
+
 _REMEDIES = {
     Medium.PTY: "name another place with --link",
     Medium.SLCAN: "name another place with --link",
@@ -63,6 +74,12 @@ def emulate(
     fd: Annotated[bool, typer.Option("--fd", help="can, slcan: CAN FD frames.")] = False,
     imperfections: Annotated[str, typer.Option(help=f"How bad it is: {', '.join(PRESETS)}.")] = "typical",
     rate: Annotated[float, typer.Option(min=1, max=4000, help="Samples of each module a second.")] = 100.0,
+    mode: Annotated[
+        SamplingMode,
+        typer.Option(
+            help="Raw samples or orientations fused on board, or raw ones when the host triggers them."
+        ),
+    ] = SamplingMode.RAW,
     relay: Annotated[bool, typer.Option(help="Through a relay that batches (not on CAN).")] = True,
     fine: Annotated[bool, typer.Option("--fine", help="Send the fine (32-bit) samples.")] = False,
     recording: Annotated[Path | None, typer.Option(help="Play a real recording instead of a motion.")] = None,
@@ -89,6 +106,7 @@ def emulate(
     else:
         settings = SuitSettings(
             sampling_rate_hz=rate,
+            mode=_MODES[mode],
             is_fine=fine,
             has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
             encoding=encoding,

@@ -13,10 +13,15 @@ from devices.link import LinkError
 from gateway.cli.calibrate_clocks import calibrate_app
 from gateway.cli.configuration import config_app
 from gateway.cli.demo import demo
+from gateway.cli.diff import diff
 from gateway.cli.doctor import doctor
 from gateway.cli.emulate import emulate
 from gateway.cli.modules import modules_app
+from gateway.cli.record import record
+from gateway.cli.recordings import info, recordings, recover
+from gateway.cli.replay import replay
 from gateway.cli.run import run
+from gateway.cli.view import view
 from gateway.cli.watch import watch
 from gateway.errors import GatewayError
 
@@ -31,6 +36,16 @@ app.command(epilog="Example: mocap-gateway demo --seconds 20 --rig robot_arm_4")
 app.command(epilog="Example: mocap-gateway run -c config/gateway.yaml")(run)
 app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link /tmp/suit")(emulate)
 app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
+app.command(epilog="Example: mocap-gateway view --port 1883 --page-port 8080")(view)
+app.command(epilog="Example: mocap-gateway record -c my.yaml --name walk")(record)
+app.command(
+    epilog="Examples: mocap-gateway replay walk.mcap --speed 2 --embedded; "
+    "mocap-gateway replay walk.mcap --verify; mocap-gateway replay walk.mcap --with my_rig.yaml"
+)(replay)
+app.command(epilog="Example: mocap-gateway diff walk.mcap walk_joint.mcap --plot diff.html")(diff)
+app.command(epilog="Example: mocap-gateway recordings recordings/")(recordings)
+app.command(epilog="Example: mocap-gateway info walk.mcap --extract walk_files/")(info)
+app.command(epilog="Example: mocap-gateway recover walk.mcap --in-place")(recover)
 app.command(epilog="Example: mocap-gateway doctor -c config/gateway.yaml")(doctor)
 app.add_typer(modules_app, name="modules")
 app.add_typer(calibrate_app, name="calibrate")

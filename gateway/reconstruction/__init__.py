@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from gateway.body.skeleton import WornSuit
+from gateway.reconstruction.fused import FusedReconstructor
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
@@ -14,10 +16,12 @@ from gateway.reconstruction.inertial.rate_free import (
 )
 from gateway.reconstruction.reconstructor import Reconstructor
 
-__all__ = ["RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
+__all__ = ["FUSED", "RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
 
 RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
     "articulated": ArticulatedReconstructor,
+    "fused": FusedReconstructor,
+    "fused_neutral": partial(FusedReconstructor, starts_neutral=True),
     "gyro_free": RateFreeReconstructor,
     "gyro_free_delayed": DelayedRateFreeReconstructor,
     "independent": IndependentReconstructor,
@@ -25,6 +29,10 @@ RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
     "outward": OutwardReconstructor,
 }
 """Name to constructor; its arguments: the suit, and the nominal interval of the frames in s."""
+
+
+FUSED = frozenset({"fused", "fused_neutral"})
+"""Those that want orientations fused on the modules, and no raw values."""
 
 
 def create_reconstructor(name: str, suit: WornSuit, nominal_interval_s: float) -> Reconstructor:
