@@ -1,4 +1,4 @@
-"""Orientation without gyrometers: every trial of BROAD with its position as local device, gyrometers hidden."""
+"""Orientation without gyrometers: every trial of BROAD with its position as local device."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def add_gyro_free(report: Report, folder: Path) -> None:
         print(f"skipped broad_gyrofree: no trials in {folder}")
         return
     report.tables.append(
-        "### Without gyrometers: RMSE, degrees\n\nBROAD, position as local device, gyrometers hidden, movement "
-        "phases only, nothing aligned. `gyro_free` is causal, `gyro_free_delayed` half a second late; `per sample, "
-        "unaided`: accelerometer and magnetometer alone (TRIAD).\n\n"
+        "### Without gyrometers: RMSE, degrees\n\nBROAD, position as local device, gyrometers hidden, "
+        "movement phases only, nothing aligned. `gyro_free` is causal, `gyro_free_delayed` half a second "
+        "late; `per sample, unaided`: accelerometer and magnetometer alone (TRIAD).\n\n"
         + table(["trial", "method", "total", "tilt"], rows)
     )
     names = ((DELAYED, "broad_gyrofree_deg", "<=5"), (CAUSAL, "broad_gyrofree_causal_deg", ""))
@@ -71,9 +71,7 @@ def _solve(
 
 def _triad(suit: WornSuit, frame: ImuFrame) -> FloatArray:
     f, m = frame.specific_force[0], frame.magnetic_field[0]
-    return quaternion.from_matrix(
-        rotation_matrix.from_two_vectors(f, m, -suit.gravity, suit.magnetic_field)
-    )
+    return quaternion.from_matrix(rotation_matrix.from_two_vectors(f, m, -suit.gravity, suit.magnetic_field))
 
 
 def _errors(

@@ -20,6 +20,7 @@ from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
+from gateway.gnss import GnssParams, GnssReceiver
 from gateway.reconstruction import FUSED, RECONSTRUCTORS
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Reading, Stream
@@ -54,12 +55,15 @@ class Pipeline:
         """Readings of a kind that the reconstructor has no use for."""
         self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
         self.skeleton_frames = 0
+        self.gnss_params: dict[str, GnssParams] = {}
+        """By link; a receiver that is not named has the defaults."""
+        self._gnss: dict[str, GnssReceiver] = {}
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
         """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table."""
         table = settings.clock.table
-        return cls(
+        pipeline = cls(
             suit,
             settings.assembly.params(),
             settings.reconstructor,
@@ -68,10 +72,19 @@ class Pipeline:
             Despiker() if settings.assembly.despike else None,
             round(settings.clock.trigger_patience_ms * 1e6),
         )
+        pipeline.gnss_params = {
+            link.name: GnssParams(link.device, round(link.latency_ms * 1e6), link.origin)
+            for link in settings.links
+            if link.carries == "gnss"
+        }
+        return pipeline
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
-        self.stream.add_link(name, framing)
+        if framing is Framing.GNSS:
+            self._gnss[name] = GnssReceiver(self.gnss_params.get(name, GnssParams()))
+        else:
+            self.stream.add_link(name, framing)
 
     def sent(self, chunk: SentChunk) -> None:
         """The gateway put this on a link: time requests and sampling triggers, whose answers need it."""
@@ -80,7 +93,9 @@ class Pipeline:
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
         skeleton_frames: list[SkeletonFrame] = []
-        for reading in self.stream.receive(chunk):
+        receiver = self._gnss.get(chunk.link)
+        readings = self.stream.receive(chunk) if receiver is None else receiver.receive(chunk)
+        for reading in readings:
             imu_frames = self._assemble(reading, chunk.arrived_ns)
             skeleton_frames.extend(self.reconstructor.update(imu_frame) for imu_frame in imu_frames)
         self.skeleton_frames += len(skeleton_frames)
@@ -111,6 +126,7 @@ class Pipeline:
         triggers, assembler = self.stream.triggers, self.fused_assembler or self.assembler
         return {
             **({} if triggers is None else {"triggers": triggers.figures.summary()}),
+            **({"gnss": {name: r.statistics() for name, r in self._gnss.items()}} if self._gnss else {}),
             "skeleton_frames": self.skeleton_frames,
             "dropped_by_link": dropped,
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},

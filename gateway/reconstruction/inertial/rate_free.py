@@ -1,9 +1,9 @@
 """``gyro_free``: a body whose modules have accelerometers and a field sensor only, and its local devices.
 
-Segments are solved outward from the root, each by ``rate_free_filter``. The root's filter is held by its local
-devices, every other by the joint it shares with the one before, whose place is handed on with its uncertainty.
-Whatever has no such hold (no device, or one that fell silent) is held loosely to where it is: its acceleration
-is then taken to be small on the whole, as plain inclinometers do, and ``sigma`` says less.
+Segments are solved outward from the root, each by ``rate_free_filter``. The root's filter is held by its
+local devices, every other by the joint it shares with the one before, whose place is handed on with its
+uncertainty. Whatever has no such hold (no device, or one that fell silent) is held loosely to where it is:
+its acceleration is then taken to be small on the whole, as plain inclinometers do.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import LocalDevice, WornSuit
-from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity, SkeletonFrame, Status
+from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity, SkeletonFrame, Status, StatusArray
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.reconstruction.inertial import rate_free_filter as one
 from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
@@ -53,8 +53,9 @@ class RateFreeReconstructor:
 
     A segment is defined from its module's first sample with specific force and field on. status: the
     module's; PREDICTED while the module is silent, then MISSING. sigma: of the causal estimate, rad.
-    angular_rate is estimated; joint_acceleration holds from the first frame on. With a delay ``time_ns`` is that
-    of the instant given, one delay before the newest, and the first frames are MISSING.
+    angular_rate is estimated; joint_acceleration holds from the first frame on. With a delay ``time_ns`` is
+    that of the instant given, one delay before the newest, and the first frames are WARMING_UP.
+    A segment without a module is MISSING, and what is beyond it has no hold.
     """
 
     def __init__(
@@ -108,10 +109,11 @@ class RateFreeReconstructor:
         F = one.predict(state, noise, f, self._suit.gravity, since_s)
         one.watch(state, noise, f, m, since_s)
         x = np.zeros(one.N)
-        rows.count[0] = 0
-        if np.isfinite(m).all():
+        rows.n_rows[0] = 0
+        is_at_rest = one.add_rest(state, rows, noise, x, since_s)
+        is_disturbed = state.off_norm[0] > noise.norm_tolerance
+        if np.isfinite(m).all() and not (is_at_rest and is_disturbed):
             one.add_field(state, rows, noise, x, m, self._north)
-        one.add_rest(state, rows, noise, x, since_s)
         self._hold(s, state, rows, x, frame, since_s)
         one.correct(state, x)
         self._last_ns[s] = frame.time_ns
@@ -190,9 +192,7 @@ class RateFreeReconstructor:
             state.values[one.VELOCITY : one.ARM] = 0.0
         self._held_ns[s] = time_ns
 
-    def _catch(
-        self, s: int, state: SegmentState, place: FloatArray, arm: FloatArray, time_ns: int
-    ) -> None:
+    def _catch(self, s: int, state: SegmentState, place: FloatArray, arm: FloatArray, time_ns: int) -> None:
         """A segment that had no hold is put where it now is known to be."""
         if (time_ns - self._held_ns[s]) * 1e-9 > self._settings.longest_hold_s:
             block = slice(one.VELOCITY, one.ARM)
@@ -202,7 +202,7 @@ class RateFreeReconstructor:
             state.P[block, block] = np.diag([4.0] * 3 + [0.01] * 3)
         self._held_ns[s] = time_ns
 
-    def _frame(self, observation: ImuFrame, status: FloatArray) -> SkeletonFrame:
+    def _frame(self, observation: ImuFrame, status: StatusArray) -> SkeletonFrame:
         n = self._n
         q_wb, rate, acceleration = np.full((n, 4), np.nan), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
         sigma = np.full(n, np.nan)

@@ -1,14 +1,14 @@
 """One segment without gyrometers: an error-state filter that carries the motion instead. Compiled.
 
-The specific force is integrated twice (``v̇ = R f + g``, ``ṗ = v``) and meets whatever is known of the position
-of a point of the segment; a wrong ``R`` shows in ``p``. So no position is ever differentiated and no ``ω̇`` is
-needed where the point sits off the module: ``p + R r`` is all there is. ``R`` itself follows a constant-jerk motion:
-an angular acceleration that forgets itself (Singer 1970) and an angular rate that dies out slowly, both in
-world axes, as noisy as the specific force is lively. The field is a known vector plus a disturbance that forgets
-itself (the field of a room varies by place), its horizontal and vertical strength being learnt.
+The specific force is integrated twice (``v̇ = R f + g``, ``ṗ = v``) and meets whatever is known of the place
+of a point of the segment; a wrong ``R`` shows in ``p``. So no place is ever differentiated, and no ``ω̇`` is
+needed where the point sits off the module: ``p + R r`` is all there is. ``R`` itself follows a constant-jerk
+motion: an angular acceleration that forgets itself (Singer 1970) and an angular rate that dies out slowly,
+both in world axes, as noisy as the specific force is lively. The field is a known vector, its horizontal and
+vertical strength being learnt, plus a disturbance that forgets itself (the field of a room varies by place).
 
-Errors, 23: ``R = exp(θ) R̂`` (rad, world), ω, ω̇, v, p of the module, an arm (segment axes) by which the point is off
-its given place, horizontal and vertical strength of the field, disturbance of the field (world, µT).
+Errors, 23: ``R = exp(θ) R̂`` (rad, world), ω, ω̇, v, p of the module, an arm (segment axes) by which the point
+is off its given place, horizontal and vertical strength of the field, disturbance of the field (world, µT).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import cross, dot, norm, skew
+from gateway.geometry.vectors import cross, norm, skew
 from gateway.reconstruction.inertial.blocks import product, product_transposed
 
 N = 23
@@ -81,7 +81,7 @@ class SegmentState(NamedTuple):
 class Rows(NamedTuple):
     """What an instant observed: for the smoother; changed in place."""
 
-    count: FloatArray  # (1,)
+    n_rows: FloatArray  # (1,)
     gain: FloatArray  # (MOST_ROWS, N)
     H: FloatArray  # (MOST_ROWS, N)
     innovation: FloatArray  # (MOST_ROWS, 2) residual and its variance
@@ -89,9 +89,7 @@ class Rows(NamedTuple):
 
 def empty_state() -> SegmentState:
     """Of a segment that has not been seen."""
-    return SegmentState(
-        np.eye(3), np.zeros(N), np.zeros((N, N)), np.zeros(3), np.zeros(9), np.zeros(1)
-    )
+    return SegmentState(np.eye(3), np.zeros(N), np.zeros((N, N)), np.zeros(3), np.zeros(9), np.zeros(1))
 
 
 def empty_rows() -> Rows:
@@ -100,7 +98,9 @@ def empty_rows() -> Rows:
 
 
 @compiled
-def begin(state: SegmentState, noise: MotionNoise, R: FloatArray, f: FloatArray, m: FloatArray, h: FloatArray) -> None:
+def begin(
+    state: SegmentState, noise: MotionNoise, R: FloatArray, f: FloatArray, m: FloatArray, h: FloatArray
+) -> None:
     """From the first sample: R (3, 3), and the field's strength as measured, h (3,) its direction."""
     state.R[:] = R
     state.values[:] = 0.0
@@ -191,7 +191,7 @@ def add_row(
     state: SegmentState, rows: Rows, x: FloatArray, H: FloatArray, residual: float, variance: float
 ) -> None:
     """One scalar observation ``residual = H e + noise``; x (N,) gathers the errors found, in place."""
-    k = int(rows.count[0])
+    k = int(rows.n_rows[0])
     if k >= MOST_ROWS:
         return
     P, Ph, expected = state.P, np.zeros(N), 0.0
@@ -210,12 +210,18 @@ def add_row(
             P[i, j] -= gain[i] * Ph[j]
     rows.gain[k], rows.H[k] = gain, H
     rows.innovation[k, 0], rows.innovation[k, 1] = off, total
-    rows.count[0] = k + 1
+    rows.n_rows[0] = k + 1
 
 
 @compiled
 def add_vector(
-    state: SegmentState, rows: Rows, x: FloatArray, H: FloatArray, residual: FloatArray, sigma: FloatArray, huber: float
+    state: SegmentState,
+    rows: Rows,
+    x: FloatArray,
+    H: FloatArray,
+    residual: FloatArray,
+    sigma: FloatArray,
+    huber: float,
 ) -> None:
     """Three rows, H (3, N), of standard deviations sigma (3,), less trusted where they surprise."""
     distance = 0.0
@@ -279,7 +285,13 @@ def add_position(
 
 @compiled
 def add_velocity(
-    state: SegmentState, rows: Rows, x: FloatArray, velocity: FloatArray, arm: FloatArray, sigma: FloatArray, huber: float
+    state: SegmentState,
+    rows: Rows,
+    x: FloatArray,
+    velocity: FloatArray,
+    arm: FloatArray,
+    sigma: FloatArray,
+    huber: float,
 ) -> None:
     """How fast a point at ``arm`` (3,) from the module moves: (3,) world, m/s."""
     v = state.values
@@ -295,7 +307,14 @@ def add_velocity(
 
 @compiled
 def add_acceleration(
-    state: SegmentState, rows: Rows, x: FloatArray, a: FloatArray, arm: FloatArray, sigma: FloatArray, g: FloatArray, huber: float
+    state: SegmentState,
+    rows: Rows,
+    x: FloatArray,
+    a: FloatArray,
+    arm: FloatArray,
+    sigma: FloatArray,
+    g: FloatArray,
+    huber: float,
 ) -> None:
     """How a point at ``arm`` (3,) from the module accelerates, gravity taken out: (3,) world, m/s²."""
     v = state.values

@@ -25,7 +25,7 @@ class Log(NamedTuple):
     P: FloatArray  # (L, 6, N) covariance after the instant: rows of orientation and rate
     R: FloatArray  # (L, 3, 3)
     rate: FloatArray  # (L, 3) world
-    count: FloatArray  # (L,)
+    n_rows: FloatArray  # (L,)
     gain: FloatArray  # (L, MOST_ROWS, N)
     H: FloatArray  # (L, MOST_ROWS, N)
     innovation: FloatArray  # (L, MOST_ROWS, 2)
@@ -49,25 +49,25 @@ def empty_log(length: int) -> Log:
 @compiled
 def note(log: Log, state: SegmentState, F: FloatArray, rows: Rows) -> None:
     """Writes an instant down."""
-    k, n = log.head[0], int(rows.count[0])
+    k, n = log.head[0], int(rows.n_rows[0])
     log.F[k], log.P[k], log.R[k] = F, state.P[:6], state.R
     log.rate[k] = state.values[RATE:SPIN]
-    log.count[k] = n
+    log.n_rows[k] = n
     log.gain[k, :n], log.H[k, :n] = rows.gain[:n], rows.H[:n]
     log.innovation[k, :n] = rows.innovation[:n]
-    log.head[0] = (k + 1) % len(log.count)
-    log.head[1] = min(log.head[1] + 1, len(log.count))
+    log.head[0] = (k + 1) % len(log.n_rows)
+    log.head[1] = min(log.head[1] + 1, len(log.n_rows))
 
 
 @compiled
 def smoothed(log: Log) -> tuple[FloatArray, FloatArray]:
     """Orientation (3, 3) and rate (3,), world, of the oldest instant kept, with all seen since."""
-    length = len(log.count)
+    length = len(log.n_rows)
     adjoint = np.zeros(N)
     oldest = (log.head[0] - log.head[1]) % length
     for back in range(log.head[1] - 1):
         k = (log.head[0] - 1 - back) % length
-        for row in range(int(log.count[k]) - 1, -1, -1):
+        for row in range(int(log.n_rows[k]) - 1, -1, -1):
             along = 0.0
             for i in range(N):
                 along += log.gain[k, row, i] * adjoint[i]
