@@ -1,10 +1,11 @@
 """Derivatives of noisy readings with a stated bandwidth and uncertainty: local least squares over a window.
 
-A line (for one derivative) or a parabola (for two) is fitted to the readings of the last ``window_s``: Savitzky
-and Golay's method at uneven instants. Its derivative belongs to the middle of the window. For a parabola it is the
-true acceleration averaged with ``(15/16)(1 − x²)²``, x = −1…1 over the window: −3 dB at ``0.70 / window_s``.
-For a line it is the rate averaged with ``(3/4)(1 − x²)``: −3 dB at ``0.60 / window_s``. Independent readings of
-standard deviation σ, n of them evenly spaced, leave ``σ √(720 / n) / window_s²`` and ``σ √(12 / n) / window_s``.
+A line (for one derivative) or a parabola (for two) is fitted to the readings of the last ``window_s``:
+Savitzky and Golay's method at uneven instants. Its derivative belongs to the middle of the window.
+For a parabola it is the true acceleration averaged with ``(15/16)(1 − x²)²``, x = −1…1 over the window:
+−3 dB at ``0.70 / window_s``. For a line it is the rate averaged with ``(3/4)(1 − x²)``: −3 dB at
+``0.60 / window_s``. Independent readings of standard deviation σ, n of them evenly spaced, leave
+``σ √(720 / n) / window_s²`` and ``σ √(12 / n) / window_s``.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 By kind: a fixed point has ``a_1 = 0``; acceleration is taken as it comes; velocity is differentiated once and
 position twice by ``differentiation``, over the window asked for or, with a window of 0, by backward
-differences at the device's own rate. What is found belongs to the middle of the window; it is interpolated to the
-instant of a frame where such instants lie on both sides of it, otherwise the last one is held.
+differences at the device's own rate. What is found belongs to the middle of the window; it is interpolated
+to the instant of a frame where such instants lie on both sides of it, otherwise the last one is held.
 """
 
 from __future__ import annotations

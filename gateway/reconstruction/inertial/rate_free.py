@@ -30,8 +30,8 @@ LEASH_S = 0.1
 FIXED_POINT_SIGMA_M = 0.001
 LEAST_SIGMA = 5e-4
 """m, m/s or m/s²: no local device is better than that."""
-JOINT_SIGMA_M = 0.002
-JOINT_INFLATION = 5.0
+JOINT_SIGMA_M = 0.004
+JOINT_INFLATION = 20.0
 """The place of a joint is wrong for many instants alike; it counts so much less."""
 
 

@@ -61,7 +61,7 @@ class MotionNoise(NamedTuple):
     """… for so long after."""
     field_delay_s: float = 0.0
     """By how much the magnetometer is later than the accelerometer."""
-    arm: float = 0.02
+    arm: float = 0.005
     """m: how well places on the segment are known."""
     huber: float = 4.0
     """Standard deviations beyond which an observation counts less."""
