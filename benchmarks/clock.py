@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.clock_faults import recoveries
+from benchmarks.clock_orientation import clocks_in_degrees
 from benchmarks.clock_recordings import recorded_clocks
 from benchmarks.clock_simulation import (
     LATENCY_US,
@@ -240,6 +242,8 @@ def run() -> Report:
     triggered, timer, answers = by_trigger()
     limit_1ms, limit_16ms = (transport_limit_us(slot, 1e6 / RATE_HZ, 60.0) for slot in (1000.0, 16_000.0))
     recorded, recorded_table = recorded_clocks()
+    recovered, recovery_table = recoveries()
+    in_degrees, degrees_table = clocks_in_degrees()
     report = Report("clock")
     report.figures = [
         Figure("sync_p99_us", exchanged.p99_us(), "µs", "<=50", "two-way exchanges at 4 Hz, 1 ms batching"),
@@ -262,6 +266,8 @@ def run() -> Report:
             "clock_packet_us", cost_us, "µs", "<=2", "processor time of the estimate, one packet on average"
         ),
         *recorded,
+        *recovered,
+        *in_degrees,
     ]
     heads = ["mode", "p50 µs", "p99 µs", "max µs", "limit p99 µs", "±60° swing at 2 Hz: RMSE °"]
     rows = [
@@ -283,6 +289,8 @@ def run() -> Report:
         f"{RECEPTION_US:.0f} µs; timer jitter RMS {kept.jitter_rms_us:.0f} µs (common to all), "
         f"{missed} answers missed of "
         f"{kept.sent * MODULES}.\n\n" + table(heads, rows),
+        degrees_table,
+        recovery_table,
         recorded_table,
     ]
     return report

@@ -11,19 +11,25 @@ the same order what the gateway sent and when (``sent``), it gives the same skel
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator
+from itertools import chain, islice
 from pathlib import Path
 
 from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
+from gateway.calibration.corrections import SensorCorrections
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
-from gateway.reconstruction import FUSED, RECONSTRUCTORS
+from gateway.reconstruction import FUSED, RECONSTRUCTORS, update_many
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Reading, Stream
+
+FRAMES_AT_A_TIME = 256
+"""Of a recording: enough that a call costs nothing, few enough to stay in the processor's cache."""
 
 
 class Pipeline:
@@ -44,6 +50,7 @@ class Pipeline:
         if clock_mode is ClockMode.TRIGGER:
             triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns)
         self.stream = Stream(clock_mode, clock_table, triggers)
+        self.corrections = SensorCorrections(suit.calibrations)
         self.despiker = despiker
         self.assembler = FrameAssembler(suit.module_ids, params)
         self.fused_assembler: FusedAssembler | None = None
@@ -92,14 +99,30 @@ class Pipeline:
 
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
-        skeleton_frames: list[SkeletonFrame] = []
-        receiver = self._gnss.get(chunk.link)
-        readings = self.stream.receive(chunk) if receiver is None else receiver.receive(chunk)
-        for reading in readings:
-            imu_frames = self._assemble(reading, chunk.arrived_ns)
-            skeleton_frames.extend(self.reconstructor.update(imu_frame) for imu_frame in imu_frames)
+        skeleton_frames = [self.reconstructor.update(imu_frame) for imu_frame in self._imu_frames(chunk)]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
+
+    def replay(self, items: Iterable[Chunk | SentChunk]) -> Iterator[SkeletonFrame]:
+        """A recording: the frames that ``feed`` and ``sent`` of each item give, bit for bit, but many at a
+        time."""
+        imu_frames = chain.from_iterable(map(self._played, items))
+        while block := list(islice(imu_frames, FRAMES_AT_A_TIME)):
+            self.skeleton_frames += len(block)
+            yield from update_many(self.reconstructor, block)
+
+    def _played(self, item: Chunk | SentChunk) -> list[ImuFrame]:
+        if isinstance(item, Chunk):
+            return self._imu_frames(item)
+        self.sent(item)
+        return []
+
+    def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+        imu_frames: list[ImuFrame] = []
+        receiver = self._gnss.get(chunk.link)
+        for reading in self.stream.receive(chunk) if receiver is None else receiver.receive(chunk):
+            imu_frames += self._assemble(reading, chunk.arrived_ns)
+        return imu_frames
 
     def _assemble(self, reading: Reading, arrived_ns: int) -> list[ImuFrame]:
         fused = self.fused_assembler
@@ -114,7 +137,8 @@ class Pipeline:
         if fused is not None or isinstance(reading, LocalReading):
             self.unused["local" if isinstance(reading, LocalReading) else "raw"] += 1
             return []
-        clean = reading if self.despiker is None else self.despiker.add(reading)
+        corrected = self.corrections.apply(reading)
+        clean = corrected if self.despiker is None else self.despiker.add(corrected)
         return [] if clean is None else self.assembler.add(clean, arrived_ns)
 
     def statistics(self) -> dict[str, object]:

@@ -19,6 +19,7 @@ from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
+from gateway.observability import Observer
 from gateway.outputs.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
@@ -47,8 +48,10 @@ class Service:
             settings, suit, _framings(self.links), self.pipeline.statistics, self.pipeline.stream.restarts
         )
         self._records_at_start = settings.recording.at_start
-        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, _describe(settings, suit), self.statistics)
+        info = _describe(settings, suit)
+        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, info, self.statistics)
         self._outputs: tuple[Output, ...] = (self.mqtt,)
+        self.observer = Observer(settings, suit, info, self.pipeline, self.links, self.mqtt)
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
         suit_links = [link for link in self.links if link.framing is not Framing.GNSS]
@@ -80,7 +83,7 @@ class Service:
         Raises ``OutputError`` if an output cannot start, ``RecordingError`` if what it is to record cannot be
         written.
         """
-        async with self.mqtt:
+        async with self.mqtt, self.observer.watching():
             if self._records_at_start:
                 self.recording.start()
             self.requests.start(self.mqtt.port)

@@ -131,6 +131,30 @@ class AssemblySettings(_Strict):
         )
 
 
+class ModuleReportSettings(_Strict):
+    """What is published of every module."""
+
+    state_interval_s: float = Field(
+        default=2, ge=0.5, le=3600, description="most often that one module's state is published, s"
+    )
+    silent_after_s: float = Field(
+        default=3, ge=0.5, le=3600, description="a module counts as offline after so long without a packet, s"
+    )
+
+
+class MetricsSettings(_Strict):
+    """Prometheus metrics and a health check over HTTP."""
+
+    port: int | None = Field(
+        default=None, ge=0, le=65535, description="port of /metrics and /healthz; none: off; 0: any free one"
+    )
+    host: str = Field(
+        default="127.0.0.1",
+        min_length=1,
+        description="address to listen at: loopback, unless others are to read them (0.0.0.0: all)",
+    )
+
+
 class RecordingSettings(_Strict):
     """What is kept of a capture, and where."""
 
@@ -190,6 +214,8 @@ class GatewaySettings(_Strict):
     assembly: AssemblySettings = AssemblySettings()
     mqtt: MqttSettings = MqttSettings()
     recording: RecordingSettings = RecordingSettings()
+    modules: ModuleReportSettings = ModuleReportSettings()
+    metrics: MetricsSettings = MetricsSettings()
     log: LogSettings = LogSettings()
     allow_device_writes: bool = Field(
         default=False,

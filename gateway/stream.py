@@ -127,9 +127,11 @@ class Stream:
     def sent(self, chunk: SentChunk) -> None:
         """Take note of what the gateway put on a link, once it has left and before what answers it.
 
-        An input like ``receive``: what answers are worth depends on when their question left.
+        An input like ``receive``: what answers are worth depends on when their question left. Over a link
+        that is not announced nothing is expected back.
         """
-        for sent in self._sent_decoders[chunk.link].feed(chunk.data):
+        decoder = self._sent_decoders.get(chunk.link)
+        for sent in [] if decoder is None else decoder.feed(chunk.data):
             if isinstance(sent.packet, SyncRequest):
                 self._exchanges.asked(sent.packet.token, chunk)
             elif isinstance(sent.packet, SamplingTrigger) and self.triggers is not None:

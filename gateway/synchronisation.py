@@ -37,8 +37,12 @@ class Synchroniser:
         """Ask for ever."""
         while True:
             await asyncio.sleep(self._interval_s)
-            for link in self._links:
-                await self._ask(link)
+            await self.ask_all()
+
+    async def ask_all(self) -> None:
+        """Ask once, over every link."""
+        for link in self._links:
+            await self._ask(link)
 
     async def _ask(self, link: Link) -> None:
         """One request to all modules on a link; a link that is away is left alone until it is back."""

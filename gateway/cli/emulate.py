@@ -33,7 +33,7 @@ from devices.emulators.transports import (
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
-from gateway.cli.emulated_rig import dress, move
+from gateway.cli.emulated_rig import dress, move, tumble
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
@@ -96,6 +96,10 @@ def emulate(
         Path | None, typer.Option(help="A satellite receiver on the body's root too: link to its port.")
     ] = None,
     gnss_format: Annotated[str, typer.Option(help=f"What it speaks: {', '.join(FORMATS)}.")] = "nmea",
+    tumbling: Annotated[
+        bool,
+        typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
+    ] = False,
     seed: Annotated[int, typer.Option(help="Of the motion and of everything random.")] = 1,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="End after so long.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Say where and since when as JSON.")] = False,
@@ -117,7 +121,7 @@ def emulate(
             has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
             encoding=encoding,
         )
-        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, gnss is not None)
+        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, tumbling, gnss is not None)
     receiver = None if gnss is None else companion(rig, seed, gnss, gnss_format, seconds)
     try:
         _play(source, _transport(on, link, port, channel, fd), as_json, seconds, receiver)
@@ -132,6 +136,7 @@ def _traffic(
     seed: int,
     fresh: int,
     id_conflict: bool,
+    is_tumbling: bool,
     has_gnss: bool,
 ) -> SuitTraffic:
     if imperfections not in PRESETS:
@@ -147,7 +152,8 @@ def _traffic(
         fresh=frozenset(ids[:fresh]),
         stored_ids={ids[-1]: ids[-2]} if id_conflict and len(ids) > 1 else {},
     )
-    return SuitTraffic(move(dress(suit), suit.skeleton.name, seed), world, PRESETS[imperfections], seed)
+    motion = (tumble if is_tumbling else move)(dress(suit), suit.skeleton.name, seed)
+    return SuitTraffic(motion, world, PRESETS[imperfections], seed)
 
 
 def _read(path: Path, kind: str) -> Recording:

@@ -5,7 +5,7 @@ clock is; modules that share one) → ``batching``, ``floor_filter``, ``delay_fl
 offset while capturing, from arrival times alone) → ``sync_exchange`` (two-way exchanges) → ``table``,
 ``table_calibration``, ``table_clock``, ``reference_instants`` (mode 1, distributed compensation: a table
 measured beforehand) → ``trigger``, ``trigger_answers`` (mode 2, unified control: the gateway says when to
-sample).
+sample) → ``utc_anchor`` (gateway time against UTC).
 
 Sans-I/O and deterministic: arrival times are arguments, and gateway time is the host's monotonic clock.
 """
@@ -22,8 +22,11 @@ from gateway.clocks.table_calibration import ClockCalibration
 from gateway.clocks.table_clock import TableClock, TableClocks
 from gateway.clocks.trigger import Trigger, TriggerTimer
 from gateway.clocks.trigger_answers import Answer, TriggerAnswers
+from gateway.clocks.utc_anchor import AnchorReading, AnchorWatch
 
 __all__ = [
+    "AnchorReading",
+    "AnchorWatch",
     "Answer",
     "ClockCalibration",
     "ClockFigures",

@@ -14,9 +14,9 @@ from gateway.reconstruction.inertial.rate_free import (
     DelayedRateFreeReconstructor,
     RateFreeReconstructor,
 )
-from gateway.reconstruction.reconstructor import Reconstructor
+from gateway.reconstruction.reconstructor import Reconstructor, update_many
 
-__all__ = ["FUSED", "RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
+__all__ = ["FUSED", "RECONSTRUCTORS", "Reconstructor", "create_reconstructor", "update_many"]
 
 RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
     "articulated": ArticulatedReconstructor,

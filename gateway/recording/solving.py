@@ -74,11 +74,7 @@ def solve(
 ) -> Iterator[SkeletonFrame]:
     """Skeleton frames made anew from the recorded bytes; source: None for what was recorded."""
     pipeline = recording_pipeline(recording, source or recorded_source(recording))
-    for item in recording.inputs(progress):
-        if isinstance(item, Chunk):
-            yield from pipeline.feed(item)
-        else:
-            pipeline.sent(item)
+    yield from pipeline.replay(recording.inputs(progress))
 
 
 def verify(recording: Recording, progress: Progress | None = None) -> Verification:

@@ -222,6 +222,7 @@ async def test_what_cannot_be_encoded_is_dropped_and_the_output_lives_on(
 async def test_nonsense_on_the_topics_is_counted_by_the_subscriber(
     mosquitto: Mosquitto, pose_source: PoseSource, until: Until
 ) -> None:
+    mosquitto.is_for_gateways_only = False
     settings = MqttSettings(port=mosquitto.port)
     async with (
         PoseSubscriber(settings) as poses,

@@ -19,6 +19,8 @@ from gateway.frames import FloatArray, LocalReading, Quantity
 from gateway.reconstruction.inertial.differentiation import Differentiator
 
 _N_DERIVATIVES = {Quantity.ACCELERATION: 0, Quantity.VELOCITY: 1, Quantity.POSITION: 2}
+WANTED_SIGMA = 1.0
+"""m/s²: readings that allow it are differentiated over a shorter window."""
 _KEPT = 8  # readings; frames lag the newest reading by a few at most
 
 
@@ -34,7 +36,7 @@ class RootMotion:
     device: None stands for a root that is fixed: ``a_1 = 0`` is assumed.
     longest_hold_s: a reading older than this is no longer held; the acceleration is then NaN, and after
     the gap the differences begin anew.
-    window_s: over which readings are differentiated; 0: over as few as can be.
+    window_s: over which readings are differentiated at the most; 0: over as few as can be.
     """
 
     def __init__(self, device: LocalDevice | None, longest_hold_s: float, window_s: float = 0.0) -> None:
@@ -42,7 +44,7 @@ class RootMotion:
         self._longest_hold_ns = round(longest_hold_s * 1e9)
         n_derivatives = _N_DERIVATIVES.get(device.quantity, 0) if device else 0
         self._differentiator = (
-            Differentiator(n_derivatives, window_s, longest_hold_s) if n_derivatives else None
+            Differentiator(n_derivatives, window_s, longest_hold_s, WANTED_SIGMA) if n_derivatives else None
         )
         self.reset()
 

@@ -22,7 +22,7 @@ from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import cross, norm, skew
-from gateway.reconstruction.inertial.blocks import product, product_transposed
+from gateway.reconstruction.inertial.dense import product, product_transposed
 
 N = 23
 RATE, SPIN, VELOCITY, PLACE, ARM, STRENGTH, DISTURBANCE = 3, 6, 9, 12, 15, 18, 20

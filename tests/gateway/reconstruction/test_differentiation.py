@@ -44,6 +44,14 @@ def test_half_the_power_is_left_at_the_stated_bandwidth(n_derivatives):
     assert amplitude == pytest.approx(np.sqrt(0.5), abs=0.04)
 
 
+def test_good_readings_are_not_made_to_wait():
+    times = np.arange(40) * 0.005
+    for sigma, lag_s in ((0.0, 0.005), (1e-3, 0.05)):
+        d = Differentiator(2, 0.1, 0.25, wanted_sigma=1.0)
+        found = [d.add(round(t * 1e9), np.zeros(3), np.full(3, sigma)) for t in times]
+        assert times[-1] - found[-1].time_ns * 1e-9 == pytest.approx(lag_s, rel=0.35)
+
+
 def test_begins_anew_after_a_gap():
     d = Differentiator(2, 0.1, 0.25)
     given = [d.add(t * 1_000_000, np.zeros(3), np.zeros(3)) for t in (0, 10, 20, 500, 510)]
