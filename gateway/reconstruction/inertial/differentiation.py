@@ -73,7 +73,7 @@ class Differentiator:
         factor = 720.0 if self._n_derivatives == 2 else 12.0
         for n in range(least, len(self._readings)):
             span_s = (newest_ns - self._readings[-n][0]) * 1e-9
-            if largest * math.sqrt(factor / n) <= self._wanted_sigma * span_s**self._n_derivatives:
+            if largest * math.sqrt(factor / n) < self._wanted_sigma * span_s**self._n_derivatives:
                 return n
         return len(self._readings)
 
