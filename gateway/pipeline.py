@@ -21,10 +21,19 @@ from gateway.body.skeleton import WornSuit
 from gateway.calibration.corrections import SensorCorrections
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
+from gateway.errors import SettingsError
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
-from gateway.reconstruction import FUSED, RECONSTRUCTORS, update_many
+from gateway.reconstruction import (
+    FUSED,
+    NO_CONTACTS,
+    RootMode,
+    RootSettings,
+    WholeBodyReconstructor,
+    create_reconstructor,
+    update_many,
+)
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Reading, Stream
 
@@ -44,6 +53,7 @@ class Pipeline:
         clock_table: ClockTable | None = None,
         despiker: Despiker | None = None,
         trigger_patience_ns: int = 250_000_000,
+        root: RootSettings | None = None,
     ) -> None:
         """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
         triggers = None
@@ -60,7 +70,8 @@ class Pipeline:
             self.fused_assembler = FusedAssembler(suit.module_ids, params, reference)
         self.unused: Counter[str] = Counter()
         """Readings of a kind that the reconstructor has no use for."""
-        self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
+        interval_s = params.frame_interval_ns * 1e-9
+        self.reconstructor = create_reconstructor(reconstructor, suit, interval_s, root)
         self.skeleton_frames = 0
         self.gnss_params: dict[str, GnssParams] = {}
         """By link; a receiver that is not named has the defaults."""
@@ -68,7 +79,10 @@ class Pipeline:
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
-        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table."""
+        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table, and
+        for a body that cannot walk and shall."""
+        if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
+            raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
         table = settings.clock.table
         pipeline = cls(
             suit,
@@ -78,6 +92,7 @@ class Pipeline:
             None if table is None else load_clock_table(Path(table)),
             Despiker() if settings.assembly.despike else None,
             round(settings.clock.trigger_patience_ms * 1e6),
+            settings.root_motion.root(),
         )
         pipeline.gnss_params = {
             link.name: GnssParams(link.device, round(link.latency_ms * 1e6), link.origin)
@@ -156,5 +171,8 @@ class Pipeline:
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},
             "unused_readings": dict(self.unused),
             "spikes": self.despiker.summary() if self.despiker is not None else {},
+            "joint_agreement": self.reconstructor.joint_agreement()
+            if isinstance(self.reconstructor, WholeBodyReconstructor)
+            else {},
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -11,12 +11,15 @@ from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
-from gateway.reconstruction import RECONSTRUCTORS
+from gateway.reconstruction import RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
 
 RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 """Nothing that could mean another folder."""
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Strict(BaseModel):
@@ -131,6 +134,27 @@ class AssemblySettings(_Strict):
         )
 
 
+class RootMotionSettings(_Strict):
+    """Whether the body moves through the world."""
+
+    mode: RootMode = Field(
+        default=RootMode.AUTO,
+        description="walking: the body stands on resting feet, flies between them and so moves through the "
+        "world; fixed: its root stays at the origin, or where a local device measures it; auto: walking for "
+        "bodies with contacts (feet) whose position no device measures",
+    )
+    floor: Literal["level", "open"] = Field(
+        default="level",
+        description="level: feet stand on one level floor, so that height does not drift; "
+        "open: heights as they are found (stairs, slopes)",
+    )
+    floor_height_m: Finite = Field(default=0, description="height of a level floor")
+
+    def root(self) -> RootSettings:
+        """As the reconstructors take it."""
+        return RootSettings(self.mode, self.floor == "level", self.floor_height_m)
+
+
 class ModuleReportSettings(_Strict):
     """What is published of every module."""
 
@@ -210,6 +234,7 @@ class GatewaySettings(_Strict):
     reconstructor: str = Field(
         default="independent", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
     )
+    root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()
     assembly: AssemblySettings = AssemblySettings()
     mqtt: MqttSettings = MqttSettings()

@@ -85,8 +85,11 @@ class RateFreeReconstructor:
         self._held_ns = np.full(n, np.iinfo(np.int64).min // 2)
         self._waiting: deque[SkeletonFrame] = deque()
 
-    def update(self, observation: ImuFrame) -> SkeletonFrame:
-        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
+    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
+        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``.
+
+        resting: not looked at; whether a module turns at rest is told here by force and field together.
+        """
         observed = self._observer.observe(observation)
         status = np.full(self._n, Status.MISSING, np.uint8)
         for s in self._travel.order:
