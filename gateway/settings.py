@@ -192,7 +192,8 @@ class RecordingSettings(_Strict):
         description="added to the file's name, which begins with the time in UTC",
     )
     skeleton: bool = Field(
-        default=True, description="record skeleton frames too; without them files are about a third as large"
+        default=True,
+        description="record skeleton frames too; without them files are about a quarter as large",
     )
     flush_ms: float = Field(
         default=200,
