@@ -91,7 +91,7 @@ class SensorCalibration:
 
     @classmethod
     def from_setting(cls, numbers: Sequence[float]) -> SensorCalibration:
-        """From the 30 numbers of the setting. Raises ``ValueError`` for another length or what is not finite."""
+        """From the 30 numbers of the setting. Raises ``ValueError`` for any other list."""
         c = np.asarray(numbers, dtype=np.float64)
         if c.shape != (NUMBERS,) or not np.isfinite(c).all():
             raise ValueError(f"a calibration is {NUMBERS} finite numbers, not {len(numbers)}")

@@ -125,7 +125,16 @@ ROUGH = Imperfections(
 )
 """Cheap modules, loosely strapped, on a crowded radio band behind a USB adapter with a 16 ms timer."""
 
-PRESETS = {"ideal": IDEAL, "typical": TYPICAL, "rough": ROUGH}
+UNCALIBRATED = replace(
+    TYPICAL,
+    accelerometer_bias=0.3,
+    gyrometer_bias=math.radians(1.0),
+    magnetometer_bias=15.0,
+    scale=0.03,
+)
+"""Modules as they come from the soldering iron: what `calibrate sensors` is for."""
+
+PRESETS = {"ideal": IDEAL, "typical": TYPICAL, "rough": ROUGH, "uncalibrated": UNCALIBRATED}
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ LENGTH_OF_STATURE = {
     "hip_height": 0.530,
     "shoulder_height": 0.818,
 }
-"""Fractions of stature (Drillis & Contini). Foot: its length; ``foot_height``: the ankle's above the floor."""
+"""Fractions of stature (Drillis & Contini). ``foot``: its length; ``foot_height``: of the ankle."""
 
 MASS_OF_BODY: dict[str, tuple[float, float]] = {
     "head": (0.0694, 0.0668),
@@ -79,6 +79,8 @@ def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skel
     ``where``, for a length that the body does not have.
     """
     offsets, tips, stature = skeleton.offsets.copy(), skeleton.tips.copy(), skeleton.stature_m
+    points = np.array([point for _, point in skeleton.contacts]).reshape(-1, 3)
+    carriers = np.array([segment for segment, _ in skeleton.contacts], dtype=np.int64)
     if subject.height_m is not None:
         if stature is None:
             raise SettingsError(
@@ -87,6 +89,7 @@ def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skel
             )
         offsets *= subject.height_m / stature
         tips *= subject.height_m / stature
+        points *= subject.height_m / stature
         stature = subject.height_m
     for name, length in subject.lengths.items():
         if name in WIDTHS and set(WIDTHS[name]) <= set(skeleton.segment_names):
@@ -95,14 +98,16 @@ def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skel
             ratio = length / float(np.linalg.norm(tips[segment]))
             tips[segment] *= ratio
             offsets[skeleton.parents == segment] *= ratio
+            points[carriers == segment] *= ratio
     for name, pair in WIDTHS.items():
         if name in subject.lengths and set(pair) <= set(skeleton.segment_names):
             _set_width(skeleton, offsets, tips, pair, subject.lengths[name])
-    return replace(skeleton, offsets=offsets, tips=tips, stature_m=stature)
+    contacts = tuple(zip(carriers.tolist(), points, strict=True))
+    return replace(skeleton, offsets=offsets, tips=tips, contacts=contacts, stature_m=stature)
 
 
 def segment_masses(skeleton: Skeleton, mass_kg: float, sex: str | None = None) -> FloatArray:
-    """(n_segments,) kg. NaN for a segment that the tables do not have (a shoulder girdle counts as thorax)."""
+    """(n_segments,) kg. NaN for a segment that the tables do not have (shoulder girdles count as thorax)."""
     masses = np.full(skeleton.n_segments, np.nan)
     for i, name in enumerate(skeleton.segment_names):
         fractions = MASS_OF_BODY.get(_without_side(name))

@@ -6,7 +6,7 @@ docs/joint_angles.md. Angles are in radians here; outputs give degrees.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +86,25 @@ def joint_angles(skeleton: Skeleton, q_wb: FloatArray) -> FloatArray:
     """Angles over time: q_wb (T, n_segments, 4) to (T, n_joints, 3), rad."""
     stream = JointAngles(skeleton)
     return np.stack([stream.update(pose).angles for pose in q_wb])
+
+
+def posture(skeleton: Skeleton, angles: Mapping[str, Sequence[float]], q_root: FloatArray) -> FloatArray:
+    """``q_wb`` (n_segments, 4) with joints at the given angles, rad, and all others at zero.
+
+    angles: joint name to its angles in order. q_root: (4,) of the root segment. A segment without a joint
+    here is turned as its parent is. Raises ``KeyError`` for an unknown joint.
+    """
+    joints = {joint.name: joint for joint in skeleton.joints}
+    turned = {joints[name].distal: (joints[name], np.asarray(values)) for name, values in angles.items()}
+    q_wb = np.tile(q_root, (skeleton.n_segments, 1))
+    for i, parent in enumerate(skeleton.parents.tolist()):
+        joint, values = turned.get(i, (None, np.zeros(3)))
+        if parent >= 0:
+            q_wb[i] = q_wb[parent]
+        if joint is not None:
+            q_wp = skeleton.neutral if joint.proximal == WORLD else q_wb[joint.proximal]
+            q_wb[i] = quaternion.multiply(q_wp, joint_rotation(joint, values))
+    return q_wb
 
 
 def joint_rotation(joint: Joint, angles: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """The rotation of a joint as angles, continuous from one instant to the next. Compiled.
 
-Three successive rotations by the direct method of Bernardes & Viollet (2022, PLoS ONE 17(11): e0276302), which
+Three successive rotations by the direct method of Bernardes & Viollet (2022, PLoS ONE 17(11): e0276302): it
 finds the half sum and the half difference of the first and third angle. Near gimbal lock (second angle at
 ±90°, or at 0° or 180° where the first axis comes again) one of the two is lost in noise while the other stays
 well defined: the lost one then follows what is measured the more slowly the nearer the lock is.
@@ -20,6 +20,10 @@ from gateway.geometry.vectors import dot, vector
 
 GIMBAL_ZONE = math.radians(5.0)
 """Distance from the singularity below which angles are held together, and flagged, rad."""
+RETURN_ZONE = math.radians(15.0)
+"""Distance from the singularity beyond which angles may return to the way inside the limits, rad."""
+RETURN_EXCESS = math.radians(30.0)
+"""How far outside the limits they have to be for that, more than the other way, rad."""
 
 _TURN = 2.0 * math.pi
 _CARDAN = int(Decomposition.CARDAN)
@@ -61,18 +65,25 @@ def _cardan(
     found = vector(handed * (half_sum + half_difference), middle - shift, half_sum - half_difference)
     # the other way to write the same rotation: half a turn first, half a turn last
     other = vector(found[0] + math.pi, -middle - shift, found[2] + math.pi)
+    anew = _within_limits(found, other, limits)
     if not math.isfinite(before[0]):
-        start = vector(_middle(limits[0]), _middle(limits[1]), _middle(limits[2]))
-        found, other = _near(found, start), _near(other, start)
-        return (other if _excess(other, limits) < _excess(found, limits) else found), lock
+        return anew, lock
     found, other = _near(found, before), _near(other, before)
     if _distance(other, before) < _distance(found, before):
         found = other
+    if lock > RETURN_ZONE and _excess(found, limits) > _excess(anew, limits) + RETURN_EXCESS**2:
+        return anew, lock
     if lock < GIMBAL_ZONE:
         _steady(found, before, lock, handed, -1.0 if middle < 0.5 * math.pi else 1.0)
-    for i in range(3):
-        found[i] = _brought_back(found[i], limits[i])
     return found, lock
+
+
+@compiled
+def _within_limits(found: FloatArray, other: FloatArray, limits: FloatArray) -> FloatArray:
+    """Of the two ways to write a rotation, and their whole turns, the one that is most inside the limits."""
+    middle = vector(_middle(limits[0]), _middle(limits[1]), _middle(limits[2]))
+    found, other = _near(found, middle), _near(other, middle)
+    return other if _excess(other, limits) < _excess(found, limits) else found
 
 
 @compiled
@@ -86,7 +97,7 @@ def _steady(found: FloatArray, before: FloatArray, lock: float, handed: float, l
 
 @compiled
 def _half_angles(q: FloatArray, axes: IntArray) -> tuple[float, float, float, float, float]:
-    """Half sum and half difference of ``handed · first`` and third; the middle angle in [0, π] plus its shift.
+    """Half sum and half difference of ``handed · first`` and third, middle in [0, π], handed, middle's shift.
 
     The source's rotations are about fixed axes, ours about moving ones: its first is our third.
     """

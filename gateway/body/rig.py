@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from gateway.body.anthropometry import Subject, scaled
 from gateway.body.joint_file import JointEntry, joints_of
 from gateway.body.sensor_entries import CalibrationEntry
-from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
+from gateway.body.skeleton import Interpolation, LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
 from gateway.settings_files import find_file, load_settings
@@ -31,6 +31,13 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class SegmentInterpolation(_Strict):
+    """Where a segment without module is: between two others."""
+
+    between: tuple[str, str] = Field(description="two segments with modules")
+    fraction: float = Field(ge=0, le=1, description="of the way from the first to the second")
+
+
 class BodySegment(_Strict):
     """One rigid segment."""
 
@@ -38,6 +45,12 @@ class BodySegment(_Strict):
     parent: str | None = Field(description="segment it is joined to; null for the root")
     joint: Vector = Field(default=(0, 0, 0), description="proximal joint in the parent's axes, m")
     tip: Vector = Field(description="where the segment ends, own axes, m")
+    contacts: list[Vector] = Field(
+        default=[], description="points that carry the body on the ground (heel, ball), own axes, m"
+    )
+    interpolate: SegmentInterpolation | None = Field(
+        default=None, description="what a segment without module follows; its parent if left out"
+    )
 
 
 class BodyFile(_Strict):
@@ -127,6 +140,7 @@ def load_body(
         if segment.name in names[:position]:
             raise SettingsError(f"{path}: segment '{segment.name}' stands twice")
         parents.append(_parent_index(path, segment, names[:position]))
+    _refuse_unknown_neighbours(path, body)
     joints = joints_of(path, body.joints, names, joint_definitions)
     return replace(_skeleton(body, names, parents), joints=joints)
 
@@ -155,7 +169,28 @@ def _skeleton(body: BodyFile, names: list[str], parents: list[int]) -> Skeleton:
         tips=np.array([segment.tip for segment in body.segments], dtype=np.float64),
         neutral=np.array(body.neutral) / np.linalg.norm(body.neutral),
         stature_m=body.stature_m,
+        contacts=tuple(
+            (s, np.array(point, dtype=np.float64))
+            for s, segment in enumerate(body.segments)
+            for point in segment.contacts
+        ),
+        interpolations=tuple(
+            Interpolation(s, names.index(rule.between[0]), names.index(rule.between[1]), rule.fraction)
+            for s, segment in enumerate(body.segments)
+            if (rule := segment.interpolate) is not None
+        ),
     )
+
+
+def _refuse_unknown_neighbours(path: Path, body: BodyFile) -> None:
+    names = [segment.name for segment in body.segments]
+    for segment in body.segments:
+        for neighbour in segment.interpolate.between if segment.interpolate else ():
+            if neighbour not in names or neighbour == segment.name:
+                raise SettingsError(
+                    f"{path}: '{segment.name}' is interpolated from '{neighbour}', which is no other "
+                    "segment of this body" + nearest(neighbour, names)
+                )
 
 
 def load_rig(name: str, beside: Path | None = None) -> WornSuit:

@@ -17,6 +17,17 @@ from gateway.frames import FloatArray, IntArray, Quantity
 
 
 @dataclass(frozen=True)
+class Interpolation:
+    """A segment whose orientation lies between those of two others."""
+
+    segment: int
+    first: int
+    second: int
+    fraction: float
+    """Of the way from the first to the second."""
+
+
+@dataclass(frozen=True)
 class Skeleton:
     """Rigid segments joined in a tree."""
 
@@ -35,6 +46,10 @@ class Skeleton:
     """How neighbours (and others) turn against each other, for joint angles."""
     stature_m: float | None = None
     """Height of the person that the lengths belong to, m; None: not a person."""
+    contacts: tuple[tuple[int, FloatArray], ...] = ()
+    """Points that carry the body on the ground: segment, and (3,) from its proximal joint, own axes, m."""
+    interpolations: tuple[Interpolation, ...] = ()
+    """How segments without module follow others; those that have no rule follow their parent."""
 
     @property
     def n_segments(self) -> int:

@@ -17,6 +17,7 @@ from rich.console import Console
 
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
+from devices.emulators.gnss_receiver import FORMATS
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import Recording, play
@@ -31,7 +32,8 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
+from gateway.cli.emulated_rig import dress, move, tumble
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
@@ -90,6 +92,14 @@ def emulate(
     id_conflict: Annotated[
         bool, typer.Option("--id-conflict", help="The last module has the id of the one before it.")
     ] = False,
+    gnss: Annotated[
+        Path | None, typer.Option(help="A satellite receiver on the body's root too: link to its port.")
+    ] = None,
+    gnss_format: Annotated[str, typer.Option(help=f"What it speaks: {', '.join(FORMATS)}.")] = "nmea",
+    tumbling: Annotated[
+        bool,
+        typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
+    ] = False,
     seed: Annotated[int, typer.Option(help="Of the motion and of everything random.")] = 1,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="End after so long.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Say where and since when as JSON.")] = False,
@@ -111,19 +121,29 @@ def emulate(
             has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
             encoding=encoding,
         )
-        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict)
+        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, tumbling, gnss is not None)
+    receiver = None if gnss is None else companion(rig, seed, gnss, gnss_format, seconds)
     try:
-        _play(source, _transport(on, link, port, channel, fd), as_json, seconds)
+        _play(source, _transport(on, link, port, channel, fd), as_json, seconds, receiver)
     except (OSError, can.CanError) as error:
         raise GatewayError(f"the emulated suit cannot speak on {on}: {error}; {_REMEDIES[on]}") from error
 
 
 def _traffic(
-    rig: str, settings: SuitSettings, imperfections: str, seed: int, fresh: int, id_conflict: bool
+    rig: str,
+    settings: SuitSettings,
+    imperfections: str,
+    seed: int,
+    fresh: int,
+    id_conflict: bool,
+    is_tumbling: bool,
+    has_gnss: bool,
 ) -> SuitTraffic:
     if imperfections not in PRESETS:
         raise GatewayError(f"--imperfections {imperfections}: unknown{nearest(imperfections, PRESETS)}")
     suit = load_rig(rig)
+    if has_gnss:
+        suit = without_position_devices(suit)
     ids = suit.module_ids
     world = replace(
         settings,
@@ -132,7 +152,8 @@ def _traffic(
         fresh=frozenset(ids[:fresh]),
         stored_ids={ids[-1]: ids[-2]} if id_conflict and len(ids) > 1 else {},
     )
-    return SuitTraffic(move(dress(suit), suit.skeleton.name, seed), world, PRESETS[imperfections], seed)
+    motion = (tumble if is_tumbling else move)(dress(suit), suit.skeleton.name, seed)
+    return SuitTraffic(motion, world, PRESETS[imperfections], seed)
 
 
 def _read(path: Path, kind: str) -> Recording:
@@ -157,11 +178,13 @@ def _play(
     transport: Transport,
     as_json: bool,
     seconds: float | None,
+    receiver: Companion | None,
 ) -> None:
     start_ns = gateway_time_ns() + _START_DELAY_NS
+    beside = None if receiver is None else receiver(start_ns)
     suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=seconds)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_run(suit, as_json))
+        asyncio.run(_run(suit, beside, as_json))
     if not as_json:
         counts = suit.counts
         Console().print(
@@ -169,8 +192,9 @@ def _play(
         )
 
 
-async def _run(suit: EmulatedSuit, as_json: bool) -> None:
-    task = asyncio.ensure_future(suit.run())
+async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, as_json: bool) -> None:
+    runs = [suit.run()] if beside is None else [suit.run(), beside.run()]
+    task = asyncio.ensure_future(asyncio.gather(*runs))
     while not (url := suit.transport.url) and not task.done():  # noqa: ASYNC110 - for a moment
         await asyncio.sleep(0.01)
     if url:

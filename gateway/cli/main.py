@@ -39,7 +39,7 @@ class _Commands(LazyGroup):
         "view": LazyCommand(
             "gateway.cli.view:view",
             "Show the moving body on a page in the browser, live or from a recording.",
-            "Example: mocap-gateway view --port 1883 --page-port 8080",
+            "Examples: mocap-gateway view --port 1883 --page-port 8080; mocap-gateway view walk.mcap",
         ),
         "record": LazyCommand(
             "gateway.cli.record:record",
@@ -58,12 +58,6 @@ class _Commands(LazyGroup):
             "Examples: mocap-gateway import femur.csv tibia.csv -o knee.mcap; "
             "mocap-gateway import IMUData/ --map myIMUMappings.xml --neutral 0:1 --forward z -o gait.mcap",
         ),
-        "export": LazyCommand(
-            "gateway.cli.export:export",
-            "Write the poses of a recording as BVH, C3D, glTF, OpenSim .sto and .mot, TRC, CSV or Parquet.",
-            "Examples: mocap-gateway export walk.mcap --to bvh; "
-            "mocap-gateway export walk.mcap --to c3d --to csv -o exports/ --axes y-up --unit mm",
-        ),
         "report": LazyCommand(
             "gateway.cli.report:report",
             "Write one HTML page: loss and clocks by module, status, orientations, joint angles, events.",
@@ -79,6 +73,12 @@ class _Commands(LazyGroup):
             "gateway.cli.diff:diff",
             "Compare the poses of two recordings: angle between the orientations, by segment.",
             "Example: mocap-gateway diff walk.mcap walk_joint.mcap --plot diff.html",
+        ),
+        "export": LazyCommand(
+            "gateway.cli.export:export",
+            "Write the poses of a recording as BVH, C3D, glTF, OpenSim .sto and .mot, TRC, CSV or Parquet.",
+            "Examples: mocap-gateway export walk.mcap --to bvh; "
+            "mocap-gateway export walk.mcap --to c3d --to csv -o exports/ --axes y-up --unit mm",
         ),
         "recordings": LazyCommand(
             "gateway.cli.recordings:recordings",
@@ -100,13 +100,19 @@ class _Commands(LazyGroup):
             "Examine a set-up: rig, ports, capacity of serial lines and CAN buses, broker.",
             "Example: mocap-gateway doctor -c config/gateway.yaml",
         ),
+        "health": LazyCommand(
+            "gateway.cli.health:health",
+            "Ask the running gateway whether it is well: 0 if it is, 1 if not. It needs a `metrics.port`.",
+            "Example: mocap-gateway health --port 9464",
+        ),
         "modules": LazyCommand(
             "gateway.cli.modules:modules_app",
             "List, identify, assign and configure the modules of a suit; fetch files from its memory card.",
         ),
         "calibrate": LazyCommand(
-            "gateway.cli.calibrate_clocks:calibrate_app", "Measure what has to be known before a capture."
+            "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."
         ),
+        "body": LazyCommand("gateway.cli.body:body_app", "Bodies: segments, joints, lengths."),
         "config": LazyCommand(
             "gateway.cli.configuration:config_app",
             "Check a configuration file, or show what may stand in one.",

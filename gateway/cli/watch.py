@@ -115,7 +115,7 @@ def _shown(view: PoseView, now_ns: int, state: str, wanted: Watch) -> Renderable
     """One gateway as the user wants to see it."""
     if not wanted.with_joints or view.last is None:
         return view.table(now_ns, state, wanted.with_quaternions)
-    joints = joint_table(view.last.pose)
+    joints: RenderableType | None = joint_table(view.last.pose)
     if joints is None:
         joints = Text("its poses carry no joint angles: set mqtt.include: [joint_angles]", "yellow")
     return Group(view.headline(now_ns, state), joints)

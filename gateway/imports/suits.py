@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from devices.emulators.recordings import LocalTrack
 from gateway.body.joints import WORLD
 from gateway.body.rig import load_body
-from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
+from gateway.body.skeleton import Interpolation, LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import quaternion
@@ -77,6 +77,11 @@ def reduced(skeleton: Skeleton, worn: list[int]) -> Skeleton:
         for joint in skeleton.joints
         if joint.distal in position and (joint.proximal in position or joint.proximal == WORLD)
     )
+    between = tuple(
+        Interpolation(position[each.segment], position[each.first], position[each.second], each.fraction)
+        for each in skeleton.interpolations
+        if {each.segment, each.first, each.second} <= position.keys()
+    )
     return replace(
         skeleton,
         name=skeleton.name if len(keep) == skeleton.n_segments else f"{skeleton.name}_part",
@@ -85,6 +90,8 @@ def reduced(skeleton: Skeleton, worn: list[int]) -> Skeleton:
         offsets=offsets,
         tips=skeleton.tips[keep],
         joints=joints,
+        contacts=tuple((position[s], point) for s, point in skeleton.contacts if s in position),
+        interpolations=between,
     )
 
 

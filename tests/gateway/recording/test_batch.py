@@ -39,7 +39,8 @@ def here(monkeypatch):
 def test_results_are_those_of_the_single_commands(sessions, typed, tmp_path, here):
     """By the byte, also for poses solved anew."""
     out = tmp_path / "out"
-    code, told = typed("batch", sessions, "--to", "csv", "--to", "report", "--to", "mcap", "-o", out, "--json")  # fmt: skip
+    kinds = ("--to", "csv", "--to", "report", "--to", "mcap")
+    code, told = typed("batch", sessions, *kinds, "-o", out, "--json")
     assert (code, told["done"], list(told["failed"])) == (3, 3, ["bad.mcap"])
     assert "is no recording" in told["failed"]["bad.mcap"]
     assert "was not closed" in told["notes"]["cut.mcap"]
@@ -136,9 +137,10 @@ def test_no_cluster_is_one_clear_line(monkeypatch):
 def test_a_dask_cluster_gives_the_same_bytes(sessions, typed, tmp_path):
     from distributed import LocalCluster  # noqa: PLC0415 - an extra
 
+    kinds = ("--to", "csv", "--to", "mcap")
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        code, told = typed("batch", sessions, "--to", "csv", "--to", "mcap", "-o", tmp_path / "dask", "--dask",
-                           cluster.scheduler_address, "--json")  # fmt: skip
+        address = cluster.scheduler_address
+        code, told = typed("batch", sessions, *kinds, "-o", tmp_path / "dask", "--dask", address, "--json")
     assert (code, told["done"]) == (3, 3)
     typed(
         "batch", sessions, "--to", "csv", "--to", "mcap", "-o", tmp_path / "local", "--workers", 1, "--json"

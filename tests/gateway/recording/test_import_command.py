@@ -59,7 +59,8 @@ def test_our_filter_and_theirs_on_one_body_agree(recording_set, typed, tmp_path)
     maps = {"23": "right_hand", "24": "right_foot", "25": "left_shoulder", "26": "left_upper_arm",
             "27": "left_forearm", "28": "left_hand", "29": "head", "2a": "sternum", "2b": "right_thigh",
             "2c": "left_thigh", "2d": "pelvis", "2e": "right_shank", "2f": "right_shoulder",
-            "30": "right_forearm", "31": "left_foot", "33": "left_shank", "34": "right_upper_arm"}  # fmt: skip
+            "30": "right_forearm", "31": "left_foot", "33": "left_shank",
+            "34": "right_upper_arm"}  # fmt: skip
     mapping = tmp_path / "map.yaml"
     mapping.write_text("".join(f"00b45c{key}: {value}\n" for key, value in maps.items()))
     ours, theirs = tmp_path / "ours.mcap", tmp_path / "theirs.mcap"
@@ -118,8 +119,10 @@ def test_nothing_that_is_no_recording_is_taken_for_one(typed, tmp_path):
     ("name", "segment"),
     [
         ("Pelvis", "pelvis"), ("tibia_r", "right_shank"), ("RightUpperLeg", "right_thigh"),
-        ("calcn_l_imu", "left_foot"), ("Left Lower Leg", "left_shank"), ("torso_imu", "thorax"), ("T8", "thorax"),
-        ("LeftForeArm", "left_forearm"), ("right_shoulder", "right_shoulder_girdle"), ("humerus-r", "right_upper_arm"),
+        ("calcn_l_imu", "left_foot"), ("Left Lower Leg", "left_shank"), ("torso_imu", "thorax"),
+        ("T8", "thorax"),
+        ("LeftForeArm", "left_forearm"), ("right_shoulder", "right_shoulder_girdle"),
+        ("humerus-r", "right_upper_arm"),
     ],
 )  # fmt: skip
 def test_names_mean_segments(name, segment):
