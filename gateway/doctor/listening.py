@@ -86,7 +86,7 @@ def _presence(found: ModuleList, suit: WornSuit) -> Iterator[Finding]:
     else:
         yield good("modules: heard", f"all {len(suit.module_ids)} modules of the rig are heard")
     for conflict in found.conflicts:
-        who = ", ".join(unique_id[:8] for unique_id in conflict.unique_ids)
+        who = ", ".join(conflict.unique_ids)
         yield bad(
             "modules: ids",
             f"module id {conflict.module} is shared by {len(conflict.unique_ids)} devices: {who}",
