@@ -1,4 +1,4 @@
-"""``python -m benchmarks accuracy|speed|latency|clock|joints|sensors|all``."""
+"""``python -m benchmarks accuracy|speed|latency|outputs|clock|joints|sensors|all``."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, clock, joints, latency, sensors, speed
+from benchmarks import accuracy, clock, joints, latency, outputs, sensors, speed
 from benchmarks.figures import Report, write_docs
 
 SUITES: dict[str, Callable[[], Report]] = {
     "accuracy": accuracy.run,
     "speed": speed.run,
     "latency": latency.run,
+    "outputs": outputs.run,
     "clock": clock.run,
     "joints": joints.run,
     "sensors": sensors.run,
