@@ -1,4 +1,4 @@
-"""``python -m benchmarks accuracy|speed|latency|outputs|clock|joints|sensors|all``."""
+"""``python -m benchmarks accuracy|speed|latency|outputs|clock|record|walking|joints|sensors|all``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, clock, joints, latency, outputs, sensors, speed
+from benchmarks import accuracy, clock, joints, latency, outputs, record, sensors, speed, walking
 from benchmarks.figures import Report, write_docs
 
 SUITES: dict[str, Callable[[], Report]] = {
@@ -16,6 +16,8 @@ SUITES: dict[str, Callable[[], Report]] = {
     "latency": latency.run,
     "outputs": outputs.run,
     "clock": clock.run,
+    "walking": walking.run,
+    "record": record.run,
     "joints": joints.run,
     "sensors": sensors.run,
 }

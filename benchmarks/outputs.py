@@ -19,7 +19,8 @@ from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
 from gateway.frames import SkeletonFrame
-from gateway.outputs import BridgeInfo, MqttOutput, MqttSettings, PoseSubscriber
+from gateway.outputs import BridgeInfo, MqttSettings, PoseSubscriber
+from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.side_outputs import SideOutputs

@@ -16,8 +16,8 @@ from gateway.calibration.coverage import coverage, missing_sides
 from gateway.calibration.ellipsoid import sphere
 from gateway.calibration.rest import RestDetector
 from gateway.calibration.sensors import (
+    ENOUGH_COVERAGE,
     POSITIONS_FOR_ALL,
-    WANTED_COVERAGE,
     EllipsoidResult,
     GyrometerResult,
     accelerometer_ellipsoid,
@@ -143,7 +143,7 @@ class SensorSession:
                 "accelerometer" not in self.sensors
                 or (progress.positions >= self.wanted_positions and not progress.sides_missing)
             )
-            and ("magnetometer" not in self.sensors or progress.coverage >= WANTED_COVERAGE)
+            and ("magnetometer" not in self.sensors or progress.coverage >= ENOUGH_COVERAGE)
         )
 
     def results(self, module: int) -> dict[str, Result | str]:

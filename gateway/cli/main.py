@@ -83,6 +83,11 @@ class _Commands(LazyGroup):
             "Examine a set-up: configuration, ports, lines and buses, modules, broker, clocks, disk.",
             "Example: mocap-gateway doctor -c config/gateway.yaml",
         ),
+        "health": LazyCommand(
+            "gateway.cli.health:health",
+            "Ask the running gateway whether it is well: 0 if it is, 1 if not. It needs a `metrics.port`.",
+            "Example: mocap-gateway health --port 9464",
+        ),
         "modules": LazyCommand(
             "gateway.cli.modules:modules_app",
             "List, identify, assign and configure the modules of a suit; fetch files from its memory card.",

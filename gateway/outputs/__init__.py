@@ -1,6 +1,6 @@
 """Where skeleton frames go: MQTT, and beside it VMC, UDP and LSL.
 
-``MqttOutput`` publishes them, ``PoseSubscriber`` receives them; ``messages`` declares every payload
+``mqtt.MqttOutput`` publishes them, ``PoseSubscriber`` receives them; ``messages`` declares every payload
 and ``topics`` where it is published. Reading order: ``messages``, ``topics``, ``settings``,
 ``mqtt``, ``connection``, ``pose_encoding``, ``pose_publications``, ``subscriber``, ``broker_process``; then
 ``side_outputs``, ``latest``, ``datagrams``, ``unity``, ``vmc``, ``lsl``.
@@ -8,7 +8,6 @@ and ``topics`` where it is published. Reading order: ``messages``, ``topics``, `
 
 from gateway.outputs.broker_process import BrokerProcess, EmbeddedBrokerError
 from gateway.outputs.messages import BridgeInfo, ModuleInfo, PoseMessage
-from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.settings import CredentialError, MqttSettings, PoseMap, TlsSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
@@ -21,7 +20,6 @@ __all__ = [
     "CredentialError",
     "EmbeddedBrokerError",
     "ModuleInfo",
-    "MqttOutput",
     "MqttSettings",
     "Output",
     "PoseMap",

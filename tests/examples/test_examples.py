@@ -19,7 +19,8 @@ import pytest
 
 from gateway.body.rig import load_rig
 from gateway.frames import SkeletonFrame
-from gateway.outputs import BridgeInfo, MqttOutput, MqttSettings
+from gateway.outputs import BridgeInfo, MqttSettings
+from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.outputs.side_settings import OutputsSettings
 from gateway.outputs.unity import AvatarPoses, t_pose

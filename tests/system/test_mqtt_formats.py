@@ -9,8 +9,9 @@ import orjson
 import ormsgpack
 import pytest
 
-from gateway.outputs import BridgeInfo, ModuleInfo, MqttOutput, MqttSettings
+from gateway.outputs import BridgeInfo, ModuleInfo, MqttSettings
 from gateway.outputs.connection import broker_connection
+from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import PoseFormat
 
 pytestmark = pytest.mark.system

@@ -17,16 +17,10 @@ import orjson
 import ormsgpack
 import pytest
 
-from gateway.outputs import (
-    BrokerUnreachableError,
-    MqttOutput,
-    MqttSettings,
-    PoseMap,
-    PoseSubscriber,
-    TlsSettings,
-)
+from gateway.outputs import BrokerUnreachableError, MqttSettings, PoseMap, PoseSubscriber, TlsSettings
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.messages import PUBLICATIONS, ModuleAvailability, ModuleState
+from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.properties import MSGPACK
 from gateway.outputs.settings import PASSWORD_VARIABLE, PoseFormat
 
