@@ -1,7 +1,7 @@
 """The observations of the chain filters as rows on orientation errors. Compiled.
 
 A world vector ``u = R̂ s`` is truly ``exp(δ) R̂ s ≈ u − [u]× δ``. Two sides that must agree therefore give
-``u − u_p = [m]× (δ − δ_p)`` with their mean ``m = (u + u_p) / 2``, and a known vector ``y``: ``u − y = [y]× δ``.
+``u − u_p = [m]× (δ − δ_p)`` with their mean ``m = (u + u_p) / 2``, a known vector ``y``: ``u − y = [y]× δ``.
 With u and u_p in their own places noise would seem to show a turn of both together, which no joint shows.
 """
 
@@ -45,7 +45,7 @@ def joint_row(
     if state.is_open[s]:
         # heading against the parent unknown: the horizontal parts are only equally long
         H, H_p = skew(u), -skew(u_p)
-        wide = variance + dot(u[:2], u[:2]) + dot(u_p[:2], u_p[:2])
+        wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
         for i in range(3):
             H[i, 2], H_p[i, 2] = 0.0, 0.0
             add_edge(evidence, s, H[i], H_p[i], residual[i], wide if i < 2 else variance)
@@ -72,7 +72,7 @@ def known_row(
     residual = u - y
     if is_open:
         H = skew(0.5 * (u + y))
-        wide = variance + dot(u[:2], u[:2]) + dot(y[:2], y[:2])
+        wide = variance + _horizontal_square(u) + _horizontal_square(y)
         for i in range(3):
             H[i, 2] = 0.0
             add_own(evidence, s, H[i], residual[i], wide if i < 2 else variance)
@@ -81,6 +81,11 @@ def known_row(
     H = skew(y)
     for i in range(3):
         add_own(evidence, s, H[i], residual[i], variance)
+
+
+@compiled
+def _horizontal_square(v: FloatArray) -> float:
+    return v[0] * v[0] + v[1] * v[1]
 
 
 @compiled

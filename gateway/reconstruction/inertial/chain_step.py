@@ -22,6 +22,7 @@ from gateway.reconstruction.inertial.heading_start import (
     compass_turn,
     gather_heading,
     shown_heading,
+    tilt_spread,
     turn_evidence,
 )
 from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
@@ -155,7 +156,7 @@ def _device_rows(
             variance += noise.specific_force**2 + (noise.lever_arm * motion[s]) ** 2
             variance *= max(1.0, span / interval)
             if body.parents[s] < 0 and state.is_open[s]:
-                gather_heading(state, s, u, y, variance, interval)
+                gather_heading(state, s, u, y, variance + tilt_spread(state, s, interval), interval)
                 _open_root(evidence, body, state, noise, s, turns)
             chain_rows.known_row(
                 evidence, state, noise, s, u, y, variance, state.is_open[s] == 1 or turns[s, 2] != 0.0
@@ -267,7 +268,8 @@ def _joint_row(
     u_p = felt_at(state.force[p], K[p], body.from_parent[s], state.arm[s, 3:])
     variance = chain_rows.row_variance(noise, math.hypot(motion[s], motion[p]), dt)
     if state.is_open[s]:
-        gather_heading(state, s, u, u_p, variance, dt)
+        uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
+        gather_heading(state, s, u, u_p, uncertain, dt)
         shown, angle = shown_heading(state, noise, s)
         if shown > 0.0:
             state.is_open[s] = 0
