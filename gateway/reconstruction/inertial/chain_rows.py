@@ -24,7 +24,7 @@ DIP_TOLERANCE = 0.1
 NORM_TOLERANCE = 0.1
 FIRST_LOOK_S = 0.5
 """A heading that nothing else can show is taken from the field within that time."""
-REST_RATE_SIGMA = 0.005
+REST_RATE_SIGMA = 0.002
 """rad/s: of a mean rate at rest against the bias."""
 
 
@@ -85,7 +85,8 @@ def known_row(
 
 @compiled
 def _horizontal_square(v: FloatArray) -> float:
-    return v[0] * v[0] + v[1] * v[1]
+    square: float = v[0] * v[0] + v[1] * v[1]
+    return square
 
 
 @compiled
@@ -129,10 +130,17 @@ def field_row(
 
 @compiled
 def unaided_row(
-    evidence: Evidence, state: FilterState, noise: Noise, s: int, gravity: FloatArray, dt: float
+    evidence: Evidence,
+    state: FilterState,
+    noise: Noise,
+    s: int,
+    gravity: FloatArray,
+    sharing: float,
+    dt: float,
 ) -> None:
-    """Mean acceleration over a window is small, where nothing tells what it is."""
-    variance = (noise.unaided_speed / noise.unaided_window_s) ** 2 * noise.unaided_window_s / dt
+    """Mean acceleration over a window is small, where nothing tells what it is; sharing: segments that move
+    together and have such a row each."""
+    variance = (noise.unaided_speed / noise.unaided_window_s) ** 2 * noise.unaided_window_s / dt * sharing
     known_row(evidence, state, noise, s, state.long_force[s], -gravity, variance, False)
 
 

@@ -49,7 +49,7 @@ class Noise(NamedTuple):
     """rad: how far the field's heading strays where it passes all tests."""
     heading_memory_s: float = 10.0
     """For how long it stays off to the same side."""
-    start_heading: float = 0.3
+    start_heading: float = 0.5
     """rad: how far it may be off throughout: what a first heading by the field counts against the motion."""
     unaided_speed: float = 0.3
     """m/s: how fast a body moves whose acceleration nothing tells."""
@@ -61,7 +61,7 @@ class Noise(NamedTuple):
     """Concentration (von Mises) from which an open heading is taken as shown."""
     heading_coherence: float = 0.6
     """Least agreement of the two sides' horizontal accelerations for that."""
-    rest_rate: float = 0.1
+    rest_rate: float = 0.035
     """rad/s: less change of the rate than this, for ``REST_S``, is rest."""
     dead_rate: float = 2.0
     """rad/s: how a segment turns while its module is silent."""

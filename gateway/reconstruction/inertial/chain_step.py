@@ -228,7 +228,7 @@ def _joint_rows(
     anchored: FloatArray,
     turns: FloatArray,
 ) -> FloatArray:
-    """Rows of all joints; chains that no device holds up get the unaided row at their first segment.
+    """Rows of all joints; chains that no device holds up get an unaided row.
 
     Returns the specific force at the proximal joints as their own segments see it, (n, 3), world.
     """
@@ -244,10 +244,29 @@ def _joint_rows(
         chain[s] = chain[p]
         anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
         _joint_row(evidence, body, state, noise, s, p, U[s], K, motion, dt, turns)
-    for s in range(n):
-        if chain[s] == s and anchored[s] == 0.0 and is_valid[s] == 2.0:
-            chain_rows.unaided_row(evidence, state, noise, s, body.gravity, dt)
+    _unaided_rows(evidence, body, state, noise, is_valid, chain, anchored, dt)
     return U
+
+
+@compiled
+def _unaided_rows(
+    evidence: Evidence,
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    is_valid: FloatArray,
+    chain: IntArray,
+    anchored: FloatArray,
+    dt: float,
+) -> None:
+    """All segments of a chain that nothing holds up share one: that averages their accelerometers' errors."""
+    sharing = np.zeros(len(chain))
+    for s in range(len(chain)):
+        if is_valid[s] == 2.0:
+            sharing[chain[s]] += 1.0
+    for s in range(len(chain)):
+        if anchored[chain[s]] == 0.0 and is_valid[s] == 2.0:
+            chain_rows.unaided_row(evidence, state, noise, s, body.gravity, sharing[chain[s]], dt)
 
 
 @compiled

@@ -35,7 +35,8 @@ def tilt_spread(state: FilterState, s: int, interval_s: float) -> float:
     there is: two segments at rest that are tilted alike would otherwise seem to show their headings.
     """
     tilt = 0.5 * (state.P[s, 0, 0] + state.P[s, 1, 1])
-    return GRAVITY**2 * tilt * max(1.0, TILT_MEMORY_S / interval_s)
+    variance: float = GRAVITY**2 * tilt * max(1.0, TILT_MEMORY_S / interval_s)
+    return variance
 
 
 @compiled
@@ -70,7 +71,8 @@ def compass_turn(state: FilterState, s: int, off: float, disturbance: float, dt:
     """Turn (rad) of an open heading that the field sees off; disturbance: 1 none, more counts less."""
     state.compass_s[s] += dt / disturbance
     memory_s = max(dt, min(state.compass_s[s], COMPASS_S))
-    return -off * min(1.0, dt / disturbance / memory_s)
+    turn: float = -off * min(1.0, dt / disturbance / memory_s)
+    return turn
 
 
 @compiled
