@@ -45,7 +45,7 @@ class Noise(NamedTuple):
     """rad/s/√s."""
     start_tilt: float = 0.3
     """rad: of a first orientation from one specific force."""
-    heading: float = 0.1
+    heading: float = 0.2
     """rad: how far the field's heading strays where it passes all tests."""
     heading_memory_s: float = 10.0
     """For how long it stays off to the same side."""
