@@ -7,13 +7,14 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test lint bench soak install install-dev mosquitto lock clean
+.PHONY: help demo test lint docs bench soak install install-dev system-tools lock clean
 
 help:
-	@echo "make demo    emulated suit -> gateway -> embedded broker -> live orientations and their error"
-	@echo "make test    install what the tests need (mosquitto too, where apt may) and run them"
+	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
+	@echo "make test    install what the tests need (mosquitto and chromium too, where apt may) and run them"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   measure, and rewrite the figures in docs/"
+	@echo "make docs    the pages in docs/ as HTML"
 	@echo "make soak    slow tests, and ten million wire frames, damaged and good, through the decoders"
 	@echo "make lock    pin the dependencies anew"
 
@@ -41,13 +42,20 @@ $(VENV)/.dev: requirements/dev.lock $(VENV)/.runtime
 install: $(VENV)/.runtime
 install-dev: $(VENV)/.dev
 
-mosquitto:
-	@command -v mosquitto >/dev/null || [ -x /usr/sbin/mosquitto ] || { \
+# What tests need from the system: a broker and a browser. NAME=PACKAGE
+SYSTEM_TOOLS := mosquitto=mosquitto chromium=chromium
+
+system-tools:
+	@for tool in $(SYSTEM_TOOLS); do \
+		program=$${tool%%=*}; package=$${tool##*=}; \
+		command -v $$program >/dev/null || [ -x /usr/sbin/$$program ] && continue; \
 		if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then sudo=""; \
 		elif sudo -n true 2>/dev/null && command -v apt-get >/dev/null; then sudo="sudo"; \
-		else echo "mosquitto is not installed and may not be: the tests that need it will be skipped (apt install mosquitto)"; exit 0; fi; \
-		echo "Installing mosquitto ..."; \
-		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive RUNLEVEL=1 apt-get install -y -qq --no-install-recommends mosquitto >/dev/null; }
+		else echo "$$program is not installed and may not be: the tests that need it will be skipped (apt install $$package)"; continue; fi; \
+		echo "Installing $$program ..."; \
+		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive RUNLEVEL=1 apt-get install -y -qq --no-install-recommends $$package >/dev/null \
+			|| echo "$$program could not be installed: the tests that need it will be skipped"; \
+	done
 
 demo: install
 	@$(BIN)/python -m gateway demo $(DEMO)
@@ -57,10 +65,14 @@ lint: install-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: install-dev mosquitto lint
+test: install-dev system-tools lint
 	$(BIN)/python -m pytest -n 2 $(TESTS)
 
-bench: install-dev mosquitto
+docs: install-dev
+	$(BIN)/python -m sphinx -q -W -b html docs docs/_build
+	@echo "open docs/_build/index.html"
+
+bench: install-dev system-tools
 	$(BIN)/python -m benchmarks all --write-docs
 
 soak: install-dev
@@ -69,8 +81,8 @@ soak: install-dev
 
 lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv
-	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev -o requirements/dev.lock
-	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml -c requirements/dev.lock -o requirements/runtime.lock
+	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev --extra viewer -o requirements/dev.lock
+	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra viewer -c requirements/dev.lock -o requirements/runtime.lock
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis

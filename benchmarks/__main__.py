@@ -1,4 +1,4 @@
-"""``python -m benchmarks accuracy|speed|latency|clock|all``."""
+"""``python -m benchmarks accuracy|speed|latency|clock|walking|joints|sensors|all``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, clock, latency, speed
+from benchmarks import accuracy, clock, joints, latency, sensors, speed, walking
 from benchmarks.figures import Report, write_docs
 
 SUITES: dict[str, Callable[[], Report]] = {
@@ -15,6 +15,9 @@ SUITES: dict[str, Callable[[], Report]] = {
     "speed": speed.run,
     "latency": latency.run,
     "clock": clock.run,
+    "walking": walking.run,
+    "joints": joints.run,
+    "sensors": sensors.run,
 }
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 

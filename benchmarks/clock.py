@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.clock_faults import recoveries
+from benchmarks.clock_orientation import clocks_in_degrees
 from benchmarks.clock_recordings import recorded_clocks
 from benchmarks.clock_simulation import (
     LATENCY_US,
@@ -19,15 +21,19 @@ from benchmarks.clock_simulation import (
     transport_limit_us,
 )
 from benchmarks.figures import Figure, Report, table
+from devices.link import Chunk, Framing, SentChunk
+from firmware_protocol import BROADCAST, InertialSample, SamplingTrigger, encode_frame, wire_frame
 from gateway.clocks import (
     ClockCalibration,
     EstimatedClock,
     LinkBatching,
     ModuleClock,
     TableClocks,
-    TriggerScheduler,
+    TriggerAnswers,
+    TriggerTimer,
 )
 from gateway.frames import FloatArray
+from gateway.stream import ClockMode, Stream
 
 SEED = 4
 MODULES = 17
@@ -183,28 +189,33 @@ def by_table(slot_us: float) -> tuple[Errors, float]:
     return Errors(np.array(errors)), float(len(clocks.table.alpha[clocks.table.reference]))
 
 
-def by_trigger() -> tuple[Errors, TriggerScheduler]:
-    """The gateway's timer rules: one broadcast reaches all modules; each samples an interrupt later."""
+def by_trigger() -> tuple[Errors, TriggerTimer, TriggerAnswers]:
+    """The gateway's timer rules: one broadcast reaches all modules; each samples an interrupt later.
+
+    Triggers and answers pass through the stream as in the running gateway.
+    """
     rng = np.random.default_rng(SEED)
-    interval_ns = 1e9 / RATE_HZ
-    scheduler = TriggerScheduler(range(MODULES), interval_ns, patience_ns=100_000_000)
-    scheduler.start(0)
+    timer, answers = TriggerTimer(1e9), TriggerAnswers(range(MODULES), patience_ns=100_000_000)
+    stream = Stream(ClockMode.TRIGGER, triggers=answers)
+    stream.add_link("radio", Framing.BYTE_STREAM)
+    sample = InertialSample(angular_rate=(0.0, 0.0, 0.0), triggered=True)
     shown = []
-    for k in range(int(HOUR_S * RATE_HZ)):
-        if k % 100 and k > SETTLED_S * RATE_HZ:
-            continue  # after a minute one trigger a second is looked at
-        planned_ns = round(k * interval_ns)
-        sent_ns = planned_ns + int(rng.exponential(200_000))  # the host's own lateness: common to all
-        number = scheduler.due(sent_ns)
-        if number is None:
-            continue
-        scheduler.sent(number, sent_ns)
+    timer.start(0)
+    for second in range(int(HOUR_S)):  # one trigger a second is looked at
+        sent_ns = second * 10**9 + int(rng.exponential(200_000))  # the host's own lateness: common to all
+        trigger = timer.due(sent_ns)
+        assert trigger is not None
+        timer.sent(trigger, sent_ns)
+        asked = wire_frame(SamplingTrigger(trigger.number), BROADCAST, trigger.number, 0)
+        stream.sent(SentChunk(encode_frame(asked), sent_ns, "radio"))
         sampled_ns = sent_ns + LATENCY_US * 1e3 + rng.exponential(RECEPTION_US * 1e3, MODULES)
-        for module in np.flatnonzero(rng.random(MODULES) >= LOSS).tolist():
-            scheduler.answered(module, number, sent_ns + 3_000_000)
-        if k >= SETTLED_S * RATE_HZ:
-            shown.append((sent_ns - sampled_ns) * 1e-3)
-    return Errors(np.array(shown).T), scheduler
+        answering = np.flatnonzero(rng.random(MODULES) >= LOSS).tolist()
+        frames = [wire_frame(sample, module, trigger.number, sent_ns // 1000 % 2**32) for module in answering]
+        readings = stream.receive(Chunk(b"".join(map(encode_frame, frames)), sent_ns + 3_000_000, "radio"))
+        if second >= SETTLED_S and len(readings) == MODULES:
+            published_ns = np.array([reading.time_ns for reading in readings])
+            shown.append((published_ns - sampled_ns) * 1e-3)
+    return Errors(np.array(shown).T), timer, answers
 
 
 def packet_cost_us() -> float:
@@ -228,9 +239,11 @@ def run() -> Report:
     cost_us = packet_cost_us()
     arrival_1ms, arrival_16ms = by_arrival(1000.0), by_arrival(16_000.0)
     (exchanged, bound_us), (by_the_table, minutes) = by_exchange(1000.0), by_table(1000.0)
-    triggered, scheduler = by_trigger()
+    triggered, timer, answers = by_trigger()
     limit_1ms, limit_16ms = (transport_limit_us(slot, 1e6 / RATE_HZ, 60.0) for slot in (1000.0, 16_000.0))
     recorded, recorded_table = recorded_clocks()
+    recovered, recovery_table = recoveries()
+    in_degrees, degrees_table = clocks_in_degrees()
     report = Report("clock")
     report.figures = [
         Figure("sync_p99_us", exchanged.p99_us(), "µs", "<=50", "two-way exchanges at 4 Hz, 1 ms batching"),
@@ -253,6 +266,8 @@ def run() -> Report:
             "clock_packet_us", cost_us, "µs", "<=2", "processor time of the estimate, one packet on average"
         ),
         *recorded,
+        *recovered,
+        *in_degrees,
     ]
     heads = ["mode", "p50 µs", "p99 µs", "max µs", "limit p99 µs", "±60° swing at 2 Hz: RMSE °"]
     rows = [
@@ -263,7 +278,7 @@ def run() -> Report:
         exchanged.row("two-way exchanges, 1 ms batching"),
         triggered.row("2, unified control"),
     ]
-    seen = scheduler.figures
+    kept, missed = timer.figures, sum(answers.figures.missed.values())
     report.tables = [
         "### Error of the common instant\n\n"
         "17 modules at 100 Hz for an hour, the first minute left out; crystals to ±100 ppm, drifting by "
@@ -271,9 +286,11 @@ def run() -> Report:
         "Error of a module's instants against the median module's. *limit*: Cramér–Rao bound with the rate "
         "known and 60 s of packets. Exchanges: latencies differ between modules by up to 1 ms, which "
         "arrival times alone cannot see. Trigger: reception differs by an exponential of mean "
-        f"{RECEPTION_US:.0f} µs; timer jitter RMS {seen.jitter_rms_us:.0f} µs (common to all), "
-        f"{sum(seen.missed.values())} answers missed of "
-        f"{seen.sent * MODULES}.\n\n" + table(heads, rows),
+        f"{RECEPTION_US:.0f} µs; timer jitter RMS {kept.jitter_rms_us:.0f} µs (common to all), "
+        f"{missed} answers missed of "
+        f"{kept.sent * MODULES}.\n\n" + table(heads, rows),
+        degrees_table,
+        recovery_table,
         recorded_table,
     ]
     return report

@@ -7,7 +7,7 @@ Reading order
 - ``serial_link`` (with ``raw_tty``, ``serial_ports``), ``rfc2217_link``, ``tcp_link``, ``udp_link``:
   byte streams.
 - ``socketcan_link``, ``can_link``, ``slcan_link`` (with the text codec ``slcan``): CAN frame records.
-- ``replay_link`` over a ``chunk_log``: a recording is a link like any other.
+- ``replay_link`` over a ``recording_file``: a recording is a link like any other.
 - ``loopback_link``: two ends joined in memory, for tests and for modules emulated in process.
 - ``reconnect``: keeps any live link open for ever.
 - ``arrivals``: the one queue between a receive callback and the reader of a link; ``reader_thread``:

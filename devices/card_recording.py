@@ -1,4 +1,4 @@
-"""A file of a relay's memory card as a chunk log, so that it can be replayed like any recording.
+"""A file of a relay's memory card as a recording, so that it can be replayed like any other.
 
 The card holds the wire frames that the relay gathered, stuffed, one after another, in the order in
 which they came. When each came is told by the clock of its sender: the first of every sender came when
@@ -11,11 +11,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from devices.chunk_log import ChunkLogWriter, LoggedLink
 from devices.link import Chunk, Framing
+from devices.recording_writer import RecordingWriter, session_record
 from firmware_protocol import FrameDecoder, WireFrame, encode_frame
 
-LINK = LoggedLink("card", Framing.BYTE_STREAM)
+LINK = "card"
+"""Name of the link in the recording."""
+
 
 _COUNTER = 2**32
 _JUMP_US = 10_000_000
@@ -52,19 +54,21 @@ class _Elapsed:
 def convert_card_file(
     source: Path, target: Path, *, start_ns: int | None = None, end_ns: int = 0
 ) -> ConvertedCard:
-    """Write the chunk log ``target`` from a downloaded card file.
+    """Write the recording ``target`` from a downloaded card file, in the place of one that is there.
 
     start_ns: gateway time at which the file was begun; None: such that the recording ends at ``end_ns``.
-    Raises ``ChunkLogError`` when ``target`` is something else, OSError as ``open`` does.
+    Raises OSError as ``open`` does.
     """
     duration_us = max((elapsed_us for elapsed_us, _ in _arrivals(source, FrameDecoder())), default=0)
     base_ns = end_ns - duration_us * 1000 if start_ns is None else start_ns
     target.unlink(missing_ok=True)
     chunks = 0
     decoder = FrameDecoder()
-    with ChunkLogWriter(target, [LINK]) as log:
+    session = session_record({LINK: Framing.BYTE_STREAM}, begun_ns=str(base_ns), name=target.stem)
+    with RecordingWriter(target, session, {}, base_ns) as recording:
         for elapsed_us, frame in _arrivals(source, decoder):
-            log.append(Chunk(encode_frame(frame), base_ns + elapsed_us * 1000, LINK.name))
+            chunk = Chunk(encode_frame(frame), base_ns + elapsed_us * 1000, LINK)
+            recording.add_chunk(chunk, Framing.BYTE_STREAM)
             chunks += 1
     return ConvertedCard(chunks, sum(decoder.dropped.values()), duration_us * 1e-6)
 

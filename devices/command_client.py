@@ -18,7 +18,7 @@ from collections.abc import AsyncIterator, Callable, Iterable
 from typing import Any
 
 from devices.device_errors import CommandRefusedError, DeviceError, NoAnswerError, WritesLockedError
-from devices.link import Chunk, Framing, Link, LinkError, gateway_time_ns
+from devices.link import Chunk, Framing, Link, LinkError, SentChunk, gateway_time_ns
 from devices.transactions import Answer, Exchange, Transactions
 from firmware_protocol import (
     BROADCAST,
@@ -67,6 +67,8 @@ class CommandClient:
         """Newest module id and description of each device heard."""
         self.healths: dict[int, Health] = {}
         """Newest health by module id."""
+        self.on_sent: Callable[[SentChunk], None] | None = None
+        """Told of everything that was written to a link."""
         self._clock_ns = clock_ns
         self._sequences: Counter[int] = Counter()
         self._answered: dict[int, asyncio.Event] = {}
@@ -195,9 +197,12 @@ class CommandClient:
         unsent = LinkError("there is no link to send a command on: configure one")
         failures = 0
         for each in chosen:
+            sent = SentChunk(host_bytes(frame, each.framing), self._clock_ns(), each.name)
             try:
                 async with asyncio.timeout(_SEND_TIMEOUT_S):
-                    await each.write(host_bytes(frame, each.framing))
+                    await each.write(sent.data)
+                if self.on_sent is not None:
+                    self.on_sent(sent)
             except TimeoutError:
                 unsent = LinkError(f"{each.name} takes nothing: does the other side read what is sent to it?")
                 failures += 1

@@ -8,7 +8,7 @@
 ``slcan:///dev/ttyACM0?bitrate=1000000&fd=1``             CAN adapter that speaks slcan
 ``can://socketcan/can0?fd=1``                             CAN interface of the Linux kernel
 ``can://virtual/suit``, ``can://pcan/PCAN_USBBUS1``       any other interface of python-can
-``replay:///path?speed=max&link=suit``                    recorded chunks
+``recording:///path.mcap?speed=max&link=suit``             recording; or its path, if it ends in .mcap
 ========================================================  ============================================
 """
 
@@ -23,6 +23,7 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from devices.can_link import CanLink
 from devices.link import Link, LinkError
+from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink
 from devices.rfc2217_link import Rfc2217Link
 from devices.serial_link import DEFAULT_BAUD, SerialLink
@@ -42,7 +43,7 @@ def link_from_url(url: str, *, name: str | None = None) -> Link:
     Raises ``EndpointError`` for an unknown scheme or parameter, a missing part or a bad value.
     """
     try:
-        parts = urlsplit(f"serial://{url}" if url.startswith("/") else url)
+        parts = urlsplit(_as_url(url))
     except ValueError as error:
         raise EndpointError(f"{url} is no URL: {error}") from error
     scheme = _SCHEMES.get(parts.scheme)
@@ -52,6 +53,14 @@ def link_from_url(url: str, *, name: str | None = None) -> Link:
         return scheme.build(parts, _parameters(parts.query, scheme), name)
     except ValueError as error:
         raise EndpointError(f"{url}: {error}; write it like {scheme.example}") from error
+
+
+def _as_url(text: str) -> str:
+    """Paths are URLs too: of a recording, by the ending of its name, or else of a serial port."""
+    path = text.partition("?")[0]
+    if "://" not in path and path.endswith(SUFFIX):
+        return f"recording:{text.removeprefix('recording:')}"
+    return f"serial://{text}" if text.startswith("/") else text
 
 
 def _whole_number(text: str) -> int:
@@ -118,7 +127,7 @@ def _can(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Li
     return CanLink(parts.netloc, channel, name=name, **parameters)
 
 
-def _replay(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+def _recording(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
     return ReplayLink(_path(parts), name=name, **parameters)
 
 
@@ -133,7 +142,7 @@ _SCHEMES = {
         "slcan:///dev/ttyACM0?bitrate=1000000&fd=1", _slcan, {"baud": _whole_number, **_CAN_PARAMETERS}
     ),
     "can": _Scheme("can://socketcan/can0?fd=1", _can, _CAN_PARAMETERS),
-    "replay": _Scheme("replay:///path?speed=max", _replay, {"speed": _speed, "link": str}),
+    "recording": _Scheme("recording:///path.mcap?speed=max", _recording, {"speed": _speed, "link": str}),
 }
 
 

@@ -44,6 +44,17 @@ class Chunk:
     """Name of the link it came from."""
 
 
+@dataclass(frozen=True, slots=True)
+class SentChunk:
+    """Bytes that the gateway itself put on a link: whole wire frames of the host, in the link's framing."""
+
+    data: bytes
+    sent_ns: int
+    """Gateway time just before they were handed to the system, ns."""
+    link: str
+    """Name of the link they left by."""
+
+
 class LinkError(Exception):
     """A link could not be opened, or was lost.
 

@@ -1,4 +1,4 @@
-"""A recording as a link: the chunks of a log with the arrival times they had."""
+"""A recording as a link: its chunks, in the order and with the arrival times they had."""
 
 from __future__ import annotations
 
@@ -6,24 +6,26 @@ import asyncio
 import contextlib
 import difflib
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
 
-from devices.chunk_log import ChunkLogError, ChunkLogReader, LoggedLink
-from devices.link import Chunk, Framing, LinkError, gateway_time_ns
+from devices import recording_format as fmt
+from devices.link import Chunk, Framing, Link, LinkError, SentChunk, gateway_time_ns
+from devices.recording_file import RecordingParts
 
 _log = logging.getLogger(__name__)
 
-# At full speed other tasks still get their turn every so many chunks.
-_CHUNKS_A_TURN = 32
+# At full speed other tasks still get their turn every so many messages.
+_MESSAGES_A_TURN = 32
 
 
 class ReplayLink:
-    """The chunks of one link of a chunk log.
+    """The chunks of a recording, of one of its links or of all; later parts of the session follow.
 
-    ``speed`` 1 is as recorded, 2 twice as fast, None as fast as the reader takes them; arrival times
-    are those of the recording whatever the speed. All links of a log replayed at the same time keep
-    step: time counts from the first chunk of the log. What is written is discarded.
+    ``speed`` 1 is as recorded, 2 twice as fast, None as fast as the reader takes them; arrival times are
+    those of the recording whatever the speed, and time counts from the first chunk of the file, so that two
+    links of one recording keep step. With all links, chunks bear the names of the links they were recorded
+    from: see ``carries``. What is written is discarded.
     """
 
     def __init__(
@@ -34,23 +36,40 @@ class ReplayLink:
         speed: float | None = 1.0,
         name: str | None = None,
     ) -> None:
-        """``link`` names the recorded link; it may be left out when the log holds only one."""
+        """link: the one recorded link wanted; None: all. name: what to call it, where it is one link."""
         if speed is not None and not speed > 0:
             raise ValueError(f"speed {speed}: give a positive number, or None for as fast as possible")
         self.path = Path(path)
         self.name = name or link or str(path)
         self.framing = Framing.BYTE_STREAM
-        """That of the recording, known as soon as the file can be read."""
+        """That of its first link, known as soon as the file can be read."""
+        self.carries: dict[str, Framing] = {self.name: self.framing}
+        """Names that its chunks bear, and the framing of each; known as soon as the file can be read."""
+        self.on_sent: Callable[[SentChunk], None] | None = None
+        """Told what the gateway had written to these links, in its place between the chunks."""
+        self.hold: Callable[[], Awaitable[None]] | None = None
+        """Awaited now and then before reading on: for whoever must not be overrun at full speed."""
         self.defect: str | None = None
         """What was wrong with the tail of the file, once the end was reached."""
         self._link = link
         self._speed = speed
-        self._has_own_name = name is not None
-        self._reader: ChunkLogReader | None = None
+        self._given_name = name
+        self._parts: RecordingParts | None = None
+        self._names: dict[str, str] = {}  # recorded link → what its chunks are called
         self._is_open = False
         self._closing: asyncio.Event | None = None
         with contextlib.suppress(LinkError):  # said by open()
             self._select()
+
+    @property
+    def position(self) -> int:
+        """Bytes read so far."""
+        return 0 if self._parts is None else self._parts.position
+
+    @property
+    def size(self) -> int:
+        """Bytes in all."""
+        return 0 if self._parts is None else self._parts.size
 
     async def open(self) -> None:
         if self._is_open:
@@ -60,22 +79,24 @@ class ReplayLink:
         self._is_open = True
 
     async def __aiter__(self) -> AsyncIterator[Chunk]:
-        if self._reader is None or self._closing is None:
+        if self._parts is None or self._closing is None:
             raise LinkError(f"{self.name} is not open: call open() before reading")
-        start_ns = gateway_time_ns()
-        first_ns: int | None = None
-        for count, chunk in enumerate(self._reader):
-            first_ns = chunk.arrived_ns if first_ns is None else first_ns
-            if count % _CHUNKS_A_TURN == 0:
-                await asyncio.sleep(0)
-            if chunk.link == self._link and self._speed is not None:
-                turn_ns = start_ns + (chunk.arrived_ns - first_ns) / self._speed
-                await _wait_until(turn_ns, self._closing)
-            if self._closing.is_set():
-                return
-            if chunk.link == self._link:
-                yield Chunk(chunk.data, chunk.arrived_ns, self.name)
-        self.defect = self._reader.defect
+        pace = _Pace(self._speed, self._closing)
+        for count, (topic, time_ns, data) in enumerate(self._parts.messages()):
+            if count % _MESSAGES_A_TURN == 0:
+                await (asyncio.sleep(0) if self.hold is None else self.hold())
+            if topic.startswith(fmt.CHUNKS):
+                name = self._names.get(topic.removeprefix(fmt.CHUNKS))
+                await pace.until(time_ns, is_ours=name is not None)
+                if self._closing.is_set():
+                    return
+                if name is not None:
+                    yield Chunk(data, time_ns, name)
+            elif topic.startswith(fmt.SENT) and self.on_sent is not None:
+                name = self._names.get(topic.removeprefix(fmt.SENT))
+                if name is not None:
+                    self.on_sent(SentChunk(data, time_ns, name))
+        self.defect = self._parts.defect
         if self.defect is not None:
             _log.warning("%s", self.defect)
 
@@ -88,35 +109,51 @@ class ReplayLink:
             self._closing.set()
 
     def _select(self) -> None:
-        """Open the log and find the link in it."""
-        try:
-            self._reader = ChunkLogReader(self.path)
-        except ChunkLogError:
-            raise
-        except OSError as error:
-            raise LinkError(f"recording {self.path} cannot be read: {error.strerror}") from error
-        recorded = self._recorded_link(self._reader.links)
-        self._link = recorded.name
-        self.framing = recorded.framing
-        if not self._has_own_name:
-            self.name = recorded.name
-
-    def _recorded_link(self, links: tuple[LoggedLink, ...]) -> LoggedLink:
-        by_name = {link.name: link for link in links}
-        if self._link is None and len(links) == 1:
-            return links[0]
-        if self._link is not None and self._link in by_name:
-            return by_name[self._link]
-        known = ", ".join(by_name) or "none"
-        if self._link is None:
-            raise LinkError(f"{self.path} holds several links: choose one with link= ({known})")
-        near = difflib.get_close_matches(self._link, by_name, 1)
-        hint = f"did you mean '{near[0]}'?" if near else f"it has: {known}"
-        raise LinkError(f"{self.path} has no link '{self._link}': {hint}")
+        """Open the recording and find the links in it."""
+        self._parts = RecordingParts(self.path)
+        recorded = self._parts.links
+        chosen = _chosen(self.path, recorded, self._link)
+        if len(chosen) == 1:
+            self.name = self._given_name or next(iter(chosen))
+            self._names = {next(iter(chosen)): self.name}
+        else:
+            self._names = {name: name for name in chosen}
+        self.carries = {self._names[name]: framing for name, framing in chosen.items()}
+        self.framing = next(iter(chosen.values()), Framing.BYTE_STREAM)
 
 
-async def _wait_until(turn_ns: float, closing: asyncio.Event) -> None:
-    wait_s = (turn_ns - gateway_time_ns()) * 1e-9
-    if wait_s > 0:
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(closing.wait(), wait_s)
+class _Pace:
+    """When each chunk has its turn."""
+
+    def __init__(self, speed: float | None, closing: asyncio.Event) -> None:
+        self._speed = speed
+        self._closing = closing
+        self._start_ns = gateway_time_ns()
+        self._first_ns: int | None = None
+
+    async def until(self, arrived_ns: int, *, is_ours: bool) -> None:
+        """Until the turn of a chunk that arrived then; one of another link only tells where time begins."""
+        if self._first_ns is None:
+            self._first_ns = arrived_ns
+        if not is_ours or self._speed is None:
+            return
+        turn_ns = self._start_ns + (arrived_ns - self._first_ns) / self._speed
+        wait_s = (turn_ns - gateway_time_ns()) * 1e-9
+        if wait_s > 0:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._closing.wait(), wait_s)
+
+
+def carried_links(link: Link) -> Mapping[str, Framing]:
+    """The names that chunks of an open link bear, and the framing of each: one, but for some recordings."""
+    return link.carries if isinstance(link, ReplayLink) else {link.name: link.framing}
+
+
+def _chosen(path: Path, recorded: dict[str, Framing], wanted: str | None) -> dict[str, Framing]:
+    if wanted is None:
+        return recorded
+    if wanted in recorded:
+        return {wanted: recorded[wanted]}
+    near = difflib.get_close_matches(wanted, recorded, 1)
+    hint = f"did you mean '{near[0]}'?" if near else f"it has: {', '.join(recorded) or 'none'}"
+    raise LinkError(f"{path} has no link '{wanted}': {hint}")

@@ -55,6 +55,8 @@ class FrameAssembler:
     def __init__(self, module_ids: tuple[int, ...], params: AssemblyParams) -> None:
         n = len(module_ids)
         self.lost: Counter[Lost] = Counter()
+        self.late: Counter[int] = Counter()
+        """Readings that came after their frame, by module id; those of ``lost`` one by one."""
         self._params = params
         self._row = {module: row for row, module in enumerate(module_ids)}
         self._times = np.full((n, _DEPTH), np.iinfo(np.int64).min, dtype=np.int64)
@@ -124,6 +126,7 @@ class FrameAssembler:
             return False
         if reading.time_ns <= self._last_instant_ns:
             self.lost[Lost.LATE] += 1
+            self.late[reading.module] += 1
             return False
         newer = int(np.count_nonzero(times > reading.time_ns))
         head = (int(self._heads[row]) + 1) % _DEPTH

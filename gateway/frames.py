@@ -1,8 +1,8 @@
 """Every value that flows, in the order it flows.
 
 ``Chunk`` (``devices.link``: bytes and when they arrived) → ``WireFrame`` (``firmware_protocol.framing``)
-→ packets (``firmware_protocol.packets``) → ``InertialReading`` / ``LocalReading`` (one module, one
-instant, gateway time) → ``ImuFrame`` (all modules, one instant) → ``SkeletonFrame``.
+→ packets (``firmware_protocol.packets``) → ``InertialReading`` / ``FusedReading`` / ``LocalReading`` (one
+module, one instant, gateway time) → ``ImuFrame`` (all modules, one instant) → ``SkeletonFrame``.
 
 SI units throughout: m, s, rad, m/s², rad/s; magnetic field in µT. Instants are integer nanoseconds
 of gateway time. Quaternions are unit, Hamilton, (w, x, y, z); ``q_ab`` takes coordinates in b to
@@ -54,6 +54,19 @@ class InertialReading:
     magnetic_field: Vector3 | None  # µT
 
 
+@dataclass(frozen=True, slots=True)
+class FusedReading:
+    """What one module has fused on board for one instant."""
+
+    module: int
+    sequence: int
+    """Unwrapped sample count of the module."""
+    time_ns: int
+    """Gateway time of the orientation, by the module's clock model."""
+    orientation: tuple[float, float, float, float]
+    """``q_es``: sensor axes to the module's own level reference e."""
+
+
 class Quantity(IntEnum):
     """What a local measuring device (ML) measures, in world axes."""
 
@@ -90,6 +103,9 @@ class ImuFrame:
     gap_ns: IntArray  # (n_modules,) time between the samples this value rests on (held: its age)
     local: tuple[LocalReading, ...] = field(default=())
     """Readings of local measuring devices since the frame before, in time order."""
+    orientation: FloatArray | None = None
+    """(n_modules, 4) ``q_es`` fused on the modules, each to its own level reference e; None: they send raw
+    values."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,23 +3,41 @@
     link → chunk ─┬─ framing → packets → clocks ─┬─ frame assembly ─┬─ reconstructor ─→ outputs
                   └────────── Stream ────────────┘    ImuFrame      └─ SkeletonFrame
 
-``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times it gives
-the same skeleton frames, bit for bit. ``gateway.service`` puts links before it and outputs after.
+``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times, and told in
+the same order what the gateway sent and when (``sent``), it gives the same skeleton frames, bit for bit.
+``gateway.service`` puts links before it and outputs after.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from itertools import chain, islice
 from pathlib import Path
 
-from devices.link import Chunk, Framing
+from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
-from gateway.clocks import ClockTable, load_clock_table
+from gateway.calibration.corrections import SensorCorrections
+from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
-from gateway.frames import LocalReading, SkeletonFrame
-from gateway.reconstruction import RECONSTRUCTORS
+from gateway.errors import SettingsError
+from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
+from gateway.fused_assembly import FusedAssembler
+from gateway.reconstruction import (
+    FUSED,
+    NO_CONTACTS,
+    RootMode,
+    RootSettings,
+    WholeBodyReconstructor,
+    create_reconstructor,
+    update_many,
+)
 from gateway.settings import GatewaySettings
-from gateway.stream import ClockMode, Stream
+from gateway.stream import ClockMode, Reading, Stream
+
+FRAMES_AT_A_TIME = 256
+"""Of a recording: enough that a call costs nothing, few enough to stay in the processor's cache."""
 
 
 class Pipeline:
@@ -33,16 +51,34 @@ class Pipeline:
         clock_mode: ClockMode = ClockMode.ESTIMATED,
         clock_table: ClockTable | None = None,
         despiker: Despiker | None = None,
+        trigger_patience_ns: int = 250_000_000,
+        root: RootSettings | None = None,
     ) -> None:
-        self.stream = Stream(clock_mode, clock_table)
+        """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
+        triggers = None
+        if clock_mode is ClockMode.TRIGGER:
+            triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns)
+        self.stream = Stream(clock_mode, clock_table, triggers)
+        self.corrections = SensorCorrections(suit.calibrations)
         self.despiker = despiker
         self.assembler = FrameAssembler(suit.module_ids, params)
-        self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
+        self.fused_assembler: FusedAssembler | None = None
+        """In the place of the other where orientations fused on board are wanted."""
+        if reconstructor in FUSED:
+            reference = suit.module_ids[0] if clock_table is None else clock_table.reference
+            self.fused_assembler = FusedAssembler(suit.module_ids, params, reference)
+        self.unused: Counter[str] = Counter()
+        """Readings of a kind that the reconstructor has no use for."""
+        interval_s = params.frame_interval_ns * 1e-9
+        self.reconstructor = create_reconstructor(reconstructor, suit, interval_s, root)
         self.skeleton_frames = 0
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
-        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table."""
+        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table, and
+        for a body that cannot walk and shall."""
+        if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
+            raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
         table = settings.clock.table
         return cls(
             suit,
@@ -51,26 +87,60 @@ class Pipeline:
             settings.clock.mode,
             None if table is None else load_clock_table(Path(table)),
             Despiker() if settings.assembly.despike else None,
+            round(settings.clock.trigger_patience_ms * 1e6),
+            settings.root_motion.root(),
         )
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
         self.stream.add_link(name, framing)
 
+    def sent(self, chunk: SentChunk) -> None:
+        """The gateway put this on a link: time requests and sampling triggers, whose answers need it."""
+        self.stream.sent(chunk)
+
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
-        skeleton_frames: list[SkeletonFrame] = []
-        for reading in self.stream.receive(chunk):
-            if isinstance(reading, LocalReading):
-                self.assembler.add_local(reading)
-                continue
-            clean = reading if self.despiker is None else self.despiker.add(reading)
-            if clean is None:
-                continue
-            imu_frames = self.assembler.add(clean, chunk.arrived_ns)
-            skeleton_frames.extend(self.reconstructor.update(imu_frame) for imu_frame in imu_frames)
+        skeleton_frames = [self.reconstructor.update(imu_frame) for imu_frame in self._imu_frames(chunk)]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
+
+    def replay(self, items: Iterable[Chunk | SentChunk]) -> Iterator[SkeletonFrame]:
+        """A recording: the frames that ``feed`` and ``sent`` of each item give, bit for bit, but many at a
+        time."""
+        imu_frames = chain.from_iterable(map(self._played, items))
+        while block := list(islice(imu_frames, FRAMES_AT_A_TIME)):
+            self.skeleton_frames += len(block)
+            yield from update_many(self.reconstructor, block)
+
+    def _played(self, item: Chunk | SentChunk) -> list[ImuFrame]:
+        if isinstance(item, Chunk):
+            return self._imu_frames(item)
+        self.sent(item)
+        return []
+
+    def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+        imu_frames: list[ImuFrame] = []
+        for reading in self.stream.receive(chunk):
+            imu_frames += self._assemble(reading, chunk.arrived_ns)
+        return imu_frames
+
+    def _assemble(self, reading: Reading, arrived_ns: int) -> list[ImuFrame]:
+        fused = self.fused_assembler
+        if isinstance(reading, LocalReading) and fused is None:
+            self.assembler.add_local(reading)
+            return []
+        if isinstance(reading, FusedReading):
+            if fused is not None:
+                return fused.add(reading, arrived_ns)
+            self.unused["fused"] += 1
+            return []
+        if fused is not None or isinstance(reading, LocalReading):
+            self.unused["local" if isinstance(reading, LocalReading) else "raw"] += 1
+            return []
+        corrected = self.corrections.apply(reading)
+        clean = corrected if self.despiker is None else self.despiker.add(corrected)
+        return [] if clean is None else self.assembler.add(clean, arrived_ns)
 
     def statistics(self) -> dict[str, object]:
         """Counters for the health message."""
@@ -78,12 +148,16 @@ class Pipeline:
             link: {defect.name.lower(): count for defect, count in defects.items()}
             for link, defects in self.stream.dropped.items()
         }
+        triggers, assembler = self.stream.triggers, self.fused_assembler or self.assembler
         return {
+            **({} if triggers is None else {"triggers": triggers.figures.summary()}),
             "skeleton_frames": self.skeleton_frames,
             "dropped_by_link": dropped,
-            "dropped_by_assembly": {
-                reason.name.lower(): count for reason, count in self.assembler.lost.items()
-            },
+            "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},
+            "unused_readings": dict(self.unused),
             "spikes": self.despiker.summary() if self.despiker is not None else {},
+            "joint_agreement": self.reconstructor.joint_agreement()
+            if isinstance(self.reconstructor, WholeBodyReconstructor)
+            else {},
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
         }

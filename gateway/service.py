@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import gateway
 from devices.command_client import CommandClient
 from devices.endpoints import link_from_url
-from devices.link import Link
-from devices.reconnect import ReconnectingLink
-from devices.replay_link import ReplayLink
+from devices.link import Framing, Link, SentChunk
+from devices.reconnect import LinkStatus, ReconnectingLink
+from devices.replay_link import ReplayLink, carried_links
 from gateway.body.skeleton import WornSuit
+from gateway.host_sender import HostSender
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
+from gateway.observability import Observer
 from gateway.outputs.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
 from gateway.pipeline import Pipeline
+from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
 from gateway.synchronisation import Synchroniser
+from gateway.triggering import Triggerer
 
 log = logging.getLogger(__name__)
 
@@ -37,50 +42,98 @@ class Service:
     def __init__(
         self, settings: GatewaySettings, suit: WornSuit, links: Sequence[Link] | None = None
     ) -> None:
-        self.links = links if links is not None else _links_of(settings)
+        self.links = links if links is not None else _links_of(settings, self._note_link)
         self.pipeline = Pipeline.from_settings(settings, suit)
-        self.mqtt = MqttOutput(
-            settings.mqtt, suit.skeleton, _describe(settings, suit), self.pipeline.statistics
+        self.recording = RecordingControl(
+            settings, suit, _framings(self.links), self.pipeline.statistics, self.pipeline.stream.restarts
         )
+        self._records_at_start = settings.recording.at_start
+        info = _describe(settings, suit)
+        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, info, self.statistics)
         self._outputs: tuple[Output, ...] = (self.mqtt,)
+        self.observer = Observer(settings, suit, info, self.pipeline, self.links, self.mqtt)
+        self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
         self.commands = CommandClient(self.links, allow_writes=settings.allow_device_writes)
+        self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
-        self._synchroniser = _synchroniser(settings, self.links, stream)
-        self.requests = RequestResponder(settings.mqtt, settings.gateway, {"modules": operations.perform})
+        sender = HostSender(self._note_sent)
+        self._announced: list[Link] = []  # to the pipeline, and with modules at the other end
+        self._synchroniser = _synchroniser(settings, self._announced, sender)
+        self._triggerer = _triggerer(settings, self._announced, sender, stream)
+        families = {"modules": operations.perform, "recording": self.recording.perform}
+        self.requests = RequestResponder(settings.mqtt, settings.gateway, families)
+
+    @property
+    def can_flow(self) -> bool:
+        """Whether every link is attended to: what the watchdog wants to know."""
+        return bool(self._ingesting) and not any(task.done() for task in self._ingesting)
+
+    def statistics(self) -> dict[str, object]:
+        """Counters for the health message."""
+        timer = {} if self._triggerer is None else {"trigger_timer": self._triggerer.statistics()}
+        return {**timer, **self.pipeline.statistics(), "recording": self.recording.status()}
 
     async def run(self) -> None:
-        """Open everything, and pass on what comes. Raises ``OutputError`` if an output cannot start."""
-        async with self.mqtt:
+        """Open everything, and pass on what comes.
+
+        Raises ``OutputError`` if an output cannot start, ``RecordingError`` if what it is to record cannot be
+        written.
+        """
+        async with self.mqtt, self.observer.watching():
+            if self._records_at_start:
+                self.recording.start()
             self.requests.start(self.mqtt.port)
             companions = [asyncio.create_task(self._report(), name="report")]
             if self._synchroniser is not None:
                 companions.append(asyncio.create_task(self._synchroniser.run(), name="synchroniser"))
+            if self._triggerer is not None:
+                companions.append(asyncio.create_task(self._triggerer.run(), name="triggerer"))
             try:
                 async with asyncio.TaskGroup() as group:
                     for link in self.links:
-                        group.create_task(self._ingest(link), name=f"link {link.name}")
+                        self._ingesting.append(
+                            group.create_task(self._ingest(link), name=f"link {link.name}")
+                        )
             finally:
                 for companion in companions:
                     companion.cancel()
+                await self.recording.stop()
                 await self.requests.stop()
 
     async def _ingest(self, link: Link) -> None:
         """link → pipeline → outputs, for one link."""
         await link.open()
-        self.pipeline.add_link(link.name, link.framing)
+        carried = carried_links(link)
+        if isinstance(link, ReplayLink):
+            link.on_sent = self._note_sent
+        for name, framing in carried.items():
+            self.pipeline.add_link(name, framing)
+        if not isinstance(link, ReplayLink):
+            self._announced.append(link)
         try:
             async for chunk in link:
+                await self.recording.keep_pace()
+                self.recording.chunk(chunk, carried[chunk.link])
                 skeleton_frames = self.pipeline.feed(chunk)
                 for frame in skeleton_frames:
+                    self.recording.skeleton(frame, chunk.arrived_ns)
                     for output in self._outputs:
                         output.offer(frame)
                 if skeleton_frames:
                     await asyncio.sleep(0)  # a link that is never empty must not starve the outputs
         finally:
             await link.close()
+
+    def _note_sent(self, sent: SentChunk) -> None:
+        """An input of the pipeline like what comes, and recorded in its place among it."""
+        self.recording.sent(sent)
+        self.pipeline.sent(sent)
+
+    def _note_link(self, name: str, status: LinkStatus) -> None:
+        self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
 
     async def _report(self) -> None:
         """A line now and then for whoever reads the log."""
@@ -101,17 +154,38 @@ class Service:
             frames_before = frames
 
 
-def _links_of(settings: GatewaySettings) -> list[Link]:
+def _links_of(settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None]) -> list[Link]:
     links = [link_from_url(link.url, name=link.name) for link in settings.links]
-    return [link if isinstance(link, ReplayLink) else ReconnectingLink(link) for link in links]
+    return [
+        link
+        if isinstance(link, ReplayLink)
+        else ReconnectingLink(link, on_change=functools.partial(on_change, link.name))
+        for link in links
+    ]
 
 
-def _synchroniser(settings: GatewaySettings, links: Sequence[Link], stream: Stream) -> Synchroniser | None:
+def _framings(links: Sequence[Link]) -> dict[str, Framing]:
+    """Of all names that chunks will bear."""
+    return {name: framing for link in links for name, framing in carried_links(link).items()}
+
+
+def _synchroniser(
+    settings: GatewaySettings, links: Sequence[Link], sender: HostSender
+) -> Synchroniser | None:
     """None where clocks need no exchanges, or none are wanted."""
-    if settings.clock.mode is not ClockMode.ESTIMATED or not settings.clock.sync_rate_hz:
+    estimates = settings.clock.mode in {ClockMode.ESTIMATED, ClockMode.TRIGGER}
+    if not estimates or not settings.clock.sync_rate_hz:
         return None
-    live = [link for link in links if not isinstance(link, ReplayLink)]
-    return Synchroniser(live, stream, 1.0 / settings.clock.sync_rate_hz)
+    return Synchroniser(links, sender, 1.0 / settings.clock.sync_rate_hz)
+
+
+def _triggerer(
+    settings: GatewaySettings, links: Sequence[Link], sender: HostSender, stream: Stream
+) -> Triggerer | None:
+    """None unless the gateway says when to sample."""
+    if stream.triggers is None:
+        return None
+    return Triggerer(links, sender, stream.triggers, settings.clock.trigger_rate_hz)
 
 
 def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
+from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
-from gateway.reconstruction import RECONSTRUCTORS
+from gateway.reconstruction import RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
+
+RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
+"""Nothing that could mean another folder."""
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Strict(BaseModel):
@@ -26,7 +33,7 @@ class LinkSettings(_Strict):
     url: str = Field(
         min_length=1,
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
-        "can://socketcan/can0, tcp://host:port, udp://host:port, replay:///path/to/recording",
+        "can://socketcan/can0, tcp://host:port, udp://host:port, recording:///path/to/file.mcap",
     )
 
 
@@ -36,7 +43,8 @@ class ClockSettings(_Strict):
     mode: ClockMode = Field(
         default=ClockMode.ESTIMATED,
         description="estimated: every module has its own crystal; shared: they count one clock already; "
-        "table: rates as measured by `calibrate clocks`",
+        "table: rates as measured by `calibrate clocks`; trigger: the gateway tells modules when to sample "
+        "(they must be set to it: mode 3)",
     )
     table: str | None = Field(
         default=None,
@@ -47,8 +55,21 @@ class ClockSettings(_Strict):
         default=4,
         ge=0,
         le=50,
-        description="for mode estimated: how often all modules are asked for their time, which takes the "
-        "transport's delay out of the clocks of those that answer; 0: never",
+        description="for modes estimated and trigger: how often all modules are asked for their time, which "
+        "takes the transport's delay out of the clocks of those that answer; 0: never",
+    )
+    trigger_rate_hz: float = Field(
+        default=100,
+        ge=1,
+        le=1000,
+        description="for mode trigger: how often all modules are told to sample",
+    )
+    trigger_patience_ms: float = Field(
+        default=250,
+        gt=0,
+        le=10_000,
+        description="for mode trigger: how long an answer is waited for; one that comes later is dropped "
+        "and counts as missed",
     )
 
     @model_validator(mode="after")
@@ -87,10 +108,93 @@ class AssemblySettings(_Strict):
         )
 
 
+class RootMotionSettings(_Strict):
+    """Whether the body moves through the world."""
+
+    mode: RootMode = Field(
+        default=RootMode.AUTO,
+        description="walking: the body stands on resting feet, flies between them and so moves through the "
+        "world; fixed: its root stays at the origin, or where a local device measures it; auto: walking for "
+        "bodies with contacts (feet) whose position no device measures",
+    )
+    floor: Literal["level", "open"] = Field(
+        default="level",
+        description="level: feet stand on one level floor, so that height does not drift; "
+        "open: heights as they are found (stairs, slopes)",
+    )
+    floor_height_m: Finite = Field(default=0, description="height of a level floor")
+
+    def root(self) -> RootSettings:
+        """As the reconstructors take it."""
+        return RootSettings(self.mode, self.floor == "level", self.floor_height_m)
+
+
+class ModuleReportSettings(_Strict):
+    """What is published of every module."""
+
+    state_interval_s: float = Field(
+        default=2, ge=0.5, le=3600, description="most often that one module's state is published, s"
+    )
+    silent_after_s: float = Field(
+        default=3, ge=0.5, le=3600, description="a module counts as offline after so long without a packet, s"
+    )
+
+
+class MetricsSettings(_Strict):
+    """Prometheus metrics and a health check over HTTP."""
+
+    port: int | None = Field(
+        default=None, ge=0, le=65535, description="port of /metrics and /healthz; none: off; 0: any free one"
+    )
+    host: str = Field(
+        default="127.0.0.1",
+        min_length=1,
+        description="address to listen at: loopback, unless others are to read them (0.0.0.0: all)",
+    )
+
+
+class RecordingSettings(_Strict):
+    """What is kept of a capture, and where."""
+
+    at_start: bool = Field(
+        default=False, description="record from the start of the service; else when asked to"
+    )
+    folder: str = Field(default="recordings", min_length=1, description="where the files go; made if absent")
+    name: str | None = Field(
+        default=None,
+        pattern=RECORDING_NAME,
+        description="added to the file's name, which begins with the time in UTC",
+    )
+    skeleton: bool = Field(
+        default=True, description="record skeleton frames too; without them files are about a third as large"
+    )
+    flush_ms: float = Field(
+        default=200,
+        ge=10,
+        le=60_000,
+        description="data this old is with the system: most that a kill can cost",
+    )
+    fsync_s: float = Field(
+        default=5,
+        ge=0,
+        le=3600,
+        description="data this old is on the disk, for power cuts; 0: only at the end",
+    )
+    rotate_mb: float = Field(default=2000, ge=0, description="a new file beyond this size; 0: never")
+    rotate_minutes: float = Field(default=60, ge=0, description="a new file after this time; 0: never")
+    warn_free_mb: float = Field(default=2000, ge=0, description="warn when the disk has less room")
+    min_free_mb: float = Field(
+        default=500, ge=0, description="stop recording when it has less; the live stream goes on"
+    )
+
+
 class LogSettings(_Strict):
     """Logging."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
+    format: LogFormat = Field(
+        default="auto", description="human, json (an object a line), or auto: human on a terminal, else json"
+    )
 
 
 class GatewaySettings(_Strict):
@@ -104,9 +208,13 @@ class GatewaySettings(_Strict):
     reconstructor: str = Field(
         default="independent", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
     )
+    root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()
     assembly: AssemblySettings = AssemblySettings()
     mqtt: MqttSettings = MqttSettings()
+    recording: RecordingSettings = RecordingSettings()
+    modules: ModuleReportSettings = ModuleReportSettings()
+    metrics: MetricsSettings = MetricsSettings()
     log: LogSettings = LogSettings()
     allow_device_writes: bool = Field(
         default=False,

@@ -33,7 +33,16 @@ class SequenceCounter:
         if self._is_anew:
             self._shift = sequence - (self._newest + 1)
             self._is_anew = False
-        full = unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1)
+        return self._take(unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1))
+
+    def count_unwrapped(self, full: int) -> int | None:
+        """The same for a number that somebody else has unwrapped."""
+        if self._is_anew:
+            self._newest = max(self._newest, full - 1)
+            self._is_anew = False
+        return self._take(full)
+
+    def _take(self, full: int) -> int | None:
         if full <= self._newest:
             return self._overtaken(full)
         gap = full - self._newest - 1
@@ -82,6 +91,13 @@ class ModuleRecord:
     health: Health | None = None
     first_arrival_ns: int = 0
     last_arrival_ns: int = 0
+
+    def counter(self, kind: int) -> SequenceCounter:
+        """The counter of a kind of packet, a new one at first."""
+        counter = self.sequences.get(kind)
+        if counter is None:
+            counter = self.sequences[kind] = SequenceCounter()
+        return counter
 
     @property
     def received(self) -> int:

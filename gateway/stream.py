@@ -12,12 +12,13 @@ from enum import StrEnum
 
 import numpy as np
 
-from devices.link import Chunk, Framing
+from devices.link import Chunk, Framing, SentChunk
 from firmware_protocol import (
     CanFrameDecoder,
     Defect,
     DeviceInfo,
     FrameDecoder,
+    FusedSample,
     Health,
     InertialSample,
     InertialSampleFine,
@@ -25,6 +26,9 @@ from firmware_protocol import (
     Packet,
     PacketDecoder,
     ReceivedPacket,
+    SamplingTrigger,
+    SyncRequest,
+    SyncResponse,
 )
 from firmware_protocol.kinds import FROM_HOST
 from gateway.clocks import (
@@ -35,12 +39,14 @@ from gateway.clocks import (
     SharedClock,
     SharedOffset,
     TableClocks,
+    TriggerAnswers,
     warm_up,
 )
-from gateway.frames import InertialReading, LocalReading, Quantity
-from gateway.statistics import ModuleRecord, SequenceCounter
+from gateway.exchanges import TimeExchanges
+from gateway.frames import FusedReading, InertialReading, LocalReading, Quantity
+from gateway.statistics import ModuleRecord
 
-Reading = InertialReading | LocalReading
+Reading = InertialReading | FusedReading | LocalReading
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
 """Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
@@ -55,25 +61,40 @@ class ClockMode(StrEnum):
     """All modules count one clock already (wired suit, one controller): one offset for all."""
     TABLE = "table"
     """Rates come from a table measured beforehand (`calibrate clocks`), offsets from arrival times."""
+    TRIGGER = "trigger"
+    """The gateway says when to sample: a sample's instant is that at which its trigger left. What modules
+    send on their own timers has an estimated clock."""
+
+
+_TRIGGERED = 1 << 8
+"""Added to the kind: triggered samples are counted by themselves, by the triggers' numbers."""
 
 
 class Stream:
     """Decodes, counts and timestamps. Bytes are untrusted: nothing here raises for what they hold."""
 
     def __init__(
-        self, clock_mode: ClockMode = ClockMode.ESTIMATED, clock_table: ClockTable | None = None
+        self,
+        clock_mode: ClockMode = ClockMode.ESTIMATED,
+        clock_table: ClockTable | None = None,
+        triggers: TriggerAnswers | None = None,
     ) -> None:
+        """triggers: what answers are awaited in mode TRIGGER; None in any other."""
+        self.triggers = triggers
         self.modules: dict[int, ModuleRecord] = {}
         self._decoders: dict[str, PacketDecoder] = {}
+        self._sent_decoders: dict[str, PacketDecoder] = {}
         self._batching: dict[str, LinkBatching] = {}
         self._arriving = LinkBatching()  # of the link that the chunk in hand came over
         self._listeners: dict[type[Packet], list[Listener]] = {}
         self._new_clock = _clock_factory(clock_mode, clock_table)
+        self._exchanges = TimeExchanges(self.modules)
+        self.listen(SyncResponse, self._exchanges.answered)
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
-        frames = FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder()
-        self._decoders[name] = PacketDecoder(frames)
+        self._decoders[name] = _decoder(framing)
+        self._sent_decoders[name] = _decoder(framing)
         self._batching[name] = LinkBatching()
 
     def listen(self, packet_class: type[Packet], listener: Listener) -> None:
@@ -94,17 +115,47 @@ class Stream:
                 listener(packet, chunk)
             if packet.kind in FROM_HOST:
                 continue  # our own, echoed by a bus; its time is that of no module
-            reading = self._read(packet, chunk.arrived_ns)
+            reading = self._read(packet, chunk)
             if reading is not None:
                 readings.append(reading)
         return readings
+
+    def restarts(self) -> dict[int, int]:
+        """How often each module was found to count from anew."""
+        return {module: record.clock.restarts for module, record in self.modules.items()}
+
+    def sent(self, chunk: SentChunk) -> None:
+        """Take note of what the gateway put on a link, once it has left and before what answers it.
+
+        An input like ``receive``: what answers are worth depends on when their question left. Over a link
+        that is not announced nothing is expected back.
+        """
+        decoder = self._sent_decoders.get(chunk.link)
+        for sent in [] if decoder is None else decoder.feed(chunk.data):
+            if isinstance(sent.packet, SyncRequest):
+                self._exchanges.asked(sent.packet.token, chunk)
+            elif isinstance(sent.packet, SamplingTrigger) and self.triggers is not None:
+                self.triggers.sent(sent.packet.number, chunk.link, chunk.sent_ns)
 
     @property
     def dropped(self) -> dict[str, Counter[Defect]]:
         """What was dropped by link and reason."""
         return {name: decoder.dropped for name, decoder in self._decoders.items()}
 
-    def _read(self, received: ReceivedPacket, arrived_ns: int) -> Reading | None:
+    def _read(self, received: ReceivedPacket, chunk: Chunk) -> Reading | None:
+        record, time_ns = self._timed(received, chunk.arrived_ns)
+        if self.triggers is not None:
+            packet = received.packet
+            self.triggers.heard(received.module, chunk.link)
+            if isinstance(packet, InertialSample | InertialSampleFine) and packet.triggered:
+                return self._read_triggered(self.triggers, record, received, chunk)
+            if isinstance(packet, InertialSample | InertialSampleFine | FusedSample):
+                self.triggers.sampled_alone(received.module)
+        sequence = record.counter(received.kind).count(received.sequence)
+        return None if sequence is None else _reading(record, received.packet, sequence, time_ns)
+
+    def _timed(self, received: ReceivedPacket, arrived_ns: int) -> tuple[ModuleRecord, int]:
+        """The module's record, and the packet's instant by the module's clock."""
         record = self.modules.get(received.module)
         if record is None:
             clock = self._new_clock(received.module, self._arriving)
@@ -115,16 +166,22 @@ class Stream:
         if record.clock.restarts != restarts:
             for restarted in record.sequences.values():
                 restarted.restart()
-        counter = record.sequences.get(received.kind)
-        if counter is None:
-            counter = record.sequences[received.kind] = SequenceCounter()
-        sequence = counter.count(received.sequence)
         record.last_arrival_ns = arrived_ns
-        if sequence is None:
+        return record, time_ns
+
+    def _read_triggered(
+        self, triggers: TriggerAnswers, record: ModuleRecord, received: ReceivedPacket, chunk: Chunk
+    ) -> Reading | None:
+        """A sample that answers a trigger: its instant is the trigger's, whatever the module's clock says."""
+        answer = triggers.answered(received.module, received.sequence, chunk.link, chunk.arrived_ns)
+        if answer is None:
             return None
-        handler = _HANDLERS.get(type(received.packet))
-        # What has no handler is for the listeners alone; it is counted like the rest.
-        return None if handler is None else handler(record, received.packet, sequence, time_ns)
+        sequence = record.counter(received.kind | _TRIGGERED).count_unwrapped(answer.full)
+        return None if sequence is None else _reading(record, received.packet, sequence, answer.sent_ns)
+
+
+def _decoder(framing: Framing) -> PacketDecoder:
+    return PacketDecoder(FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder())
 
 
 def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, LinkBatching], ModuleClock]:
@@ -146,6 +203,10 @@ def _inertial(
     )
 
 
+def _fused(record: ModuleRecord, packet: FusedSample, sequence: int, time_ns: int) -> Reading:
+    return FusedReading(record.module, sequence, time_ns, packet.orientation)
+
+
 def _local(record: ModuleRecord, packet: LocalMeasurement, _sequence: int, time_ns: int) -> Reading:
     return LocalReading(
         record.module,
@@ -164,9 +225,16 @@ def _health(record: ModuleRecord, packet: Health, _sequence: int, _time_ns: int)
     record.health = packet
 
 
+def _reading(record: ModuleRecord, packet: Packet, sequence: int, time_ns: int) -> Reading | None:
+    handler = _HANDLERS.get(type(packet))
+    # What has no handler is for the listeners alone; it is counted like the rest.
+    return None if handler is None else handler(record, packet, sequence, time_ns)
+
+
 _HANDLERS: dict[type, Callable[..., Reading | None]] = {
     InertialSample: _inertial,
     InertialSampleFine: _inertial,
+    FusedSample: _fused,
     LocalMeasurement: _local,
     DeviceInfo: _info,
     Health: _health,

@@ -1,4 +1,4 @@
-"""Two-way time exchanges with the modules, while capturing: the I/O shell of ``clocks.sync_exchange``.
+"""Two-way time exchanges with the modules, while capturing: the I/O shell of ``gateway.exchanges``.
 
 Every so often all modules are asked what time they have. Those whose firmware answers get clocks whose
 offset is free of the transport's delay, to a bound that is published; the others lose nothing.
@@ -7,25 +7,13 @@ offset is free of the transport's delay, to a bound that is published; the other
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Callable, Sequence
 
-from devices.command_client import host_bytes
-from devices.link import Chunk, Link, LinkError, gateway_time_ns
-from firmware_protocol import (
-    BROADCAST,
-    ReceivedPacket,
-    SyncRequest,
-    SyncResponse,
-    wire_frame,
-)
-from gateway.clocks import EstimatedClock, SyncExchanges
-from gateway.stream import Stream
-
-log = logging.getLogger(__name__)
+from devices.link import Link, gateway_time_ns
+from firmware_protocol import BROADCAST, SyncRequest, wire_frame
+from gateway.host_sender import HostSender
 
 _TOKENS = 1 << 16
-_SEND_TIMEOUT_S = 0.5
 
 
 class Synchroniser:
@@ -34,51 +22,32 @@ class Synchroniser:
     def __init__(
         self,
         links: Sequence[Link],
-        stream: Stream,
+        sender: HostSender,
         interval_s: float,
         clock_ns: Callable[[], int] = gateway_time_ns,
     ) -> None:
+        """links: those that are announced to the pipeline; others may join them."""
         self._links = links
-        self._stream = stream
+        self._sender = sender
         self._interval_s = interval_s
         self._clock_ns = clock_ns
-        self._exchanges: dict[int, SyncExchanges] = {}
-        self._link_of: dict[int, str] = {}
         self._asked = 0
-        stream.listen(SyncResponse, self._take)
 
     async def run(self) -> None:
         """Ask for ever."""
         while True:
             await asyncio.sleep(self._interval_s)
-            for link in self._links:
-                await self._ask(link)
+            await self.ask_all()
+
+    async def ask_all(self) -> None:
+        """Ask once, over every link."""
+        for link in self._links:
+            await self._ask(link)
 
     async def _ask(self, link: Link) -> None:
         """One request to all modules on a link; a link that is away is left alone until it is back."""
         token = self._asked % _TOKENS
         self._asked += 1
-        sent_ns = self._clock_ns()
-        request = SyncRequest(token=token, host_time_us=sent_ns // 1000)
-        frame = wire_frame(request, BROADCAST, token, sent_ns // 1000 % 2**32)
-        for module, record in self._stream.modules.items():
-            if isinstance(record.clock, EstimatedClock) and self._link_of.get(module, link.name) == link.name:
-                self._exchanges.setdefault(module, SyncExchanges()).sent(token, sent_ns)
-        try:
-            async with asyncio.timeout(_SEND_TIMEOUT_S):
-                await link.write(host_bytes(frame, link.framing))
-        except (LinkError, TimeoutError) as error:
-            log.debug("no time asked for on %s: %s", link.name, error)
-
-    def _take(self, received: ReceivedPacket, chunk: Chunk) -> None:
-        record, exchanges = self._stream.modules.get(received.module), self._exchanges.get(received.module)
-        if record is None or exchanges is None or not isinstance(record.clock, EstimatedClock):
-            return
-        assert isinstance(received.packet, SyncResponse)
-        response = received.packet
-        self._link_of[received.module] = chunk.link
-        exchange = exchanges.answered(
-            response.token, response.received_us, response.sent_us, chunk.arrived_ns
-        )
-        if exchange is not None:
-            record.clock.add_exchange(*exchange)
+        now_us = self._clock_ns() // 1000
+        request = SyncRequest(token=token, host_time_us=now_us)
+        await self._sender.send(link, wire_frame(request, BROADCAST, token, now_us % 2**32))

@@ -29,6 +29,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.cli.emulated_rig import dress, move
 from gateway.frames import SkeletonFrame
 from gateway.outputs import BridgeInfo
+from tests.contract_watch import ContractWatch, assert_kept
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -52,6 +53,8 @@ class Mosquitto:
     """A mosquitto process on a free port of this machine, with the faults a broker can have."""
 
     host = "127.0.0.1"
+    is_for_gateways_only = True
+    """Every message relayed is held against the contract; a test that sends others says False."""
 
     def __init__(self, program: str, directory: Path) -> None:
         self.port = free_port()
@@ -119,7 +122,10 @@ class Mosquitto:
 
 @pytest.fixture
 def mosquitto(tmp_path: Path) -> Iterator[Mosquitto]:
-    """A running mosquitto with anonymous access. Skipped where it is not installed, but not in CI."""
+    """A running mosquitto with anonymous access, every message of which is held against the contract.
+
+    Skipped where it is not installed, but not in CI.
+    """
     program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/local/sbin")
     if program is None:
         reason = "mosquitto is not installed (Debian: apt-get install mosquitto)"
@@ -128,10 +134,14 @@ def mosquitto(tmp_path: Path) -> Iterator[Mosquitto]:
         pytest.skip(reason)
     broker = Mosquitto(program, tmp_path)
     broker.start()
+    watch = ContractWatch(broker.host, broker.port)
     try:
         yield broker
     finally:
+        watch.stop()
         broker.stop()
+    if broker.is_for_gateways_only:
+        assert_kept(watch)
 
 
 @pytest.fixture

@@ -55,6 +55,8 @@ class EmulatedBody:
     reference_posture: FloatArray
     """(S, 4) ``q_wb`` of every segment when all joint angles are zero, unit, wxyz."""
     local_devices: tuple[EmulatedLocalDevice, ...] = field(default=())
+    contacts: tuple[tuple[int, FloatArray], ...] = field(default=())
+    """Points that touch the ground: segment, and (3,) from its proximal joint, segment axes, m."""
 
     @property
     def n_segments(self) -> int:
@@ -78,6 +80,7 @@ def emulated_body(
     module_ids: ArrayLike | None = None,
     reference_posture: ArrayLike | None = None,
     local_devices: tuple[EmulatedLocalDevice, ...] = (),
+    contacts: tuple[tuple[int, FloatArray], ...] = (),
 ) -> EmulatedBody:
     """A checked ``EmulatedBody``.
 
@@ -96,6 +99,7 @@ def emulated_body(
         module_ids=np.asarray(np.arange(n) if module_ids is None else module_ids, dtype=np.int64),
         reference_posture=_unit(_or_default(reference_posture, identity)),
         local_devices=tuple(local_devices),
+        contacts=tuple(contacts),
     )
     _check(body)
     return body

@@ -45,10 +45,35 @@ class RadioToDevice:
     def arrivals(self, at_s: float) -> list[float]:
         """When a packet reaches the device that comes from the host at a true time, s: at most twice."""
         settings, rng = self._settings, self._rng
-        copies = 1
-        if settings.loss or settings.duplication:
-            lost, repeated = rng.random(2).tolist()
-            copies = (lost >= settings.loss) * (1 + (repeated < settings.duplication))
+        copies = self._copies()
         delay_s = settings.latency + (rng.exponential(settings.jitter) if settings.jitter else 0.0)
         self._last_s = max(self._last_s, at_s + delay_s)
         return [self._last_s] * copies
+
+    def receptions(self, on_air_s: float) -> list[float]:
+        """When the device acts on a trigger that is on the air at a true time, s: at most twice."""
+        copies, mean_s = self._copies(), self._settings.reception
+        return [on_air_s + (self._rng.exponential(mean_s) if mean_s else 0.0)] * copies
+
+    def _copies(self) -> int:
+        settings = self._settings
+        if not (settings.loss or settings.duplication):
+            return 1
+        lost, repeated = self._rng.random(2).tolist()
+        return int((lost >= settings.loss) * (1 + (repeated < settings.duplication)))
+
+
+class Broadcaster:
+    """From the host to the air: a delay that is the same for all devices. Order is kept."""
+
+    def __init__(self, settings: Imperfections, rng: Generator) -> None:
+        self._settings = settings
+        self._rng = rng
+        self._last_s = 0.0
+
+    def on_air(self, at_s: float) -> float:
+        """When a packet goes on the air that comes from the host at a true time, s."""
+        settings = self._settings
+        delay_s = settings.latency + (self._rng.exponential(settings.jitter) if settings.jitter else 0.0)
+        self._last_s = max(self._last_s, at_s + delay_s)
+        return self._last_s

@@ -59,6 +59,9 @@ class Imperfections:
     """Shortest time from sampling to arrival, s."""
     jitter: float = 0.0
     """Mean of the exponential delay on top, s. Order within a link is kept."""
+    reception: float = 0.0
+    """Mean of the exponential time from a trigger's coming on the air to a module's sampling, s. Besides it
+    all modules hear a broadcast trigger at once."""
     batching: float = 0.0
     """The link hands over what it has at multiples of this (USB), s."""
     loss: float = 0.0
@@ -89,6 +92,7 @@ TYPICAL = Imperfections(
     has_random_phase=True,
     latency=0.002,
     jitter=0.001,
+    reception=20e-6,
     loss=0.002,
 )
 """Consumer MEMS modules over a decent radio."""
@@ -113,6 +117,7 @@ ROUGH = Imperfections(
     has_random_phase=True,
     latency=0.003,
     jitter=0.008,
+    reception=100e-6,
     batching=0.016,
     loss=0.03,
     corruption=0.002,
@@ -120,7 +125,16 @@ ROUGH = Imperfections(
 )
 """Cheap modules, loosely strapped, on a crowded radio band behind a USB adapter with a 16 ms timer."""
 
-PRESETS = {"ideal": IDEAL, "typical": TYPICAL, "rough": ROUGH}
+UNCALIBRATED = replace(
+    TYPICAL,
+    accelerometer_bias=0.3,
+    gyrometer_bias=math.radians(1.0),
+    magnetometer_bias=15.0,
+    scale=0.03,
+)
+"""Modules as they come from the soldering iron: what `calibrate sensors` is for."""
+
+PRESETS = {"ideal": IDEAL, "typical": TYPICAL, "rough": ROUGH, "uncalibrated": UNCALIBRATED}
 
 
 @dataclass(frozen=True)

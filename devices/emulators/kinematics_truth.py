@@ -17,13 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import EmulatedBody, FloatArray, IntArray
-from devices.emulators.waves import Derivatives, Fade, Waves
+from devices.emulators.waves import Derivatives, Fade
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,24 @@ class _Moving(NamedTuple):
     a: FloatArray
 
 
+class JointAngles(Protocol):
+    """Rotations of segments against their parents, by segment."""
+
+    def with_idle_row(self) -> JointAngles: ...
+
+    def rows(self, rows: IntArray) -> JointAngles: ...
+
+    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]: ...
+
+
+class RootPath(Protocol):
+    """Where the root's joint is, and about the vertical how far its axes are turned."""
+
+    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]: ...
+
+    def heading(self, times: FloatArray) -> Derivatives: ...
+
+
 class TreeKinematics:
     """Joint angles to segment motion, for one body.
 
@@ -66,12 +84,12 @@ class TreeKinematics:
     def __init__(
         self,
         body: EmulatedBody,
-        joint_angles: Waves,
-        root_path: Waves,
+        joint_angles: JointAngles,
+        root_path: RootPath,
         fade: Fade,
         rotation_order: tuple[int, ...],
     ) -> None:
-        self._angles = _with_idle_row(joint_angles)
+        self._angles = joint_angles.with_idle_row()
         self._root_path = root_path
         self._fade = fade
         self._order = rotation_order
@@ -115,12 +133,9 @@ class TreeKinematics:
         for axis in range(3):
             columns[axis][axis] = 1.0
         still = np.zeros((3, *times.shape), times.dtype)
-        return _Moving(columns, still, still.copy(), p, v, a)
-
-
-def _with_idle_row(angles: Waves) -> Waves:
-    idle = np.zeros((1, *angles.amplitude.shape[1:]))
-    return Waves(*(np.concatenate([x, idle]) for x in (angles.amplitude, angles.frequency, angles.phase)))
+        moving = _Moving(columns, still, still.copy(), p, v, a)
+        heading = self._root_path.heading(times)
+        return _turn(moving, 2, heading) if heading.value.any() else moving
 
 
 def _turn(moving: _Moving, axis: int, theta: Derivatives) -> _Moving:

@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import NO_PARENT, EmulatedBody, FloatArray, IntArray
-from devices.emulators.kinematics_truth import MotionState, TreeKinematics
+from devices.emulators.gait import WALK, Gait, planned_motion
+from devices.emulators.kinematics_truth import JointAngles, MotionState, RootPath, TreeKinematics
+from devices.emulators.legs import has_legs
 from devices.emulators.walking import WALKING_ROOT, walking_terms
 from devices.emulators.waves import Fade, Waves, waves
 
@@ -32,8 +34,8 @@ class BodyMotion:
     def __init__(
         self,
         body: EmulatedBody,
-        joint_angles: Waves,
-        root_path: Waves | None = None,
+        joint_angles: JointAngles,
+        root_path: RootPath | None = None,
         fade: Fade | None = None,
         rotation_order: tuple[int, int, int] = ISB_ORDER,
     ) -> None:
@@ -152,10 +154,33 @@ def walking_motion(body: EmulatedBody, seed: int, fade: Fade | None = None) -> B
     return BodyMotion(body, waves(body.n_segments, terms), waves(1, root), fade)
 
 
+def gait_motion(
+    body: EmulatedBody, seed: int, fade: Fade | None = None, gait: Gait | None = None
+) -> BodyMotion:
+    """Walking (or another gait) through the world: the foot that carries the body stands still.
+
+    Segments as for ``walking_motion``, which moves a body without legs instead.
+    """
+    if not has_legs(body):
+        return walking_motion(body, seed, fade)
+    rng = np.random.default_rng([seed, 4])
+    fade, gait = fade or Fade(), gait or WALK
+    terms = [(0, 1, np.radians(5.0), gait.stride_hz, 2.0 * np.pi * 0.31)]
+    for n, name in enumerate(body.segment_names):
+        if n and name.partition("_")[2] not in ("thigh", "shank", "foot"):
+            terms += [
+                (n, axis, amplitude * rng.uniform(0.9, 1.1), harmonic * gait.stride_hz, phase)
+                for axis, amplitude, harmonic, phase in walking_terms(name)
+            ]
+    others = waves(body.n_segments, terms)
+    angles, path = planned_motion(body, gait, fade, others, others.rows(np.array([0])))
+    return BodyMotion(body, angles, path, fade)
+
+
 MOTIONS: dict[str, Callable[[EmulatedBody, int, Fade | None], BodyMotion]] = {
     "arm": robot_arm_motion,
     "pendulum": pendulum_motion,
-    "walking": walking_motion,
+    "walking": gait_motion,
     "generic": lambda body, seed, fade: generic_motion(body, seed, fade=fade),
 }
 """Kinds of motion by name: (body, seed, fade) to the motion."""

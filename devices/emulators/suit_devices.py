@@ -32,7 +32,7 @@ from devices.emulators.stored_settings import provision
 from devices.emulators.suit_settings import SuitSettings
 from firmware_protocol import RELAY, InertialSample, InertialSampleFine
 
-ERRORS, CLOCK, RADIO, HOST, UPLINK = range(5)
+ERRORS, CLOCK, RADIO, HOST, UPLINK, AIR = range(6)
 """Purposes of random streams."""
 
 
@@ -60,7 +60,9 @@ class SuitParts:
         settings, local = self._settings, self._motion.body.local_devices
         rates = {number: settings.rate(number) for number in self.inertial}
         devices = {
-            number: self._device(number, rate_hz, settings.mode, settings.sensors)
+            number: self._device(
+                number, rate_hz, settings.module_modes.get(number, settings.mode), settings.sensors
+            )
             for number, rate_hz in rates.items()
         }
         return devices | {d.module: self._device(d.module, d.rate_hz, RAW, ()) for d in local}

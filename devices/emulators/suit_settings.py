@@ -25,6 +25,8 @@ class SuitSettings:
     """Sampling rates of single devices that differ."""
     sensors: tuple[str, ...] = SENSORS
     """What every module carries."""
+    module_modes: Mapping[int, int] = field(default_factory=dict)
+    """Modes of single inertial modules that differ from ``mode``."""
     is_fine: bool = False
     """Send ``InertialSampleFine`` instead of ``InertialSample``."""
     mode: int = 2

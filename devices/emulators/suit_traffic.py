@@ -20,7 +20,7 @@ from devices.emulators.bodies import FloatArray
 from devices.emulators.delivery import Delivery, PacketFaults, Transmission
 from devices.emulators.disturbances import Shake, Tap
 from devices.emulators.emulated_device import EmulatedDevice
-from devices.emulators.host_side import FromHost, RadioToDevice
+from devices.emulators.host_side import Broadcaster, FromHost, RadioToDevice
 from devices.emulators.imperfections import IDEAL, Imperfections
 from devices.emulators.local_sampler import LocalSampler
 from devices.emulators.motions import BodyMotion
@@ -28,10 +28,10 @@ from devices.emulators.power_cut import OFF_S
 from devices.emulators.relay_device import RelayDevice
 from devices.emulators.sampling import Sampling
 from devices.emulators.sender import Sender, Timed
-from devices.emulators.suit_devices import HOST, RADIO, UPLINK, SuitParts
+from devices.emulators.suit_devices import AIR, HOST, RADIO, UPLINK, SuitParts
 from devices.emulators.suit_settings import SuitSettings
 from devices.link import Framing
-from firmware_protocol import RELAY
+from firmware_protocol import RELAY, SamplingTrigger
 
 __all__ = ["SuitSettings", "SuitTraffic"]
 
@@ -99,8 +99,11 @@ class SuitTraffic:
     def advance(self, to_s: float) -> list[Transmission]:
         """Everything that arrives between the last call's time and ``to_s`` (motion time, s), in order."""
         for at_s, received in self.from_host.before(to_s):
+            on_air_s = self._broadcaster.on_air(at_s) if received.kind == SamplingTrigger.KIND else None
             for number, device in self.devices.items():
-                for arrival_s in self._to_devices[number].arrivals(at_s):
+                radio = self._to_devices[number]
+                heard = radio.arrivals(at_s) if on_air_s is None else radio.receptions(on_air_s)
+                for arrival_s in heard:
                     device.hear(arrival_s, received)
         on_air = [
             (number, self._faults[number].apply(sorted(sent, key=attrgetter("time_s"))))
@@ -224,4 +227,5 @@ class SuitTraffic:
             i: Delivery(imperfections, settings.encoding, parts.random(i, HOST), self.counts)
             for i in (*modules, RELAY)
         }
+        self._broadcaster = Broadcaster(imperfections, parts.random(RELAY, AIR))
         self._to_devices = {i: RadioToDevice(imperfections, parts.random(i, UPLINK)) for i in self.devices}

@@ -51,6 +51,11 @@ class Waves:
         """The waves of some rows only, in that order."""
         return Waves(self.amplitude[rows], self.frequency[rows], self.phase[rows])
 
+    def with_idle_row(self) -> Waves:
+        """One row more, which never moves."""
+        idle = np.zeros((1, *self.amplitude.shape[1:]))
+        return Waves(*(np.concatenate([x, idle]) for x in (self.amplitude, self.frequency, self.phase)))
+
     def scaled(self, amplitude: float, frequency: float) -> Waves:
         """All amplitudes and all frequencies multiplied."""
         return Waves(self.amplitude * amplitude, self.frequency * frequency, self.phase)
@@ -58,6 +63,11 @@ class Waves:
     def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
         """The three components at ``times`` (T, N), each (T, N), with their derivatives."""
         return [self._component(axis, times, fade) for axis in range(3)]
+
+    def heading(self, times: FloatArray) -> Derivatives:
+        """As the path of a root: it does not turn."""
+        still = np.zeros_like(times)
+        return Derivatives(still, still, still)
 
     def _component(self, axis: int, times: FloatArray, fade: Derivatives) -> Derivatives:
         value, rate, acceleration = np.zeros((3, *times.shape), times.dtype)

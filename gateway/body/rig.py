@@ -5,13 +5,18 @@ A *body* is a skeleton; a *rig* says which modules and local measuring devices a
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
+from gateway.body.anthropometry import Subject, scaled
+from gateway.body.joint_file import JointEntry, joints_of
+from gateway.body.sensor_entries import CalibrationEntry
+from gateway.body.skeleton import Interpolation, LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
 from gateway.settings_files import find_file, load_settings
@@ -26,6 +31,13 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class SegmentInterpolation(_Strict):
+    """Where a segment without module is: between two others."""
+
+    between: tuple[str, str] = Field(description="two segments with modules")
+    fraction: float = Field(ge=0, le=1, description="of the way from the first to the second")
+
+
 class BodySegment(_Strict):
     """One rigid segment."""
 
@@ -33,6 +45,12 @@ class BodySegment(_Strict):
     parent: str | None = Field(description="segment it is joined to; null for the root")
     joint: Vector = Field(default=(0, 0, 0), description="proximal joint in the parent's axes, m")
     tip: Vector = Field(description="where the segment ends, own axes, m")
+    contacts: list[Vector] = Field(
+        default=[], description="points that carry the body on the ground (heel, ball), own axes, m"
+    )
+    interpolate: SegmentInterpolation | None = Field(
+        default=None, description="what a segment without module follows; its parent if left out"
+    )
 
 
 class BodyFile(_Strict):
@@ -40,7 +58,11 @@ class BodyFile(_Strict):
 
     name: str
     neutral: Quaternion = Field(default=(1, 0, 0, 0), description="segment to world in the neutral posture")
+    stature_m: float | None = Field(
+        default=None, gt=0.4, lt=2.6, description="height of the person the lengths belong to, m"
+    )
     segments: list[BodySegment] = Field(min_length=1)
+    joints: list[JointEntry] = Field(default=[], description="for joint angles, limits and calibration")
 
 
 class WornModule(_Strict):
@@ -51,6 +73,9 @@ class WornModule(_Strict):
     position: Vector = Field(default=(0, 0, 0), description="proximal joint to module, segment axes, m")
     sensor_to_segment: Quaternion = Field(
         default=(1, 0, 0, 0), description="w x y z; takes sensor axes to segment axes"
+    )
+    calibration: CalibrationEntry | None = Field(
+        default=None, description="corrections of its readings, as `calibrate sensors` measured them"
     )
 
     @field_validator("sensor_to_segment")
@@ -95,10 +120,18 @@ class RigFile(_Strict):
     modules: list[WornModule] = Field(min_length=1, max_length=64)
     local_devices: list[WornLocalDevice] = []
     world: WorldSettings = WorldSettings()
+    subject: Subject | None = Field(
+        default=None, description="the person who wears it: scales the body's lengths (not module positions)"
+    )
+    joint_definitions: dict[str, str] = Field(
+        default={}, description="joint name to one of the alternatives in the body file"
+    )
 
 
-def load_body(name: str, beside: Path | None = None) -> Skeleton:
-    """A body by name or path. Raises ``SettingsError``."""
+def load_body(
+    name: str, beside: Path | None = None, joint_definitions: Mapping[str, str] | None = None
+) -> Skeleton:
+    """A body by name or path, its joints by the definitions chosen. Raises ``SettingsError``."""
     path = find_file(name, "bodies", beside)
     body = load_settings(path, BodyFile)
     names = [segment.name for segment in body.segments]
@@ -107,7 +140,9 @@ def load_body(name: str, beside: Path | None = None) -> Skeleton:
         if segment.name in names[:position]:
             raise SettingsError(f"{path}: segment '{segment.name}' stands twice")
         parents.append(_parent_index(path, segment, names[:position]))
-    return _skeleton(body, names, parents)
+    _refuse_unknown_neighbours(path, body)
+    joints = joints_of(path, body.joints, names, joint_definitions)
+    return replace(_skeleton(body, names, parents), joints=joints)
 
 
 def _parent_index(path: Path, segment: BodySegment, before: list[str]) -> int:
@@ -133,14 +168,38 @@ def _skeleton(body: BodyFile, names: list[str], parents: list[int]) -> Skeleton:
         offsets=np.array([segment.joint for segment in body.segments], dtype=np.float64),
         tips=np.array([segment.tip for segment in body.segments], dtype=np.float64),
         neutral=np.array(body.neutral) / np.linalg.norm(body.neutral),
+        stature_m=body.stature_m,
+        contacts=tuple(
+            (s, np.array(point, dtype=np.float64))
+            for s, segment in enumerate(body.segments)
+            for point in segment.contacts
+        ),
+        interpolations=tuple(
+            Interpolation(s, names.index(rule.between[0]), names.index(rule.between[1]), rule.fraction)
+            for s, segment in enumerate(body.segments)
+            if (rule := segment.interpolate) is not None
+        ),
     )
+
+
+def _refuse_unknown_neighbours(path: Path, body: BodyFile) -> None:
+    names = [segment.name for segment in body.segments]
+    for segment in body.segments:
+        for neighbour in segment.interpolate.between if segment.interpolate else ():
+            if neighbour not in names or neighbour == segment.name:
+                raise SettingsError(
+                    f"{path}: '{segment.name}' is interpolated from '{neighbour}', which is no other "
+                    "segment of this body" + nearest(neighbour, names)
+                )
 
 
 def load_rig(name: str, beside: Path | None = None) -> WornSuit:
     """A rig by name or path. Raises ``SettingsError`` naming the file, the entry and the remedy."""
     path = find_file(name, "rigs", beside)
     rig = load_settings(path, RigFile)
-    skeleton = load_body(rig.body, path)
+    skeleton = load_body(rig.body, path, rig.joint_definitions)
+    if rig.subject is not None:
+        skeleton = scaled(skeleton, rig.subject, str(path))
     _refuse_conflicts(path, rig, skeleton)
     n = skeleton.n_segments
     module_of_segment = np.full(n, -1, dtype=np.int64)
@@ -163,6 +222,7 @@ def load_rig(name: str, beside: Path | None = None) -> WornSuit:
         local_devices=tuple(_local_device(device, skeleton) for device in rig.local_devices),
         gravity=np.array([0.0, 0.0, -rig.world.gravity]),
         magnetic_field=field_vector(field.norm_ut, field.dip_deg, field.declination_deg),
+        calibrations={m.id: m.calibration.model() for m in rig.modules if m.calibration is not None},
     )
 
 

@@ -6,11 +6,25 @@ indexed by segment.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from devices.calibration import SensorCalibration
+from gateway.body.joints import Joint
 from gateway.frames import FloatArray, IntArray, Quantity
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """A segment whose orientation lies between those of two others."""
+
+    segment: int
+    first: int
+    second: int
+    fraction: float
+    """Of the way from the first to the second."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +42,14 @@ class Skeleton:
     """(n_segments, 3) where the segment ends (its distal joint or tip), in its own axes, m."""
     neutral: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
     """(4,) ``q_wb`` of every segment in the neutral posture, facing east."""
+    joints: tuple[Joint, ...] = ()
+    """How neighbours (and others) turn against each other, for joint angles."""
+    stature_m: float | None = None
+    """Height of the person that the lengths belong to, m; None: not a person."""
+    contacts: tuple[tuple[int, FloatArray], ...] = ()
+    """Points that carry the body on the ground: segment, and (3,) from its proximal joint, own axes, m."""
+    interpolations: tuple[Interpolation, ...] = ()
+    """How segments without module follow others; those that have no rule follow their parent."""
 
     @property
     def n_segments(self) -> int:
@@ -69,6 +91,8 @@ class WornSuit:
     """(3,) world, m/s²: (0, 0, -9.81)."""
     magnetic_field: FloatArray
     """(3,) world, µT: ``h`` of the source."""
+    calibrations: Mapping[int, SensorCalibration] = field(default_factory=dict)
+    """By module id: corrections of its readings, for those that have one here."""
 
 
 def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:

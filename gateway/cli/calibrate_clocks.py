@@ -15,7 +15,7 @@ from rich.table import Table
 from devices.endpoints import link_from_url
 from devices.link import Framing, Link, gateway_time_ns
 from devices.reconnect import ReconnectingLink
-from devices.replay_link import ReplayLink
+from devices.replay_link import ReplayLink, carried_links
 from firmware_protocol import CanFrameDecoder, FrameDecoder, PacketDecoder
 from gateway.body.rig import load_rig
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching, save_clock_table, warm_up
@@ -25,15 +25,7 @@ from gateway.settings import GatewaySettings, load_gateway_settings
 
 _UNHEARD_S = 10.0
 
-calibrate_app = typer.Typer(help="Measure what has to be known before a capture.", no_args_is_help=True)
 
-
-@calibrate_app.callback()
-def _group() -> None:
-    """Subcommands stay named, however few there are."""
-
-
-@calibrate_app.command(epilog="Example: mocap-gateway calibrate clocks -c config/gateway.yaml --minutes 60")
 def clocks(
     config: Annotated[
         Path, typer.Option("--config", "-c", help="Configuration file: its links and rig.")
@@ -101,17 +93,22 @@ async def _measure(settings: GatewaySettings, calibration: ClockCalibration) -> 
 
 async def _listen(link: Link, calibration: ClockCalibration) -> None:
     await link.open()
-    frames = FrameDecoder() if link.framing is Framing.BYTE_STREAM else CanFrameDecoder()
-    decoder, batching = PacketDecoder(frames), LinkBatching()
+    decoders = {name: _decoder(framing) for name, framing in carried_links(link).items()}
+    batchings = {name: LinkBatching() for name in decoders}
     try:
         async for chunk in link:
+            batching = batchings[chunk.link]
             batching.observe(chunk.arrived_ns)
-            for packet in decoder.feed(chunk.data):
+            for packet in decoders[chunk.link].feed(chunk.data):
                 calibration.observe(packet.module, packet.module_time_us, chunk.arrived_ns, batching)
             if calibration.is_complete:
                 break
     finally:
         await link.close()
+
+
+def _decoder(framing: Framing) -> PacketDecoder:
+    return PacketDecoder(FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder())
 
 
 def _as_table(table: ClockTable) -> Table:

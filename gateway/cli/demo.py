@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib.util
 import json
+import signal
 import socket
+import subprocess
 import sys
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from typing import Annotated
 
 import numpy as np
@@ -28,8 +31,10 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
+from gateway.reconstruction import FUSED
 from gateway.service import Service
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
+from gateway.stream import ClockMode
 
 GATEWAY = "demo"
 SETTLING_S = 3.0
@@ -72,9 +77,16 @@ def demo(
     seconds: Annotated[float, typer.Option(min=5, help="How long to run.")] = 20.0,
     keep: Annotated[bool, typer.Option("--keep", help="Run until Ctrl-C, for your own subscribers.")] = False,
     rig: Annotated[str, typer.Option(help="Rig to emulate (see config/rigs).")] = "suit_17",
-    reconstructor: Annotated[str, typer.Option(help="independent or articulated.")] = "independent",
+    reconstructor: Annotated[
+        str, typer.Option(help="independent, articulated, fused_neutral, …")
+    ] = "independent",
     imperfections: Annotated[str, typer.Option(help="ideal, typical or rough.")] = "typical",
+    clock: Annotated[
+        ClockMode, typer.Option(help="estimated, shared, or trigger: the gateway says when modules sample.")
+    ] = ClockMode.ESTIMATED,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Broker port; if busy a free one.")] = 1883,
+    page: Annotated[bool, typer.Option(help="Show the body on a live page in the browser.")] = True,
+    page_port: Annotated[int, typer.Option(min=1, max=65535, help="Its port; if busy a free one.")] = 8080,
 ) -> None:
     """See it work, without any hardware or broker.
 
@@ -91,12 +103,35 @@ def demo(
             links=[LinkSettings(name="suit", url=f"{folder}/suit")],
             rig=rig,
             reconstructor=reconstructor,
+            clock=ClockSettings(mode=clock),
             mqtt=MqttSettings(broker="embedded", port=_free_port(port)),
         )
         console.print("preparing the reconstruction (compiles once) ...", style="dim")
         service = Service(settings, suit)
-        asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
+        with _live_page(settings, _free_port(page_port) if page else None, console):
+            asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
     _print_errors(truth, console)
+
+
+@contextlib.contextmanager
+def _live_page(settings: GatewaySettings, page_port: int | None, console: Console) -> Iterator[None]:
+    """``mocap-gateway view`` as a process of its own, as a user would start it; without the extra, a hint."""
+    if page_port is None:
+        yield
+        return
+    if importlib.util.find_spec("viser") is None:
+        console.print("no live page: pip install 'mocap-gateway[viewer]' for one", style="dim")
+        yield
+        return
+    arguments = ["view", "--wait", "--port", str(settings.mqtt.port), "--gateway", settings.gateway]
+    process = subprocess.Popen([sys.executable, "-m", "gateway", *arguments, "--page-port", str(page_port)])
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(5)
+        process.kill()
 
 
 async def _run(
@@ -120,6 +155,7 @@ async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncItera
     """The emulated suit as a process of its own; gives the gateway time of its motion's start."""
     arguments = ["emulate", "--rig", settings.rig, "--on", "pty", "--link", settings.links[0].url]
     arguments += ["--imperfections", imperfections, "--seed", str(SEED), "--json"]
+    arguments += ["--mode", _sampling_mode(settings)]
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-m", "gateway", *arguments, stdout=asyncio.subprocess.PIPE
     )
@@ -133,6 +169,13 @@ async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncItera
         with contextlib.suppress(ProcessLookupError):
             process.terminate()
         await process.wait()
+
+
+def _sampling_mode(settings: GatewaySettings) -> str:
+    """What the emulated modules are to be set to."""
+    if settings.reconstructor in FUSED:
+        return "fused"
+    return "triggered" if settings.clock.mode is ClockMode.TRIGGER else "raw"
 
 
 async def _watch(service: Service, settings: GatewaySettings, truth: Truth, seconds: float | None) -> None:

@@ -20,6 +20,7 @@ from devices.emulators.emulated_suit import Conversation, EmulatedSuit
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import Recording, play
+from devices.emulators.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import (
     CanBusTransport,
@@ -30,7 +31,7 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.cli.emulated_rig import dress, move, tumble
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
@@ -44,6 +45,16 @@ class Medium(StrEnum):
     SLCAN = "slcan"
     CAN = "can"
 
+
+class SamplingMode(StrEnum):
+    """What the modules send until a host sets them otherwise."""
+
+    RAW = "raw"
+    FUSED = "fused"
+    TRIGGERED = "triggered"
+
+
+_MODES = {SamplingMode.FUSED: FUSED, SamplingMode.RAW: RAW, SamplingMode.TRIGGERED: TRIGGERED}
 
 _REMEDIES = {
     Medium.PTY: "name another place with --link",
@@ -63,6 +74,12 @@ def emulate(
     fd: Annotated[bool, typer.Option("--fd", help="can, slcan: CAN FD frames.")] = False,
     imperfections: Annotated[str, typer.Option(help=f"How bad it is: {', '.join(PRESETS)}.")] = "typical",
     rate: Annotated[float, typer.Option(min=1, max=4000, help="Samples of each module a second.")] = 100.0,
+    mode: Annotated[
+        SamplingMode,
+        typer.Option(
+            help="Raw samples or orientations fused on board, or raw ones when the host triggers them."
+        ),
+    ] = SamplingMode.RAW,
     relay: Annotated[bool, typer.Option(help="Through a relay that batches (not on CAN).")] = True,
     fine: Annotated[bool, typer.Option("--fine", help="Send the fine (32-bit) samples.")] = False,
     recording: Annotated[Path | None, typer.Option(help="Play a real recording instead of a motion.")] = None,
@@ -72,6 +89,10 @@ def emulate(
     ] = 0,
     id_conflict: Annotated[
         bool, typer.Option("--id-conflict", help="The last module has the id of the one before it.")
+    ] = False,
+    tumbling: Annotated[
+        bool,
+        typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
     ] = False,
     seed: Annotated[int, typer.Option(help="Of the motion and of everything random.")] = 1,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="End after so long.")] = None,
@@ -89,11 +110,12 @@ def emulate(
     else:
         settings = SuitSettings(
             sampling_rate_hz=rate,
+            mode=_MODES[mode],
             is_fine=fine,
             has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
             encoding=encoding,
         )
-        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict)
+        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, tumbling)
     try:
         _play(source, _transport(on, link, port, channel, fd), as_json, seconds)
     except (OSError, can.CanError) as error:
@@ -101,7 +123,13 @@ def emulate(
 
 
 def _traffic(
-    rig: str, settings: SuitSettings, imperfections: str, seed: int, fresh: int, id_conflict: bool
+    rig: str,
+    settings: SuitSettings,
+    imperfections: str,
+    seed: int,
+    fresh: int,
+    id_conflict: bool,
+    is_tumbling: bool,
 ) -> SuitTraffic:
     if imperfections not in PRESETS:
         raise GatewayError(f"--imperfections {imperfections}: unknown{nearest(imperfections, PRESETS)}")
@@ -114,7 +142,8 @@ def _traffic(
         fresh=frozenset(ids[:fresh]),
         stored_ids={ids[-1]: ids[-2]} if id_conflict and len(ids) > 1 else {},
     )
-    return SuitTraffic(move(dress(suit), suit.skeleton.name, seed), world, PRESETS[imperfections], seed)
+    motion = (tumble if is_tumbling else move)(dress(suit), suit.skeleton.name, seed)
+    return SuitTraffic(motion, world, PRESETS[imperfections], seed)
 
 
 def _read(path: Path, kind: str) -> Recording:

@@ -9,18 +9,21 @@ import numpy as np
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, EmulatedLocalDevice, emulated_body
 from devices.emulators.motions import (
     BodyMotion,
+    gait_motion,
     generic_motion,
     pendulum_motion,
     robot_arm_motion,
-    walking_motion,
 )
+from devices.emulators.tumbling import TumblingMotion
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import Quantity
 
 LOCAL_RATE_HZ = 100.0
 
 MOTIONS: dict[str, Callable[[EmulatedBody, int], BodyMotion]] = {
-    "human_17": walking_motion,
+    "human_17": gait_motion,
+    "human_23": gait_motion,
+    "lower_body_7": gait_motion,
     "pendulum_3": pendulum_motion,
     "robot_arm_4": robot_arm_motion,
 }
@@ -48,12 +51,18 @@ def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> E
             for device in suit.local_devices
             if device.device is not None
         ),
+        contacts=skeleton.contacts,
     )
 
 
 def move(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
     """A motion that suits the body: walking for people, swinging for pendulums."""
     return MOTIONS.get(body_name, generic_motion)(body, seed)
+
+
+def tumble(body: EmulatedBody, _body_name: str, seed: int) -> BodyMotion:
+    """The suit in a box that is put on all sides and turned: for calibrating sensors."""
+    return TumblingMotion(body, seed)
 
 
 def _local_device(device: LocalDevice, sigma: float) -> EmulatedLocalDevice:

@@ -109,7 +109,7 @@ def download_file(
         damaged = f", {made.dropped} damaged wire frames left out" if made.dropped else ""
         typer.echo(
             f"{target}: {made.duration_s:.1f} s, {made.chunks} chunks, checksum verified{damaged}\n"
-            f"play it as a link with the url replay://{target.resolve()}?speed=max"
+            f"play it as a link with the url recording://{target.resolve()}?speed=max"
         )
         return 0
 

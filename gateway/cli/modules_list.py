@@ -17,7 +17,7 @@ from gateway.cli.modules_table import modules_screen, wide_console
 def list_modules(
     suit: SuitChoice,
     listen: Annotated[
-        float, typer.Option(min=0.5, max=30, help="Seconds to measure rates; clocks (ppm) need more than 20.")
+        float, typer.Option(min=0.5, max=30, help="Seconds to measure rates; clocks (ppm) need some 10.")
     ] = 3.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
 ) -> None:

@@ -14,7 +14,12 @@ from firmware_protocol import RELAY
 _UNKNOWN = "–"
 _LOW_BATTERY = 20
 _NOTABLE_LOSS = 1.0
-_NARROWEST = 110
+_NARROWEST = 170
+_COLUMNS = (
+    "id", "unique id", "segment", "firmware", "battery", "Hz", "loss %", "gaps", "resets",
+    "ppm", "residual µs", "offset s",
+)  # fmt: skip
+_TEXT_COLUMNS = {"unique id", "segment", "firmware", "gaps"}
 
 
 def wide_console() -> Console:
@@ -27,9 +32,8 @@ def modules_screen(listed: Mapping[str, Any]) -> RenderableType:
     """Table, what is missing, and conflicts with their remedy."""
     shared = {conflict["module"] for conflict in listed["conflicts"]}
     table = Table()
-    for column in ("id", "unique id", "segment", "firmware", "battery", "Hz", "loss %", "ppm"):
-        is_text = column in {"unique id", "segment", "firmware"}
-        table.add_column(column, justify="left" if is_text else "right", no_wrap=True)
+    for column in _COLUMNS:
+        table.add_column(column, justify="left" if column in _TEXT_COLUMNS else "right", no_wrap=True)
     for module in listed["modules"]:
         table.add_row(*_cells(module), style="bold red" if module["module"] in shared else "")
     return Group(table, *_remarks(listed))
@@ -46,7 +50,21 @@ def _cells(module: Mapping[str, Any]) -> list[Text]:
         Text(_number(battery, ".0f", " %"), "red" if battery is not None and battery < _LOW_BATTERY else ""),
         Text(f"{module['rate_hz']:.1f}", "yellow" if not module["rate_hz"] and not is_relay else ""),
         Text(_number(loss, ".2f"), "yellow" if loss is not None and loss > _NOTABLE_LOSS else ""),
-        Text(_number(module["clock_ppm"], "+.1f")),
+        Text(" ".join(f"{length}:{count}" for length, count in module["gaps"].items())),
+        Text(str(module["resets"]), "yellow" if module["resets"] else ""),
+        *_clock_cells(module["clock"]),
+    ]
+
+
+def _clock_cells(clock: Mapping[str, Any] | None) -> list[Text]:
+    """Rate, residual and offset; a rate that is not known yet says so."""
+    if clock is None:
+        return [Text(_UNKNOWN)] * 3
+    is_settled = clock["state"] == "settled"
+    return [
+        Text(_number(clock["ppm"], "+.1f")) if is_settled else Text("measuring", "dim"),
+        Text(_number(clock["residual_us"], ".0f")),
+        Text(f"{clock['offset_ns'] * 1e-9:.6f}"),
     ]
 
 

@@ -85,7 +85,7 @@ class PoseView:
 
     def table(self, now_ns: int, state: str, with_quaternions: bool = False) -> Table:
         """Everything known about this gateway, as of ``now_ns``."""
-        table = Table(title=self._headline(now_ns, state), title_justify="left", title_style="")
+        table = Table(title=self.headline(now_ns, state), title_justify="left", title_style="")
         table.add_column("segment")
         columns = ("w", "x", "y", "z") if with_quaternions else ("heading °", "pitch °", "roll °")
         for column in columns:
@@ -95,7 +95,8 @@ class PoseView:
             _add_rows(table, self.last.pose, with_quaternions)
         return table
 
-    def _headline(self, now_ns: int, state: str) -> Text:
+    def headline(self, now_ns: int, state: str) -> Text:
+        """Name, state, rate, latency and age in one line."""
         colour = {"online": "green", "offline": "red"}.get(state, "yellow")
         headline = Text.assemble((self.gateway, "bold"), "  ", (state, colour))
         age = self.age_s(now_ns)
@@ -109,6 +110,19 @@ class PoseView:
             headline.append(f"  latency {latency * 1e3:.1f} ms" if latency is not None else "")
             headline.append(f"  age {age * 1e3:.0f} ms")
         return headline
+
+
+def joint_table(pose: PoseMessage) -> Table | None:
+    """The joint angles of a pose; None when it carries none."""
+    if not pose.joint_angles:
+        return None
+    table = Table("joint", "angles °", "")
+    warnings = pose.joint_warnings or {}
+    for joint, angles in pose.joint_angles.items():
+        shown = "  ".join(f"{name.replace('_', ' ')} {value:7.1f}" for name, value in (angles or {}).items())
+        words = ", ".join(warnings.get(joint, ())).replace("_", " ")
+        table.add_row(joint, shown or _UNDEFINED, Text(words, "yellow"))
+    return table
 
 
 def _add_rows(table: Table, pose: PoseMessage, with_quaternions: bool) -> None:

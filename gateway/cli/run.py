@@ -10,8 +10,13 @@ from pathlib import Path
 import typer
 
 from gateway.body.rig import load_rig
+from gateway.errors import GatewayError
+from gateway.log_format import set_up_logging
 from gateway.service import Service
-from gateway.settings import load_gateway_settings
+from gateway.service_manager import feed_watchdog, notify
+from gateway.settings import GatewaySettings, load_gateway_settings
+
+log = logging.getLogger(__name__)
 
 
 def run(
@@ -19,25 +24,91 @@ def run(
         Path("config/gateway.yaml"), "--config", "-c", help="Configuration file (see `config schema`)."
     ),
 ) -> None:
-    """Read the suit, reconstruct, publish. Ends on Ctrl-C or SIGTERM.
+    """Read the suit, reconstruct, publish. Ends on Ctrl-C or SIGTERM; SIGHUP reads the configuration anew.
 
-    A link that is absent is waited for; a broker that is away is tried again and again.
+    A link that is absent is waited for; a broker that is away is tried again and again. A changed
+    configuration that is wrong is reported, and the service goes on with the one it has.
     """
+    service = _load(config)
+    asyncio.run(_Supervisor(config, service).run())
+
+
+def _load(config: Path) -> Service:
+    """The service that a configuration describes. Raises ``GatewayError`` with what is wrong in it."""
     settings = load_gateway_settings(config)
     suit = load_rig(settings.rig, config)
-    logging.getLogger().setLevel(settings.log.level.upper())
     service = Service(settings, suit)
-    logging.getLogger(__name__).info(
-        "gateway '%s': %d modules on '%s', links %s",
-        settings.gateway,
-        len(suit.module_ids),
-        suit.skeleton.name,
-        ", ".join(f"{link.name} ({link.url})" for link in settings.links),
-    )
-    asyncio.run(_until_signal(service))
+    set_up_logging(settings.log.level, settings.log.format)
+    _tell(settings, len(suit.module_ids), suit.skeleton.name)
+    return service
 
 
-async def _until_signal(service: Service) -> None:
+def _tell(settings: GatewaySettings, n_modules: int, body: str) -> None:
+    links = ", ".join(f"{link.name} ({link.url})" for link in settings.links)
+    log.info("gateway '%s': %d modules on '%s', links %s", settings.gateway, n_modules, body, links)
+
+
+class _Supervisor:
+    """Runs one service after another: a new one for every configuration that is read."""
+
+    def __init__(self, config: Path, service: Service) -> None:
+        self._config = config
+        self._service = service
+        self._task: asyncio.Task[None] | None = None
+        self._next: Service | None = None
+        self._reloading: asyncio.Task[None] | None = None
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, self._stop)
+        loop.add_signal_handler(signal.SIGHUP, self._reload)
+        watchdog = asyncio.create_task(feed_watchdog(lambda: self._service.can_flow), name="watchdog")
+        try:
+            while await self._run_once():
+                log.info("configuration read anew")
+        finally:
+            watchdog.cancel()
+
+    async def _run_once(self) -> bool:
+        """One service to its end; True if another one follows."""
+        self._task = asyncio.ensure_future(self._service.run())
+        notify("READY=1", f"STATUS=publishing, configuration {self._config}")
+        try:
+            await self._task
+        except asyncio.CancelledError:
+            if self._next is None:
+                log.info("stopped")
+        if self._next is None:
+            return False
+        self._service, self._next = self._next, None
+        return True
+
+    def _stop(self) -> None:
+        notify("STOPPING=1")
+        self._next = None
+        if self._task is not None:
+            self._task.cancel()
+
+    def _reload(self) -> None:
+        if self._reloading is None or self._reloading.done():
+            self._reloading = asyncio.create_task(self._load_next(), name="reload")
+
+    async def _load_next(self) -> None:
+        """Data flows on while the new configuration is read and its reconstructor compiled."""
+        notify("RELOADING=1")
+        try:
+            self._next = await asyncio.to_thread(_load, self._config)
+        except GatewayError as error:
+            log.error("the changed configuration is not taken, the old one stays: %s", error)
+            notify("READY=1")
+            return
+        if self._task is not None:
+            self._task.cancel()
+
+
+async def until_signal(service: Service) -> None:
+    """Run a service until it ends, or SIGINT or SIGTERM comes."""
     task = asyncio.ensure_future(service.run())
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -45,4 +116,4 @@ async def _until_signal(service: Service) -> None:
     try:
         await task
     except asyncio.CancelledError:
-        logging.getLogger(__name__).info("stopped")
+        log.info("stopped")

@@ -17,7 +17,7 @@ from rich.live import Live
 from rich.text import Text
 
 from devices.link import gateway_time_ns
-from gateway.cli.pose_table import PoseView
+from gateway.cli.pose_table import PoseView, joint_table
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
 from gateway.outputs.topics import ANY_GATEWAY
@@ -34,6 +34,8 @@ class Watch:
     """End after so many poses; None: go on until interrupted."""
     as_json: bool = False
     with_quaternions: bool = False
+    with_joints: bool = False
+    """Show joint angles, where the poses carry them, in the place of orientations."""
     timeout: float | None = None
     """Give up after so long without a pose, s; None: wait for ever. The live table always waits."""
 
@@ -76,7 +78,7 @@ async def _print_poses(poses: PoseSubscriber, wanted: Watch, console: Console) -
             view = views.setdefault(received.gateway, PoseView(received.gateway))
             view.add(received)
             state = poses.states.get(received.gateway, "state unknown")
-            console.print(view.table(received.received_ns, state, wanted.with_quaternions))
+            console.print(_shown(view, received.received_ns, state, wanted))
 
 
 async def _show_live(poses: PoseSubscriber, wanted: Watch, console: Console) -> None:
@@ -99,7 +101,7 @@ def _screen(poses: PoseSubscriber, views: dict[str, PoseView], wanted: Watch) ->
         views.setdefault(gateway, PoseView(gateway))
     now_ns = gateway_time_ns()
     parts: list[RenderableType] = [
-        view.table(now_ns, poses.states.get(gateway, "state unknown"), wanted.with_quaternions)
+        _shown(view, now_ns, poses.states.get(gateway, "state unknown"), wanted)
         for gateway, view in sorted(views.items())
     ]
     if not poses.is_connected:
@@ -107,6 +109,16 @@ def _screen(poses: PoseSubscriber, views: dict[str, PoseView], wanted: Watch) ->
     elif not views:
         parts.append(Text("connected; no gateway has published anything yet", "yellow"))
     return Group(*parts)
+
+
+def _shown(view: PoseView, now_ns: int, state: str, wanted: Watch) -> RenderableType:
+    """One gateway as the user wants to see it."""
+    if not wanted.with_joints or view.last is None:
+        return view.table(now_ns, state, wanted.with_quaternions)
+    joints: RenderableType | None = joint_table(view.last.pose)
+    if joints is None:
+        joints = Text("its poses carry no joint angles: set mqtt.include: [joint_angles]", "yellow")
+    return Group(view.headline(now_ns, state), joints)
 
 
 def run_watch(settings: MqttSettings, wanted: Watch) -> int:
@@ -141,6 +153,9 @@ def watch(
     quaternions: Annotated[
         bool, typer.Option("--quaternions", help="Show w, x, y, z instead of heading, pitch and roll.")
     ] = False,
+    joints: Annotated[
+        bool, typer.Option("--joints", help="Show joint angles, where the poses carry them.")
+    ] = False,
     timeout: Annotated[
         float | None,
         typer.Option(
@@ -164,5 +179,5 @@ def watch(
     except ValidationError as error:
         typer.echo("; ".join(problem["msg"] for problem in error.errors()), err=True)
         raise typer.Exit(2) from None
-    wanted = Watch(gateway, count, json, quaternions, timeout)
+    wanted = Watch(gateway, count, json, quaternions, joints, timeout)
     raise typer.Exit(run_watch(settings, wanted))

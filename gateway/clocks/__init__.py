@@ -4,7 +4,8 @@ Every module counts its own crystal. Reading order: ``counter`` (32 bits, restar
 clock is; modules that share one) → ``batching``, ``floor_filter``, ``delay_floor``, ``estimated`` (rate and
 offset while capturing, from arrival times alone) → ``sync_exchange`` (two-way exchanges) → ``table``,
 ``table_calibration``, ``table_clock``, ``reference_instants`` (mode 1, distributed compensation: a table
-measured beforehand) → ``trigger`` (mode 2, unified control: the gateway says when to sample).
+measured beforehand) → ``trigger``, ``trigger_answers`` (mode 2, unified control: the gateway says when to
+sample) → ``utc_anchor`` (gateway time against UTC).
 
 Sans-I/O and deterministic: arrival times are arguments, and gateway time is the host's monotonic clock.
 """
@@ -19,9 +20,14 @@ from gateway.clocks.sync_exchange import Exchange, SyncExchanges
 from gateway.clocks.table import ClockTable, clock_table, load_clock_table, save_clock_table
 from gateway.clocks.table_calibration import ClockCalibration
 from gateway.clocks.table_clock import TableClock, TableClocks
-from gateway.clocks.trigger import TriggerScheduler
+from gateway.clocks.trigger import Trigger, TriggerTimer
+from gateway.clocks.trigger_answers import Answer, TriggerAnswers
+from gateway.clocks.utc_anchor import AnchorReading, AnchorWatch
 
 __all__ = [
+    "AnchorReading",
+    "AnchorWatch",
+    "Answer",
     "ClockCalibration",
     "ClockFigures",
     "ClockTable",
@@ -36,7 +42,9 @@ __all__ = [
     "SyncExchanges",
     "TableClock",
     "TableClocks",
-    "TriggerScheduler",
+    "Trigger",
+    "TriggerAnswers",
+    "TriggerTimer",
     "clock_table",
     "load_clock_table",
     "save_clock_table",

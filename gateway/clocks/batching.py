@@ -12,6 +12,8 @@ _SAME_CHUNK_NS = 200_000
 """Reads that follow each other more closely belong to one hand-over."""
 _SHORTEST_SLOT_US = 400.0
 _GAPS = 256
+_FIRST_GAPS = (12, 48)
+"""The slot is told early, from few gaps, since the clocks begin without knowing it; then better."""
 _TOLERANCE = 0.15
 """How far, as a part of the slot, a gap may be from a multiple of it: the host wakes up late."""
 _SHARE = 0.95
@@ -25,6 +27,7 @@ class LinkBatching:
         """0: packets are handed over as they come."""
         self._last_ns = 0
         self._gaps: list[int] = []
+        self._first = list(_FIRST_GAPS)
 
     def observe(self, arrived_ns: int) -> None:
         """A chunk came."""
@@ -33,6 +36,9 @@ class LinkBatching:
             return
         self._last_ns = arrived_ns
         self._gaps.append(gap)
+        if self._first and len(self._gaps) > self._first[0]:
+            self._first.pop(0)
+            self.slot_us = slot_of_gaps(self._gaps[1:])
         if len(self._gaps) > _GAPS:
             self.slot_us = slot_of_gaps(self._gaps[1:])
             self._gaps = []

@@ -10,9 +10,12 @@ OVERTAKEN_US = 2_000_000
 EARLY_US = 2_000_000
 """So has one that is ahead of its own arrival by more than any error of the estimate."""
 LATE_US = 2_000_000
-PATIENCE_NS = 1_000_000_000
+PATIENCE_NS = 10_000_000_000
 """Packets of a stalled link come late, but soon catch up. A counter that goes on being late by more than
 ``LATE_US`` for so long has started anew, a little above where it was."""
+STEADY_PATIENCE_NS = 300_000_000
+"""So has one that for so long catches up with nothing: a backlog comes faster than it was made."""
+_CATCHING_UP = 0.1
 
 
 def unwrap(count: int, bits: int, near: int) -> int:
@@ -27,13 +30,14 @@ class Counter32:
     Transport only delays: a stamp may be behind what is expected at its arrival, never ahead of it.
     """
 
-    __slots__ = ("_late_since_ns", "newest_us", "restarts")
+    __slots__ = ("_late_by_us", "_late_since_ns", "newest_us", "restarts")
 
     def __init__(self) -> None:
         self.restarts = 0
         self.newest_us: int | None = None
         """Largest full time since the last start; None before the first."""
         self._late_since_ns: int | None = None
+        self._late_by_us = 0  # when it began to be late
 
     def full_us(self, stamp_us: int, expected_us: int, arrived_ns: int) -> int | None:
         """The full count, or None when the counter has (re)started: then it stands at ``stamp_us``."""
@@ -61,5 +65,8 @@ class Counter32:
             self._late_since_ns = None
             return False
         if self._late_since_ns is None:
-            self._late_since_ns = arrived_ns
-        return arrived_ns - self._late_since_ns > PATIENCE_NS
+            self._late_since_ns, self._late_by_us = arrived_ns, -ahead_us
+        waited_ns = arrived_ns - self._late_since_ns
+        caught_up_ns = (self._late_by_us + ahead_us) * 1000
+        is_steady = caught_up_ns < _CATCHING_UP * waited_ns
+        return waited_ns > (STEADY_PATIENCE_NS if is_steady else PATIENCE_NS)

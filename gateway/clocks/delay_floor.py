@@ -55,6 +55,12 @@ class DelayFloor:
         self._x[0] = 0.0
         self._P = np.diag([_OFFSET_SIGMA_US**2, rate_sigma_ppm**2])
 
+    def start_over(self) -> None:
+        """Forget everything: what was taken in until now was taken for something else."""
+        self.packets, self.residual_us, self._mean_delay_us = 0, 0.0, _MEAN_DELAY_US
+        self._x[1] = 0.0
+        self.begin(self._walk.rate_sigma_ppm)
+
     def rebase(self) -> None:
         """Module time is counted from anew, and the floor is what it was."""
         if self._time_us is not None:
@@ -67,6 +73,11 @@ class DelayFloor:
     @property
     def rate_ppm(self) -> float:
         return float(self._x[1])
+
+    @property
+    def rate_sigma_ppm(self) -> float:
+        """Standard deviation of the rate; before anything is known, that of crystals as such."""
+        return math.sqrt(self._P[1, 1])
 
     @property
     def sigma_us(self) -> float:

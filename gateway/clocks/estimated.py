@@ -20,6 +20,10 @@ _SETTLING_US = 10_000_000
 _STEP_US = 50_000.0
 """An estimate that is off by more is adopted at once: slewing would take too long."""
 _IN_STEP = 0.02
+_SLOT_NEWS = 0.2
+_UNREST_GAIN, _UNREST_SIGMAS = 0.5, 2.0
+"""A rate that still moves from block to block is not as well known as its covariance has it: delays that come
+in bursts are less independent than the estimate takes them for."""
 _RESTARTED_RATE_SIGMA_PPM = 2.0  # the same crystal
 _FADE_US = 1_000_000.0
 _BOUND_SIGMAS = 3.0
@@ -43,6 +47,8 @@ class EstimatedClock:
         self._back = DelayFloor(CRYSTAL)  # module to host: every packet
         self._round_trip = DelayFloor(TRANSPORT)  # exchanges only; by the clock of the way back
         self._steps = 0
+        self._unrest_ppm = 0.0
+        self._believed_slot_us = self._batching.slot_us
         self._begin(0, 0)
 
     def _begin(self, stamp_us: int, arrived_ns: int) -> None:
@@ -133,6 +139,8 @@ class EstimatedClock:
         newest_us = max(newest_us, self._fit_us)
         is_first = not self._back.is_known
         elapsed_s = (np.array(self._elapsed, dtype=np.float64) - newest_us) * 1e-6
+        if self._slot_is_news() and newest_us < _SETTLING_US:
+            self._back.start_over()
         self._back.update(newest_us, elapsed_s, np.array(self._delays), self._slot_us(elapsed_s))
         if self._exchanges:
             received = np.array(self._exchanges)  # (n, 2): module time, delay of the way there
@@ -147,6 +155,8 @@ class EstimatedClock:
     def _follow(self, newest_us: int, is_first: bool) -> None:
         """Take the new line as the one to publish; what it differs by now fades away at a bounded rate."""
         published_us = self._published_us(newest_us)
+        moved_ppm = abs(self._back.rate_ppm - self._rate * 1e6)
+        self._unrest_ppm += _UNREST_GAIN * (moved_ppm - self._unrest_ppm)
         offset_us, rate_ppm = self._back.offset_us(newest_us), self._back.rate_ppm
         if self._round_trip.is_known:
             offset_us -= 0.5 * self._round_trip.offset_us(newest_us)
@@ -159,6 +169,11 @@ class EstimatedClock:
         self._fade_us = max(_FADE_US, abs(correction_us) / (slew_ppm * 1e-6))
         self._fit_us, self._offset_us, self._rate = newest_us, offset_us, rate_ppm * 1e-6
         self._expected_us = self._start_us - int(offset_us)
+
+    def _slot_is_news(self) -> bool:
+        """Whether the link turned out to hand over otherwise than was believed until now."""
+        before_us, self._believed_slot_us = self._believed_slot_us, self._batching.slot_us
+        return abs(self._believed_slot_us - before_us) > _SLOT_NEWS * max(self._believed_slot_us, before_us)
 
     def _slot_us(self, elapsed_s: FloatArray) -> float:
         """The link's slot, unless the module samples in step with it: then it tells nothing."""
@@ -185,4 +200,5 @@ class EstimatedClock:
             sigma_us=sigma_us,
             bound_us=bound_us,
             steps=self._steps,
+            rate_sigma_ppm=float(np.hypot(back.rate_sigma_ppm, _UNREST_SIGMAS * self._unrest_ppm)),
         )

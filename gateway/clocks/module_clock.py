@@ -11,6 +11,10 @@ SAME_CLOCK_NS = 2_000_000_000
 """Modules whose offsets differ by more do not count the same clock."""
 
 
+RATE_SETTLED_PPM = 5.0
+"""A rate is told once its standard deviation is no more than this: after some 10 s over an ordinary link."""
+
+
 class ClockFigures(NamedTuple):
     """What is known of a module's clock."""
 
@@ -28,6 +32,13 @@ class ClockFigures(NamedTuple):
     trip, and the estimate's own error. None without two-way exchanges."""
     steps: int = 0
     """How often the instants had to jump, because the estimate was too far off to be slewed."""
+    rate_sigma_ppm: float = 0.0
+    """Standard deviation of ``skew_ppm``, as the estimate has it; 0 where nothing is estimated."""
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the rate is known well enough to be told."""
+        return self.rate_sigma_ppm <= RATE_SETTLED_PPM
 
 
 class ModuleClock(Protocol):

@@ -70,6 +70,11 @@ class ModuleOperations:
             "card_erase": self._card_erase,
         }
 
+    @property
+    def stream(self) -> Stream:
+        """What the suit's links say."""
+        return self._stream
+
     async def perform(self, verb: str, data: Mapping[str, Any]) -> Plain:
         """Do what a verb asks. Raises ``RequestError``, ``DeviceError`` or ``LinkError``."""
         if verb not in self._verbs:

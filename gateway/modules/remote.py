@@ -32,8 +32,11 @@ _ANSWER_S = 90.0
 class RemoteOperations:
     """Asks a gateway; made by ``remote_suit``."""
 
-    def __init__(self, client: aiomqtt.Client, settings: MqttSettings, topics_of_gateway: Topics) -> None:
+    def __init__(
+        self, client: aiomqtt.Client, settings: MqttSettings, topics_of_gateway: Topics, family: str
+    ) -> None:
         self._client = client
+        self._family = family
         self._topics = topics_of_gateway
         self._settings = settings
 
@@ -42,7 +45,7 @@ class RemoteOperations:
         transaction = secrets.token_hex(8)
         request = orjson.dumps({**data, "transaction": transaction})
         try:
-            await self._client.publish(self._topics.request(f"modules/{verb}"), request, qos=1)
+            await self._client.publish(self._topics.request(f"{self._family}/{verb}"), request, qos=1)
             async with asyncio.timeout(_ANSWER_S):
                 return await self._answer(transaction)
         except TimeoutError:
@@ -64,24 +67,27 @@ class RemoteOperations:
 
 
 @contextlib.asynccontextmanager
-async def remote_suit(settings: MqttSettings, gateway: str = ANY_GATEWAY) -> AsyncIterator[RemoteOperations]:
+async def remote_suit(
+    settings: MqttSettings, gateway: str = ANY_GATEWAY, family: str = "modules"
+) -> AsyncIterator[RemoteOperations]:
     """Connect to the broker of a gateway; without a name to that of the only one that is online.
 
+    family: first part of the verbs that will be asked for.
     Raises ``BrokerUnreachableError``, and ``RequestError`` when there is none or more than one.
     """
     async with contextlib.AsyncExitStack() as stack:
-        identifier = unique_identifier("modules")
+        identifier = unique_identifier(family)
         try:
             client = await stack.enter_async_context(broker_connection(settings, settings.port, identifier))
             if gateway == ANY_GATEWAY:
                 gateway = await _only_gateway(client, settings)
             of_gateway = Topics(settings.base_topic, gateway)
-            await client.subscribe(of_gateway.response("modules/+"), qos=1)
+            await client.subscribe(of_gateway.response(f"{family}/+"), qos=1)
         except GatewayError:
             raise
         except Exception as error:
             raise BrokerUnreachableError(explain(error, settings, settings.port)) from error
-        yield RemoteOperations(client, settings, of_gateway)
+        yield RemoteOperations(client, settings, of_gateway, family)
 
 
 async def _only_gateway(client: aiomqtt.Client, settings: MqttSettings) -> str:

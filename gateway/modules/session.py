@@ -11,6 +11,7 @@ from devices.command_client import LISTENS_TO, CommandClient
 from devices.endpoints import link_from_url
 from devices.link import Link, LinkError
 from devices.reconnect import ReconnectingLink
+from devices.replay_link import carried_links
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
 from gateway.modules.operations import ModuleOperations
@@ -43,7 +44,8 @@ async def suit_session(
         for link in links:
             await _open(link)
             stack.push_async_callback(link.close)
-            stream.add_link(link.name, link.framing)
+            for name, framing in carried_links(link.link).items():
+                stream.add_link(name, framing)
             readers.append(asyncio.create_task(_read(link, stream), name=f"link {link.name}"))
         stack.push_async_callback(_end, readers)
         yield ModuleOperations(stream, client, suit, journal)

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from devices.roster import Conflict, Device, Roster
 from firmware_protocol.kinds import Kind
 from gateway.body.skeleton import WornSuit
+from gateway.outputs.messages import ModuleClockState
 from gateway.statistics import ModuleRecord
 from gateway.stream import Stream
 
@@ -21,10 +22,6 @@ SAMPLE_KINDS = (
     Kind.PRESSURE_SAMPLE,
 )
 """Kinds that a rate is told of."""
-
-
-CLOCK_SETTLED_NS = 20_000_000_000
-"""Before so long, the jitter of a radio looks like hundreds of ppm."""
 
 
 class _Plain(BaseModel):
@@ -43,7 +40,9 @@ class ModuleSummary(_Plain):
     battery_percent: int | None = None
     rate_hz: float = Field(description="samples a second, measured")
     loss_percent: float | None = Field(description="packets lost since the link is read")
-    clock_ppm: float | None = Field(description="faster than the gateway's clock; none: not known yet")
+    clock: ModuleClockState | None = Field(default=None, description="none: never heard sending")
+    resets: int = Field(default=0, description="how often it was found to count from anew")
+    gaps: dict[str, int] = Field(default={}, description="how often so many packets were lost in a row")
 
 
 class ConflictSummary(_Plain):
@@ -74,6 +73,11 @@ def segments_of(suit: WornSuit) -> dict[str, int]:
     return {name: suit.module_ids[row] for name, row in worn if row >= 0}
 
 
+def module_names(suit: WornSuit) -> dict[int, str]:
+    """What each module or local device of the rig is on, by id."""
+    return {module: segment for segment, module in segments_of(suit).items()} | local_devices_of(suit)
+
+
 def local_devices_of(suit: WornSuit) -> dict[int, str]:
     """What to call the local measuring devices, by id."""
     return {
@@ -85,13 +89,15 @@ def local_devices_of(suit: WornSuit) -> dict[int, str]:
 
 def count_samples(stream: Stream, time_ns: int) -> Counts:
     """Samples received so far, by module id."""
-    return Counts(time_ns, {module: _samples(record) for module, record in stream.modules.items()})
+    return Counts(
+        time_ns, {module: count_module_samples(record) for module, record in stream.modules.items()}
+    )
 
 
 def summarise(roster: Roster, stream: Stream, suit: WornSuit, before: Counts, after: Counts) -> ModuleList:
     """The list of a roster, with rates between two counts."""
     segments = segments_of(suit)
-    names = {module: segment for segment, module in segments.items()} | local_devices_of(suit)
+    names = module_names(suit)
     span_s = max((after.time_ns - before.time_ns) * 1e-9, 1e-9)
     rates = {
         module: (count - before.samples.get(module, 0)) / span_s for module, count in after.samples.items()
@@ -132,7 +138,9 @@ def _summary(
         battery_percent=health.battery_percent if health is not None else None,
         rate_hz=round(rates.get(module, 0.0), 1),
         loss_percent=_loss_percent(record),
-        clock_ppm=_clock_ppm(record),
+        clock=None if record is None else clock_state(record),
+        resets=0 if record is None else record.clock.restarts,
+        gaps={} if record is None else record.gap_histogram,
     )
 
 
@@ -142,17 +150,26 @@ def _conflict(conflict: Conflict) -> ConflictSummary:
     )
 
 
-def _samples(record: ModuleRecord) -> int:
+def count_module_samples(record: ModuleRecord) -> int:
+    """Samples received of one module."""
     return sum(record.sequences[kind].received for kind in SAMPLE_KINDS if kind in record.sequences)
+
+
+def clock_state(record: ModuleRecord) -> ModuleClockState:
+    """A module's clock as published."""
+    figures = record.clock.figures()
+    return ModuleClockState(
+        state="settled" if figures.is_settled else "measuring",
+        offset_ns=figures.offset_ns,
+        ppm=round(figures.skew_ppm, 2) if figures.is_settled else None,
+        residual_us=round(figures.residual_us, 1),
+        sigma_us=round(figures.sigma_us, 1),
+        bound_us=None if figures.bound_us is None else round(figures.bound_us, 1),
+        steps=figures.steps,
+    )
 
 
 def _loss_percent(record: ModuleRecord | None) -> float | None:
     if record is None or not record.received:
         return None
     return round(100 * record.lost / (record.received + record.lost), 2)
-
-
-def _clock_ppm(record: ModuleRecord | None) -> float | None:
-    if record is None or record.last_arrival_ns - record.first_arrival_ns < CLOCK_SETTLED_NS:
-        return None
-    return round(record.clock.figures().skew_ppm, 1)

@@ -6,6 +6,7 @@ world with ``w >= 0``, instants integer nanoseconds since the Unix epoch.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -14,6 +15,7 @@ import numpy as np
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from gateway.body.joints import WORLD, Joint
 from gateway.body.skeleton import Skeleton
 from gateway.frames import Status
 from gateway.outputs import topics
@@ -52,6 +54,21 @@ class ModuleInfo(Message):
     segment: str = Field(description="Body segment it is strapped to.")
 
 
+class UtcAnchor(Message):
+    """How gateway time stands to the host's UTC. Gateway time never steps; this does, when UTC is set."""
+
+    t_ns: int = Field(description="Gateway time of the reading, ns.")
+    utc_ns: int = Field(description="The host's UTC at the same moment, ns since 1970.")
+    offset_ns: int = Field(description="UTC minus gateway time, ns: add it to any t_ns to get UTC.")
+    steps: int = Field(ge=0, description="How often the host's UTC was set while the gateway ran.")
+    last_step_ns: int | None = Field(
+        default=None, description="By how much it was set last, ns (positive: forward); null: never."
+    )
+    last_step_t_ns: int | None = Field(
+        default=None, description="Gateway time at which that was noticed, ns; null: never."
+    )
+
+
 class BridgeInfo(Message):
     """What the gateway is and runs."""
 
@@ -60,6 +77,9 @@ class BridgeInfo(Message):
     reconstructor: str = Field(description="Name of the method that makes poses from samples.")
     frame_rate: float = Field(gt=0, description="Poses reconstructed a second, Hz.")
     modules: tuple[ModuleInfo, ...] = Field(default=(), description="Modules of the rig.")
+    utc: UtcAnchor | None = Field(
+        default=None, description="Gateway time against UTC, as of the start or the last step of UTC."
+    )
 
 
 class OutputCounters(Message):
@@ -78,9 +98,62 @@ class BridgeHealth(Message):
     t_ns: int = Field(description="Gateway time of this message, ns.")
     uptime_s: float = Field(ge=0, description="Time since the output was started, s.")
     mqtt: OutputCounters = Field(description="Poses sent to the broker.")
+    utc: UtcAnchor | None = Field(default=None, description="Gateway time against UTC, as read last.")
     statistics: dict[str, JsonValue] = Field(
         default_factory=dict, description="Counters of links, modules, clock and reconstruction."
     )
+
+
+class ModuleAvailability(Message):
+    """Whether a module is heard. Holds while ``bridge/state`` is online: a gateway that died says nothing."""
+
+    state: Literal["online", "offline"] = Field(
+        description="'offline': silent for longer than modules.silent_after, or the gateway has stopped."
+    )
+
+
+class ModuleClockState(Message):
+    """What is known of a module's clock."""
+
+    state: Literal["measuring", "settled"] = Field(
+        description="'measuring': the rate is not known to 5 ppm yet; ppm is null meanwhile."
+    )
+    offset_ns: int = Field(description="Gateway time minus module time, ns.")
+    ppm: Number | None = Field(description="How much faster than the gateway's the clock runs, ppm.")
+    residual_us: Number = Field(description="Mean delay of arrivals above the least one, µs.")
+    sigma_us: Number = Field(description="Standard deviation of the offset, as estimated, µs.")
+    bound_us: Number | None = Field(
+        description="How far the offset can be off at most, µs; null: it answers no time requests."
+    )
+    steps: int = Field(ge=0, description="Jumps of its instants that were too large to slew.")
+
+
+class ModuleState(Message):
+    """One module: who it is, whether it is heard, what was lost, how its clock stands."""
+
+    t_ns: int = Field(description="Gateway time of this message, ns.")
+    module: int = Field(ge=0, le=255, description="Module number on the wire; 254 is the relay.")
+    segment: str | None = Field(description="What it is strapped to; null: the rig does not name it.")
+    availability: Literal["online", "offline"] = Field(description="As on its availability topic.")
+    silent_since_ns: int | None = Field(
+        description="Gateway time of its last packet while it is offline, ns; null: online, or never heard."
+    )
+    last_arrival_ns: int | None = Field(description="Gateway time of its last packet, ns; null: never.")
+    rate_hz: Number | None = Field(description="Samples a second, measured; null: not measured yet.")
+    received: int = Field(ge=0, description="Packets received.")
+    lost: int = Field(ge=0, description="Packets lost on the way, found by their numbers.")
+    duplicates: int = Field(ge=0, description="Packets received before.")
+    late: int = Field(ge=0, description="Samples that came after their frame was made.")
+    gaps: dict[str, int] = Field(
+        description='How often so many packets were lost in a row, such as {"1": 12, "3-4": 1}.'
+    )
+    resets: int = Field(ge=0, description="How often it was found to count its time from anew.")
+    clock: ModuleClockState | None = Field(description="Its clock; null: never heard.")
+    battery_percent: int | None = Field(description="Charge, %; null: not told.")
+    temperature_celsius: Number | None = Field(description="Temperature, °C; null: not told.")
+    rssi_dbm: int | None = Field(description="Strength of its radio signal, dBm; null: not told.")
+    unique_id: str | None = Field(description="Identity burnt in, hexadecimal; null: not told.")
+    firmware: str | None = Field(description="Firmware version; null: not told.")
 
 
 class BodySegment(Message):
@@ -92,6 +165,19 @@ class BodySegment(Message):
     tip: Vector = Field(description="Its distal joint or end in its own axes, m.")
 
 
+class BodyJoint(Message):
+    """What joint angles describe."""
+
+    name: str = Field(description="Joint name.")
+    proximal: str | None = Field(description="Segment that counts as standing still; null: the world.")
+    distal: str = Field(description="Segment that turns.")
+    kind: str = Field(description="hinge, universal or spherical, by its free angles.")
+    sequence: str = Field(description="Order of rotations: zxy, yxy, …; swing_twist; hinge.")
+    angles: dict[str, tuple[Number | None, Number | None]] = Field(
+        description="Angles in the order of the rotations, with their limits, degrees; null: unlimited."
+    )
+
+
 class BodyMessage(Message):
     """The skeleton that the poses belong to."""
 
@@ -100,6 +186,7 @@ class BodyMessage(Message):
     order: Literal["wxyz"] = Field(default="wxyz", description="Order of quaternion components.")
     length_unit: Literal["m"] = Field(default="m", description="Unit of offsets and tips.")
     segments: tuple[BodySegment, ...] = Field(description="Segments, parents first.")
+    joints: tuple[BodyJoint, ...] = Field(default=(), description="Joints, for joint angles.")
 
 
 class PoseMessage(Message):
@@ -124,6 +211,14 @@ class PoseMessage(Message):
     sigma: dict[str, Number | None] | None = Field(
         default=None, description="Standard deviation of the orientation, rad."
     )
+    joint_angles: dict[str, dict[str, Number] | None] | None = Field(
+        default=None, description="By joint: each of its angles, degrees, growing in the movement it names."
+    )
+    joint_warnings: dict[str, tuple[Literal["near_gimbal_lock", "beyond_limits"], ...]] | None = Field(
+        default=None,
+        description="With joint_angles: joints whose single angles need care, because their decomposition is "
+        "near its singularity or an angle is beyond what the joint can do.",
+    )
 
 
 @dataclass(frozen=True)
@@ -143,6 +238,8 @@ PUBLICATIONS: tuple[Publication, ...] = (
     Publication(topics.BRIDGE_HEALTH, BridgeHealth, qos=0, retain=False),
     Publication(topics.BODY, BodyMessage, qos=1, retain=True),
     Publication(topics.POSE, PoseMessage, qos=0, retain=False),
+    Publication(topics.MODULE_STATE, ModuleState, qos=1, retain=True),
+    Publication(topics.MODULE_AVAILABILITY, ModuleAvailability, qos=1, retain=True),
 )
 """All that a gateway publishes."""
 
@@ -162,7 +259,22 @@ def describe_body(skeleton: Skeleton) -> BodyMessage:
             strict=True,
         )
     )
-    return BodyMessage(name=skeleton.name, segments=segments)
+    joints = tuple(_describe_joint(joint, names) for joint in skeleton.joints)
+    return BodyMessage(name=skeleton.name, segments=segments, joints=joints)
+
+
+def _describe_joint(joint: Joint, segments: tuple[str, ...]) -> BodyJoint:
+    def degrees(limit: float) -> float | None:
+        return round(math.degrees(limit), 6) if math.isfinite(limit) else None
+
+    return BodyJoint(
+        name=joint.name,
+        proximal=None if joint.proximal == WORLD else segments[joint.proximal],
+        distal=segments[joint.distal],
+        kind=joint.kind,
+        sequence=joint.sequence,
+        angles={angle.name: (degrees(angle.limits[0]), degrees(angle.limits[1])) for angle in joint.angles},
+    )
 
 
 def plain_json(statistics: Mapping[str, object]) -> dict[str, JsonValue]:

@@ -18,6 +18,7 @@ import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
 
 from devices.link import gateway_time_ns
+from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
@@ -34,14 +35,17 @@ from gateway.outputs.messages import (
     BridgeHealth,
     BridgeInfo,
     BridgeState,
+    Message,
     OutputCounters,
+    UtcAnchor,
     describe_body,
     plain_json,
 )
 from gateway.outputs.pose_encoding import PoseEncoder
-from gateway.outputs.settings import MqttSettings
+from gateway.outputs.retained import RetainedMessages
+from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.thinning import Thinning
-from gateway.outputs.topics import Topics
+from gateway.outputs.topics import BRIDGE_INFO, Topics
 
 logger = logging.getLogger(__name__)
 
@@ -75,12 +79,14 @@ class MqttOutput:
         """Port of the broker; with port 0 in the settings, the one that was found free."""
         self._settings = settings
         self._identifier = settings.client_id or unique_identifier(info.gateway)
-        self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include)
-        self._retained = (
-            (self.topics.bridge_info, info.payload()),
-            (self.topics.body, describe_body(skeleton).payload()),
-            (self.topics.bridge_state, _ONLINE),
-        )
+        joint_angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
+        self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include, joint_angles)
+        self._info = info
+        self._utc: UtcAnchor | None = None
+        self._retained = RetainedMessages()
+        self._retained.keep(self.topics.bridge_info, info.payload())
+        self._retained.keep(self.topics.body, describe_body(skeleton).payload())
+        self._retained.keep(self.topics.bridge_state, _ONLINE)
         self._health = health
         self._health_due = 0.0
         self._thinning = Thinning(settings.pose_rate)
@@ -114,6 +120,17 @@ class MqttOutput:
             self._dropped += 1
         self._queue.append(frame)
         self._wake.set()
+
+    def keep(self, topic: str, message: Message) -> None:
+        """Have a message published below the gateway's topics, retained, again after every reconnection."""
+        self._retained.keep(f"{self.topics.root}/{topic}", message.payload())
+
+    def anchor(self, utc: UtcAnchor, *, is_step: bool) -> None:
+        """Tell how gateway time stands to UTC: in every health message, and in ``bridge/info`` for a step."""
+        self._utc = utc
+        if is_step or self._info.utc is None:
+            self._info = self._info.model_copy(update={"utc": utc})
+            self.keep(BRIDGE_INFO, self._info)
 
     async def start(self) -> None:
         """Begin to publish; returns before the broker is reached.
@@ -167,8 +184,10 @@ class MqttOutput:
     async def _publish_until_stopped(self, client: aiomqtt.Client) -> None:
         loss = asyncio.create_task(until_lost(client))
         loss.add_done_callback(lambda _: self._wake.set())
+        keeping: asyncio.Task[None] | None = None
         try:
             await self._announce(client)
+            keeping = asyncio.create_task(self._retained.publish_for_ever(client))
             while not self._stopping.is_set():
                 self._wake.clear()
                 await self._publish_waiting(client)
@@ -177,12 +196,14 @@ class MqttOutput:
                 await nap(max(self._health_due - time.monotonic(), 0.0), self._wake)
             await self._farewell(client)
         finally:
-            loss.cancel()
-            await asyncio.gather(loss, return_exceptions=True)
+            companions = [task for task in (loss, keeping) if task is not None]
+            for task in companions:
+                task.cancel()
+            await asyncio.gather(*companions, return_exceptions=True)
 
     async def _announce(self, client: aiomqtt.Client) -> None:
-        for topic, payload in self._retained:
-            await client.publish(topic, payload, qos=1, retain=True)
+        self._retained.begin_again()
+        await self._retained.publish(client)
         # Poses from before the connection are of no use to anybody, but for the last one.
         while len(self._queue) > 1:
             self._queue.popleft()
@@ -222,6 +243,7 @@ class MqttOutput:
                 t_ns=gateway_time_ns(),
                 uptime_s=time.monotonic() - self._started,
                 mqtt=self.counters,
+                utc=self._utc,
                 statistics=plain_json(self._health()),
             )
         except Exception as error:
@@ -232,6 +254,7 @@ class MqttOutput:
     async def _farewell(self, client: aiomqtt.Client) -> None:
         try:
             async with asyncio.timeout(_DRAIN_S):
+                await self._retained.publish(client)
                 await self._publish_waiting(client)
         except TimeoutError:
             logger.debug("%d poses were still queued at the end", len(self._queue))

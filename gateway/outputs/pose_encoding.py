@@ -11,6 +11,7 @@ from collections.abc import Collection
 import numpy as np
 import orjson
 
+from gateway.body.joint_angles import JointAngles
 from gateway.frames import FloatArray, SkeletonFrame, StatusArray
 from gateway.outputs.messages import STATUS_NAMES
 from gateway.outputs.settings import PoseMap
@@ -21,6 +22,8 @@ _ATTRIBUTES: dict[PoseMap, str] = {
     PoseMap.ANGULAR_RATE: "angular_rate",
     PoseMap.SIGMA: "sigma",
 }
+_ANGLE_DECIMALS = 3
+_WARNINGS = ("near_gimbal_lock", "beyond_limits")
 
 
 class PoseEncoder:
@@ -29,6 +32,8 @@ class PoseEncoder:
     segment_names: in the order of the rows of the frames.
     decimals: numbers are rounded to so many; None: full precision.
     include: optional maps beside the orientations.
+    joint_angles: of the same skeleton, for the map of that name; the angles are continuous over the frames
+    that are encoded. Without it there are none.
     """
 
     def __init__(
@@ -36,10 +41,12 @@ class PoseEncoder:
         segment_names: tuple[str, ...],
         decimals: int | None = 6,
         include: Collection[PoseMap] = (),
+        joint_angles: JointAngles | None = None,
     ) -> None:
         self._names = segment_names
         self._decimals = decimals
-        self._maps = tuple((name.value, _ATTRIBUTES[name]) for name in PoseMap if name in include)
+        self._maps = tuple((name.value, _ATTRIBUTES[name]) for name in _ATTRIBUTES if name in include)
+        self._joint_angles = joint_angles if PoseMap.JOINT_ANGLES in include else None
         self._status_key = b""
         self._status = orjson.Fragment(b"{}")
 
@@ -57,6 +64,8 @@ class PoseEncoder:
         for key, attribute in self._maps:
             values = self._rows(getattr(frame, attribute))
             message[key] = dict(zip(self._names, values, strict=True))
+        if self._joint_angles is not None:
+            message |= self._joints(self._joint_angles, frame.q_wb)
         return orjson.dumps(message)
 
     def _rows(self, values: FloatArray) -> list[object]:
@@ -69,6 +78,28 @@ class PoseEncoder:
             return rows
         is_defined = np.logical_and.reduce(is_finite.reshape(len(rows), -1), axis=1)
         return [row if defined else None for row, defined in zip(rows, is_defined, strict=True)]
+
+    def _joints(self, joint_angles: JointAngles, q_wb: FloatArray) -> dict[str, object]:
+        """Angles in degrees by joint and name, and the joints whose angles need care."""
+        found = joint_angles.update(q_wb)
+        rows = np.degrees(found.angles)
+        rounded = (
+            rows if self._decimals is None else np.round(rows, min(self._decimals, _ANGLE_DECIMALS)) + 0.0
+        )
+        joints = joint_angles.joints
+        return {
+            "joint_angles": {
+                joint.name: None
+                if np.isnan(row[0])
+                else dict(zip((angle.name for angle in joint.angles), row.tolist(), strict=False))
+                for joint, row in zip(joints, rounded, strict=True)
+            },
+            "joint_warnings": {
+                joint.name: [word for word, applies in zip(_WARNINGS, flags, strict=True) if applies]
+                for joint, *flags in zip(joints, found.near_gimbal, found.beyond_limits, strict=True)
+                if any(flags)
+            },
+        }
 
     def _encoded_status(self, status: StatusArray) -> orjson.Fragment:
         key = status.tobytes()

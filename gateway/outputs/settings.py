@@ -22,12 +22,13 @@ class CredentialError(SettingsError, ValueError):
 
 
 class PoseMap(StrEnum):
-    """What a pose message may carry beside the orientations, each a map by segment name."""
+    """What a pose message may carry beside the orientations: maps by segment name, angles by joint name."""
 
     POSITION = "position"
     ACCELERATION = "acceleration"
     ANGULAR_RATE = "angular_rate"
     SIGMA = "sigma"
+    JOINT_ANGLES = "joint_angles"
 
 
 class TlsSettings(BaseModel):

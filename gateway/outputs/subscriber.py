@@ -30,7 +30,7 @@ from gateway.outputs.connection import (
     explain,
     unique_identifier,
 )
-from gateway.outputs.messages import BodyMessage, BridgeInfo, BridgeState, PoseMessage
+from gateway.outputs.messages import BodyMessage, BridgeHealth, BridgeInfo, BridgeState, PoseMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.topics import ANY_GATEWAY, Topics
 
@@ -74,6 +74,7 @@ class PoseSubscriber:
         """Last known state of each gateway."""
         self.infos: dict[str, BridgeInfo] = {}
         self.bodies: dict[str, BodyMessage] = {}
+        self.healths: dict[str, BridgeHealth] = {}
         self.is_connected = False
         self.undecodable = 0
         """Messages that were not what their topic promises."""
@@ -140,8 +141,9 @@ class PoseSubscriber:
             await asyncio.sleep(waited)
 
     async def _subscribe(self, client: aiomqtt.Client) -> None:
-        wanted = (self._topics.bridge_state, self._topics.bridge_info, self._topics.body)
-        await client.subscribe([(topic, 1) for topic in wanted] + [(self._topics.pose, 0)])
+        kept = (self._topics.bridge_state, self._topics.bridge_info, self._topics.body)
+        passing = (self._topics.bridge_health, self._topics.pose)
+        await client.subscribe([(topic, 1) for topic in kept] + [(topic, 0) for topic in passing])
         self.is_connected = True
 
     async def _receive(self, client: aiomqtt.Client) -> None:
@@ -172,5 +174,7 @@ class PoseSubscriber:
                 self.states[gateway] = BridgeState.model_validate_json(payload).state
             case topics.BRIDGE_INFO:
                 self.infos[gateway] = BridgeInfo.model_validate_json(payload)
+            case topics.BRIDGE_HEALTH:
+                self.healths[gateway] = BridgeHealth.model_validate_json(payload)
             case topics.BODY:
                 self.bodies[gateway] = BodyMessage.model_validate_json(payload)

@@ -11,6 +11,8 @@ BRIDGE_REQUEST = "bridge/request"
 BRIDGE_RESPONSE = "bridge/response"
 BODY = "body"
 POSE = "pose"
+MODULE_STATE = "module/{id}/state"
+MODULE_AVAILABILITY = "module/{id}/availability"
 
 ANY_GATEWAY = "+"
 
@@ -57,6 +59,14 @@ class Topics:
     def pose(self) -> str:
         """One message a skeleton frame."""
         return f"{self.root}/{POSE}"
+
+    def module_state(self, module: int) -> str:
+        """Figures of one module; retained."""
+        return f"{self.root}/{MODULE_STATE.format(id=module)}"
+
+    def module_availability(self, module: int) -> str:
+        """``online`` or ``offline``: whether a module is heard; retained."""
+        return f"{self.root}/{MODULE_AVAILABILITY.format(id=module)}"
 
     def request(self, verb: str) -> str:
         """Where a request is published."""

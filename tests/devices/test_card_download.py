@@ -9,9 +9,10 @@ import pytest
 
 from devices.card_download import Card, CardFile, download
 from devices.card_recording import LINK, convert_card_file
-from devices.chunk_log import ChunkLogReader
 from devices.command_client import CommandClient
 from devices.device_errors import CardError, CommandRefusedError
+from devices.link import Framing
+from devices.recording_file import RecordingFile
 from firmware_protocol import RELAY, FrameDecoder, WireFrame, encode_frame
 from firmware_protocol.commands import Verb
 
@@ -126,16 +127,16 @@ def test_arrival_times_are_those_of_the_senders_clocks(tmp_path):
         + frame(1, start + 40_000)[:-4]
     )
     made = convert_card_file(source, target, start_ns=10**18)
-    chunks = list(ChunkLogReader(target))
-    elapsed_ms = [(chunk.arrived_ns - 10**18) / 1e6 for chunk in chunks]
+    messages = list(RecordingFile(target).messages())
+    elapsed_ms = [(message.time_ns - 10**18) / 1e6 for message in messages]
     assert elapsed_ms == [0, 0, 10, 10, 20, 20, 30, 30, 30]
     assert (made.chunks, made.dropped, made.duration_s) == (9, 1, 0.03)
-    assert ChunkLogReader(target).links == (LINK,)
+    assert RecordingFile(target).head.links == {LINK: Framing.BYTE_STREAM}
     decoder = FrameDecoder()
-    modules = [frame.module for chunk in chunks for frame in decoder.feed(chunk.data)]
+    modules = [frame.module for message in messages for frame in decoder.feed(message.data)]
     assert modules == [1, 2, 1, 2, 1, 3, 1, 3, 2]
     ending = convert_card_file(source, target, end_ns=10**18)
-    assert list(ChunkLogReader(target))[-1].arrived_ns == 10**18
+    assert list(RecordingFile(target).messages())[-1].time_ns == 10**18
     assert ending == made
 
 

@@ -34,9 +34,10 @@ FORMS = [
         CanLink,
         {"channel": "PCAN_USBBUS1", "_settings": {"bitrate": 500_000}},
     ),
-    ("replay:///log.chunks?speed=max&link=suit", ReplayLink, {"_speed": None, "_link": "suit"}),
-    ("replay:///log.chunks?speed=2.5", ReplayLink, {"_speed": 2.5}),
-    ("replay:///log.chunks", ReplayLink, {"_speed": 1.0}),
+    ("recording:///log.mcap?speed=max&link=suit", ReplayLink, {"_speed": None, "_link": "suit"}),
+    ("recording:///log.mcap?speed=2.5", ReplayLink, {"_speed": 2.5}),
+    ("/data/log.mcap", ReplayLink, {"_speed": 1.0}),
+    ("log.mcap?speed=max", ReplayLink, {"_speed": None}),
 ]
 
 WRONG = [
@@ -62,8 +63,8 @@ WRONG = [
     ("can://virtul/suit", "unknown CAN interface 'virtul': did you mean 'virtual'"),
     ("can:///can0", "an interface and a channel are needed"),
     ("can://socketcan", "an interface and a channel are needed"),
-    ("replay:///log?speed=0", "speed=0: a number above 0, or max, is needed"),
-    ("replay:///log?speed=warp", "speed=warp: a number above 0, or max, is needed"),
+    ("recording:///log?speed=0", "speed=0: a number above 0, or max, is needed"),
+    ("recording:///log?speed=warp", "speed=warp: a number above 0, or max, is needed"),
 ]
 
 

@@ -18,7 +18,7 @@ from gateway.settings import GatewaySettings
         ("slcan:///dev/ttyACM0?bitrate=250000", CanRate(250_000, None)),
         ("tcp://127.0.0.1:7000", None),
         ("udp://127.0.0.1:7000", None),
-        ("replay:///tmp/x.chunks", None),
+        ("recording:///tmp/x.mcap", None),
     ],
 )
 def test_line_rates_of_endpoints(url, rate):

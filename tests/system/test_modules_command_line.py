@@ -248,8 +248,8 @@ async def test_a_segment_that_gives_no_sign_is_skipped_in_time(suit_on_port):
 
 
 async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_on_port, tmp_path):
-    target = tmp_path / "walk.chunks"
-    partial = tmp_path / "walk.chunks.card.part"
+    target = tmp_path / "walk.mcap"
+    partial = tmp_path / "walk.mcap.card.part"
     async with suit_on_port(has_relay=True) as (suit, modules):
         code, output, _ = await modules("card", "start")
         assert (code, output) == (0, "the card records\n")
@@ -273,14 +273,14 @@ async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_
         code, output, errors = await modules("card", "download", "1", str(target))
         assert (code, errors) == (0, "")
         assert "checksum verified" in output
-        assert "replay://" in output
+        assert "recording://" in output
         asked = (suit.suit.counts.received_bytes - heard_before) / 42  # bytes of one request, about
         assert asked < 1.5 * (entry.size - came) / 192 + 60  # only the rest was asked for
 
         code, output, _ = await modules("card", "erase", "1", "--allow-writes")
         assert (code, output) == (0, "file 1 is erased\n")
     settings = GatewaySettings(
-        links=[LinkSettings(name="card", url=f"replay://{target}?speed=max")],
+        links=[LinkSettings(name="card", url=f"recording://{target}?speed=max")],
         rig=RIG,
         mqtt=MqttSettings(broker="embedded", port=0),
     )

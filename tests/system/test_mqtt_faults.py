@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from gateway.outputs import MqttOutput, MqttSettings, PoseSubscriber, connection
+from gateway.outputs import MqttSettings, PoseSubscriber, connection
+from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.subscriber import BrokerUnreachableError
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ GATEWAY_THAT_PUBLISHES = """
 import asyncio, sys
 import numpy as np
 from gateway.body.skeleton import Skeleton
-from gateway.outputs import BridgeInfo, MqttOutput, MqttSettings
+from gateway.outputs import BridgeInfo, MqttSettings
+from gateway.outputs.mqtt import MqttOutput
 
 async def main():
     skeleton = Skeleton("one", ("pelvis",), np.array([-1]), np.zeros((1, 3)), np.zeros((1, 3)))
@@ -222,6 +224,7 @@ async def test_what_cannot_be_encoded_is_dropped_and_the_output_lives_on(
 async def test_nonsense_on_the_topics_is_counted_by_the_subscriber(
     mosquitto: Mosquitto, pose_source: PoseSource, until: Until
 ) -> None:
+    mosquitto.is_for_gateways_only = False
     settings = MqttSettings(port=mosquitto.port)
     async with (
         PoseSubscriber(settings) as poses,

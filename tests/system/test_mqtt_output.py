@@ -15,16 +15,10 @@ from typing import TYPE_CHECKING
 import aiomqtt
 import pytest
 
-from gateway.outputs import (
-    BrokerUnreachableError,
-    MqttOutput,
-    MqttSettings,
-    PoseMap,
-    PoseSubscriber,
-    TlsSettings,
-)
+from gateway.outputs import BrokerUnreachableError, MqttSettings, PoseMap, PoseSubscriber, TlsSettings
 from gateway.outputs.connection import broker_connection
-from gateway.outputs.messages import PUBLICATIONS
+from gateway.outputs.messages import PUBLICATIONS, ModuleAvailability, ModuleState
+from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import PASSWORD_VARIABLE
 
 if TYPE_CHECKING:
@@ -33,6 +27,12 @@ if TYPE_CHECKING:
 Until = Callable[..., Awaitable[None]]
 
 pytestmark = pytest.mark.system
+
+NEVER_HEARD = ModuleState(
+    **dict.fromkeys(ModuleState.model_fields)
+    | {"t_ns": 1, "module": 7, "availability": "offline", "gaps": {}}
+    | dict.fromkeys(("received", "lost", "duplicates", "late", "resets"), 0)
+)
 
 
 async def retained(settings: MqttSettings) -> dict[str, bytes]:
@@ -59,7 +59,7 @@ async def test_every_message_is_what_its_model_says(
     settings = MqttSettings(
         port=mosquitto.port, protocol=protocol, include=frozenset(PoseMap), health_interval=0.1
     )
-    models = {f"mocap/lab/{publication.topic}": publication.model for publication in PUBLICATIONS}
+    models = {f"mocap/lab/{p.topic.format(id=7)}": p.model for p in PUBLICATIONS}
     async with broker_connection(settings, mosquitto.port, "reader") as reader:
         await reader.subscribe("#", qos=1)
         statistics = {"links": {"left": {"dropped": 0}}, "residual_us": float("nan")}
@@ -68,6 +68,8 @@ async def test_every_message_is_what_its_model_says(
         ) as output:
             await until(lambda: output.is_connected)
             output.offer(pose_source.frame(1))
+            output.keep("module/7/availability", ModuleAvailability(state="online"))
+            output.keep("module/7/state", NEVER_HEARD)
             seen: dict[str, object] = {}
             async with asyncio.timeout(5):
                 async for topic, payload in messages_of(reader):
@@ -92,7 +94,7 @@ async def test_state_info_and_body_are_retained_and_a_clean_stop_says_offline(
         output.offer(pose_source.frame(1))
         await until(lambda: output.counters.published == 1)
         online = await retained(settings)
-    assert set(online) == {f"mocap/lab/{p.topic}" for p in PUBLICATIONS if p.retain}
+    assert set(online) == {f"mocap/lab/{p.topic}" for p in PUBLICATIONS if p.retain and "{id}" not in p.topic}
     assert online["mocap/lab/bridge/state"] == b'{"state":"online"}'
     assert (await retained(settings))["mocap/lab/bridge/state"] == b'{"state":"offline"}'
 

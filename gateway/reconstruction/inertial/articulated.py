@@ -119,7 +119,7 @@ class ArticulatedReconstructor:
         self._static_start.reset()
         self._needs_pose = self._starting_pose is not None
 
-    def update(self, observation: ImuFrame) -> SkeletonFrame:
+    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
         time_ns = observation.time_ns
         observed = self._observer.observe(observation)

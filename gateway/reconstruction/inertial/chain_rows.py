@@ -1,7 +1,8 @@
 """The observations of the chain filters as rows on orientation errors. Compiled.
 
 A world vector ``u = R̂ s`` is truly ``exp(δ) R̂ s ≈ u − [u]× δ``. Two sides that must agree therefore give
-``u − u_p = [m]× (δ − δ_p)`` with their mean ``m = (u + u_p) / 2``, a known vector ``y``: ``u − y = [y]× δ``.
+``u − u_p = [m]× (δ − δ_p)`` with their mean ``m = (u + u_p) / 2``, and a known vector ``y``:
+``u − y = [y]× δ``.
 With u and u_p in their own places noise would seem to show a turn of both together, which no joint shows.
 """
 
@@ -17,7 +18,7 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, skew
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.lever_arms import relative_covariance, spread
-from gateway.reconstruction.inertial.tree_filter import Evidence, add_edge, add_own
+from gateway.reconstruction.inertial.tree_filter import Evidence, add_edge, add_joint, add_known, add_own
 
 DIP_TOLERANCE = 0.1
 """rad: a field steeper or flatter than it should be by that much is half disturbed."""
@@ -52,9 +53,7 @@ def joint_row(
         return
     at_once = variance * min(1.0, dt / noise.row_memory_s)
     variance *= _huber(spread(middle, relative_covariance(state, s, p)), residual, at_once, noise.huber)
-    H = skew(middle)
-    for i in range(3):
-        add_edge(evidence, s, H[i], -H[i], residual[i], variance)
+    add_joint(evidence, s, middle, residual, variance)
 
 
 @compiled
@@ -78,9 +77,7 @@ def known_row(
             add_own(evidence, s, H[i], residual[i], wide if i < 2 else variance)
         return
     variance *= _huber(spread(y, state.P[s, :3, :3]), residual, variance, noise.huber)
-    H = skew(y)
-    for i in range(3):
-        add_own(evidence, s, H[i], residual[i], variance)
+    add_known(evidence, s, y, residual, variance)
 
 
 @compiled

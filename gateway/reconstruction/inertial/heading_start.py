@@ -70,9 +70,8 @@ def shown_heading(state: FilterState, noise: Noise, s: int) -> tuple[float, floa
 def compass_turn(state: FilterState, s: int, off: float, disturbance: float, dt: float) -> float:
     """Turn (rad) of an open heading that the field sees off; disturbance: 1 none, more counts less."""
     state.compass_s[s] += dt / disturbance
-    memory_s = max(dt, min(state.compass_s[s], COMPASS_S))
-    turn: float = -off * min(1.0, dt / disturbance / memory_s)
-    return turn
+    memory_s: float = max(dt, min(state.compass_s[s], COMPASS_S))
+    return -off * min(1.0, dt / disturbance / memory_s)
 
 
 @compiled

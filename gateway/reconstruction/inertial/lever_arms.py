@@ -1,10 +1,10 @@
 """Lever arms that were measured wrong: what of it shows in the motion is found out. Compiled.
 
 The two sides of a joint's row are ``force + K r`` with the swing ``K = R ([ω̇]× + [ω]×²)``. Arms that are off
-by ``e`` leave ``u − u_p = … − K e + K_p e_p``: linear in e, with coefficients that change with the motion, so
-orientation and arms can be told apart. Each joint has a small Kalman filter for its six components;
-the orientation error enters it as noise that stays for ``ORIENTATION_MEMORY_S``, and what the arms are still
-uncertain of enters the orientation's rows. Directions that never show stay as measured.
+by ``e`` leave ``u − u_p = … − K e + K_p e_p``: linear in e with coefficients that the motion changes all the
+time, so orientation and arms can be told apart. Each joint has a small Kalman filter of its own for its
+six components; the orientation error enters it as noise that stays for ``ORIENTATION_MEMORY_S``, and what the
+arms are still uncertain of enters the orientation's rows. Directions that never show stay as measured.
 """
 
 from __future__ import annotations

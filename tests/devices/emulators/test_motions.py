@@ -38,7 +38,7 @@ def test_velocity_and_acceleration_are_derivatives_of_position(motion):
     state = motion.state(MOVING)
     np.testing.assert_allclose(central(motion, lambda s: s.joint_position), state.joint_velocity, atol=2e-6)
     np.testing.assert_allclose(
-        central(motion, lambda s: s.joint_velocity), state.joint_acceleration, atol=2e-5
+        central(motion, lambda s: s.joint_velocity), state.joint_acceleration, atol=2e-5, rtol=1e-5
     )
 
 
@@ -48,7 +48,7 @@ def test_angular_rate_is_the_derivative_of_orientation(motion):
     omega = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
     np.testing.assert_allclose(omega, state.angular_rate, atol=1e-5)
     np.testing.assert_allclose(
-        central(motion, lambda s: s.angular_rate), state.angular_acceleration, atol=1e-4
+        central(motion, lambda s: s.angular_rate), state.angular_acceleration, atol=1e-4, rtol=1e-4
     )
 
 

@@ -18,7 +18,9 @@ def test_topics_are_those_of_the_contract() -> None:
         "mocap/lab/body",
         "mocap/lab/pose",
     }
-    assert named == {f"{topics.root}/{publication.topic}" for publication in PUBLICATIONS}
+    named |= {topics.module_state(7), topics.module_availability(7)}
+    assert {"mocap/lab/module/7/state", "mocap/lab/module/7/availability"} <= named
+    assert named == {f"{topics.root}/{publication.topic.format(id=7)}" for publication in PUBLICATIONS}
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "a+", "#", "a\0"])

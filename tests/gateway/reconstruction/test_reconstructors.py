@@ -6,7 +6,7 @@ from simulated_body import arm, imu_frames, instants, simulate
 from gateway.reconstruction import RECONSTRUCTORS, create_reconstructor
 
 
-@pytest.mark.parametrize("name", ["articulated", "independent", "joint", "outward"])
+@pytest.mark.parametrize("name", ["articulated", "fused", "fused_neutral", "independent", "joint", "outward"])
 def test_every_name_makes_a_reconstructor(name):
     body = arm(on_joint=True)
     imu_frame = imu_frames(body, simulate(body, instants(100, 0.0)), gyrometers=True)[0]
@@ -16,5 +16,7 @@ def test_every_name_makes_a_reconstructor(name):
 
 
 def test_an_unknown_name_is_told_the_known_ones():
-    with pytest.raises(ValueError, match=r"'kalman'.*articulated, independent, joint, outward"):
+    with pytest.raises(
+        ValueError, match=r"'kalman'.*articulated, fused, fused_neutral, independent, joint, outward"
+    ):
         create_reconstructor("kalman", arm(on_joint=True).suit(), 0.01)

@@ -1,0 +1,218 @@
+"""Reads recordings, whole or cut off anywhere.
+
+The default readers of the MCAP library go by the index at the end of a file, which a killed process never
+wrote; here files are read from the front, up to their end or the last good byte.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
+
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdError
+
+from devices import recording_format as fmt
+from devices.link import Framing, LinkError
+
+LARGEST_RECORD = 1 << 28
+"""Bytes; a longer length can only be damage."""
+
+_DAMAGE = (McapError, ValueError, struct.error, ZstdError, RuntimeError, MemoryError)
+"""What the library raises for bytes that are not what they should be."""
+
+
+class RecordingError(LinkError):
+    """A file that is no recording, or cannot be read or written; ``str(error)`` says which and why."""
+
+
+class RecordedMessage(NamedTuple):
+    """One message as it stands in a file."""
+
+    topic: str
+    time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Head:
+    """What a file says about itself before its first message."""
+
+    session: Mapping[str, str]
+    """See ``recording_format.SESSION``."""
+    attachments: Mapping[str, bytes]
+    links: Mapping[str, Framing]
+
+    @property
+    def part(self) -> int:
+        """Number of the file within its session, from 1."""
+        return int(self.session.get("part", "1"))
+
+
+ContentRecord: TypeAlias = Schema | Channel | Message | Attachment | Metadata
+
+
+class RecordingFile:
+    """One file. Opening raises ``RecordingError`` for one that is absent or no recording."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.defect: str | None = None
+        """What was wrong with the file, once reading has come to its end; None for a whole one."""
+        self.damaged_chunks = 0
+        """MCAP chunks within the file that had to be left out."""
+        self.position = 0
+        """Bytes read so far, for showing progress."""
+        try:
+            self.size = os.path.getsize(path)
+            self.head = self._read_head()
+        except OSError as error:
+            raise RecordingError(f"recording {path} cannot be read: {error.strerror}") from error
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """All messages, in the order in which they were written, up to the end or the last good one."""
+        topics: dict[int, str] = {}
+        for record in self.records():
+            if isinstance(record, Message):
+                yield RecordedMessage(topics.get(record.channel_id, ""), record.log_time, record.data)
+            elif isinstance(record, Channel):
+                topics[record.id] = record.topic
+
+    def records(self) -> Iterator[ContentRecord]:
+        """Everything that is no index: for copying a file."""
+        self.defect, self.damaged_chunks = None, 0
+        for record in self._outer_records():
+            if not isinstance(record, Chunk):
+                if isinstance(record, Schema | Channel | Message | Attachment | Metadata):
+                    yield record
+                continue
+            try:
+                inner = breakup_chunk(record, validate_crc=True)
+            except _DAMAGE:
+                self.damaged_chunks += 1
+                continue
+            for part in inner:
+                if isinstance(part, Schema | Channel | Message):
+                    yield part
+        if self.damaged_chunks and self.defect is None:
+            self.defect = f"{self.path}: {self.damaged_chunks} damaged pieces were left out"
+
+    def _outer_records(self) -> Iterator[McapRecord]:
+        """Records up to the end of the data; sets ``defect`` where that is not the end of the file."""
+        self.position = 0
+        with self.path.open("rb") as file:
+            reader = StreamReader(file, emit_chunks=True, record_size_limit=LARGEST_RECORD)
+            try:
+                for record in reader.records:
+                    self.position = file.tell()
+                    if isinstance(record, DataEnd):
+                        break
+                    yield record
+                file.seek(max(self.size - len(MCAP0_MAGIC), 0))
+                if file.read() != MCAP0_MAGIC:
+                    self.defect = (
+                        f"{self.path} was not closed: all of its data is there, its index is not; "
+                        "`mocap-gateway recover` writes it"
+                    )
+            except _DAMAGE:
+                self.defect = (
+                    f"{self.path} was not closed (power cut, kill, full disk): read up to byte "
+                    f"{self.position} of {self.size}; `mocap-gateway recover` makes a whole file of it"
+                )
+        self.position = self.size
+
+    def _read_head(self) -> Head:
+        session: dict[str, str] | None = None
+        attachments: dict[str, bytes] = {}
+        for record in self._outer_records():
+            if isinstance(record, Metadata) and record.name == fmt.SESSION:
+                session = dict(record.metadata)
+            elif isinstance(record, Attachment):
+                attachments[record.name] = record.data
+            elif isinstance(record, Chunk):
+                break
+        self.defect, self.position = None, 0
+        if session is None:
+            raise RecordingError(
+                f"{self.path} is no recording of mocap-gateway: an MCAP file beginning with '{fmt.SESSION}' "
+                "is wanted"
+            )
+        if session.get("format") != str(fmt.FORMAT_VERSION):
+            raise RecordingError(
+                f"{self.path} is a recording of format {session.get('format')}; this program reads format "
+                f"{fmt.FORMAT_VERSION}: a newer version may read it"
+            )
+        return Head(session, attachments, _links(self.path, session))
+
+
+class RecordingParts:
+    """A file and those that follow it in its session, read as one."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Raises ``RecordingError`` as ``RecordingFile`` does."""
+        self.files = [RecordingFile(path), *_following(RecordingFile(path))]
+        self.path = self.files[0].path
+        self.head = self.files[0].head
+
+    @property
+    def links(self) -> dict[str, Framing]:
+        """Framing of every link in it."""
+        return {name: framing for file in self.files for name, framing in file.head.links.items()}
+
+    @property
+    def defect(self) -> str | None:
+        """What was wrong with any of the files read so far."""
+        return "; ".join(file.defect for file in self.files if file.defect) or None
+
+    @property
+    def size(self) -> int:
+        """Bytes, all files."""
+        return sum(file.size for file in self.files)
+
+    @property
+    def position(self) -> int:
+        """Bytes read so far."""
+        return sum(file.position for file in self.files)
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """As of ``RecordingFile``, one file after another."""
+        for file in self.files:
+            file.position = 0
+        for file in self.files:
+            yield from file.messages()
+
+
+def part_path(first: Path, part: int) -> Path:
+    """Where a part of the session stands whose first file is ``first``."""
+    return first if part == 1 else first.with_name(f"{first.stem}_part{part}{first.suffix}")
+
+
+def _following(file: RecordingFile) -> list[RecordingFile]:
+    """The later parts of a session that lie beside this one."""
+    mark = f"_part{file.head.part}"
+    stem = file.path.stem.removesuffix(mark) if file.head.part > 1 else file.path.stem
+    first = file.path.with_name(stem + file.path.suffix)
+    found: list[RecordingFile] = []
+    part = file.head.part + 1
+    while (path := part_path(first, part)).is_file():
+        following = RecordingFile(path)
+        if following.head.session.get("session") != file.head.session.get("session"):
+            break
+        found.append(following)
+        part += 1
+    return found
+
+
+def _links(path: Path, session: Mapping[str, str]) -> dict[str, Framing]:
+    try:
+        return {str(name): Framing(framing) for name, framing in json.loads(session["links"]).items()}
+    except (KeyError, ValueError, AttributeError) as error:
+        raise RecordingError(f"{path}: the record '{fmt.SESSION}' is damaged ({error})") from error

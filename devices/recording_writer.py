@@ -1,0 +1,151 @@
+"""Writes recordings: one file at a time, whole up to its last flush whatever happens after it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self, cast
+
+from mcap.writer import CompressionType, Writer
+
+from devices import recording_format as fmt
+from devices.link import Chunk, Framing
+from devices.recording_file import RecordingError
+
+_CHUNK_SIZE = 1 << 22
+"""Bytes of messages that make an MCAP chunk without a flush, so that none grows without bound."""
+_MEDIA_TYPES = {".json": "application/json", ".yaml": "application/yaml"}
+
+
+class RecordingWriter:
+    """One new file. Not for two threads at once.
+
+    What is added goes to the system with ``flush``: killing the process then loses none of it. After an
+    OSError (a full disk) the file ends with the last good flush and can be read; nothing more can be added.
+    """
+
+    def __init__(
+        self, path: str | Path, session: Mapping[str, str], attachments: Mapping[str, bytes], created_ns: int
+    ) -> None:
+        """session: the keys of ``recording_format.SESSION``. Raises ``RecordingError`` when there is such a
+        file already, OSError as ``open`` does."""
+        self.path = Path(path)
+        try:
+            self._file = _Buffered(self.path)
+        except FileExistsError:
+            raise RecordingError(f"{path} exists already: choose another name") from None
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._writer = Writer(
+            cast(IO[Any], self._file), chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD
+        )
+        self._writer.start(fmt.PROFILE, f"mocap-gateway {session.get('software', '')}".strip())
+        self._writer.add_metadata(fmt.SESSION, dict(session))
+        for name, data in attachments.items():
+            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+            self._writer.add_attachment(created_ns, created_ns, name, media_type, data)
+        self.flush()
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._file.written
+
+    def add(self, topic: str, time_ns: int, data: bytes, metadata: Mapping[str, str] | None = None) -> None:
+        """Append a message; ``metadata`` describes the channel when the topic is a new one."""
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._register(topic, dict(metadata or {}))
+        self._writer.add_message(channel, max(time_ns, 0), data, max(time_ns, 0))
+
+    def add_chunk(self, chunk: Chunk, framing: Framing) -> None:
+        """Append what a link gave."""
+        self.add(
+            fmt.CHUNKS + chunk.link,
+            chunk.arrived_ns,
+            chunk.data,
+            {"link": chunk.link, "framing": framing.value},
+        )
+
+    def flush(self) -> None:
+        """Hand all to the operating system."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def sync(self) -> None:
+        """Return when the disk has all that was flushed: also a power cut then loses nothing of it."""
+        os.fsync(self._file.fileno())
+
+    def finish(self) -> None:
+        """Write the index, and close."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.flush()
+        self.sync()
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Close as it is, without an index."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.finish()
+        else:
+            self.abandon()
+
+    def _register(self, topic: str, metadata: dict[str, str]) -> int:
+        kind = fmt.kind_of(topic)
+        if kind.schema not in self._schemas:
+            self._schemas[kind.schema] = self._writer.register_schema(
+                kind.schema, kind.schema_encoding, kind.schema_text.encode()
+            )
+        return self._writer.register_channel(
+            topic, kind.message_encoding, self._schemas[kind.schema], metadata
+        )
+
+
+class _Buffered:
+    """A file that gets everything since the last flush in one piece, or nothing of it."""
+
+    def __init__(self, path: Path) -> None:
+        self.written = 0
+        self._pending = bytearray()
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+
+    def write(self, data: bytes) -> int:
+        self._pending += data
+        return len(data)
+
+    def tell(self) -> int:
+        return self.written + len(self._pending)
+
+    def flush(self) -> None:
+        remaining = memoryview(bytes(self._pending))
+        self._pending.clear()
+        length = len(remaining)
+        try:
+            while remaining:
+                remaining = remaining[os.write(self._descriptor, remaining) :]
+        except OSError:
+            os.ftruncate(self._descriptor, self.written)
+            raise
+        self.written += length
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+
+def session_record(links: Mapping[str, Framing], **keys: str) -> dict[str, str]:
+    """The metadata record at the beginning of a file."""
+    framings = {name: framing.value for name, framing in links.items()}
+    return {"format": str(fmt.FORMAT_VERSION), "links": json.dumps(framings), "part": "1", **keys}

@@ -1,0 +1,84 @@
+"""Sensor calibrations as they stand in rig files."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from devices.calibration import REFERENCE_TEMPERATURE_C, SensorCalibration
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Matrix = tuple[Vector, Vector, Vector]
+
+_IDENTITY: Matrix = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+_ZERO: Vector = (0, 0, 0)
+_LARGEST_CONDITION = 10.0
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Ellipsoid(_Strict):
+    bias: Vector = Field(default=_ZERO, description="subtracted first, in the sensor's unit (m/s² or µT)")
+    matrix: Matrix = Field(default=_IDENTITY, description="multiplied then, row after row")
+
+    @field_validator("matrix")
+    @classmethod
+    def _is_mild(cls, value: Matrix) -> Matrix:
+        condition = float(np.linalg.cond(np.array(value)))
+        if not condition < _LARGEST_CONDITION:
+            raise ValueError(f"no sensor is distorted so much (condition {condition:.3g}, at most 10)")
+        return value
+
+
+class _Bias(_Strict):
+    bias: Vector = Field(default=_ZERO, description="subtracted, rad/s")
+
+
+class CalibrationEntry(_Strict):
+    """Corrections of one module's readings: matrix (reading − bias)."""
+
+    accelerometer: _Ellipsoid = _Ellipsoid()
+    gyrometer: _Bias = _Bias()
+    magnetometer: _Ellipsoid = _Ellipsoid()
+    temperature_c: Finite = Field(default=REFERENCE_TEMPERATURE_C, description="at which it was measured, °C")
+    measured: str | None = Field(default=None, description="date of the calibration, for people")
+
+    def model(self) -> SensorCalibration:
+        """As the program uses it."""
+        return SensorCalibration(
+            np.array(self.accelerometer.matrix, dtype=np.float64),
+            np.array(self.accelerometer.bias, dtype=np.float64),
+            np.array(self.gyrometer.bias, dtype=np.float64),
+            np.array(self.magnetometer.matrix, dtype=np.float64),
+            np.array(self.magnetometer.bias, dtype=np.float64),
+            self.temperature_c,
+        )
+
+    @classmethod
+    def of(cls, model: SensorCalibration, measured: str | None = None, digits: int = 6) -> CalibrationEntry:
+        """A calibration as it is written to a rig file."""
+
+        def rounded(values: np.ndarray) -> list[object]:
+            plain: list[object] = (np.round(values, digits) + 0.0).tolist()
+            return plain
+
+        return cls.model_validate(
+            {
+                "accelerometer": {
+                    "bias": rounded(model.accelerometer_bias),
+                    "matrix": rounded(model.accelerometer_matrix),
+                },
+                "gyrometer": {"bias": rounded(model.gyrometer_bias)},
+                "magnetometer": {
+                    "bias": rounded(model.magnetometer_bias),
+                    "matrix": rounded(model.magnetometer_matrix),
+                },
+                "temperature_c": model.temperature_c,
+                "measured": measured,
+            }
+        )

@@ -1,0 +1,43 @@
+"""A rig file with the calibrations of its modules' sensors written into it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from devices.calibration import SensorCalibration
+from gateway.body.rig import RigFile
+from gateway.body.sensor_entries import CalibrationEntry
+from gateway.errors import GatewayError
+from gateway.settings_files import load_settings, load_yaml
+
+
+def write_calibrated_rig(
+    source: Path, target: Path, calibrations: Mapping[int, SensorCalibration], measured: str | None = None
+) -> None:
+    """The rig of ``source`` with these calibrations, by module id, as the file ``target``.
+
+    measured: date for people; none: today. Raises ``SettingsError`` for a bad rig, ``GatewayError`` when
+    the file cannot be written.
+    """
+    load_settings(source, RigFile)
+    content: dict[str, Any] = load_yaml(source)
+    date = measured or datetime.now(UTC).date().isoformat()
+    for module in content["modules"]:
+        calibration = calibrations.get(module["id"])
+        if calibration is not None:
+            entry = CalibrationEntry.of(calibration, date)
+            module["calibration"] = entry.model_dump(mode="json")
+    beside = source.parent / content["body"]
+    if beside.is_file() and source.parent.resolve() != target.parent.resolve():
+        content["body"] = str(beside.resolve())
+    head = f"# {source.name} with its modules' sensors calibrated.\n"
+    text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+    try:
+        target.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise GatewayError(f"{target} cannot be written: {error.strerror}") from error

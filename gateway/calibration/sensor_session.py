@@ -1,0 +1,173 @@
+"""The sensor calibration of a whole suit at once: readings in, progress and results out. Sans-I/O.
+
+There are no phases to keep to. Whatever a module does serves: lying still gives the gyrometer's bias, lying
+still in different positions the accelerometer's ellipsoid, being turned the magnetometer's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from devices.calibration import SensorCalibration
+from gateway.calibration.coverage import coverage, missing_sides
+from gateway.calibration.ellipsoid import sphere
+from gateway.calibration.rest import RestDetector
+from gateway.calibration.sensors import (
+    ENOUGH_COVERAGE,
+    POSITIONS_FOR_ALL,
+    EllipsoidResult,
+    GyrometerResult,
+    accelerometer_ellipsoid,
+    gyrometer_bias,
+    magnetometer_ellipsoid,
+    rest_positions,
+    six_positions,
+)
+from gateway.frames import FloatArray, Vector3
+
+SENSORS = ("gyrometer", "accelerometer", "magnetometer")
+REST_S = 3.0
+"""How long a module should lie still for its gyrometer, s."""
+_SHOWN_READINGS = 1500  # of the field, thinned, that progress is judged by
+_FEWEST_FOR_A_SPHERE = 20
+
+Result = GyrometerResult | EllipsoidResult
+
+
+@dataclass
+class Progress:
+    """How far one module is."""
+
+    rest_s: float = 0.0
+    positions: int = 0
+    sides_missing: list[str] = field(default_factory=list)
+    coverage: float = 0.0
+    is_at_rest: bool = False
+    samples: int = 0
+
+
+class ModuleSession:
+    """What one module showed so far."""
+
+    def __init__(self) -> None:
+        self._rest = RestDetector()
+        self._field: list[Vector3] = []
+        self._samples = 0
+
+    def add(
+        self, time_ns: int, force: Vector3 | None, rate: Vector3 | None, magnetic_field: Vector3 | None
+    ) -> None:
+        """A reading: m/s², rad/s, µT; None for a sensor that was not read."""
+        self._samples += 1
+        if force is not None and rate is not None:
+            self._rest.add(time_ns, force, rate)
+        if magnetic_field is not None:
+            self._field.append(magnetic_field)
+
+    def progress(self) -> Progress:
+        """As of now."""
+        stretches = self._rest.stretches
+        positions = rest_positions(stretches)
+        return Progress(
+            rest_s=sum(stretch.duration_s for stretch in stretches),
+            positions=len(positions),
+            sides_missing=missing_sides(positions),
+            coverage=self._coverage(),
+            is_at_rest=self._rest.is_at_rest,
+            samples=self._samples,
+        )
+
+    def result(self, sensor: str, gravity: float, field_ut: float, has_levelled_cube: bool) -> Result:
+        """Raises ``ValueError`` saying what is missing."""
+        stretches = self._rest.stretches
+        if sensor == "gyrometer":
+            return gyrometer_bias(stretches, REST_S)
+        if sensor == "accelerometer":
+            positions = rest_positions(stretches)
+            return (six_positions if has_levelled_cube else accelerometer_ellipsoid)(positions, gravity)
+        return magnetometer_ellipsoid(np.array(self._field).reshape(-1, 3), field_ut)
+
+    def _coverage(self) -> float:
+        """From the middle of the sphere through the readings: a small patch has a far one, covers little."""
+        if len(self._field) < _FEWEST_FOR_A_SPHERE:
+            return 0.0
+        readings = np.array(self._field[:: 1 + len(self._field) // _SHOWN_READINGS])
+        return coverage(readings, sphere(readings)[0])
+
+
+class SensorSession:
+    """All modules of a suit."""
+
+    def __init__(
+        self,
+        modules: Iterable[int],
+        gravity: float,
+        field_ut: float,
+        sensors: Iterable[str] = SENSORS,
+        has_levelled_cube: bool = False,
+    ) -> None:
+        """
+        gravity: local, m/s². field_ut: strength of the local field, µT, to which magnetometers are scaled.
+        has_levelled_cube: the accelerometers lie on the six sides of one (twelve numbers instead of nine).
+        """
+        self.modules = {module: ModuleSession() for module in modules}
+        self.sensors = tuple(sensor for sensor in SENSORS if sensor in set(sensors))
+        self._gravity, self._field_ut, self._has_cube = gravity, field_ut, has_levelled_cube
+
+    def add(
+        self,
+        module: int,
+        time_ns: int,
+        force: Vector3 | None,
+        rate: Vector3 | None,
+        magnetic_field: Vector3 | None,
+    ) -> None:
+        """A reading of any module; others than those of the session are passed over."""
+        session = self.modules.get(module)
+        if session is not None:
+            session.add(time_ns, force, rate, magnetic_field)
+
+    @property
+    def wanted_positions(self) -> int:
+        """Rest positions that a module should have been in."""
+        return 6 if self._has_cube else POSITIONS_FOR_ALL
+
+    def is_enough(self, progress: Progress) -> bool:
+        """Whether a module has shown all that its sensors need."""
+        return (
+            ("gyrometer" not in self.sensors or progress.rest_s >= REST_S)
+            and (
+                "accelerometer" not in self.sensors
+                or (progress.positions >= self.wanted_positions and not progress.sides_missing)
+            )
+            and ("magnetometer" not in self.sensors or progress.coverage >= ENOUGH_COVERAGE)
+        )
+
+    def results(self, module: int) -> dict[str, Result | str]:
+        """By sensor: its result, or why there is none."""
+        found: dict[str, Result | str] = {}
+        for sensor in self.sensors:
+            try:
+                found[sensor] = self.modules[module].result(
+                    sensor, self._gravity, self._field_ut, self._has_cube
+                )
+            except ValueError as error:
+                found[sensor] = str(error)
+        return found
+
+
+def combined(results: dict[str, Result | str], kept: SensorCalibration | None = None) -> SensorCalibration:
+    """The calibration that results add up to; sensors without one keep what ``kept`` says."""
+    kept = kept or SensorCalibration()
+    rate, force, magnetic = (results.get(sensor) for sensor in SENSORS)
+    fields: dict[str, FloatArray] = {}
+    if isinstance(rate, GyrometerResult):
+        fields["gyrometer_bias"] = rate.bias
+    if isinstance(force, EllipsoidResult):
+        fields |= {"accelerometer_matrix": force.fit.matrix, "accelerometer_bias": force.fit.bias}
+    if isinstance(magnetic, EllipsoidResult):
+        fields |= {"magnetometer_matrix": magnetic.fit.matrix, "magnetometer_bias": magnetic.fit.bias}
+    return replace(kept, **fields)  # type: ignore[arg-type]  # the names are those of arrays

@@ -1,0 +1,191 @@
+"""``mocap-gateway body``: look at bodies, check them, fit them to a person, import robots."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+import yaml
+from pydantic import ValidationError
+from rich.console import Console
+from rich.table import Table
+from rich.tree import Tree
+
+from gateway.body.anthropometry import Subject, scaled, segment_masses
+from gateway.body.joints import WORLD, Joint
+from gateway.body.rig import load_body
+from gateway.body.skeleton import Skeleton
+from gateway.body.urdf import import_urdf
+from gateway.errors import GatewayError
+from gateway.outputs.messages import describe_body
+from gateway.settings_files import find_file, load_yaml, shipped_folder
+
+body_app = typer.Typer(help="Bodies: segments, joints, lengths.", no_args_is_help=True)
+
+BodyName = Annotated[str, typer.Argument(help="A shipped body or a body file.")]
+Height = Annotated[float | None, typer.Option(help="Stature of the person, m.")]
+Mass = Annotated[float | None, typer.Option(help="Body mass, kg.")]
+Sex = Annotated[str | None, typer.Option(help="female or male, for masses; default: the mean.")]
+Lengths = Annotated[
+    list[str] | None,
+    typer.Option("--length", metavar="NAME=M", help="Measured, m: thigh=0.43, hip_width=0.20; repeatable."),
+]
+Output = Annotated[Path, typer.Option("--output", "-o", help="Body file to write.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace the file if it is there.")]
+
+
+@body_app.command("list")
+def list_bodies() -> None:
+    """List the shipped bodies."""
+    table = Table("body", "segments", "joints", "stature m")
+    for path in sorted((shipped_folder() / "bodies").glob("*.yaml")):
+        body = load_body(str(path))
+        stature = f"{body.stature_m:g}" if body.stature_m else "–"
+        table.add_row(path.stem, str(body.n_segments), str(len(body.joints)), stature)
+    Console().print(table)
+
+
+@body_app.command(
+    epilog="Example: mocap-gateway body show human_17 --height 1.82 --mass 78 --length thigh=0.44"
+)
+def show(
+    body: BodyName,
+    height: Height = None,
+    mass: Mass = None,
+    sex: Sex = None,
+    length: Lengths = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+) -> None:
+    """Show the tree of segments with lengths (and masses), and the joints with their angles and limits."""
+    subject = _subject(height, mass, sex, length)
+    skeleton = scaled(load_body(body), subject, "body")
+    masses = None if mass is None else segment_masses(skeleton, mass, subject.sex)
+    if as_json:
+        typer.echo(json.dumps(_as_json(skeleton, masses)))
+        return
+    console = Console()
+    console.print(_tree(skeleton, masses))
+    if skeleton.joints:
+        console.print(_joint_table(skeleton))
+
+
+@body_app.command(epilog="Example: mocap-gateway body check my_body.yaml")
+def check(body: BodyName) -> None:
+    """Check a body file; every mistake is named with its place and the remedy."""
+    skeleton = load_body(body)
+    typer.echo(f"{body}: {skeleton.n_segments} segments, {len(skeleton.joints)} joints, all as it should be")
+
+
+@body_app.command(
+    epilog="Example: mocap-gateway body scale human_17 --height 1.62 --length shank=0.38 -o anna.yaml"
+)
+def scale(
+    body: BodyName, output: Output, height: Height = None, length: Lengths = None, force: Force = False
+) -> None:
+    """Write a body file with a person's lengths.
+
+    A rig file can do the same for itself: `subject: {height_m: 1.62, lengths: {shank: 0.38}}`.
+    """
+    subject = _subject(height, None, None, length)
+    path = find_file(body, "bodies")
+    skeleton = scaled(load_body(body), subject, "body")
+    content: dict[str, Any] = load_yaml(path)
+    content["name"] = output.stem
+    if skeleton.stature_m is not None:
+        content["stature_m"] = skeleton.stature_m
+    for i, segment in enumerate(content["segments"]):
+        segment["tip"] = np.round(skeleton.tips[i], 6).tolist()
+        if segment.get("parent") is not None:
+            segment["joint"] = np.round(skeleton.offsets[i], 6).tolist()
+        points = [point for carrier, point in skeleton.contacts if carrier == i]
+        if points:
+            segment["contacts"] = np.round(points, 6).tolist()
+    _write(output, f"# {path.stem}, scaled.\n", content, force)
+
+
+@body_app.command("import-urdf", epilog="Example: mocap-gateway body import-urdf arm.urdf -o arm.yaml")
+def import_robot(
+    urdf: Annotated[Path, typer.Argument(help="URDF file (expanded, without xacro).")],
+    output: Output,
+    floating: Annotated[
+        bool, typer.Option("--floating", help="The base moves, and carries a module of its own.")
+    ] = False,
+    force: Force = False,
+) -> None:
+    """Make a body file of a robot's URDF: links with what is fixed to them, joints, axes and limits."""
+    try:
+        text = urdf.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise GatewayError(f"{urdf} cannot be read: {error}") from error
+    robot = import_urdf(text, str(urdf), has_fixed_base=not floating)
+    _write(output, f"# Imported from {urdf.name}.\n", robot.content, force)
+    for note in robot.notes:
+        typer.echo(f"note: {note}", err=True)
+    skeleton = load_body(str(output))
+    Console().print(_tree(skeleton, None), _joint_table(skeleton))
+
+
+def _subject(height: float | None, mass: float | None, sex: str | None, lengths: list[str] | None) -> Subject:
+    measured: dict[str, str] = {}
+    for text in lengths or ():
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise GatewayError(f"--length {text}: write NAME=METRES, such as thigh=0.43")
+        measured[name] = value
+    try:
+        return Subject.model_validate({"height_m": height, "mass_kg": mass, "sex": sex, "lengths": measured})
+    except ValidationError as error:
+        problem = error.errors()[0]
+        where = ".".join(map(str, problem["loc"]))
+        raise GatewayError(f"{where} is {problem['input']!r}: {problem['msg']}") from error
+
+
+def _write(path: Path, head: str, content: dict[str, Any], force: bool) -> None:
+    if path.exists() and not force:
+        raise GatewayError(f"{path} is there already: name another file, or give --force")
+    text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise GatewayError(f"{path} cannot be written: {error.strerror}") from error
+    typer.echo(f"written to {path}")
+
+
+def _tree(skeleton: Skeleton, masses: np.ndarray | None) -> Tree:
+    stature = f", stature {skeleton.stature_m:.2f} m" if skeleton.stature_m else ""
+    root = Tree(f"[bold]{skeleton.name}[/bold]: {skeleton.n_segments} segments{stature}")
+    branches: dict[int, Tree] = {-1: root}
+    for i, name in enumerate(skeleton.segment_names):
+        mass = "" if masses is None or math.isnan(masses[i]) else f"  {masses[i]:.2f} kg"
+        text = f"{name}  {1000 * np.linalg.norm(skeleton.tips[i]):.0f} mm{mass}"
+        branches[i] = branches[int(skeleton.parents[i])].add(text)
+    return root
+
+
+def _joint_table(skeleton: Skeleton) -> Table:
+    table = Table("joint", "turns", "against", "kind", "sequence", "angles (limits °)")
+    for joint in skeleton.joints:
+        proximal = "world" if joint.proximal == WORLD else skeleton.segment_names[joint.proximal]
+        distal = skeleton.segment_names[joint.distal]
+        table.add_row(joint.name, distal, proximal, joint.kind, joint.sequence, _angles(joint))
+    return table
+
+
+def _angles(joint: Joint) -> str:
+    def limits(low: float, high: float) -> str:
+        return f" ({math.degrees(low):.0f}…{math.degrees(high):.0f})" if math.isfinite(low) else ""
+
+    return ", ".join(f"{angle.name}{limits(*angle.limits)}" for angle in joint.angles)
+
+
+def _as_json(skeleton: Skeleton, masses: np.ndarray | None) -> dict[str, Any]:
+    described = describe_body(skeleton).model_dump(mode="json")
+    described["stature_m"] = skeleton.stature_m
+    if masses is not None:
+        kilograms = [None if math.isnan(mass) else round(float(mass), 3) for mass in masses]
+        described["mass_kg"] = dict(zip(skeleton.segment_names, kilograms, strict=True))
+    return described

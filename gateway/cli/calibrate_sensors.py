@@ -1,0 +1,233 @@
+"""``mocap-gateway calibrate sensors``: biases and ellipsoids of all modules' sensors."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from devices.calibration import SensorCalibration
+from devices.link import Chunk, gateway_time_ns
+from firmware_protocol import InertialSample, InertialSampleFine, ReceivedPacket
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.calibration.rig_file import write_calibrated_rig
+from gateway.calibration.sensor_session import SENSORS, Result, SensorSession, combined
+from gateway.cli.modules_suit import SuitChoice, with_suit
+from gateway.cli.sensor_tables import advice, progress_table, result_table, results_as_json
+from gateway.errors import GatewayError, nearest
+from gateway.modules.journal import Journal, default_journal_path
+from gateway.modules.operations import ModuleOperations
+from gateway.modules.session import suit_session
+from gateway.settings import load_gateway_settings
+from gateway.settings_files import find_file
+
+_REFRESH_S = 0.25
+_UNHEARD_S = 10.0
+
+
+@with_suit
+def sensors(
+    suit: SuitChoice,
+    only: Annotated[
+        str | None, typer.Option(help=f"Some of {', '.join(SENSORS)}, separated by commas. Default: all.")
+    ] = None,
+    modules: Annotated[
+        str | None, typer.Option(help="Ids of some modules, separated by commas. Default: all of the rig.")
+    ] = None,
+    cube: Annotated[
+        bool, typer.Option("--cube", help="Accelerometers lie on the six sides of a levelled cube.")
+    ] = False,
+    seconds: Annotated[
+        float, typer.Option(min=1, max=3600, help="End after so long, with what there is then.")
+    ] = 600.0,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Rig file to write [<rig>.calibrated.yaml]")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the output file if it is there.")] = False,
+    flash: Annotated[
+        bool, typer.Option("--flash", help="Write to the modules, not to a rig file; needs --allow-writes.")
+    ] = False,
+    poor: Annotated[bool, typer.Option("--poor", help="Keep results of poor quality too.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the results as JSON; no live table.")
+    ] = False,
+) -> None:
+    """Measure the sensors' own errors: modules in a box, let it lie, put it on its sides, turn it about.
+
+    Lying still gives the gyrometers' bias, lying still in twelve positions (each side, and askew) the
+    accelerometers' scales, turning in all directions the magnetometers' hard and soft iron, away from iron.
+    The order does not matter; it ends when every module has shown enough. Ctrl-C takes what there is.
+    """
+    rig, urls = _rig_and_urls(suit)
+    source = find_file(rig, "rigs", suit.config)
+    target = _target(source, suit, output, force, flash)
+    worn = load_rig(rig, suit.config)
+    session = SensorSession(
+        _chosen_modules(worn, modules),
+        gravity=-float(worn.gravity[2]),
+        field_ut=float(sum(worn.magnetic_field**2) ** 0.5),
+        sensors=_chosen_sensors(only),
+        has_levelled_cube=cube,
+    )
+    found = asyncio.run(_calibrate(suit, urls, worn, session, seconds, flash, poor, as_json))
+    kept = {module: usable(results, poor) for module, results in found.items()}
+    if as_json:
+        typer.echo(json.dumps(results_as_json(found)))
+    else:
+        Console().print(result_table(found))
+    if target is not None and any(kept.values()):
+        calibrations = {m: combined(r, worn.calibrations.get(m)) for m, r in kept.items() if r}
+        write_calibrated_rig(source, target, calibrations)
+        typer.echo(f"written to {target}: use it as 'rig: {target}'", err=as_json)
+    raise typer.Exit(0 if all(len(r) == len(session.sensors) for r in kept.values()) else 1)
+
+
+def usable(results: dict[str, Result | str], with_poor: bool) -> dict[str, Result | str]:
+    """Those results that may be used."""
+    return {
+        sensor: result
+        for sensor, result in results.items()
+        if not isinstance(result, str) and (with_poor or result.quality.verdict != "poor")
+    }
+
+
+async def _calibrate(
+    suit: SuitChoice,
+    urls: dict[str, str],
+    worn: WornSuit,
+    session: SensorSession,
+    seconds: float,
+    flash: bool,
+    poor: bool,
+    is_quiet: bool,
+) -> dict[int, dict[str, Result | str]]:
+    """Listen until it is enough; write to the modules where that is wanted."""
+    journal = Journal(default_journal_path())
+    async with suit_session(urls, worn, allow_writes=suit.allow_writes, journal=journal) as operations:
+        await _listen(operations, session, seconds, is_quiet)
+        found = {module: session.results(module) for module in session.modules}
+        if flash:
+            for module, results in found.items():
+                if kept := usable(results, poor):
+                    await _write(operations, module, kept)
+    return found
+
+
+async def _listen(
+    operations: ModuleOperations, session: SensorSession, seconds: float, is_quiet: bool
+) -> None:
+    def take(received: ReceivedPacket, chunk: Chunk) -> None:
+        sample = received.packet
+        assert isinstance(sample, InertialSample | InertialSampleFine)
+        session.add(
+            received.module,
+            chunk.arrived_ns,
+            sample.specific_force,
+            sample.angular_rate,
+            sample.magnetic_field,
+        )
+
+    for packet_class in (InertialSample, InertialSampleFine):
+        operations.stream.listen(packet_class, take)
+    stop = asyncio.Event()
+    asyncio.get_running_loop().add_signal_handler(signal.SIGINT, stop.set)
+    try:
+        await _show_until_done(session, seconds, stop, is_quiet)
+    finally:
+        asyncio.get_running_loop().remove_signal_handler(signal.SIGINT)
+        for packet_class in (InertialSample, InertialSampleFine):
+            operations.stream.stop_listening(packet_class, take)
+
+
+async def _show_until_done(
+    session: SensorSession, seconds: float, stop: asyncio.Event, is_quiet: bool
+) -> None:
+    begin_ns = gateway_time_ns()
+    console = Console(stderr=True, quiet=is_quiet)
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        while not stop.is_set() and (gateway_time_ns() - begin_ns) * 1e-9 < seconds:
+            progress = {module: one.progress() for module, one in session.modules.items()}
+            head = Text(advice(session, progress), "bold")
+            live.update(Group(head, progress_table(session, progress)), refresh=True)
+            if all(session.is_enough(one) for one in progress.values()):
+                return
+            is_late = gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9
+            if is_late and not any(one.samples for one in progress.values()):
+                raise GatewayError(
+                    f"no module of the rig was heard for {_UNHEARD_S:.0f} s: are they switched on, and is "
+                    "the link right?"
+                )
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(stop.wait(), _REFRESH_S)
+
+
+async def _write(operations: ModuleOperations, module: int, results: dict[str, Result | str]) -> None:
+    """To the module's flash, on top of what it corrects already."""
+    read: dict[str, Any] = await operations.perform("read", {"device": str(module)})
+    before = SensorCalibration.from_setting(read["settings"]["calibration"])
+    after = replace(combined(results).after(before), temperature_c=before.temperature_c)
+    await operations.perform(
+        "set", {"device": str(module), "settings": {"calibration": list(after.to_setting())}}
+    )
+
+
+def _rig_and_urls(suit: SuitChoice) -> tuple[str, dict[str, str]]:
+    if suit.mqtt is not None:
+        raise GatewayError(
+            "calibrate sensors reads the modules itself: stop the running gateway and give -c or --link"
+        )
+    if suit.link is not None:
+        if suit.rig is None:
+            raise GatewayError("--link needs --rig: name a shipped rig, such as suit_17, or a rig file")
+        return suit.rig, {"suit": suit.link}
+    if suit.config is None:
+        raise GatewayError("where is the suit? give -c CONFIG, or --link PORT --rig RIG")
+    settings = load_gateway_settings(suit.config)
+    return suit.rig or settings.rig, {link.name: link.url for link in settings.links}
+
+
+def _target(source: Path, suit: SuitChoice, output: Path | None, force: bool, flash: bool) -> Path | None:
+    """The rig file to write; None when the modules themselves are written to."""
+    if flash:
+        if not suit.allow_writes:
+            raise GatewayError("--flash changes what modules keep: give --allow-writes too")
+        return None
+    folder = suit.config.parent if suit.config is not None else Path()
+    target = output or folder / f"{source.stem.removesuffix('.calibrated')}.calibrated.yaml"
+    if not target.parent.is_dir():
+        raise GatewayError(f"{target}: there is no folder {target.parent} to write it to")
+    if target.exists() and not force:
+        raise GatewayError(f"{target} is there already: name another file with --output, or give --force")
+    return target
+
+
+def _chosen_sensors(only: str | None) -> tuple[str, ...]:
+    if only is None:
+        return SENSORS
+    names = tuple(name.strip() for name in only.split(","))
+    for name in names:
+        if name not in SENSORS:
+            raise GatewayError(f"--only {name}: no such sensor{nearest(name, SENSORS)}")
+    return names
+
+
+def _chosen_modules(worn: WornSuit, chosen: str | None) -> tuple[int, ...]:
+    if chosen is None:
+        return worn.module_ids
+    ids = []
+    for text in chosen.split(","):
+        if not text.strip().isdecimal() or int(text) not in worn.module_ids:
+            known = ", ".join(map(str, worn.module_ids))
+            raise GatewayError(f"--modules {text.strip()}: the rig has no such module (it has {known})")
+        ids.append(int(text))
+    return tuple(ids)

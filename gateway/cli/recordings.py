@@ -1,0 +1,159 @@
+"""``mocap-gateway recordings``, ``info`` and ``recover``: what there is, what is in it, and repair."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from devices.recording_file import RecordingError
+from gateway.cli.modules_table import wide_console
+from gateway.cli.progress import progress_bar
+from gateway.errors import GatewayError
+from gateway.recording import RecordingMeta, open_recording
+from gateway.recording.recovery import recover as recover_file
+from gateway.recording.recovery import recover_in_place
+from gateway.recording.summary import RecordingSummary, recordings_in, summarise
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for a script.")]
+
+
+def recordings(
+    folder: Annotated[Path, typer.Argument(help="Folder to look in.")] = Path("recordings"),
+    as_json: AsJson = False,
+) -> None:
+    """List the recordings of a folder: when, how long, how large, modules, loss."""
+    found = list(recordings_in(folder))
+    summaries = [summarise(each) for each in found if not isinstance(each, RecordingError)]
+    problems = [str(each) for each in found if isinstance(each, RecordingError)]
+    if as_json:
+        typer.echo(json.dumps([_plain(summary) for summary in summaries], indent=2))
+    elif not summaries:
+        typer.echo(f"no recordings in {folder}")
+    else:
+        table = Table("file", "begun (UTC)", "duration", "MB", "modules", "loss", "")
+        for column in (2, 3, 4, 5):
+            table.columns[column].justify = "right"
+        for summary in summaries:
+            table.add_row(*_row(summary))
+        wide_console().print(table)
+    for problem in problems:
+        typer.echo(f"left out: {problem}", err=True)
+
+
+def info(
+    file: Annotated[Path, typer.Argument(help="Recording.")],
+    extract: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Write rig, body, configuration and the rest as files there."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what is in a recording: settings, suit, software, channels, losses, events."""
+    recording = open_recording(file)
+    summary = summarise(recording)
+    if extract is not None:
+        _extract(recording.meta.attachments, extract)
+    events = list(recording.events())
+    if as_json:
+        more = {"software": recording.meta.software, "host": recording.meta.host}
+        happened = [asdict(event) for event in events]
+        typer.echo(json.dumps(_plain(summary) | more | {"events": happened}, indent=2))
+        return
+    console = wide_console()
+    console.print(_overview(recording.meta, summary))
+    _print_modules(summary, console)
+    for event in events:
+        elapsed_s = (event.time_ns - recording.meta.begun_ns) * 1e-9
+        console.print(f"{elapsed_s:9.3f} s  {event.name}  {event.data}", markup=False)
+    if summary.defect is not None:
+        console.print(f"[yellow]{summary.defect}[/]", soft_wrap=True)
+
+
+def recover(
+    file: Annotated[Path, typer.Argument(help="Recording that was cut off or damaged.")],
+    output: Annotated[Path | None, typer.Option(help="Default: NAME.recovered.mcap beside it.")] = None,
+    in_place: Annotated[bool, typer.Option("--in-place", help="Replace the file.")] = False,
+) -> None:
+    """Make a whole file of all that can be read of one: after a kill, a power cut or a full disk.
+
+    `replay`, `info` and the rest read such files as they are; other MCAP tools want the index that this
+    writes.
+    """
+    if in_place and output is not None:
+        raise GatewayError("--in-place or --output: not both")
+    with progress_bar("recovering") as tell:
+        if in_place:
+            done = recover_in_place(file, tell)
+        else:
+            done = recover_file(file, output or file.with_name(f"{file.stem}.recovered{file.suffix}"), tell)
+    typer.echo(f"{done.path}: {done.messages} messages; {done.defect or 'nothing was wrong with it'}")
+
+
+def _row(summary: RecordingSummary) -> tuple[str, ...]:
+    loss = summary.loss_percent
+    notes = [f"{summary.parts} files"] if summary.parts > 1 else []
+    notes += ["not closed: see `recover`"] if summary.defect is not None else []
+    minutes, seconds = divmod(round(summary.duration_s), 60)
+    return (
+        Path(summary.path).name,
+        _when(summary.begun_utc_ns),
+        f"{minutes}:{seconds:02d}",
+        f"{summary.bytes / 1e6:.1f}",
+        str(len(summary.modules)) if summary.modules else "?",
+        "?" if loss is None else f"{loss:.2f} %",
+        ", ".join(notes),
+    )
+
+
+def _overview(meta: RecordingMeta, summary: RecordingSummary) -> Table:
+    grid = Table.grid(padding=(0, 2))
+    grid.add_row("file", summary.path + (f" and {summary.parts - 1} more" if summary.parts > 1 else ""))
+    grid.add_row("begun", f"{_when(summary.begun_utc_ns)} UTC")
+    grid.add_row("duration", f"{summary.duration_s:.1f} s, {summary.bytes / 1e6:.1f} MB")
+    if meta.has_suit:
+        grid.add_row("suit", f"{len(meta.suit.module_ids)} modules on body '{meta.skeleton.name}'")
+        grid.add_row("reconstructor", meta.settings.reconstructor)
+    grid.add_row("links", ", ".join(f"{name} ({framing.value})" for name, framing in meta.links.items()))
+    grid.add_row("software", f"{meta.software}, Python {meta.host.get('python', '?')}")
+    whole = "from the gateway's start: bit-identical" if meta.from_start else "began while the gateway ran"
+    grid.add_row("replay", whole)
+    for topic, count in sorted(summary.messages.items()):
+        grid.add_row(topic, str(count))
+    grid.add_row("attachments", ", ".join(meta.attachments))
+    return grid
+
+
+def _print_modules(summary: RecordingSummary, console: Console) -> None:
+    if not summary.modules:
+        return
+    table = Table("module", "received", "lost", "loss")
+    for module, counts in summary.modules.items():
+        sent = counts["received"] + counts["lost"]
+        share = f"{100 * counts['lost'] / sent:.2f} %" if sent else "?"
+        table.add_row(module, str(counts["received"]), str(counts["lost"]), share)
+    console.print(table)
+
+
+def _extract(attachments: Mapping[str, bytes], folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, data in attachments.items():
+            (folder / Path(name).name).write_bytes(data)
+    except OSError as error:
+        raise GatewayError(f"{folder} cannot be written: {error.strerror}") from error
+
+
+def _plain(summary: RecordingSummary) -> dict[str, object]:
+    return asdict(summary) | {"loss_percent": summary.loss_percent}
+
+
+def _when(utc_ns: int) -> str:
+    return datetime.fromtimestamp(utc_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S") if utc_ns else "?"

@@ -1,0 +1,179 @@
+"""``mocap-gateway replay``: a recording through the gateway again."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gateway.body.rig import load_rig
+from gateway.cli.progress import progress_bar
+from gateway.cli.replay_live import replay_live
+from gateway.errors import GatewayError, SettingsError, nearest
+from gateway.reconstruction import RECONSTRUCTORS
+from gateway.recording import Recording, open_recording
+from gateway.recording.solving import Source, solve, verify, write_solved
+from gateway.settings import load_gateway_settings
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(help="Recording; later parts of its session follow by themselves.")],
+    speed: Annotated[
+        str, typer.Option(help="1: as recorded, 2: twice as fast, …, max: as fast as it goes.")
+    ] = "1",
+    offline: Annotated[bool, typer.Option("--offline", help="Recompute without a broker.")] = False,
+    verified: Annotated[
+        bool, typer.Option("--verify", help="Recompute, and compare with the recorded poses byte by byte.")
+    ] = False,
+    with_rig: Annotated[
+        str | None,
+        typer.Option(
+            "--with", metavar="RIG", help="Solve with this rig (file or name), write a new recording."
+        ),
+    ] = None,
+    reconstructor: Annotated[
+        str | None, typer.Option(help="Solve with this method, write a new recording.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="The new recording; given alone: solve as recorded.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Broker and gateway name from this file instead.")
+    ] = None,
+    embedded: Annotated[bool, typer.Option("--embedded", help="Publish on a broker of our own.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:
+    """Play a recording: over MQTT like a live suit, or recomputed at once.
+
+    With --verify it ends with 1 unless every recorded pose comes out again, bit for bit: it does with the
+    same version, configuration and libraries, for recordings that began with the gateway.
+    """
+    recording = open_recording(file)
+    source = _source(recording, with_rig, reconstructor, config)
+    if verified:
+        if with_rig or reconstructor:
+            raise GatewayError("--verify compares with the recorded poses: leave out --with, --reconstructor")
+        _verify(recording, as_json)
+    elif with_rig or reconstructor or output:
+        target = output or _target(file, with_rig, reconstructor)
+        _solve(recording, source, target, as_json)
+    elif offline:
+        _solve(recording, source, None, as_json)
+    else:
+        replay_live(recording, source, _speed(speed), embedded=embedded, as_json=as_json)
+    if recording.defect is not None:
+        typer.echo(f"note: {recording.defect}", err=True)
+
+
+def _source(
+    recording: Recording, with_rig: str | None, reconstructor: str | None, config: Path | None
+) -> Source:
+    """What to solve with: as recorded, but for what was asked otherwise."""
+    given = None if config is None else load_gateway_settings(config)
+    meta = recording.meta
+    if not meta.has_suit and given is None:
+        raise SettingsError(
+            f"{meta.path} tells no suit (it is of a memory card, or imported): name a configuration, "
+            "-c my.yaml"
+        )
+    settings = meta.settings if meta.has_suit or given is None else given
+    if given is not None:
+        settings = settings.model_copy(update={"mqtt": given.mqtt, "gateway": given.gateway})
+    if reconstructor is not None:
+        if reconstructor not in RECONSTRUCTORS:
+            raise SettingsError(f"no reconstructor '{reconstructor}'{nearest(reconstructor, RECONSTRUCTORS)}")
+        settings = settings.model_copy(update={"reconstructor": reconstructor})
+    if with_rig is not None:
+        settings = settings.model_copy(update={"rig": with_rig})
+        return Source(load_rig(with_rig), settings)
+    return Source(meta.suit if meta.has_suit else load_rig(settings.rig, config), settings)
+
+
+def _target(file: Path, with_rig: str | None, reconstructor: str | None) -> Path:
+    marks = [mark for mark in (Path(with_rig).stem if with_rig else None, reconstructor) if mark]
+    return file.with_name(f"{file.stem}_{'_'.join(marks)}.mcap")
+
+
+def _speed(text: str) -> float | None:
+    if text == "max":
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed < float("inf"):
+        raise GatewayError(f"--speed {text}: a number above 0, or max, is needed")
+    return speed
+
+
+def _verify(recording: Recording, as_json: bool) -> None:
+    with progress_bar("verifying", is_shown=not as_json) as tell:
+        found = verify(recording, tell)
+    if as_json:
+        outcome = {
+            "identical": found.is_identical,
+            "compared": found.compared,
+            "difference": found.difference,
+        }
+        typer.echo(json.dumps(outcome))
+    elif found.is_identical:
+        cut = f"; {found.not_recorded} more at its cut-off end" if found.not_recorded else ""
+        typer.echo(f"identical: {found.compared} poses recomputed, every bit as recorded{cut}")
+    else:
+        typer.echo(f"different: {found.difference}")
+        for reason in _reasons(recording):
+            typer.echo(f"  {reason}")
+    if not found.is_identical:
+        raise typer.Exit(1)
+
+
+def _reasons(recording: Recording) -> list[str]:
+    """What may have made the difference."""
+    from gateway.recording.snapshot import host  # noqa: PLC0415 - needed only here
+
+    reasons = []
+    if not recording.meta.from_start:
+        reasons.append("the recording began while the gateway was running: its filters had started before")
+    was, now = recording.meta.host, host()
+    reasons += [
+        f"recorded with {key} {was.get(key)}, now {now[key]}"
+        for key in ("gateway", "python", "libraries", "machine", "processor")
+        if was.get(key) != now[key]
+    ]
+    return reasons
+
+
+def _solve(recording: Recording, source: Source, target: Path | None, as_json: bool) -> None:
+    first_ns = last_ns = frames = 0
+    begun = 0.0
+    with progress_bar("solving", is_shown=not as_json) as bar:
+
+        def tell(done: int, total: int) -> None:
+            nonlocal begun
+            begun = begun or time.perf_counter()  # the preparations are over
+            bar(done, total)
+
+        if target is not None:
+            frames = write_solved(recording, target, source, tell)
+        else:
+            for frame in solve(recording, source, tell):
+                first_ns, last_ns, frames = first_ns or frame.time_ns, frame.time_ns, frames + 1
+    elapsed_s = time.perf_counter() - begun
+    outcome = {
+        "poses": frames,
+        "elapsed_s": round(elapsed_s, 3),
+        "output": None if target is None else str(target),
+    }
+    if target is None:
+        outcome["x_realtime"] = round((last_ns - first_ns) * 1e-9 / elapsed_s, 1)
+    if as_json:
+        typer.echo(json.dumps(outcome))
+    elif target is None:
+        typer.echo(f"{frames} poses in {elapsed_s:.1f} s, {outcome['x_realtime']:g} × real time")
+    else:
+        typer.echo(
+            f"{target}: {frames} poses; compare them with `mocap-gateway diff {recording.meta.path} {target}`"
+        )

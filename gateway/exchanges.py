@@ -1,0 +1,40 @@
+"""Two-way time exchanges of all modules: which request an answer belongs to, and whose clock it corrects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from devices.link import Chunk, SentChunk
+from firmware_protocol import ReceivedPacket, SyncResponse
+from gateway.clocks import EstimatedClock, SyncExchanges
+from gateway.statistics import ModuleRecord
+
+
+class TimeExchanges:
+    """Told of every request that left and of every answer that came. Sans-I/O."""
+
+    def __init__(self, modules: Mapping[int, ModuleRecord]) -> None:
+        """modules: those heard so far, by id; it grows."""
+        self._modules = modules
+        self._exchanges: dict[int, SyncExchanges] = {}
+        self._link_of: dict[int, str] = {}
+
+    def asked(self, token: int, sent: SentChunk) -> None:
+        """A request to all modules of a link has left."""
+        for module, record in self._modules.items():
+            if isinstance(record.clock, EstimatedClock) and self._link_of.get(module, sent.link) == sent.link:
+                self._exchanges.setdefault(module, SyncExchanges()).sent(token, sent.sent_ns)
+
+    def answered(self, received: ReceivedPacket, chunk: Chunk) -> None:
+        """A ``SyncResponse`` came."""
+        record, exchanges = self._modules.get(received.module), self._exchanges.get(received.module)
+        if record is None or exchanges is None or not isinstance(record.clock, EstimatedClock):
+            return
+        assert isinstance(received.packet, SyncResponse)
+        response = received.packet
+        self._link_of[received.module] = chunk.link
+        exchange = exchanges.answered(
+            response.token, response.received_us, response.sent_us, chunk.arrived_ns
+        )
+        if exchange is not None:
+            record.clock.add_exchange(*exchange)

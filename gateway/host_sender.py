@@ -1,0 +1,45 @@
+"""Puts the gateway's own wire frames on links, and says what left and when: one way for all that is timed."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+
+from devices.command_client import host_bytes
+from devices.link import Link, LinkError, SentChunk, gateway_time_ns
+from firmware_protocol import WireFrame
+
+log = logging.getLogger(__name__)
+
+_SEND_TIMEOUT_S = 0.5
+
+
+class HostSender:
+    """Stamps each wire frame just before it is written."""
+
+    def __init__(
+        self, note: Callable[[SentChunk], None], clock_ns: Callable[[], int] = gateway_time_ns
+    ) -> None:
+        """note: told of everything that was sent, at once, in order."""
+        self._note = note
+        self._clock_ns = clock_ns
+
+    async def send(self, link: Link, frame: WireFrame, within_ns: int | None = None) -> SentChunk | None:
+        """Write to a link. None, and nothing noted, when it is away or does not take the whole frame.
+
+        within_ns: when the write took longer, the stamp does not say when the frame left: not noted either.
+        """
+        data = host_bytes(frame, link.framing)
+        sent_ns = self._clock_ns()
+        try:
+            async with asyncio.timeout(_SEND_TIMEOUT_S):
+                await link.write(data)
+        except (LinkError, TimeoutError) as error:
+            log.debug("not sent over %s: %s", link.name, error)
+            return None
+        if within_ns is not None and self._clock_ns() - sent_ns > within_ns:
+            return None
+        sent = SentChunk(data, sent_ns, link.name)
+        self._note(sent)
+        return sent

@@ -1,0 +1,163 @@
+"""What is told of the running gateway beside its poses: modules, UTC, metrics, health."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
+from typing import Any
+
+from devices.link import Link, gateway_time_ns
+from devices.reconnect import LinkState, ReconnectingLink
+from gateway.body.skeleton import WornSuit
+from gateway.clocks import AnchorWatch
+from gateway.modules.module_states import ModuleStates
+from gateway.outputs.messages import BridgeInfo, UtcAnchor
+from gateway.outputs.metrics import GatewayFigures, LinkFigures
+from gateway.outputs.metrics_server import MetricsServer
+from gateway.outputs.mqtt import MqttOutput
+from gateway.pipeline import Pipeline
+from gateway.settings import GatewaySettings
+
+log = logging.getLogger(__name__)
+
+LOOK_INTERVAL_S = 0.25
+_READS = 5
+
+Clock = Callable[[], int]
+
+
+class Observer:
+    """Looks at a running gateway a few times a second, and tells what it sees. Belongs to one event loop."""
+
+    def __init__(
+        self,
+        settings: GatewaySettings,
+        suit: WornSuit,
+        info: BridgeInfo,
+        pipeline: Pipeline,
+        links: Sequence[Link],
+        mqtt: MqttOutput,
+        utc_ns: Clock = time.time_ns,
+    ) -> None:
+        """utc_ns: the host's UTC, ns."""
+        self.utc: UtcAnchor | None = None
+        self.metrics: MetricsServer | None = None
+        """Where the configuration asks for one."""
+        self._info = info
+        self._pipeline = pipeline
+        self._links = links
+        self._mqtt = mqtt
+        self._utc_ns = utc_ns
+        self._anchors = AnchorWatch()
+        self._states = ModuleStates(
+            pipeline.stream,
+            suit,
+            silent_after_ns=round(settings.modules.silent_after_s * 1e9),
+            interval_ns=round(settings.modules.state_interval_s * 1e9),
+            late=pipeline.assembler.late,
+        )
+        if settings.metrics.port is not None:
+            self.metrics = MetricsServer(
+                settings.metrics.host, settings.metrics.port, self.figures, self.health
+            )
+
+    @contextlib.asynccontextmanager
+    async def watching(self) -> AsyncIterator[None]:
+        """Look and tell until left; then every module is offline. Raises ``OutputError`` for a busy port."""
+        self.look()
+        async with self.metrics or contextlib.nullcontext():
+            looking = asyncio.create_task(self._look_for_ever(), name="observer")
+            try:
+                yield
+            finally:
+                looking.cancel()
+                for topic, message in self._states.farewell(gateway_time_ns()):
+                    self._mqtt.keep(topic, message)
+
+    def look(self) -> None:
+        """Once: what is new goes to the broker."""
+        self._read_utc()
+        for topic, message in self._states.look(gateway_time_ns()):
+            self._mqtt.keep(topic, message)
+
+    def figures(self) -> GatewayFigures:
+        """All that is measured, now."""
+        dropped = self._pipeline.stream.dropped
+        links = [
+            LinkFigures(
+                name=link.name,
+                is_up=_is_up(link, has_begun=link.name in dropped),
+                reconnections=link.reconnections if isinstance(link, ReconnectingLink) else 0,
+                dropped={defect.name.lower(): count for defect, count in dropped.get(link.name, {}).items()},
+            )
+            for link in self._links
+        ]
+        lost = self._pipeline.assembler.lost
+        return GatewayFigures(
+            info=self._info,
+            links=links,
+            modules=self._states.states(gateway_time_ns()),
+            skeleton_frames=self._pipeline.skeleton_frames,
+            dropped_by_assembly={reason.name.lower(): count for reason, count in lost.items()},
+            outputs={"mqtt": self._mqtt.counters},
+            connected={"mqtt": self._mqtt.is_connected},
+            utc=self.utc,
+        )
+
+    def health(self) -> dict[str, Any]:
+        """For the health check: ``ok``, or ``degraded`` while poses cannot flow from end to end."""
+        figures = self.figures()
+        down = [link.name for link in figures.links if not link.is_up]
+        silent = [module.module for module in figures.modules if module.availability == "offline"]
+        is_ok = not down and all(figures.connected.values()) and len(silent) < len(figures.modules)
+        return {
+            "status": "ok" if is_ok else "degraded",
+            "links_down": down,
+            "modules_silent": silent,
+            "outputs_connected": dict(figures.connected),
+            "skeleton_frames": figures.skeleton_frames,
+        }
+
+    async def _look_for_ever(self) -> None:
+        while True:
+            await asyncio.sleep(LOOK_INTERVAL_S)
+            try:
+                self.look()
+            except Exception:
+                # Poses matter more than what is told of them.
+                log.exception("the gateway could not be looked at")
+
+    def _read_utc(self) -> None:
+        is_step = self._anchors.observe(*read_both(self._utc_ns))
+        reading = self._anchors.newest
+        assert reading is not None
+        self.utc = UtcAnchor(
+            t_ns=reading.gateway_ns,
+            utc_ns=reading.utc_ns,
+            offset_ns=reading.offset_ns,
+            steps=reading.steps,
+            last_step_ns=reading.last_step_ns,
+            last_step_t_ns=reading.last_step_gateway_ns,
+        )
+        self._mqtt.anchor(self.utc, is_step=is_step)
+        if is_step:
+            step_s = (reading.last_step_ns or 0) * 1e-9
+            log.warning("the host's UTC was set by %+.3f s; gateway time goes on as it was", step_s)
+
+
+def read_both(utc_ns: Clock) -> tuple[int, int]:
+    """(gateway time, UTC) at one moment, ns: the reading that took the least time of a few."""
+    readings = []
+    for _ in range(_READS):
+        before_ns, utc, after_ns = gateway_time_ns(), utc_ns(), gateway_time_ns()
+        readings.append((after_ns - before_ns, (before_ns + after_ns) // 2, utc))
+    _, gateway_ns, utc = min(readings)
+    return gateway_ns, utc
+
+
+def _is_up(link: Link, *, has_begun: bool) -> bool:
+    """Links that are not kept open by anybody are up from their first chunk on."""
+    return link.state is LinkState.UP if isinstance(link, ReconnectingLink) else has_begun

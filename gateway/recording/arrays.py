@@ -1,0 +1,70 @@
+"""Skeleton frames as arrays over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.body.skeleton import Skeleton
+from gateway.frames import FloatArray, IntArray, SkeletonFrame, StatusArray
+
+
+@dataclass(frozen=True)
+class SkeletonArrays:
+    """F frames of S segments. NaN where a value is not defined; SI units, world ENU."""
+
+    time_ns: IntArray  # (F,) gateway time of the measurement
+    sequence: IntArray  # (F,) frame number; a gap means frames that were not recorded
+    q_wb: FloatArray  # (F, S, 4) segment to world, w x y z
+    p_w: FloatArray  # (F, S, 3) m, proximal joint
+    angular_rate: FloatArray  # (F, S, 3) rad/s, segment axes
+    joint_acceleration: FloatArray  # (F, S, 3) m/s², proximal joint, world axes, without gravity
+    sigma: FloatArray  # (F, S) rad, standard deviation of the orientation
+    status: StatusArray  # (F, S) Status
+    skeleton: Skeleton
+
+    @property
+    def segment_names(self) -> tuple[str, ...]:
+        return self.skeleton.segment_names
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(F,) since the first frame, s."""
+        elapsed: FloatArray = (self.time_ns - self.time_ns[0]) * 1e-9
+        return elapsed
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second, by the median interval; 0 with fewer than two frames."""
+        if len(self.time_ns) < 2:
+            return 0.0
+        return 1e9 / float(np.median(np.diff(self.time_ns)))
+
+
+def arrays_of(frames: Iterable[SkeletonFrame], skeleton: Skeleton) -> SkeletonArrays | None:
+    """Frames of one skeleton stacked; None when there are none.
+
+    Raises ``ValueError`` for a frame of another number of segments.
+    """
+    kept = list(frames)
+    if not kept:
+        return None
+    odd = next((frame for frame in kept if len(frame.status) != skeleton.n_segments), None)
+    if odd is not None:
+        raise ValueError(
+            f"frame {odd.sequence} has {len(odd.status)} segments, skeleton '{skeleton.name}' "
+            f"{skeleton.n_segments}"
+        )
+    return SkeletonArrays(
+        time_ns=np.array([frame.time_ns for frame in kept], dtype=np.int64),
+        sequence=np.array([frame.sequence for frame in kept], dtype=np.int64),
+        q_wb=np.stack([frame.q_wb for frame in kept]),
+        p_w=np.stack([frame.p_w for frame in kept]),
+        angular_rate=np.stack([frame.angular_rate for frame in kept]),
+        joint_acceleration=np.stack([frame.joint_acceleration for frame in kept]),
+        sigma=np.stack([frame.sigma for frame in kept]),
+        status=np.stack([frame.status for frame in kept]),
+        skeleton=skeleton,
+    )

@@ -1,0 +1,200 @@
+"""Starts and stops recordings of a running gateway, and says how they fare. Belongs to one event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gateway
+from devices.link import Chunk, Framing, SentChunk, gateway_time_ns
+from devices.recording_file import RecordingError
+from gateway.body.skeleton import WornSuit
+from gateway.errors import GatewayError, nearest
+from gateway.frames import SkeletonFrame
+from gateway.recording.files import Contents, SessionFiles
+from gateway.recording.recorder import Recorder, Sink
+from gateway.recording.snapshot import attachments_of
+from gateway.settings import GatewaySettings
+
+STATISTICS_INTERVAL_S = 5.0
+WATCH_INTERVAL_S = 0.5
+"""How soon a restart of a module becomes an event."""
+_LONGEST_CLOSE_S = 10.0
+
+log = logging.getLogger(__name__)
+
+
+class RecordingControl:
+    """The recorder's place in the gateway: handed everything, it keeps what is to be kept.
+
+    statistics: asked for counters and clock models; restarts: for how often each module has begun anew.
+    """
+
+    def __init__(
+        self,
+        settings: GatewaySettings,
+        suit: WornSuit,
+        links: Mapping[str, Framing],
+        statistics: Callable[[], Mapping[str, object]],
+        restarts: Callable[[], Mapping[int, int]],
+    ) -> None:
+        self._settings = settings
+        self._suit = suit
+        self._links = dict(links)
+        self._statistics = statistics
+        self._restarts = restarts
+        self._recorder: Recorder | None = None
+        self._files: SessionFiles | None = None
+        self._begun = 0.0
+        self._lasted_s = 0.0
+        self._has_been_fed = False
+        self._watching: asyncio.Task[None] | None = None
+        self._verbs = {"start": self._asked_to_start, "stop": self._asked_to_stop, "status": self._asked}
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether everything that comes now is being kept."""
+        return self._recorder is not None and self._recorder.ended is None
+
+    def start(self, name: str | None = None) -> None:
+        """Begin a new recording.
+
+        Raises ``RecordingError``: one is under way, bad name, no room, folder that cannot be written.
+        """
+        if self.is_recording:
+            raise RecordingError(f"already recording to {self.status()['file']}: stop that first")
+        begins_whole = not self._has_been_fed
+        contents = Contents(
+            self._links, attachments_of(self._settings, self._suit), gateway.__version__, begins_whole
+        )
+        files = SessionFiles(self._settings.recording, contents, name)
+        sink = Sink(files.write, files.flush, files.close, files.abandon)
+        self._files, self._begun = files, time.monotonic()
+        self._recorder = Recorder(sink, self._settings.recording.flush_ms * 1e-3, self._say_why_it_ended)
+        self.event("recording_begun", {"from_start": begins_whole})
+        self._watching = asyncio.get_running_loop().create_task(self._watch(), name="recording")
+        log.info("recording to %s", files.path)
+
+    async def stop(self) -> None:
+        """End the recording, if there is one; all that was handed over is then in the file."""
+        recorder = self._recorder
+        if self._watching is not None:
+            self._watching.cancel()
+            self._watching = None
+        if recorder is None or recorder.ended is not None:
+            return
+        self._keep_statistics()
+        recorder.end("stopped")
+        closed = await asyncio.to_thread(recorder.join, _LONGEST_CLOSE_S)
+        if not closed:
+            log.error("the disk did not take the end of the recording within %g s", _LONGEST_CLOSE_S)
+
+    # What the service hands over, at once and in order.
+
+    def chunk(self, chunk: Chunk, framing: Framing) -> None:
+        """What a link gave, before it is parsed."""
+        self._has_been_fed = True
+        if self._recorder is not None:
+            self._recorder.chunk(chunk, framing)
+
+    def sent(self, sent: SentChunk) -> None:
+        """What was written to a link."""
+        if self._recorder is not None:
+            self._recorder.sent(sent, self._links.get(sent.link, Framing.BYTE_STREAM))
+
+    def skeleton(self, frame: SkeletonFrame, arrived_ns: int) -> None:
+        """What was made of it."""
+        if self._recorder is not None and self._settings.recording.skeleton:
+            self._recorder.skeleton(frame, arrived_ns)
+
+    def event(self, name: str, data: Mapping[str, object]) -> None:
+        """What happened: links, resets, calibrations."""
+        if self._recorder is not None:
+            self._recorder.event(name, data, gateway_time_ns())
+
+    async def keep_pace(self) -> None:
+        """Let the disk catch up, if it has fallen far behind; mostly returns at once."""
+        if self._recorder is not None and self._recorder.is_behind:
+            log.warning("the disk is slower than the suit: the stream waits for it")
+            await self._recorder.catch_up()
+
+    # What others ask.
+
+    def status(self) -> dict[str, Any]:
+        """For the health message, the command line and requests."""
+        recorder, files = self._recorder, self._files
+        if recorder is None or files is None:
+            return {"state": "off"}
+        counts = recorder.counts
+        if recorder.ended is None:
+            self._lasted_s = time.monotonic() - self._begun
+        status: dict[str, Any] = {
+            "state": "recording" if recorder.ended is None else "off",
+            "file": str(files.path),
+            "part": files.part,
+            "bytes": files.size,
+            "seconds": round(self._lasted_s, 1),
+            "written": dict(counts.written),
+            "lost": dict(counts.lost),
+            "queued_bytes": recorder.queued_bytes,
+            "stalls": counts.stalls,
+            "stalled_s": round(counts.stalled_s, 3),
+        }
+        if recorder.ended is not None:
+            status["ended"] = recorder.ended
+        if files.warning is not None:
+            status["warning"] = files.warning
+        return status
+
+    async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Requests ``recording/start`` (optional ``name``), ``recording/stop``, ``recording/status``."""
+        if verb not in self._verbs:
+            raise GatewayError(f"there is no request 'recording/{verb}'{nearest(verb, self._verbs)}")
+        known = {"name"} if verb == "start" else set()
+        unknown = sorted(set(data) - known)
+        if unknown:
+            raise GatewayError(f"recording/{verb} takes {sorted(known) or 'no data'}, not '{unknown[0]}'")
+        await self._verbs[verb](data)
+        return self.status()
+
+    async def _asked_to_start(self, data: Mapping[str, Any]) -> None:
+        name = data.get("name")
+        if name is not None and not isinstance(name, str):
+            raise GatewayError("recording/start: 'name' is a text")
+        self.start(name)
+
+    async def _asked_to_stop(self, _data: Mapping[str, Any]) -> None:
+        if not self.is_recording:
+            raise GatewayError("nothing is being recorded")
+        await self.stop()
+
+    async def _asked(self, _data: Mapping[str, Any]) -> None:
+        """The status is the answer."""
+
+    def _keep_statistics(self) -> None:
+        if self._recorder is not None:
+            self._recorder.statistics(self._statistics(), gateway_time_ns())
+
+    async def _watch(self) -> None:
+        """Restarts of modules as events, and counters now and then, for as long as it is recorded."""
+        known = dict(self._restarts())
+        due = time.monotonic() + STATISTICS_INTERVAL_S
+        while self.is_recording:
+            await asyncio.sleep(WATCH_INTERVAL_S)
+            for module, count in self._restarts().items():
+                if count > known.get(module, 0):
+                    self.event("module_restarted", {"module": module, "restarts": count})
+                known[module] = count
+            if time.monotonic() >= due:
+                self._keep_statistics()
+                due += STATISTICS_INTERVAL_S
+
+    def _say_why_it_ended(self, reason: str) -> None:
+        """Called in the recorder's thread."""
+        if reason == "stopped":
+            log.info("recording ended")
+        else:
+            log.error("recording has stopped: %s. The live stream goes on", reason)

@@ -1,0 +1,247 @@
+"""A recording, for whatever is made of it: replay, exports, reports, plots.
+
+recording = open_recording("recordings/20261121T131500Z_walk.mcap")
+recording.meta.suit, recording.meta.settings
+for chunk in recording.chunks(): ...
+arrays = recording.skeleton_arrays()
+arrays.q_wb  # (F, S, 4)
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from devices import recording_format as fmt
+from devices.link import Chunk, Framing, SentChunk
+from devices.recording_file import RecordedMessage, RecordingError, RecordingParts
+from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.errors import SettingsError
+from gateway.frames import SkeletonFrame
+from gateway.recording.arrays import SkeletonArrays, arrays_of
+from gateway.recording.skeleton_encoding import decode_skeleton_frame
+from gateway.recording.suit_snapshot import decode_suit
+from gateway.settings import GatewaySettings
+
+Progress = Callable[[int, int], None]
+"""Told bytes read and bytes in all, now and then."""
+
+_MESSAGES_A_TELLING = 512
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedEvent:
+    """Something that happened while recording."""
+
+    time_ns: int
+    """Gateway time, ns."""
+    name: str
+    """``link``, ``module_restarted``, ``module_event``, ``recording_begun``, ``recording_ended``, …"""
+    data: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedStatistics:
+    """Counters and clock models at one instant, as in ``bridge/health``."""
+
+    time_ns: int
+    values: dict[str, Any]
+
+
+RecordedItem = Chunk | SentChunk | RecordedEvent | RecordedStatistics | SkeletonFrame
+
+
+class RecordingMeta:
+    """What a recording says about itself. Attributes raise ``SettingsError`` where they cannot be read."""
+
+    def __init__(self, parts: RecordingParts) -> None:
+        head = parts.head
+        session = head.session
+        self.path = parts.path
+        self.name = session.get("name", "")
+        self.session = session.get("session", "")
+        """Unique; the same in all parts of a session."""
+        self.software = session.get("software", "")
+        """Version of the gateway that wrote it."""
+        self.begun_ns = int(session.get("begun_ns", 0))
+        """Gateway time at the beginning, ns."""
+        self.begun_utc_ns = int(session.get("begun_utc_ns", 0))
+        """The host's wall clock at the same instant, ns since 1970."""
+        self.from_start = session.get("from_start") == "1" and head.part == 1
+        """Whether it has all that the gateway was fed: then a replay is bit-identical."""
+        self.links: dict[str, Framing] = parts.links
+        self.n_parts = len(parts.files)
+        self.size = parts.size
+        """Bytes, all parts."""
+        self.attachments = head.attachments
+        """All of them by name, see ``devices.recording_format``."""
+
+    @cached_property
+    def suit(self) -> WornSuit:
+        """Skeleton, rig and calibration exactly as used."""
+        return decode_suit(self._attachment(fmt.SUIT))
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The body."""
+        return self.suit.skeleton
+
+    @cached_property
+    def settings(self) -> GatewaySettings:
+        """The gateway's configuration, without secrets. What ``clock.table`` names is ``clock_table``."""
+        try:
+            return GatewaySettings.model_validate(json.loads(self._attachment(fmt.SETTINGS)))
+        except (ValueError, ValidationError) as error:
+            raise SettingsError(f"{self.path}: the recorded configuration cannot be read: {error}") from error
+
+    @property
+    def has_suit(self) -> bool:
+        """Whether the suit is told: a file downloaded from a memory card has only chunks."""
+        return fmt.SUIT in self.attachments
+
+    @property
+    def rig(self) -> str:
+        """The rig as the text of a rig file."""
+        return self._attachment(fmt.RIG).decode()
+
+    @property
+    def body(self) -> str:
+        """The body as the text of a body file."""
+        return self._attachment(fmt.BODY).decode()
+
+    @property
+    def clock_table(self) -> str | None:
+        """Text of the clock table used; None without one."""
+        text = self.attachments.get(fmt.CLOCK_TABLE)
+        return None if text is None else text.decode()
+
+    @property
+    def host(self) -> dict[str, Any]:
+        """Versions, kernel and processor of the machine that recorded."""
+        host: dict[str, Any] = json.loads(self.attachments.get(fmt.HOST, b"{}"))
+        return host
+
+    def _attachment(self, name: str) -> bytes:
+        if name not in self.attachments:
+            raise SettingsError(
+                f"{self.path} holds no '{name}': it was not recorded by a gateway (a memory card knows no "
+                "suit); replay it as a link of a configuration that names the rig"
+            )
+        return self.attachments[name]
+
+
+class Recording:
+    """All parts of one session, from the one opened on. Every iterator reads anew, in the recorded order."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Raises ``RecordingError``."""
+        self.parts = RecordingParts(path)
+        self.meta = RecordingMeta(self.parts)
+
+    @property
+    def defect(self) -> str | None:
+        """What was wrong with the files, once something was read to the end; None when they are whole."""
+        return self.parts.defect
+
+    def items(self, progress: Progress | None = None) -> Iterator[RecordedItem]:
+        """Everything, in the order in which the gateway handled it."""
+        return self._decoded("/", progress)
+
+    def chunks(self, progress: Progress | None = None) -> Iterator[Chunk]:
+        """What came over the links, not parsed."""
+        return (item for item in self._decoded(fmt.CHUNKS, progress) if isinstance(item, Chunk))
+
+    def inputs(self, progress: Progress | None = None) -> Iterator[Chunk | SentChunk]:
+        """All that a reconstruction depends on: what came over the links and what was written to them."""
+        inputs = self._decoded((fmt.CHUNKS, fmt.SENT), progress)
+        return (item for item in inputs if isinstance(item, Chunk | SentChunk))
+
+    def sent(self) -> Iterator[SentChunk]:
+        """What the gateway wrote to the links."""
+        return (item for item in self._decoded(fmt.SENT) if isinstance(item, SentChunk))
+
+    def events(self) -> Iterator[RecordedEvent]:
+        """What happened."""
+        return (item for item in self._decoded(fmt.EVENTS) if isinstance(item, RecordedEvent))
+
+    def statistics(self) -> Iterator[RecordedStatistics]:
+        """Counters and clock models, every so often."""
+        return (item for item in self._decoded(fmt.STATISTICS) if isinstance(item, RecordedStatistics))
+
+    def skeleton_frames(self, progress: Progress | None = None) -> Iterator[SkeletonFrame]:
+        """The reconstruction as it was while recording."""
+        return (item for item in self._decoded(fmt.SKELETON, progress) if isinstance(item, SkeletonFrame))
+
+    def skeleton_bytes(self) -> Iterator[bytes]:
+        """The same, as it stands in the file."""
+        return (message.data for message in self.parts.messages() if message.topic == fmt.SKELETON)
+
+    def skeleton_arrays(self, progress: Progress | None = None) -> SkeletonArrays:
+        """The whole reconstruction as arrays. Raises ``RecordingError`` when none was recorded."""
+        arrays = arrays_of(self.skeleton_frames(progress), self.meta.skeleton)
+        if arrays is None:
+            raise RecordingError(
+                f"{self.parts.path} has no skeleton frames: make some with "
+                f"`mocap-gateway replay {self.parts.path} --offline --output NEW.mcap`"
+            )
+        return arrays
+
+    def _decoded(
+        self, prefix: str | tuple[str, ...], progress: Progress | None = None
+    ) -> Iterator[RecordedItem]:
+        """Messages whose topic begins so, decoded. One that cannot be is left out, as damaged ones are."""
+        total = self.parts.size
+        for count, message in enumerate(self.parts.messages()):
+            if progress is not None and count % _MESSAGES_A_TELLING == 0:
+                progress(self.parts.position, total)
+            if message.topic.startswith(prefix):
+                item = decode_message(message)
+                if item is not None:
+                    yield item
+        if progress is not None:
+            progress(total, total)
+
+
+def open_recording(path: str | Path) -> Recording:
+    """The recording in a file, with the later parts of its session that lie beside it.
+
+    A file that was never closed (kill, power cut) is read up to its last good byte. Raises ``RecordingError``
+    for a file that is absent or no recording.
+    """
+    return Recording(path)
+
+
+def decode_message(message: RecordedMessage) -> RecordedItem | None:
+    """A message's meaning; None for a topic or content that this version does not know."""
+    topic, time_ns, data = message
+    if topic.startswith(fmt.CHUNKS):
+        return Chunk(data, time_ns, topic.removeprefix(fmt.CHUNKS))
+    if topic.startswith(fmt.SENT):
+        return SentChunk(data, time_ns, topic.removeprefix(fmt.SENT))
+    try:
+        decode = _DECODERS.get(topic)
+        return None if decode is None else decode(message)
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _event(message: RecordedMessage) -> RecordedItem:
+    plain = json.loads(message.data)
+    return RecordedEvent(int(plain["time_ns"]), str(plain["name"]), dict(plain["data"]))
+
+
+def _statistics(message: RecordedMessage) -> RecordedItem:
+    return RecordedStatistics(message.time_ns, dict(json.loads(message.data)))
+
+
+_DECODERS: dict[str, Callable[[RecordedMessage], RecordedItem]] = {
+    fmt.SKELETON: lambda message: decode_skeleton_frame(message.data),
+    fmt.EVENTS: _event,
+    fmt.STATISTICS: _statistics,
+}

@@ -1,0 +1,215 @@
+"""Writes a recording while the gateway runs: a queue, and a thread that empties it at a bounded interval.
+
+Nothing is ever left out of a recording. The queue is bounded; when the disk is slower than the suit, whoever
+feeds it waits (``catch_up``), which is counted and shown, and if the disk does not come back within
+``LONGEST_STALL_S`` the recording ends, says so, and the live stream goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from devices import recording_format as fmt
+from devices.link import Chunk, Framing, SentChunk, gateway_time_ns
+from gateway.frames import SkeletonFrame
+from gateway.outputs.messages import plain_json
+from gateway.recording.skeleton_encoding import encode_skeleton_frame
+
+LONGEST_QUEUE_BYTES = 32 << 20
+"""17 modules at 100 Hz fill it in about two minutes."""
+LONGEST_STALL_S = 2.0
+_POLL_S = 0.01
+_FRAME_BYTES = 2048
+"""Counted for a queued skeleton frame, which is encoded by the thread."""
+_EARLY = 0.75
+"""Part of the flush interval after which the thread writes, so that writing itself fits into it."""
+
+log = logging.getLogger(__name__)
+
+
+class Sink(NamedTuple):
+    """What the thread does: see ``gateway.recording.files``."""
+
+    write: Callable[[str, int, bytes, Mapping[str, str]], None]
+    """Topic, time in ns, message, metadata of the channel."""
+    flush: Callable[[], str | None]
+    """Ends a flush interval: why the recording must end, or None. Raises OSError."""
+    close: Callable[[], None]
+    """Raises OSError."""
+    abandon: Callable[[], None]
+
+
+@dataclass
+class Counts:
+    """What became of what was handed over, by kind of message: chunks, sent, skeleton, events, statistics."""
+
+    queued: Counter[str] = field(default_factory=Counter)
+    written: Counter[str] = field(default_factory=Counter)
+    """In the file, flushed."""
+    lost: Counter[str] = field(default_factory=Counter)
+    """Handed over and not in the file: only after the recording had to end."""
+    stalls: int = 0
+    """How often the stream had to wait for the disk."""
+    stalled_s: float = 0.0
+    longest_flush_s: float = 0.0
+
+
+class Recorder:
+    """Takes everything from the event loop, never waiting, and hands it to a sink in a thread."""
+
+    def __init__(self, sink: Sink, flush_s: float, on_end: Callable[[str], None] | None = None) -> None:
+        """``on_end`` is called in the thread with the reason, when the recording ends by itself."""
+        self.counts = Counts()
+        self.ended: str | None = None
+        """Why nothing is recorded any more; None while it is."""
+        self._sink = sink
+        self._interval_s = flush_s * _EARLY
+        self._on_end = on_end
+        self._queue: deque[tuple[str, int, bytes | SkeletonFrame, Mapping[str, str]]] = deque()
+        self._queue_bytes = 0
+        self._lock = threading.Lock()
+        self._wake = threading.Event()
+        self._closing: str | None = None
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    # What the event loop calls.
+
+    def chunk(self, chunk: Chunk, framing: Framing) -> None:
+        """Take what a link gave."""
+        metadata = {"link": chunk.link, "framing": framing.value}
+        self._put(fmt.CHUNKS + chunk.link, chunk.arrived_ns, chunk.data, metadata)
+
+    def sent(self, sent: SentChunk, framing: Framing) -> None:
+        """Take what was written to a link."""
+        metadata = {"link": sent.link, "framing": framing.value}
+        self._put(fmt.SENT + sent.link, sent.sent_ns, sent.data, metadata)
+
+    def skeleton(self, frame: SkeletonFrame, arrived_ns: int) -> None:
+        """Take a frame, and when the chunk that completed it arrived."""
+        self._put(fmt.SKELETON, arrived_ns, frame, {})
+
+    def event(self, name: str, data: Mapping[str, object], time_ns: int) -> None:
+        """Take something that happened."""
+        plain = {"time_ns": time_ns, "name": name, "data": plain_json(data)}
+        self._put(fmt.EVENTS, time_ns, json.dumps(plain).encode(), {})
+
+    def statistics(self, values: Mapping[str, object], time_ns: int) -> None:
+        """Take counters."""
+        self._put(fmt.STATISTICS, time_ns, json.dumps(plain_json(values)).encode(), {})
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether whoever feeds it should ``catch_up`` first."""
+        return self._queue_bytes > LONGEST_QUEUE_BYTES and self.ended is None and self._closing is None
+
+    @property
+    def queued_bytes(self) -> int:
+        """Handed over and not yet written."""
+        return self._queue_bytes
+
+    async def catch_up(self) -> None:
+        """Wait until there is room in the queue; end the recording if there is none for too long."""
+        self.counts.stalls += 1
+        self._wake.set()
+        begun = time.monotonic()
+        while self.is_behind:
+            if time.monotonic() - begun > LONGEST_STALL_S:
+                self.end(f"the disk took nothing for {LONGEST_STALL_S:g} s: choose a faster one")
+                break
+            await asyncio.sleep(_POLL_S)
+        self.counts.stalled_s += time.monotonic() - begun
+
+    def end(self, reason: str) -> None:
+        """Write what is queued and close the file, in the thread; returns at once."""
+        with self._lock:
+            self._closing = self._closing or reason
+        self._wake.set()
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the thread to be through; False when it was not in time."""
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _put(
+        self, topic: str, time_ns: int, data: bytes | SkeletonFrame, metadata: Mapping[str, str]
+    ) -> None:
+        kind = _kind(topic)
+        if self.ended is not None or self._closing is not None:
+            self.counts.lost[kind] += 1
+            return
+        self.counts.queued[kind] += 1
+        with self._lock:
+            self._queue.append((topic, time_ns, data, metadata))
+            self._queue_bytes += len(data) if isinstance(data, bytes) else _FRAME_BYTES
+
+    # What the thread does.
+
+    def _run(self) -> None:
+        unflushed: Counter[str] = Counter()
+        reason = None
+        try:
+            while reason is None:
+                self._wake.wait(self._interval_s)
+                self._wake.clear()
+                closing = self._closing
+                reason = self._write_queued(unflushed) or closing
+            self._write_queued(unflushed)
+            self._write_end(reason)
+            self._sink.close()
+        except OSError as error:
+            reason = f"it cannot be written any more ({error.strerror or error})"
+            self._sink.abandon()
+        except Exception as error:
+            log.exception("the recorder failed")
+            reason = f"this should not have happened ({error!r})"
+            self._sink.abandon()
+        self._conclude(reason, unflushed)
+
+    def _write_queued(self, unflushed: Counter[str]) -> str | None:
+        """Everything in the queue to the file. Why the recording must end, or None."""
+        begun = time.monotonic()
+        with self._lock:
+            items, self._queue = self._queue, deque()
+        written = 0
+        for topic, time_ns, data, metadata in items:
+            unflushed[_kind(topic)] += 1
+            self._sink.write(
+                topic, time_ns, data if isinstance(data, bytes) else encode_skeleton_frame(data), metadata
+            )
+            written += len(data) if isinstance(data, bytes) else _FRAME_BYTES
+        reason = self._sink.flush()
+        self.counts.written.update(unflushed)
+        unflushed.clear()
+        with self._lock:
+            self._queue_bytes -= written
+        self.counts.longest_flush_s = max(self.counts.longest_flush_s, time.monotonic() - begun)
+        return reason
+
+    def _write_end(self, reason: str) -> None:
+        time_ns = gateway_time_ns()
+        event = {"time_ns": time_ns, "name": "recording_ended", "data": {"reason": reason}}
+        self._sink.write(fmt.EVENTS, time_ns, json.dumps(event).encode(), {})
+        self.counts.written["events"] += 1
+
+    def _conclude(self, reason: str, unflushed: Counter[str]) -> None:
+        with self._lock:
+            self.ended = reason
+            left, self._queue, self._queue_bytes = self._queue, deque(), 0
+        self.counts.lost.update(unflushed)
+        self.counts.lost.update(_kind(topic) for topic, *_ in left)
+        if self._on_end is not None:
+            self._on_end(reason)
+
+
+def _kind(topic: str) -> str:
+    """``chunks``, ``sent``, ``skeleton``, ``events``, ``statistics``."""
+    return topic.split("/", 2)[1]

@@ -1,0 +1,75 @@
+"""Makes a whole file of one that was cut off or damaged: everything that can be read, with an index."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.records import Channel, Message
+
+from devices import recording_format as fmt
+from devices.recording_file import RecordingError, RecordingFile
+from devices.recording_writer import RecordingWriter
+
+_MESSAGES_A_FLUSH = 256
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What became of a file."""
+
+    path: Path
+    messages: int
+    defect: str | None
+    """What was wrong with it; None: nothing was."""
+
+
+def recover(source: Path, target: Path, progress: Callable[[int, int], None] | None = None) -> Recovered:
+    """Write ``target`` from all that can be read of one file.
+
+    Raises ``RecordingError`` when ``source`` is no recording, ``target`` exists or cannot be written.
+    """
+    file = RecordingFile(source)
+    try:
+        messages = _copy(file, target, progress)
+    except OSError as error:
+        target.unlink(missing_ok=True)
+        raise RecordingError(f"{target} cannot be written: {error.strerror}") from error
+    return Recovered(target, messages, file.defect)
+
+
+def recover_in_place(source: Path, progress: Callable[[int, int], None] | None = None) -> Recovered:
+    """As ``recover``, in the place of ``source``, which stays as it is until the new file is whole."""
+    beside = source.with_name(source.name + ".recovering")
+    beside.unlink(missing_ok=True)
+    done = recover(source, beside, progress)
+    os.replace(beside, source)
+    return Recovered(source, done.messages, done.defect)
+
+
+def _copy(file: RecordingFile, target: Path, progress: Callable[[int, int], None] | None) -> int:
+    channels: dict[int, Channel] = {}
+    messages = 0
+    head = file.head
+    created_ns = int(head.session.get("begun_ns", 0))
+    with RecordingWriter(target, head.session, head.attachments, created_ns) as writer:
+        for record in file.records():
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message) and record.channel_id in channels:
+                channel = channels[record.channel_id]
+                if not _is_known(channel.topic):
+                    continue
+                writer.add(channel.topic, record.log_time, record.data, channel.metadata)
+                messages += 1
+                if messages % _MESSAGES_A_FLUSH == 0:
+                    writer.flush()
+                    if progress is not None:
+                        progress(file.position, file.size)
+    return messages
+
+
+def _is_known(topic: str) -> bool:
+    return topic.startswith((fmt.CHUNKS, fmt.SENT)) or topic in fmt.KINDS

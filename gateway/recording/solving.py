@@ -1,0 +1,194 @@
+"""Poses from a recording again: the same, bit for bit, or with another rig, calibration or method."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+import uuid
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import gateway
+from devices import recording_format as fmt
+from devices.link import Chunk, SentChunk
+from devices.recording_file import RecordedMessage, RecordingError
+from devices.recording_writer import RecordingWriter, session_record
+from gateway.body.skeleton import WornSuit
+from gateway.comparison import orientation_error
+from gateway.frames import SkeletonFrame
+from gateway.pipeline import Pipeline
+from gateway.recording.reading import Progress, Recording, decode_message
+from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
+from gateway.recording.snapshot import attachments_of
+from gateway.settings import GatewaySettings
+
+_MESSAGES_A_TELLING = 512
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Whether the poses of a recording come out of its bytes again."""
+
+    compared: int
+    """Skeleton frames compared."""
+    difference: str | None
+    """The first difference, in words; None when all were identical to the last bit."""
+    not_recorded: int
+    """Frames recomputed at the end that the recording has no more: it was cut off before them."""
+
+    @property
+    def is_identical(self) -> bool:
+        return self.difference is None and self.compared > 0
+
+
+@dataclass(frozen=True)
+class Source:
+    """What poses are made with."""
+
+    suit: WornSuit
+    settings: GatewaySettings
+
+
+def recorded_source(recording: Recording) -> Source:
+    """What the recorded poses were made with. Raises ``SettingsError``."""
+    return Source(recording.meta.suit, recording.meta.settings)
+
+
+def recording_pipeline(recording: Recording, source: Source) -> Pipeline:
+    """A pipeline that has not begun yet; the recording's links are announced."""
+    with with_recorded_table(recording, source.settings) as settings:
+        pipeline = Pipeline.from_settings(settings, source.suit)
+    for name, framing in recording.meta.links.items():
+        pipeline.add_link(name, framing)
+    return pipeline
+
+
+def solve(
+    recording: Recording,
+    source: Source | None = None,
+    progress: Progress | None = None,
+) -> Iterator[SkeletonFrame]:
+    """Skeleton frames made anew from the recorded bytes; source: None for what was recorded."""
+    pipeline = recording_pipeline(recording, source or recorded_source(recording))
+    yield from pipeline.replay(recording.inputs(progress))
+
+
+def verify(recording: Recording, progress: Progress | None = None) -> Verification:
+    """Recompute every skeleton frame, and compare it with the recorded one byte by byte.
+
+    Raises ``RecordingError`` when no skeleton frames were recorded.
+    """
+    pipeline = recording_pipeline(recording, recorded_source(recording))
+    recomputed: deque[bytes] = deque()
+    compared = 0
+    for message in _told(recording, progress):
+        if message.topic == fmt.SKELETON:
+            made = recomputed.popleft() if recomputed else None
+            if made != message.data:
+                return Verification(compared, _difference(compared, message.data, made), 0)
+            compared += 1
+        else:
+            recomputed.extend(encode_skeleton_frame(frame) for frame in _fed(pipeline, message))
+    if compared == 0:
+        raise RecordingError(f"{recording.parts.path} has no skeleton frames to compare with")
+    return Verification(compared, None, len(recomputed))
+
+
+def write_solved(
+    recording: Recording,
+    target: Path,
+    source: Source,
+    progress: Progress | None = None,
+) -> int:
+    """A new recording of the same bytes, with poses made anew, and the suit and configuration they were made
+    with. Returns how many. Raises ``RecordingError`` when ``target`` exists, OSError as ``open`` does.
+    """
+    pipeline = recording_pipeline(recording, source)
+    meta, frames = recording.meta, 0
+    session = session_record(
+        meta.links,
+        session=uuid.uuid4().hex,
+        software=gateway.__version__,
+        begun_ns=str(meta.begun_ns),
+        begun_utc_ns=str(meta.begun_utc_ns),
+        from_start=str(int(meta.from_start)),
+        name=target.stem,
+        solved_from=f"{meta.path.name} {meta.session}",
+    )
+    with with_recorded_table(recording, source.settings) as settings:
+        attachments = attachments_of(settings, source.suit)
+    with RecordingWriter(target, session, attachments, meta.begun_ns) as writer:
+        for count, message in enumerate(_told(recording, progress)):
+            if message.topic != fmt.SKELETON:
+                writer.add(message.topic, message.time_ns, message.data, _metadata(recording, message.topic))
+            for frame in _fed(pipeline, message):
+                writer.add(fmt.SKELETON, message.time_ns, encode_skeleton_frame(frame))
+                frames += 1
+            if count % _MESSAGES_A_TELLING == 0:
+                writer.flush()
+    return frames
+
+
+def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
+    """The frames that a message completes."""
+    item = decode_message(message) if message.topic.startswith((fmt.CHUNKS, fmt.SENT)) else None
+    if isinstance(item, Chunk):
+        return pipeline.feed(item)
+    if isinstance(item, SentChunk):
+        pipeline.sent(item)
+    return []
+
+
+def _told(recording: Recording, progress: Progress | None) -> Iterator[RecordedMessage]:
+    """All messages of known topics; tells how far it is."""
+    total = recording.parts.size
+    for count, message in enumerate(recording.parts.messages()):
+        if progress is not None and count % _MESSAGES_A_TELLING == 0:
+            progress(recording.parts.position, total)
+        if message.topic.startswith((fmt.CHUNKS, fmt.SENT)) or message.topic in fmt.KINDS:
+            yield message
+    if progress is not None:
+        progress(total, total)
+
+
+def _metadata(recording: Recording, topic: str) -> dict[str, str]:
+    """Of a link's channel; none of others."""
+    for prefix in (fmt.CHUNKS, fmt.SENT):
+        if topic.startswith(prefix):
+            link = topic.removeprefix(prefix)
+            return {"link": link, "framing": recording.meta.links[link].value}
+    return {}
+
+
+@contextlib.contextmanager
+def with_recorded_table(recording: Recording, settings: GatewaySettings) -> Iterator[GatewaySettings]:
+    """The settings, naming for a while a file with the clock table that the recording brings along."""
+    text = recording.meta.clock_table
+    if settings.clock.table is None or text is None:
+        yield settings
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / fmt.CLOCK_TABLE
+        path.write_text(text)
+        clock = settings.clock.model_copy(update={"table": str(path)})
+        yield settings.model_copy(update={"clock": clock})
+
+
+def _difference(index: int, recorded: bytes, made: bytes | None) -> str:
+    """What differs first, for the user."""
+    if made is None:
+        return f"frame {index}: recorded, but not made again from the bytes"
+    was, now = decode_skeleton_frame(recorded), decode_skeleton_frame(made)
+    for name in ("sequence", "time_ns", "root", "status"):
+        if not np.array_equal(getattr(was, name), getattr(now, name)):
+            return f"frame {index}: {name} was {getattr(was, name)}, is {getattr(now, name)}"
+    if was.q_wb.shape == now.q_wb.shape and not np.array_equal(was.q_wb, now.q_wb, equal_nan=True):
+        degrees = np.degrees(orientation_error(now.q_wb, was.q_wb)[0])
+        return (
+            f"frame {index} (sequence {was.sequence}): orientations differ by up to {np.nanmax(degrees):.2g}°"
+        )
+    return f"frame {index} (sequence {was.sequence}): other values than orientations differ"

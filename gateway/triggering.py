@@ -1,0 +1,99 @@
+"""Unified control at run time: broadcasts the sampling trigger over every link.
+
+The I/O shell of ``clocks.trigger``. What becomes of the answers is the stream's to find out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+
+from devices.link import Link, gateway_time_ns
+from firmware_protocol import BROADCAST, SamplingTrigger, wire_frame
+from gateway.clocks import Trigger, TriggerAnswers, TriggerTimer
+from gateway.host_sender import HostSender
+from gateway.precise_alarm import PreciseAlarm
+
+log = logging.getLogger(__name__)
+
+_PROMPT_NS = 2_000_000
+"""A write that takes longer leaves open when the trigger left: its answers are worth nothing."""
+_LOOK_INTERVAL_NS = 1_000_000_000
+
+
+class Triggerer:
+    """Belongs to one event loop."""
+
+    def __init__(
+        self,
+        links: Sequence[Link],
+        sender: HostSender,
+        answers: TriggerAnswers,
+        rate_hz: float,
+        clock_ns: Callable[[], int] = gateway_time_ns,
+    ) -> None:
+        """links: those that are announced to the stream; others may join them."""
+        self.timer = TriggerTimer(1e9 / rate_hz)
+        self._links = links
+        self._sender = sender
+        self._answers = answers
+        self._clock_ns = clock_ns
+        self._sending: dict[str, asyncio.Task[None]] = {}
+        self._warned: set[int] = set()
+        self._looked_ns = 0
+
+    async def run(self) -> None:
+        """Trigger for ever."""
+        alarm = PreciseAlarm(self._clock_ns)
+        self.timer.start(self._clock_ns())
+        try:
+            while True:
+                next_ns = self.timer.next_ns
+                assert next_ns is not None
+                await alarm.wait_until(next_ns)
+                trigger = self.timer.due(self._clock_ns())
+                if trigger is not None:
+                    self._broadcast(trigger)
+                    self._warn_of_stragglers()
+        finally:
+            alarm.close()
+            for sending in self._sending.values():
+                sending.cancel()
+
+    def statistics(self) -> dict[str, object]:
+        """For the health message."""
+        return self.timer.figures.summary()
+
+    def _broadcast(self, trigger: Trigger) -> None:
+        """Over all links at once; one that still hangs in the write before it is left out."""
+        for link in self._links:
+            before = self._sending.get(link.name)
+            if before is not None and not before.done():
+                self.timer.figures.unsent += 1
+                continue
+            self._sending[link.name] = asyncio.create_task(self._send(link, trigger))
+
+    async def _send(self, link: Link, trigger: Trigger) -> None:
+        time_us = trigger.planned_ns // 1000 % 2**32
+        frame = wire_frame(SamplingTrigger(trigger.number), BROADCAST, trigger.number, time_us)
+        sent = await self._sender.send(link, frame, within_ns=_PROMPT_NS)
+        if sent is None:
+            self.timer.figures.unsent += 1
+        else:
+            self.timer.sent(trigger, sent.sent_ns)
+
+    def _warn_of_stragglers(self) -> None:
+        """Warn once of each module that does not follow the triggers."""
+        now_ns = self._clock_ns()
+        if now_ns - self._looked_ns < _LOOK_INTERVAL_NS:
+            return
+        self._looked_ns = now_ns
+        for module in sorted(set(self._answers.figures.untriggered) - self._warned):
+            self._warned.add(module)
+            log.warning(
+                "module %d samples on its own timer, not on the gateway's trigger: its instants are "
+                "estimated from arrival times; set it with: mocap-gateway modules set %d mode=3",
+                module,
+                module,
+            )

@@ -1,0 +1,61 @@
+"""How sure a segment is, as a colour."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Colour = tuple[int, int, int]
+
+COLOURS: dict[str, Colour] = {
+    "measured": (70, 160, 95),
+    "interpolated": (40, 160, 190),
+    "held": (225, 180, 20),
+    "predicted": (165, 80, 195),
+    "warming_up": (80, 100, 215),
+    "missing": (210, 35, 30),
+}
+"""By status. A measured segment turns towards ``UNSURE`` as its sigma grows."""
+UNSURE: Colour = (235, 120, 15)
+STALE: Colour = (140, 140, 140)
+SURE_DEG, UNSURE_DEG = 2.0, 15.0
+"""Up to the first a measured segment counts as sure, from the second on as unsure."""
+
+
+def segment_colours(
+    statuses: Sequence[str], sigmas_rad: Sequence[float | None], is_stale: bool
+) -> NDArray[np.uint8]:
+    """(s, 3) RGB."""
+    if is_stale:
+        return np.tile(np.array(STALE, np.uint8), (len(statuses), 1))
+    colours = [_colour(status, sigma) for status, sigma in zip(statuses, sigmas_rad, strict=True)]
+    return np.array(colours, np.uint8)
+
+
+def _colour(status: str, sigma_rad: float | None) -> Colour:
+    colour = COLOURS[status]
+    if status != "measured" or sigma_rad is None:
+        return colour
+    part = (math.degrees(sigma_rad) - SURE_DEG) / (UNSURE_DEG - SURE_DEG)
+    part = min(1.0, max(0.0, part))
+    red, green, blue = (
+        round(sure + part * (unsure - sure)) for sure, unsure in zip(colour, UNSURE, strict=True)
+    )
+    return red, green, blue
+
+
+def legend() -> str:
+    """What the colours mean, as HTML."""
+    meanings = [(name.replace("_", " "), colour) for name, colour in COLOURS.items()]
+    meanings.insert(1, (f"measured, sigma over {UNSURE_DEG:g}°", UNSURE))
+    meanings.append(("no data", STALE))
+    chips = "".join(
+        '<span style="display:inline-block;margin:2px 8px 2px 0;white-space:nowrap">'
+        f'<span style="display:inline-block;width:10px;height:10px;border-radius:5px;margin-right:4px;'
+        f'background:rgb{colour}"></span>{meaning}</span>'
+        for meaning, colour in meanings
+    )
+    return f'<div style="font-size:11px;padding:0 12px 6px">{chips}</div>'

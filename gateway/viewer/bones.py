@@ -1,0 +1,79 @@
+"""What a body looks like: every segment a bone from its joint to its tip, and to the joints it carries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.body.skeleton import Skeleton
+from gateway.frames import FloatArray, IntArray
+from gateway.geometry import quaternion
+
+BONE_VERTICES: FloatArray = np.array(
+    [[0, 0, 0], [0.2, 1, 0], [0.2, 0, 1], [0.2, -1, 0], [0.2, 0, -1], [1, 0, 0]], dtype=np.float64
+)
+"""A double pyramid along x: length 1, half width 1 at a fifth of it."""
+BONE_FACES: IntArray = np.array(
+    [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [5, 1, 2], [5, 2, 3], [5, 3, 4], [5, 4, 1]], dtype=np.int64
+)
+SHORTEST_BONE_M = 0.01
+APART_M = 0.02
+"""A carried joint nearer to the tip than that gets no bone of its own."""
+WIDTH_OF_LENGTH = 0.14
+THINNEST_M, THICKEST_M = 0.015, 0.06
+
+
+@dataclass(frozen=True)
+class Bones:
+    """Constant for a body; ``n`` bones of its segments."""
+
+    segment: IntArray  # (n,) the segment that carries it
+    q_segment_from_bone: FloatArray  # (n, 4) takes the bone's x axis to its direction in the segment
+    scale: FloatArray  # (n, 3) length and half widths, m
+
+
+def bones_of(skeleton: Skeleton) -> Bones:
+    """The bones of a skeleton: at least one a segment, be it a point."""
+    segments: list[int] = []
+    ends: list[NDArray[np.float64]] = []
+    for s in range(skeleton.n_segments):
+        children = skeleton.offsets[skeleton.parents == s]
+        own = [skeleton.tips[s]] if _length(skeleton.tips[s]) >= SHORTEST_BONE_M else []
+        own += [
+            joint
+            for joint in children
+            if _length(joint) >= SHORTEST_BONE_M and _length(joint - skeleton.tips[s]) > APART_M
+        ]
+        own = own or [np.array([SHORTEST_BONE_M, 0.0, 0.0])]
+        segments += [s] * len(own)
+        ends += own
+    vectors = np.array(ends)
+    lengths = np.linalg.norm(vectors, axis=1)
+    widths = np.clip(WIDTH_OF_LENGTH * lengths, THINNEST_M, THICKEST_M)
+    return Bones(
+        segment=np.array(segments, np.int64),
+        q_segment_from_bone=np.array([_from_x_axis(v) for v in vectors / lengths[:, None]]),
+        scale=np.column_stack([lengths, widths, widths]),
+    )
+
+
+def lowest_point(skeleton: Skeleton, q_wb: FloatArray, p_w: FloatArray) -> float:
+    """Height of the lowest joint or tip of a pose, m; q_wb (s, 4), p_w (s, 3) without NaN."""
+    tips = [p + quaternion.rotate(q, tip) for q, p, tip in zip(q_wb, p_w, skeleton.tips, strict=True)]
+    return float(min(np.min(p_w[:, 2]), np.min(np.array(tips)[:, 2])))
+
+
+def _length(v: FloatArray) -> float:
+    return float(np.linalg.norm(v))
+
+
+def _from_x_axis(direction: FloatArray) -> FloatArray:
+    """The shortest rotation that takes x to a unit vector."""
+    x, y, z = direction
+    if x < -1.0 + 1e-9:
+        return np.array([0.0, 0.0, 0.0, 1.0])
+    q = np.array([1.0 + x, 0.0, -z, y])
+    unit: FloatArray = q / np.linalg.norm(q)
+    return unit

@@ -1,0 +1,160 @@
+"""What a gateway publishes, on the page, as it comes."""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+from collections.abc import Mapping
+from typing import Any
+
+import viser
+
+from devices.link import gateway_time_ns
+from gateway.cli.pose_table import STALE_AFTER_S, PoseView
+from gateway.errors import GatewayError
+from gateway.modules.remote import remote_suit
+from gateway.outputs.messages import BodyMessage
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
+from gateway.outputs.topics import ANY_GATEWAY
+from gateway.viewer.module_table import module_rows, module_table
+from gateway.viewer.panel import ButtonRow, Panel
+from gateway.viewer.posture import PostureKeeper, skeleton_of
+from gateway.viewer.scene import BodyScene, prepare
+
+PICTURES_HZ = 30.0
+RETRY_S = 0.5
+TEXTS_EVERY = 10
+"""Texts and plots are brought up to date with every so manyeth picture."""
+
+
+class LiveViewer:
+    """Draws the latest pose thirty times a second; poses in between go into the plot only."""
+
+    def __init__(self, server: viser.ViserServer, settings: MqttSettings, gateway: str) -> None:
+        self._server = server
+        self._settings = settings
+        self._gateway = gateway
+        self._loop = asyncio.get_running_loop()
+        self._view = PoseView(gateway)
+        self._latest: ReceivedPose | None = None
+        self._drawn: ReceivedPose | None = None
+        self._was_stale = False
+        self._body: BodyMessage | None = None
+        self._scene: BodyScene | None = None
+        self._keeper: PostureKeeper | None = None
+        self._requests: set[concurrent.futures.Future[None]] = set()
+        prepare(server)
+        self._panel = Panel(
+            server,
+            (
+                ButtonRow("Recording", ("start", "stop"), lambda verb: self._ask("recording", verb, {})),
+                ButtonRow("Reset", ("heading",), lambda kind: self._ask("reset", kind, {})),
+            ),
+        )
+
+    async def run(self, waits: bool = False) -> None:
+        """For ever. Raises ``BrokerUnreachableError`` if there is no broker at the start, unless it waits."""
+        while True:
+            try:
+                await self._show()
+            except BrokerUnreachableError as error:
+                if not waits:
+                    raise
+                self._panel.show_status("NO BROKER", str(error), is_alarm=True)
+            await asyncio.sleep(RETRY_S)
+
+    async def _show(self) -> None:
+        async with PoseSubscriber(self._settings, self._gateway) as poses, asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._collect(poses), name="poses")
+            tasks.create_task(self._draw_for_ever(poses), name="pictures")
+
+    async def _collect(self, poses: PoseSubscriber) -> None:
+        async for received in poses:
+            if self._gateway == ANY_GATEWAY:
+                self._gateway = received.gateway  # the first that is heard, from now on
+            if received.gateway == self._gateway:
+                self._latest = received
+                self._view.add(received)
+                self._panel.add_pose(received.pose)
+
+    async def _draw_for_ever(self, poses: PoseSubscriber) -> None:
+        picture = 0
+        while True:
+            if picture % TEXTS_EVERY == 0:
+                self._take_choices()
+                self._show_texts(poses)
+            self._take_body(poses.bodies.get(self._gateway))
+            self._draw()
+            picture += 1
+            await asyncio.sleep(1.0 / PICTURES_HZ)
+
+    def _take_body(self, body: BodyMessage | None) -> None:
+        """The body as the gateway has it now; another one is built anew."""
+        if body is None or body == self._body:
+            return
+        if self._scene is not None:
+            self._scene.remove()
+        skeleton = skeleton_of(body)
+        self._body, self._drawn = body, None
+        self._scene, self._keeper = BodyScene(self._server, skeleton), PostureKeeper(skeleton)
+
+    def _draw(self) -> None:
+        latest = self._latest
+        if latest is None or self._scene is None or self._keeper is None:
+            return
+        is_stale = self._is_stale()
+        if latest is self._drawn and is_stale == self._was_stale:
+            return
+        self._drawn, self._was_stale = latest, is_stale
+        self._scene.draw(self._keeper.take(latest.pose), is_stale)
+
+    def _take_choices(self) -> None:
+        if self._scene is None:
+            return
+        self._scene.show_axes(self._panel.axes.value)
+        self._scene.shows_names = self._panel.names.value
+        self._scene.follows = self._panel.follow.value
+
+    def _show_texts(self, poses: PoseSubscriber) -> None:
+        state = poses.states.get(self._gateway, "state unknown")
+        age = self._view.age_s(gateway_time_ns())
+        name = "no gateway heard yet" if self._gateway == ANY_GATEWAY else f"{self._gateway}: {state}"
+        if not poses.is_connected:
+            self._panel.show_status("NO BROKER", "trying to get it back", is_alarm=True)
+        elif age is None:
+            self._panel.show_status("NO DATA", f"{name}; no pose has come yet", is_alarm=True)
+        elif age > STALE_AFTER_S:
+            self._panel.show_status(
+                f"NO DATA for {age:.0f} s", f"{name}; this is the last pose", is_alarm=True
+            )
+        else:
+            rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
+            self._panel.show_status(
+                name, f"{rate:.0f} poses/s, latency {latency * 1e3:.1f} ms", is_alarm=False
+            )
+        rows = module_rows(poses.healths.get(self._gateway), poses.infos.get(self._gateway))
+        self._panel.show_modules(module_table(rows))
+        self._panel.draw_plot()
+
+    def _is_stale(self) -> bool:
+        age = self._view.age_s(gateway_time_ns())
+        return age is not None and age > STALE_AFTER_S
+
+    def _ask(self, family: str, verb: str, data: Mapping[str, Any]) -> None:
+        """A button was pressed, in a thread of the page's server."""
+        request = asyncio.run_coroutine_threadsafe(self._request(family, verb, data), self._loop)
+        self._requests.add(request)
+        request.add_done_callback(self._requests.discard)
+
+    async def _request(self, family: str, verb: str, data: Mapping[str, Any]) -> None:
+        wish = f"{family} {verb}"
+        self._panel.show_answer(f"{wish} …")
+        try:
+            async with remote_suit(self._settings, self._gateway, family) as remote:
+                answer = await remote.perform(verb, data)
+        except GatewayError as error:
+            self._panel.show_answer(f"{wish}: {error}")
+            return
+        told = ", ".join(f"{name} {value}" for name, value in answer.items())
+        self._panel.show_answer(f"{wish}: done{'; ' + told if told else ''}")

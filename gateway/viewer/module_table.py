@@ -1,0 +1,63 @@
+"""Loss and clock of every module, from the health message, as HTML."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+
+from pydantic import JsonValue
+
+from gateway.outputs.messages import BridgeHealth, BridgeInfo
+
+_COLUMNS = ("module", "segment", "lost %", "ppm", "residual µs", "battery %")
+_LOSSY_PERCENT = 1.0
+
+
+def module_rows(health: BridgeHealth | None, info: BridgeInfo | None) -> list[tuple[str, ...]]:
+    """One row a module, as texts: those of the rig, and strangers that were heard."""
+    modules = health.statistics.get("modules", {}) if health is not None else {}
+    heard: Mapping[str, JsonValue] = modules if isinstance(modules, dict) else {}
+    worn = {str(m.module): m.segment for m in info.modules} if info is not None else {}
+    names = sorted({*heard, *worn}, key=lambda name: (len(name), name))
+    return [_row(name, worn.get(name, "not in the rig"), heard.get(name)) for name in names]
+
+
+def module_table(rows: list[tuple[str, ...]]) -> str:
+    """The rows as an HTML table; modules that lose more than a per cent stand out."""
+    head = "".join(f'<th style="text-align:left;padding:1px 6px">{name}</th>' for name in _COLUMNS)
+    body = "".join(_html_row(row) for row in rows)
+    return (
+        '<div style="padding:0 8px;overflow-x:auto"><table style="font-size:11px;border-collapse:collapse">'
+        f"<tr>{head}</tr>{body}</table></div>"
+    )
+
+
+def _row(module: str, segment: str, summary: JsonValue) -> tuple[str, ...]:
+    if not isinstance(summary, dict):
+        return (module, segment, "silent", "", "", "")
+    received, lost = _number(summary, "received"), _number(summary, "lost")
+    share = 100.0 * lost / (received + lost) if received + lost else 0.0
+    battery = summary.get("battery_percent")
+    return (
+        module,
+        segment,
+        f"{share:.2f}",
+        f"{_number(summary, 'clock_ppm'):+.1f}",
+        f"{_number(summary, 'residual_us'):.0f}",
+        "" if battery is None else f"{battery}",
+    )
+
+
+def _number(summary: Mapping[str, JsonValue], name: str) -> float:
+    value = summary.get(name)
+    return float(value) if isinstance(value, int | float) else 0.0
+
+
+def _html_row(row: tuple[str, ...]) -> str:
+    lost = row[2]
+    is_bad = lost == "silent" or float(lost) > _LOSSY_PERCENT
+    colour = "color:rgb(225,60,50)" if is_bad else ""
+    cells = "".join(
+        f'<td style="padding:1px 6px;white-space:nowrap">{html.escape(cell)}</td>' for cell in row
+    )
+    return f'<tr style="{colour}">{cells}</tr>'

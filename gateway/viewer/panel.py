@@ -1,0 +1,144 @@
+"""Beside the picture: how it goes, what to show, plots, modules, and the buttons."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import viser
+
+from gateway.cli.pose_table import attitude
+from gateway.outputs.messages import PoseMessage
+from gateway.viewer.appearance import legend
+from gateway.viewer.history import History
+
+PLOT_SPAN_S = 10.0
+_LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
+_UNDEFINED = float("nan")
+
+
+class ButtonRow(NamedTuple):
+    """Buttons side by side."""
+
+    label: str
+    options: tuple[str, ...]
+    pressed: Callable[[str], None]
+    """Called with the option, in a thread of the page's server."""
+
+
+class Panel:
+    """Made once; what is chosen in it is read by whoever draws."""
+
+    def __init__(self, server: viser.ViserServer, rows: Sequence[ButtonRow]) -> None:
+        gui = server.gui
+        self._status = gui.add_html("")
+        for row in rows:
+            gui.add_button_group(row.label, row.options).on_click(_calls(row.pressed))
+        self._answer = gui.add_html("")
+        gui.add_html(legend())
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("View"):
+            self.axes = gui.add_checkbox("Segment axes", False)
+            self.names = gui.add_checkbox("Segment names", False)
+            self.follow = gui.add_checkbox("Follow the body", True)
+        with tabs.add_tab("Plot"):
+            self._plotted = gui.add_dropdown("Of", ("–",))
+            self._plot = SeriesPlot(server)
+        with tabs.add_tab("Modules"):
+            self._modules = gui.add_html("")
+        self._shown: dict[int, str] = {}
+        self._offered: tuple[str, ...] = ()
+
+    def add_pose(self, pose: PoseMessage) -> None:
+        """A pose for the plot: attitudes of segments, and of joints the angles where poses carry them."""
+        joints = pose.joint_angles or {}
+        offered = (*(f"angles of {joint}" for joint in joints), *(f"attitude of {s}" for s in pose.segments))
+        if offered != self._offered:
+            self._offered = self._plotted.options = offered
+        kind, _, name = self._plotted.value.partition(" of ")
+        if kind == "attitude":
+            q_wb = pose.segments.get(name)
+            angles = attitude(q_wb) if q_wb is not None else (_UNDEFINED,) * 3
+            self._plot.add(f"{name} °", pose.t_ns, ("heading", "pitch", "roll"), angles)
+        elif kind == "angles" and joints.get(name):
+            found = joints[name] or {}
+            movements = [movement.replace("_", " ") for movement in found]
+            self._plot.add(f"{name} °", pose.t_ns, movements, list(found.values()))
+
+    def draw_plot(self) -> None:
+        """Bring the plot up to date."""
+        self._plot.draw()
+
+    def show_status(self, headline: str, detail: str, is_alarm: bool) -> None:
+        """The line on top: red when it is an alarm."""
+        colour = "rgb(225,60,50)" if is_alarm else "inherit"
+        self._set(
+            self._status,
+            f'<div style="padding:4px 12px"><div style="font-weight:600;font-size:15px;color:{colour}">'
+            f'{html.escape(headline)}</div><div style="font-size:12px">{html.escape(detail)}</div></div>',
+        )
+
+    def show_answer(self, answer: str) -> None:
+        """What became of the last button."""
+        self._set(self._answer, f'<div style="padding:0 12px 4px;font-size:12px">{html.escape(answer)}</div>')
+
+    def show_modules(self, table: str) -> None:
+        """The table of modules, HTML."""
+        self._set(self._modules, table)
+
+    def _set(self, handle: viser.GuiHtmlHandle, content: str) -> None:
+        """Only what has changed is sent to the pages."""
+        if self._shown.get(id(handle)) != content:
+            self._shown[id(handle)] = content
+            handle.content = content
+
+
+def _calls(pressed: Callable[[str], None]) -> Callable[[viser.GuiEvent[Any]], None]:
+    return lambda event: pressed(event.target.value)
+
+
+class SeriesPlot:
+    """A few named series over the last seconds."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._title = ""
+        self._history = History((), PLOT_SPAN_S)
+        self._slot = server.gui.add_folder("Last seconds", expand_by_default=True)
+        self._chart: viser.GuiUplotHandle | None = None
+        self._is_changed = False
+
+    def add(self, title: str, t_ns: int, names: Sequence[str], values: Sequence[float]) -> None:
+        """One instant; another title or other names begin another plot."""
+        if title != self._title or tuple(names) != self._history.names:
+            self._title, self._history = title, History(names, PLOT_SPAN_S)
+            if self._chart is not None:
+                self._chart.remove()
+                self._chart = None
+        self._history.add(t_ns * 1e-9, values)
+        self._is_changed = True
+
+    def draw(self) -> None:
+        """Send the series to the pages, if there is anything new."""
+        if not self._is_changed:
+            return
+        self._is_changed = False
+        data = self._history.arrays()
+        if self._chart is not None:
+            self._chart.data = data
+            return
+        with self._slot:
+            self._chart = self._server.gui.add_uplot(
+                data,
+                (
+                    viser.uplot.Series(label="s"),
+                    *(
+                        viser.uplot.Series(label=name, stroke=colour, width=2)
+                        for name, colour in zip(self._history.names, _LINE_COLOURS, strict=False)
+                    ),
+                ),
+                title=self._title,
+                scales={"x": viser.uplot.Scale(time=False, auto=True), "y": viser.uplot.Scale(auto=True)},
+                aspect=1.6,
+            )

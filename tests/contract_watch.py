@@ -1,0 +1,70 @@
+"""Reads along on a broker, and holds every message against the contract."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import jsonschema
+import orjson
+import paho.mqtt.client as paho
+from pydantic import ValidationError
+
+from gateway.outputs import topics
+from gateway.outputs.contract import json_schemas, topic_pattern
+from gateway.outputs.messages import PUBLICATIONS, Message
+from gateway.outputs.request_messages import ResponseMessage
+
+_BY_SCHEMA = 3
+"""So many messages of each topic are validated by JSON Schema too, which is slower than the models."""
+_PATTERNS = [(topic_pattern(publication), publication.model) for publication in PUBLICATIONS]
+_VALIDATORS = {name: jsonschema.Draft202012Validator(schema) for name, schema in json_schemas().items()}
+
+
+class ContractWatch:
+    """A client of its own, in a thread of its own, from the start of a test to its end."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.messages: Counter[str] = Counter()
+        """How many were held against the contract, by model."""
+        self.problems: list[str] = []
+        self._seen: Counter[str] = Counter()
+        self._client = paho.Client(paho.CallbackAPIVersion.VERSION2, "contract-watch")
+        self._client.reconnect_delay_set(1, 1)
+        self._client.on_connect = lambda client, *_: client.subscribe("mocap/#")
+        self._client.on_message = lambda _client, _data, message: self.take(message.topic, message.payload)
+        self._client.connect_async(host, port)
+        self._client.loop_start()
+
+    def stop(self) -> None:
+        """End."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def take(self, topic: str, payload: bytes) -> None:
+        """Hold one message against the contract."""
+        _, _, below = topic.partition("/")[2].partition("/")
+        if not payload or below.startswith(f"{topics.BRIDGE_REQUEST}/"):
+            return  # a retained message taken away; what tests ask for, right or wrong
+        model = _model_of(below)
+        if model is None:
+            self.problems.append(f"{topic}: not in the contract")
+            return
+        self.messages[model.__name__] += 1
+        self._seen[topic] += 1
+        try:
+            model.model_validate_json(payload)
+            if self._seen[topic] <= _BY_SCHEMA:
+                _VALIDATORS[model.__name__].validate(orjson.loads(payload))
+        except (ValidationError, jsonschema.ValidationError) as error:
+            self.problems.append(f"{topic}: {error}")
+
+
+def _model_of(below: str) -> type[Message] | None:
+    if below.startswith(f"{topics.BRIDGE_RESPONSE}/"):
+        return ResponseMessage
+    return next((model for pattern, model in _PATTERNS if pattern.match(below)), None)
+
+
+def assert_kept(watch: ContractWatch) -> None:
+    """Fails the test on whose broker there was what the contract does not have."""
+    assert not watch.problems, "\n".join(watch.problems[:5])

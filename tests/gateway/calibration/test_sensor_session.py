@@ -1,0 +1,183 @@
+"""A whole suit in a box, through the wire: its errors are found, written to a rig file, and taken out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from devices.calibration import SensorCalibration
+from devices.emulators.imperfections import UNCALIBRATED, draw_errors, module_random
+from devices.emulators.kinematics_truth import MotionState
+from devices.emulators.suit_devices import ERRORS
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.emulators.tumbling import TumblingMotion
+from devices.link import Chunk, Framing
+from firmware_protocol.device_settings import factory_settings
+from gateway.assembly import AssemblyParams
+from gateway.body.rig import load_rig
+from gateway.calibration.corrections import SensorCorrections
+from gateway.calibration.rig_file import write_calibrated_rig
+from gateway.calibration.sensor_session import SensorSession, combined
+from gateway.cli.emulated_rig import dress
+from gateway.errors import SettingsError
+from gateway.frames import InertialReading
+from gateway.pipeline import Pipeline
+from gateway.settings_files import find_file
+from gateway.stream import Stream
+
+SEED = 4
+SECONDS = 80.0
+MODULES = load_rig("arm_3").module_ids
+
+
+def traffic(suit, seconds):
+    settings = SuitSettings(
+        gravity=suit.gravity, magnetic_field=suit.magnetic_field, is_fine=True, sampling_rate_hz=25.0
+    )
+    return SuitTraffic(TumblingMotion(dress(suit), SEED), settings, UNCALIBRATED, SEED).transmissions(seconds)
+
+
+@pytest.fixture(scope="module")
+def session():
+    suit = load_rig("arm_3")
+    stream, session = Stream(), SensorSession(MODULES, 9.81, 49.0)
+    stream.add_link("box", Framing.BYTE_STREAM)
+    for sent in traffic(suit, SECONDS):
+        for reading in stream.receive(Chunk(sent.data, round(sent.time_s * 1e9), "box")):
+            session.add(
+                reading.module,
+                reading.time_ns,
+                reading.specific_force,
+                reading.angular_rate,
+                reading.magnetic_field,
+            )
+    return session
+
+
+def test_it_is_enough_and_all_of_it_good(session):
+    for module, one in session.modules.items():
+        progress = one.progress()
+        assert session.is_enough(progress), progress
+        for sensor, result in session.results(module).items():
+            assert not isinstance(result, str), (sensor, result)
+            assert result.quality.verdict == "good", (sensor, result.quality)
+
+
+def test_the_errors_that_were_drawn_are_found(session):
+    for module in MODULES:
+        errors = draw_errors(UNCALIBRATED, module_random(SEED, module, ERRORS))
+        found = session.results(module)
+        np.testing.assert_allclose(found["gyrometer"].bias, errors.gyrometer_bias, atol=np.radians(0.1))
+        np.testing.assert_allclose(found["accelerometer"].fit.bias, errors.accelerometer_bias, atol=0.05)
+        np.testing.assert_allclose(found["magnetometer"].fit.bias, errors.magnetometer_bias, atol=1.0)
+        assert found["accelerometer"].fit.spread_after < 0.002
+        assert found["magnetometer"].fit.spread_after < 0.02
+        assert found["magnetometer"].fit.spread_after < 0.3 * found["magnetometer"].fit.spread_before
+
+
+def norms(suit):
+    """Standard deviation of the norm over its mean: specific force at rest, field, by module."""
+
+    class Keep:
+        def __init__(self):
+            self.frames = []
+
+        def update(self, frame):
+            self.frames.append(frame)
+
+    pipeline = Pipeline(suit, AssemblyParams(4e7, 30_000_000, 100_000_000, 500_000_000))
+    pipeline.reconstructor = keep = Keep()
+    pipeline.add_link("box", Framing.BYTE_STREAM)
+    for sent in traffic(suit, 20.0):
+        pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), "box"))
+    field = np.stack([frame.magnetic_field for frame in keep.frames])[10:]
+    lengths = np.linalg.norm(field, axis=2)
+    return np.nanstd(lengths, axis=0) / np.nanmean(lengths, axis=0)
+
+
+def test_a_rig_file_takes_them_out_of_the_readings(session, tmp_path):
+    target = tmp_path / "mine.yaml"
+    calibrations = {module: combined(session.results(module)) for module in MODULES}
+    write_calibrated_rig(find_file("arm_3", "rigs"), target, calibrations, "2025-01-01")
+    suit = load_rig(str(target))
+    assert set(suit.calibrations) == set(MODULES)
+    before, after = norms(load_rig("arm_3")), norms(suit)
+    assert (before > 0.03).all()
+    assert (after < 0.02).all()
+    text = yaml.safe_load(target.read_text())
+    assert text["modules"][0]["calibration"]["measured"] == "2025-01-01"
+
+
+def test_modules_without_calibration_pass_as_they_are():
+    reading = InertialReading(3, 0, 0, (1.0, 2.0, 3.0), None, (4.0, 5.0, 6.0))
+    corrections = SensorCorrections({4: SensorCalibration(gyrometer_bias=np.ones(3))})
+    assert corrections.apply(reading) is reading
+    corrected = corrections.apply(replace(reading, module=4, angular_rate=(1.0, 2.0, 3.0)))
+    assert corrected.angular_rate == (0.0, 1.0, 2.0)
+    assert corrected.specific_force == (1.0, 2.0, 3.0)
+    assert corrections.apply(replace(reading, module=4)).angular_rate is None
+
+
+def random_calibration(seed):
+    rng = np.random.default_rng(seed)
+    return SensorCalibration(
+        np.eye(3) + 0.1 * rng.uniform(-1, 1, (3, 3)),
+        rng.normal(size=3),
+        rng.normal(size=3),
+        np.eye(3) + 0.1 * rng.uniform(-1, 1, (3, 3)),
+        10 * rng.normal(size=3),
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_correction_after_another_is_one_correction(seed):
+    first, second = random_calibration(seed), random_calibration(seed + 100)
+    both, values = second.after(first), np.random.default_rng(seed).normal(size=(5, 3))
+    for sensor in ("specific_force", "angular_rate", "magnetic_field"):
+        expected = getattr(second, sensor)(getattr(first, sensor)(values))
+        np.testing.assert_allclose(getattr(both, sensor)(values), expected, atol=1e-12)
+
+
+def test_the_setting_of_modules_is_the_same_thing():
+    calibration = random_calibration(1)
+    again = SensorCalibration.from_setting(calibration.to_setting())
+    for name in (
+        "accelerometer_matrix",
+        "accelerometer_bias",
+        "gyrometer_bias",
+        "magnetometer_matrix",
+        "magnetometer_bias",
+    ):
+        np.testing.assert_array_equal(getattr(again, name), getattr(calibration, name))
+    assert SensorCalibration().to_setting() == tuple(factory_settings()[9])
+    with pytest.raises(ValueError, match="30 finite numbers"):
+        SensorCalibration.from_setting([0.0] * 29)
+
+
+def test_a_rig_with_an_impossible_calibration_is_refused(tmp_path):
+    text = find_file("arm_3", "rigs").read_text()
+    entry = "calibration: {magnetometer: {matrix: [[1, 0, 0], [0, 0, 0], [0, 0, 1]]}}"
+    path = tmp_path / "rig.yaml"
+    path.write_text(text.replace("position: [0.11, 0.30, 0]}", "position: [0.11, 0.30, 0], " + entry + "}"))
+    with pytest.raises(SettingsError, match="no sensor is distorted so much"):
+        load_rig(str(path))
+
+
+def test_the_box_moves_as_its_derivatives_say():
+    motion = TumblingMotion(dress(load_rig("suit_17")), 1)
+    times, h = np.arange(0.31, 70, 1.73), 1e-4
+    before, now, after = (motion.state(times + step) for step in (-h, 0.0, h))
+
+    def flat(state: MotionState):
+        return Rotation.from_matrix(state.R_wb.reshape(-1, 3, 3))
+
+    turned = (flat(before).inv() * flat(after)).as_rotvec() / (2 * h)
+    np.testing.assert_allclose(turned, now.angular_rate.reshape(-1, 3), atol=1e-5)
+    for position, rate in (("joint_position", "joint_velocity"), ("joint_velocity", "joint_acceleration")):
+        slope = (getattr(after, position) - getattr(before, position)) / (2 * h)
+        np.testing.assert_allclose(slope, getattr(now, rate), atol=0.02)
+    np.testing.assert_allclose(
+        (after.angular_rate - before.angular_rate) / (2 * h), now.angular_acceleration, atol=0.02
+    )

@@ -1,0 +1,250 @@
+"""The recorder loses nothing, holds nobody up for long, and ends in words when the disk is full."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import os
+import subprocess
+import threading
+import time
+
+import pytest
+
+from devices.link import Chunk, Framing
+from devices.recording_file import RecordingError, RecordingFile
+from gateway.recording import open_recording, recorder
+from gateway.recording.files import Contents, SessionFiles
+from gateway.recording.recorder import Recorder, Sink
+from gateway.settings import RecordingSettings
+
+MB = 10**6
+CONTENTS = Contents({"suit": Framing.BYTE_STREAM}, {}, "1", True)
+
+
+def chunk(index: int, size: int = 100) -> Chunk:
+    return Chunk(index.to_bytes(4, "little") + os.urandom(size), 10**18 + index, "suit")
+
+
+def recorder_on(files: SessionFiles, flush_s: float = 0.01, **options) -> Recorder:
+    return Recorder(Sink(files.write, files.flush, files.close, files.abandon), flush_s, **options)
+
+
+def settings_in(folder, **changes) -> RecordingSettings:
+    return RecordingSettings(
+        **{"folder": str(folder), "min_free_mb": 0, "warn_free_mb": 0, "fsync_s": 0} | changes
+    )
+
+
+def indices(path) -> list[int]:
+    return [int.from_bytes(c.data[:4], "little") for c in open_recording(path).chunks()]
+
+
+def test_what_is_flushed_can_be_read_while_recording_goes_on(tmp_path):
+    files = SessionFiles(settings_in(tmp_path), CONTENTS)
+    kept = recorder_on(files)
+    kept.chunk(chunk(0), Framing.BYTE_STREAM)
+    deadline = time.monotonic() + 5
+    while not kept.counts.written["chunks"] and time.monotonic() < deadline:
+        time.sleep(0.002)
+    assert indices(files.path) == [0]
+    assert RecordingFile(files.path).head.session["software"] == "1"
+    kept.chunk(chunk(1), Framing.BYTE_STREAM)
+    kept.end("stopped")
+    assert kept.join(5)
+    assert indices(files.path) == [0, 1]
+    assert kept.counts.written["chunks"] == kept.counts.queued["chunks"] == 2
+
+
+def test_sessions_rotate_by_size_into_files_that_are_whole_and_read_as_one(tmp_path):
+    files = SessionFiles(settings_in(tmp_path, rotate_mb=0.05), CONTENTS, "long")
+    for index in range(300):
+        files.write("/chunks/suit", 10**18 + index, chunk(index, 1000).data, {"link": "suit"})
+        if index % 10 == 9:
+            assert files.flush() is None
+    files.close()
+    paths = sorted(tmp_path.iterdir())
+    assert len(paths) == files.part >= 5
+    first = min(paths, key=lambda path: len(path.name))
+    assert first.name.endswith("Z_long.mcap")
+    recording = open_recording(first)
+    assert recording.meta.n_parts == len(paths)
+    assert indices(first) == list(range(300))
+    assert recording.defect is None
+    assert files.size == sum(path.stat().st_size for path in paths)
+    later = open_recording(first.with_name(f"{first.stem}_part3.mcap"))
+    assert later.meta.n_parts == len(paths) - 2
+    assert not later.meta.from_start
+    assert [event.name for event in recording.events()] == ["rotated"] * (len(paths) - 1)
+
+
+def test_sessions_rotate_by_time(tmp_path):
+    now = 0.0
+    files = SessionFiles(settings_in(tmp_path, rotate_minutes=2), CONTENTS, monotonic=lambda: now)
+    for now in (0.0, 60.0, 119.0, 121.0, 200.0, 242.0):  # noqa: B007 - read by the clock
+        files.flush()
+    files.close()
+    assert files.part == 3
+
+
+def test_parts_of_another_session_are_left_alone(tmp_path):
+    files = SessionFiles(settings_in(tmp_path), CONTENTS)
+    files.close()
+    other = SessionFiles(settings_in(tmp_path), CONTENTS)
+    other.close()
+    assert other.path != files.path  # also within one second
+    other.path.rename(files.path.with_name(f"{files.path.stem}_part2.mcap"))
+    assert open_recording(files.path).meta.n_parts == 1
+
+
+def test_low_disk_warns_and_then_ends_the_recording_cleanly(tmp_path, caplog):
+    free = [10_000 * MB]
+    files = SessionFiles(
+        settings_in(tmp_path, warn_free_mb=2000, min_free_mb=500), CONTENTS, free=lambda _: free[0]
+    )
+    ended = []
+    kept = recorder_on(files, on_end=ended.append)
+    kept.chunk(chunk(0), Framing.BYTE_STREAM)
+    time.sleep(0.05)
+    assert files.warning is None
+    free[0] = 1500 * MB
+    time.sleep(0.05)
+    assert "1500 MB free" in files.warning
+    assert caplog.text.count("recording stops at 500 MB") == 1
+    kept.chunk(chunk(1), Framing.BYTE_STREAM)
+    time.sleep(0.05)
+    free[0] = 499 * MB
+    assert kept.join(5)
+    assert "499 MB free, less than min_free_mb 500" in kept.ended
+    assert ended == [kept.ended]
+    kept.chunk(chunk(2), Framing.BYTE_STREAM)
+    assert kept.counts.lost == {"chunks": 1}
+    recording = open_recording(files.path)
+    assert indices(files.path) == [0, 1]
+    assert recording.defect is None
+    assert "499 MB" in list(recording.events())[-1].data["reason"]
+
+
+def test_no_room_at_the_start_is_said_before_anything_is_written(tmp_path):
+    with pytest.raises(RecordingError, match=r"has 3 MB free, less than recording\.min_free_mb"):
+        SessionFiles(settings_in(tmp_path, min_free_mb=4), CONTENTS, free=lambda _: 3 * MB)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match=r"recordings cannot go to .*file.*set recording.folder"):
+        SessionFiles(settings_in(tmp_path / "file"), CONTENTS)
+
+
+@contextlib.contextmanager
+def small_disk(folder, size):
+    """A file system of its own. Skips where it may not be mounted."""
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"a small file system cannot be mounted here: {done.stderr.strip()}")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def test_a_disk_full_to_the_brim_ends_the_recording_and_what_was_flushed_is_there(tmp_path):
+    with small_disk(tmp_path / "disk", "1m") as disk:
+        files = SessionFiles(settings_in(disk), CONTENTS)
+        kept = recorder_on(files)
+        fed = 0
+        while kept.ended is None and fed < 10_000:
+            kept.chunk(chunk(fed, 2000), Framing.BYTE_STREAM)
+            fed += 1
+            time.sleep(0.0005)
+        assert kept.join(5)
+        assert "cannot be written any more (No space left on device)" in kept.ended
+        written = kept.counts.written["chunks"]
+        assert 100 < written < fed
+        assert indices(files.path) == list(range(written))
+        assert kept.counts.lost["chunks"] == fed - written
+
+
+def test_an_error_of_the_disk_leaves_the_last_good_flush(tmp_path, monkeypatch):
+    files = SessionFiles(settings_in(tmp_path), CONTENTS)
+    files.write("/chunks/suit", 1, chunk(0).data, {})
+    files.flush()
+    real, torn = os.write, []
+
+    def fails(descriptor, data):
+        if torn:
+            raise OSError(errno.EIO, "Input/output error")
+        torn.append(True)
+        return real(descriptor, bytes(data)[: len(data) // 2])
+
+    files.write("/chunks/suit", 2, chunk(1).data, {})
+    monkeypatch.setattr(os, "write", fails)
+    with pytest.raises(OSError, match="Input/output"):
+        files.flush()
+    monkeypatch.undo()
+    files.abandon()
+    size = files.path.stat().st_size
+    assert indices(files.path) == [0]
+    assert size == files.size
+
+
+async def test_a_slow_disk_holds_the_stream_up_and_nothing_is_lost(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "LONGEST_QUEUE_BYTES", 10_000)
+    files = SessionFiles(settings_in(tmp_path), CONTENTS)
+    gate = threading.Event()
+
+    def flush():
+        gate.wait(5)
+        return files.flush()
+
+    kept = Recorder(Sink(files.write, flush, files.close, files.abandon), 0.01)
+    asyncio.get_running_loop().call_later(0.3, gate.set)
+    for index in range(500):
+        if kept.is_behind:
+            await kept.catch_up()
+        kept.chunk(chunk(index), Framing.BYTE_STREAM)
+    kept.end("stopped")
+    assert kept.join(5)
+    assert indices(files.path) == list(range(500))
+    assert kept.counts.stalls >= 1
+    assert kept.counts.stalled_s > 0.1
+    assert not kept.counts.lost
+
+
+async def test_a_disk_that_hangs_ends_the_recording_and_lets_the_stream_go_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "LONGEST_QUEUE_BYTES", 1000)
+    monkeypatch.setattr(recorder, "LONGEST_STALL_S", 0.1)
+    files = SessionFiles(settings_in(tmp_path), CONTENTS)
+    gate = threading.Event()
+
+    def flush():
+        gate.wait(20)
+        return files.flush()
+
+    kept = Recorder(Sink(files.write, flush, files.close, files.abandon), 0.01)
+    for index in range(50):
+        kept.chunk(chunk(index), Framing.BYTE_STREAM)
+    begun = time.monotonic()
+    await kept.catch_up()
+    assert 0.1 <= time.monotonic() - begun < 1
+    assert not kept.is_behind  # nobody waits a second time
+    kept.chunk(chunk(99), Framing.BYTE_STREAM)
+    assert kept.counts.lost == {"chunks": 1}
+    gate.set()
+    assert kept.join(5)
+    assert "the disk took nothing for 0.1 s" in kept.ended
+    assert indices(files.path) == list(range(50))
+
+
+def test_a_failure_inside_is_said_and_ends_it(caplog):
+    def breaks(*_):
+        raise RuntimeError("inside")
+
+    with caplog.at_level(logging.ERROR):
+        kept = Recorder(Sink(breaks, lambda: None, lambda: None, lambda: None), 0.01)
+        kept.chunk(chunk(0), Framing.BYTE_STREAM)
+        assert kept.join(5)
+    assert "this should not have happened" in kept.ended
+    assert kept.counts.lost["chunks"] == 1

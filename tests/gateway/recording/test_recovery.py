@@ -1,0 +1,116 @@
+"""Files that were cut off or damaged anywhere: opened, read up to there, and made whole."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from devices.recording_file import RecordingError
+from gateway.recording import open_recording
+from gateway.recording.recovery import recover, recover_in_place
+from gateway.recording.summary import recordings_in, summarise
+
+
+@pytest.fixture
+def whole(record, arm_chunks):
+    path = record(chunks=arm_chunks[:80])
+    return path, path.read_bytes(), list(open_recording(path).items())
+
+
+def first_message(data: bytes) -> int:
+    """Offset of the first MCAP chunk; before it stand the session record and the attachments."""
+    return data.index(b"zstd") - 40
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(share=st.floats(0, 1))
+def test_a_file_cut_anywhere_gives_what_was_before_and_recovers(whole, tmp_path, share):
+    _, data, items = whole
+    cut = tmp_path / "cut.mcap"
+    start = first_message(data)
+    cut.write_bytes(data[: start + round(share * (len(data) - start))])
+    recording = open_recording(cut)
+    found = list(recording.items())
+    assert repr(found) == repr(items[: len(found)])
+    target = tmp_path / "whole.mcap"
+    target.unlink(missing_ok=True)
+    done = recover(cut, target)
+    again = open_recording(target)
+    assert repr(list(again.items())) == repr(found)
+    assert again.defect is None
+    assert again.meta.session == recording.meta.session
+    assert (done.messages, done.defect is None) == (len(found), share == 1.0 or recording.defect is None)
+    with target.open("rb") as file:  # the index serves readers that are not ours
+        assert sum(1 for _ in make_reader(file).iter_messages()) == len(found)
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(share=st.floats(0, 0.999), flip=st.integers(1, 255))
+def test_a_damaged_byte_costs_a_piece_at_most_and_is_never_believed(whole, tmp_path, share, flip):
+    _, data, items = whole
+    start = first_message(data)
+    position = start + int(share * (len(data) - start))
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(data[:position] + bytes([data[position] ^ flip]) + data[position + 1 :])
+    found = [repr(item) for item in open_recording(damaged).items()]
+    remaining = iter(repr(item) for item in items)
+    assert all(any(item == other for other in remaining) for item in found)  # in order, none invented
+
+
+def test_recovering_in_place_keeps_the_file_until_the_new_one_is_whole(whole, tmp_path):
+    path, data, items = whole
+    path.write_bytes(data[:-500])
+    done = recover_in_place(path)
+    assert done.path == path
+    assert "was not closed" in done.defect
+    assert repr(list(open_recording(path).items())) == repr(items)
+    assert [each.name for each in path.parent.iterdir()] == [path.name]
+
+
+def test_what_is_no_recording_is_said(tmp_path, whole):
+    path, data, _ = whole
+    for name, content in (("empty", b""), ("text", b"hello"), ("magic", data[:8]), ("head", data[:60])):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(RecordingError, match="is no recording of mocap-gateway"):
+            open_recording(tmp_path / name)
+    with pytest.raises(RecordingError, match="No such file"):
+        open_recording(tmp_path / "absent.mcap")
+    with pytest.raises(RecordingError, match="exists already"):
+        recover(path, path)
+
+
+def test_a_newer_format_is_refused_in_words(tmp_path, whole):
+    _, data, _ = whole
+    newer = data.replace(
+        b"\x06\x00\x00\x00format\x01\x00\x00\x001", b"\x06\x00\x00\x00format\x01\x00\x00\x009", 1
+    )
+    assert newer != data
+    (tmp_path / "newer.mcap").write_bytes(newer)
+    with pytest.raises(RecordingError, match="format 9; this program reads format 1"):
+        open_recording(tmp_path / "newer.mcap")
+
+
+def test_figures_are_the_same_from_the_index_and_from_reading(whole):
+    path, data, _ = whole
+    by_index = summarise(open_recording(path))
+    path.write_bytes(data[:-100])
+    by_reading = summarise(open_recording(path))
+    assert by_index.defect is None
+    assert "was not closed" in by_reading.defect
+    assert by_index.messages["/chunks/left"] == by_reading.messages["/chunks/left"] > 30
+    assert by_index.modules == by_reading.modules
+    assert by_index.duration_s == pytest.approx(by_reading.duration_s, abs=0.05)
+    assert by_index.duration_s == pytest.approx(0.5, abs=0.4)
+    assert 0 <= by_index.loss_percent < 20
+
+
+def test_folders_are_listed_with_what_is_not_readable(whole):
+    path, _, _ = whole
+    (path.parent / "broken.mcap").write_bytes(b"broken")
+    (path.parent / "notes.txt").write_text("notes")
+    found = list(recordings_in(path.parent))
+    assert [isinstance(each, RecordingError) for each in found] == [False, True]
+    with pytest.raises(RecordingError, match="cannot be read"):
+        list(recordings_in(path.parent / "absent"))

@@ -1,0 +1,132 @@
+"""What the page draws, without a page."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gateway.body.kinematics import joint_positions
+from gateway.body.rig import load_rig
+from gateway.geometry import quaternion
+from gateway.outputs.messages import (
+    BridgeHealth,
+    BridgeInfo,
+    ModuleInfo,
+    OutputCounters,
+    PoseMessage,
+    describe_body,
+)
+from gateway.viewer.appearance import COLOURS, STALE, UNSURE, legend, segment_colours
+from gateway.viewer.bones import BONE_FACES, BONE_VERTICES, bones_of, lowest_point
+from gateway.viewer.history import History
+from gateway.viewer.module_table import module_rows, module_table
+from gateway.viewer.posture import PostureKeeper, skeleton_of
+
+SKELETON = load_rig("suit_17").skeleton
+
+
+def pose(**changes):
+    segments = dict.fromkeys(SKELETON.segment_names, (1.0, 0.0, 0.0, 0.0))
+    status = dict.fromkeys(SKELETON.segment_names, "measured")
+    fields = {"t_ns": 1, "seq": 1, "frame": "ENU", "order": "wxyz", "root": "pelvis"}
+    fields |= {"segments": segments, "status": status} | changes
+    return PoseMessage(**fields)
+
+
+def test_every_bone_ends_at_its_tip_or_at_a_joint_that_its_segment_carries():
+    bones = bones_of(SKELETON)
+    assert set(bones.segment) == set(range(SKELETON.n_segments))
+    for s, q, scale in zip(bones.segment, bones.q_segment_from_bone, bones.scale, strict=True):
+        end = quaternion.rotate(q, np.array([scale[0], 0.0, 0.0]))
+        ends = [SKELETON.tips[s], *SKELETON.offsets[SKELETON.parents == s]]
+        assert min(np.linalg.norm(end - candidate) for candidate in ends) < 1e-9
+
+
+def test_the_bone_is_closed_and_its_faces_look_outwards():
+    edges = {(a, b) for face in BONE_FACES for a, b in zip(face, np.roll(face, -1), strict=True)}
+    assert edges == {(b, a) for a, b in edges}
+    middle = np.array([0.2, 0.0, 0.0])
+    for a, b, c in BONE_VERTICES[BONE_FACES]:
+        assert np.dot(np.cross(b - a, c - a), a - middle) > 0
+
+
+def test_a_body_whose_place_nobody_knows_stands_on_the_floor():
+    keeper = PostureKeeper(SKELETON)
+    q_wb = tuple(SKELETON.neutral)
+    drawn = keeper.take(pose(segments=dict.fromkeys(SKELETON.segment_names, q_wb)))
+    assert lowest_point(SKELETON, drawn.q_wb, drawn.p_w) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_known_place_is_kept():
+    keeper = PostureKeeper(SKELETON)
+    drawn = keeper.take(pose(position={"pelvis": (1.0, 2.0, 3.0)}))
+    expected = joint_positions(SKELETON.parents, SKELETON.offsets, drawn.q_wb, np.array([1.0, 2.0, 3.0]))
+    np.testing.assert_array_equal(drawn.p_w, expected)
+
+
+def test_a_segment_that_falls_silent_stays_as_it_was():
+    keeper = PostureKeeper(SKELETON)
+    turned = (math.cos(0.4), math.sin(0.4), 0.0, 0.0)
+    segments = dict.fromkeys(SKELETON.segment_names, (1.0, 0.0, 0.0, 0.0))
+    keeper.take(pose(segments=segments | {"head": turned}))
+    drawn = keeper.take(pose(segments=segments | {"head": None}))
+    np.testing.assert_allclose(drawn.q_wb[SKELETON.index("head")], turned)
+
+
+def test_the_published_skeleton_is_read_back():
+    read = skeleton_of(describe_body(SKELETON))
+    assert read.segment_names == SKELETON.segment_names
+    np.testing.assert_array_equal(read.parents, SKELETON.parents)
+    np.testing.assert_array_equal(read.offsets, SKELETON.offsets)
+    np.testing.assert_array_equal(read.tips, SKELETON.tips)
+
+
+def test_colours_tell_status_and_confidence():
+    colours = segment_colours(
+        ["measured", "measured", "missing"], [math.radians(1.0), math.radians(40.0), None], is_stale=False
+    )
+    assert [tuple(row) for row in colours] == [COLOURS["measured"], UNSURE, COLOURS["missing"]]
+    assert {tuple(row) for row in segment_colours(["measured"] * 3, [None] * 3, is_stale=True)} == {STALE}
+    assert all(name.replace("_", " ") in legend() for name in COLOURS)
+
+
+def test_history_forgets_what_is_old_and_begins_anew_when_time_jumps_back():
+    history = History(("a", "b"), span_s=1.0)
+    assert all(len(array) == 1 for array in history.arrays())
+    for k in range(31):
+        history.add(0.1 * k, (k, -k))
+    times, a, b = history.arrays()
+    assert times[0] == pytest.approx(-1.0)
+    assert times[-1] == 0.0
+    np.testing.assert_array_equal(a, -b)
+    assert a[-1] == 30
+    history.add(0.0, (7, 8))
+    assert [array.tolist() for array in history.arrays()] == [[0.0], [7.0], [8.0]]
+
+
+def test_the_module_table_names_the_silent_and_the_lossy():
+    info = BridgeInfo(
+        version="1",
+        gateway="g",
+        reconstructor="independent",
+        frame_rate=100,
+        modules=(ModuleInfo(module=1, segment="head"), ModuleInfo(module=2, segment="<b>")),
+    )
+    summary = {"received": 90, "lost": 10, "clock_ppm": -12.34, "residual_us": 56.0, "battery_percent": 77}
+    health = BridgeHealth(
+        t_ns=1,
+        uptime_s=1,
+        mqtt=OutputCounters(published=0, dropped=0, thinned=0, queued=0, connections=1),
+        statistics={"modules": {"1": summary}},
+    )
+    rows = module_rows(health, info)
+    assert rows == [
+        ("1", "head", "10.00", "-12.3", "56", "77"),
+        ("2", "<b>", "silent", "", "", ""),
+    ]
+    table = module_table(rows)
+    assert table.count("color:rgb") == 2
+    assert "<b>" not in table
+    assert module_rows(None, None) == []

@@ -1,0 +1,261 @@
+"""What a running gateway tells of itself: modules, gateway time against UTC, metrics, health."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections import defaultdict
+
+import numpy as np
+import orjson
+import pytest
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
+from prometheus_client.parser import text_string_to_metric_families as parse_text
+
+from gateway.body.rig import load_rig
+from gateway.errors import OutputError
+from gateway.observability import Observer
+from gateway.outputs.connection import broker_connection
+from gateway.outputs.messages import BridgeHealth, BridgeInfo, ModuleState, PoseMessage
+from gateway.service import Service
+from gateway.settings import GatewaySettings
+
+pytestmark = pytest.mark.system
+
+HOUR_NS = 3600 * 10**9
+
+
+class Listener:
+    """All that a broker relays, by topic."""
+
+    def __init__(self):
+        self.messages = defaultdict(list)
+
+    def newest(self, topic):
+        messages = self.messages[f"mocap/lab/{topic}"]
+        return orjson.loads(messages[-1]) if messages else None
+
+    async def listen(self, client):
+        async for message in client.messages:
+            self.messages[message.topic.value].append(message.payload)
+
+
+@contextlib.asynccontextmanager
+async def gateway_of(suit, broker_port, **settings):
+    """(service, listener) of a gateway on an emulated robot arm."""
+    gateway_settings = GatewaySettings(
+        gateway="lab",
+        links=[{"name": "suit", "url": "loopback"}],
+        rig="robot_arm_4",
+        mqtt={"port": broker_port, "health_interval": 0.1},
+        modules={"state_interval_s": 0.5, "silent_after_s": 0.5},
+        **settings,
+    )
+    service = Service(gateway_settings, load_rig("robot_arm_4"), [suit.link])
+    listener = Listener()
+    async with broker_connection(gateway_settings.mqtt, broker_port, "listener") as client:
+        await client.subscribe("mocap/#", qos=1)
+        listening = asyncio.create_task(listener.listen(client))
+        serving = asyncio.create_task(service.run())
+        try:
+            yield service, listener, serving
+        finally:
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
+            await asyncio.sleep(0.1)
+            listening.cancel()
+
+
+async def fetch(port, path, accept=""):
+    """Status, content type and body of a real GET."""
+
+    def get():
+        request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers={"Accept": accept})
+        try:
+            with urllib.request.urlopen(request, timeout=5) as response:
+                return response.status, response.headers["Content-Type"], response.read()
+        except urllib.error.HTTPError as error:
+            return error.code, error.headers["Content-Type"], error.read()
+
+    return await asyncio.to_thread(get)
+
+
+async def test_modules_are_told_of_fall_silent_come_back_and_end_offline(commanded_suit, mosquitto, until):
+    async with commanded_suit() as suit:
+        async with gateway_of(suit, mosquitto.port) as (_, listener, _serving):
+            await until(lambda: listener.newest("module/3/availability") == {"state": "online"})
+            await until(lambda: (listener.newest("module/1/state") or {}).get("rate_hz"))
+            suit.traffic.cut_power(1, suit.soon_s(), off_s=1.5)
+            await until(lambda: listener.newest("module/1/availability") == {"state": "offline"})
+            state = ModuleState.model_validate(listener.newest("module/1/state"))
+            assert state.availability == "offline"
+            assert state.silent_since_ns == state.last_arrival_ns
+            assert listener.newest("module/0/availability") == {"state": "online"}
+            await until(lambda: listener.newest("module/1/availability") == {"state": "online"})
+            await until(lambda: listener.newest("module/1/state")["resets"] == 1)
+            assert listener.newest("module/1/state")["silent_since_ns"] is None
+            state = ModuleState.model_validate(listener.newest("module/2/state"))
+            assert (state.segment, state.lost, state.duplicates) == ("link_3", 0, 0)
+            assert state.rate_hz == pytest.approx(100, abs=15)
+            assert state.clock.bound_us is not None
+            # told at its start, so by the module that has just started again
+            assert listener.newest("module/1/state")["unique_id"] == suit.unique_id(1).hex()
+        for module in range(4):
+            assert listener.newest(f"module/{module}/availability") == {"state": "offline"}
+            assert listener.newest(f"module/{module}/state")["availability"] == "offline"
+        assert listener.newest("bridge/state") == {"state": "offline"}
+
+
+async def test_a_broker_that_forgot_is_told_again(commanded_suit, mosquitto, until):
+    async with commanded_suit() as suit, gateway_of(suit, mosquitto.port) as (service, listener, _):
+        await until(lambda: listener.newest("module/3/availability") is not None)
+        mosquitto.restart()  # it keeps nothing
+        await until(lambda: service.mqtt.counters.connections == 2)
+        late = Listener()
+        settings = service.mqtt._settings
+        async with broker_connection(settings, mosquitto.port, "late") as client:
+            await client.subscribe("mocap/lab/module/#", qos=1)
+            listening = asyncio.create_task(late.listen(client))
+            await until(lambda: len(late.messages) == 8)
+            listening.cancel()
+        assert late.newest("module/3/availability") == {"state": "online"}
+
+
+async def test_a_host_clock_set_by_an_hour_moves_the_anchor_and_no_pose(
+    commanded_suit, mosquitto, until, monkeypatch, caplog
+):
+    wall_ns = time.time_ns
+    set_by_ns = 0
+    plain_init = Observer.__init__
+    monkeypatch.setattr(
+        Observer, "__init__", lambda *a, **k: plain_init(*a, **k, utc_ns=lambda: wall_ns() + set_by_ns)
+    )
+    async with commanded_suit() as suit, gateway_of(suit, mosquitto.port) as (_, listener, _serving):
+        poses = listener.messages["mocap/lab/pose"]
+        await until(lambda: len(poses) > 30 and listener.newest("bridge/info")["utc"] is not None)
+        before = BridgeInfo.model_validate(listener.newest("bridge/info")).utc
+        assert (before.steps, before.last_step_ns) == (0, None)
+        at_step = len(poses)
+        set_by_ns = HOUR_NS
+        await until(lambda: listener.newest("bridge/health")["utc"]["steps"] == 1)
+        await until(lambda: len(poses) > at_step + 50)
+        info = BridgeInfo.model_validate(listener.newest("bridge/info")).utc
+        health = BridgeHealth.model_validate(listener.newest("bridge/health")).utc
+    assert info.last_step_ns == health.last_step_ns == pytest.approx(HOUR_NS, abs=2_000_000)
+    assert info.offset_ns - before.offset_ns == info.last_step_ns
+    assert health.offset_ns == info.offset_ns
+    assert info.last_step_t_ns == info.t_ns > before.t_ns
+    spacing_ns = np.diff([PoseMessage.model_validate_json(pose).t_ns for pose in poses])
+    assert set(spacing_ns.tolist()) == {10_000_000}
+    assert "UTC was set by +3600.00" in caplog.text
+
+
+async def test_metrics_of_links_modules_poses_outputs_and_process(commanded_suit, mosquitto, until):
+    async with (
+        commanded_suit() as suit,
+        gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, listener, _),
+    ):
+        await until(lambda: (listener.newest("module/3/state") or {}).get("rate_hz"))
+        status, content_type, text = await fetch(service.observer.metrics.port, "/metrics")
+        assert (status, content_type.split(";")[0]) == (200, "text/plain")
+        samples = {
+            (sample.name, *sample.labels.values()): sample.value
+            for family in parse_text(text.decode())
+            for sample in family.samples
+        }
+        assert samples["mocap_link_up", "suit"] == 1
+        assert samples["mocap_module_online", "3", "link_4"] == 1
+        assert samples["mocap_module_received_total", "3", "link_4"] > 80
+        assert samples["mocap_module_lost", "3", "link_4"] == 0
+        assert samples["mocap_module_rate_hz", "3", "link_4"] == pytest.approx(100, abs=15)
+        assert abs(samples["mocap_module_clock_offset_seconds", "3", "link_4"]) > 1
+        assert samples["mocap_output_poses_total", "mqtt", "published"] > 50
+        assert samples["mocap_output_connected", "mqtt"] == 1
+        assert samples["process_resident_memory_bytes",] > 50e6
+        assert samples["process_cpu_seconds_total",] > 0
+        assert samples["mocap_utc_steps_total",] == 0
+        frames = samples["mocap_skeleton_frames_total",]
+        await asyncio.sleep(0.2)
+        accept = "application/openmetrics-text; version=1.0.0"
+        status, content_type, text = await fetch(service.observer.metrics.port, "/metrics", accept)
+        assert content_type.startswith("application/openmetrics-text")
+        again = {f.name: f.samples for f in parse_openmetrics(text.decode())}
+        assert again["mocap_skeleton_frames"][0].value > frames
+        status, _, answer = await fetch(service.observer.metrics.port, "/elsewhere")
+        assert (status, b"/metrics and /healthz" in answer) == (404, True)
+
+
+async def test_health_tells_what_stands_in_the_way(commanded_suit, mosquitto, until):
+    async with (
+        commanded_suit() as suit,
+        gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),
+    ):
+
+        async def health():
+            status, _, body = await fetch(service.observer.metrics.port, "/healthz")
+            return status, orjson.loads(body)
+
+        await until(lambda: service.mqtt.is_connected and service.pipeline.skeleton_frames > 20)
+        await asyncio.sleep(0.3)
+        status, told = await health()
+        assert (status, told["status"], told["links_down"]) == (200, "ok", [])
+        mosquitto.stop()
+        await until(lambda: not service.mqtt.is_connected)
+        status, told = await health()
+        assert (status, told["status"], told["outputs_connected"]) == (200, "degraded", {"mqtt": False})
+
+
+async def test_an_event_loop_that_is_stuck_is_unhealthy(commanded_suit, mosquitto, until, monkeypatch):
+    monkeypatch.setattr("gateway.outputs.metrics_server.PATIENCE_S", 0.2)
+    async with (
+        commanded_suit() as suit,
+        gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),
+    ):
+        await until(lambda: service.mqtt.is_connected)
+        asking = asyncio.create_task(fetch(service.observer.metrics.port, "/healthz"))
+        await asyncio.sleep(0)
+        time.sleep(1.0)  # noqa: ASYNC251 - the stuck loop
+        status, _, body = await asking
+        assert (status, orjson.loads(body)["status"]) == (503, "stuck")
+
+
+async def test_a_port_in_use_is_named(commanded_suit, mosquitto):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        async with commanded_suit() as suit:
+            settings = GatewaySettings(
+                links=[{"name": "suit", "url": "x"}], rig="robot_arm_4",
+                mqtt={"port": mosquitto.port}, metrics={"port": port},
+            )  # fmt: skip
+            service = Service(settings, load_rig("robot_arm_4"), [suit.link])
+            with pytest.raises(
+                OutputError, match=rf"metrics: cannot listen at 127.0.0.1:{port} .*metrics.port"
+            ):
+                await service.run()
+
+
+async def test_the_health_command_is_for_scripts(commanded_suit, mosquitto, until):
+    async with (
+        commanded_suit() as suit,
+        gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),
+    ):
+        await until(lambda: service.mqtt.is_connected and service.pipeline.skeleton_frames > 20)
+        port = service.observer.metrics.port
+        done = await asyncio.to_thread(health_command, port)
+        assert (done.returncode, orjson.loads(done.stdout)["status"]) == (0, "ok")
+    done = await asyncio.to_thread(health_command, port)
+    assert done.returncode == 1
+    assert "no gateway answers" in done.stderr
+
+
+def health_command(port):
+    command = [sys.executable, "-m", "gateway", "health", "--port", str(port)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

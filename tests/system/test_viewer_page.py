@@ -1,0 +1,83 @@
+"""The live page in a real browser, on a real broker."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import shutil
+
+import aiomqtt
+import pytest
+
+from gateway.body.rig import load_rig
+from gateway.outputs.messages import BridgeState, PoseMessage, describe_body
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.topics import Topics
+
+viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+playwright_api = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine (apt install chromium)"),
+]
+SKELETON = load_rig("suit_17").skeleton
+GATEWAY = "lab"
+
+
+@contextlib.asynccontextmanager
+async def page_of(settings, unused_port):
+    """The viewer, and a browser's page that shows it; ``page.outside`` are requests to elsewhere."""
+    from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
+
+    server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
+    showing = asyncio.create_task(LiveViewer(server, settings, GATEWAY).run())
+    flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    async with playwright_api.async_playwright() as play:
+        browser = await play.chromium.launch(executable_path=CHROMIUM, args=flags)
+        page = await browser.new_page(viewport={"width": 800, "height": 600})
+        page.set_default_timeout(40_000)
+        outside = []
+        page.on("request", lambda request: outside.append(request.url))
+        await page.goto(f"http://127.0.0.1:{unused_port}")
+        yield page, outside
+        await browser.close()
+    showing.cancel()
+    await asyncio.gather(showing, return_exceptions=True)
+    server.stop()
+
+
+async def publish_poses(client, topics, is_ended):
+    segments = dict.fromkeys(SKELETON.segment_names, tuple(SKELETON.neutral))
+    status = dict.fromkeys(SKELETON.segment_names, "measured") | {"left_shank": "missing"}
+    for k in range(100_000):
+        if is_ended.is_set():
+            return
+        pose = PoseMessage(
+            t_ns=k, seq=k, frame="ENU", order="wxyz", root="pelvis", segments=segments, status=status
+        )
+        await client.publish(topics.pose, pose.payload())
+        await asyncio.sleep(0.05)
+
+
+async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitto, unused_port):
+    settings = MqttSettings(port=mosquitto.port)
+    topics = Topics("mocap", GATEWAY)
+    is_ended = asyncio.Event()
+    async with aiomqtt.Client("127.0.0.1", mosquitto.port) as client:
+        await client.publish(topics.bridge_state, BridgeState(state="online").payload(), retain=True)
+        await client.publish(topics.body, describe_body(SKELETON).payload(), retain=True)
+        publishing = asyncio.create_task(publish_poses(client, topics, is_ended))
+        async with page_of(settings, unused_port) as (page, requested):
+            await page.get_by_text(f"{GATEWAY}: online").wait_for()
+            assert await page.locator("canvas").count() >= 1
+            await page.get_by_text("start", exact=True).click()
+            await page.get_by_text("did not answer").or_(page.get_by_text("recording start")).wait_for()
+            is_ended.set()
+            await page.get_by_text("NO DATA for").wait_for()
+            assert requested
+            assert {url for url in requested if "127.0.0.1" not in url and not url.startswith("data:")} <= {
+                url for url in requested if url.startswith("blob:")
+            }
+        await publishing

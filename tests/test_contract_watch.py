@@ -1,0 +1,54 @@
+"""The watch that system tests rely on notices what it should."""
+
+from __future__ import annotations
+
+import pytest
+
+from gateway.outputs import MqttSettings
+from gateway.outputs.mqtt import MqttOutput
+from tests.contract_watch import ContractWatch, assert_kept
+
+
+@pytest.fixture
+def watch(unused_port):
+    watch = ContractWatch("127.0.0.1", unused_port)
+    yield watch
+    watch.stop()
+
+
+@pytest.mark.parametrize(
+    ("topic", "payload"),
+    [
+        ("mocap/lab/pose", b"{}"),
+        ("mocap/lab/bridge/state", b'{"state":"asleep"}'),
+        ("mocap/lab/bridge/state", b'{"state":"online","colour":"red"}'),
+        ("mocap/lab/module/3/availability", b"online"),
+        ("mocap/lab/something/else", b'{"state":"online"}'),
+    ],
+)
+def test_what_the_contract_does_not_have_is_noticed(watch, topic, payload):
+    watch.take(topic, payload)
+    with pytest.raises(AssertionError, match=topic):
+        assert_kept(watch)
+
+
+def test_what_it_has_passes_and_is_counted(watch):
+    watch.take("mocap/lab/bridge/state", b'{"state":"online"}')
+    watch.take("mocap/lab/bridge/response/modules/list", b'{"status":"ok","data":{},"error":null}')
+    watch.take("mocap/lab/bridge/request/modules/list", b"whatever a test asks")
+    assert_kept(watch)
+    assert watch.messages == {"BridgeState": 1, "ResponseMessage": 1}
+
+
+@pytest.mark.system
+async def test_it_reads_along_on_a_real_broker(mosquitto, pose_source, until):
+
+    watch = ContractWatch(mosquitto.host, mosquitto.port)
+    async with MqttOutput(
+        MqttSettings(port=mosquitto.port), pose_source.skeleton, pose_source.info()
+    ) as output:
+        await until(lambda: watch.messages["BodyMessage"] == 1 and output.is_connected)
+        output.offer(pose_source.frame(1))
+        await until(lambda: watch.messages["PoseMessage"] == 1)
+    watch.stop()
+    assert_kept(watch)
