@@ -25,6 +25,7 @@ from devices.emulators.recording_formats import (
 )
 from devices.emulators.recordings import Recording
 from gateway.body.rig import load_rig
+from gateway.reconstruction.reconstructor import update_many
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[2] / "shared" / "data"))
 PEER, OURS = "independent", "joint"
@@ -143,7 +144,7 @@ def _solve(recording: Recording, trial: Trial) -> Iterator[tuple[str, Score]]:
         if method == "articulated" and not trial.is_aided:
             continue  # it would take the moving body's joint as fixed
         reconstructor = start(method, suit, 1.0 / recording.sampling_rate_hz)
-        frames = [reconstructor.update(frame) for frame in observed]
+        frames = update_many(reconstructor, observed)
         times_s, q_wb = orientations(frames, first_s)
         sigma = np.stack([frame.sigma for frame in frames])
         yield method, score(times_s, q_wb, recording, trial.from_s, sigma)

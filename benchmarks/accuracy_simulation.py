@@ -18,6 +18,7 @@ from gateway.cli.emulated_rig import dress
 from gateway.comparison import orientation_error, rmse_deg
 from gateway.frames import FloatArray
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor, StartingPose
+from gateway.reconstruction.reconstructor import update_many
 
 RATES_HZ = (100.0, 200.0, 400.0, 800.0, 1600.0)
 SEEDS = (1, 2, 3)
@@ -114,7 +115,7 @@ def _fast_arm_errors(
     observed = sampled(suit, motion, switches, seed)
     for method in METHODS:
         reconstructor = start(method, suit, 0.01)
-        frames = [reconstructor.update(frame) for frame in observed]
+        frames = update_many(reconstructor, observed)
         settled = [frame for frame in frames if frame.time_ns * 1e-9 >= SETTLING_S]
         times_s = np.array([frame.time_ns for frame in settled]) * 1e-9
         error = orientation_error(np.stack([f.q_wb for f in settled]), motion.state(times_s).q_wb).total

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import imufusion
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gateway.body.skeleton import WornSuit
 from gateway.frames import ImuFrame, SkeletonFrame
@@ -13,6 +14,7 @@ from gateway.reconstruction.inertial.observations import SegmentObserver
 
 NO_FIELD = "joint, no field"
 GRAVITY = 9.81
+NWU_TO_ENU = Rotation.from_euler("z", 90.0, degrees=True)
 TIMEOUT_S = 5.0
 
 
@@ -23,7 +25,7 @@ class ImufusionReconstructor:
         rate_hz = 1.0 / nominal_interval_s
         self._settings = imufusion.AhrsSettings(
             sample_rate=rate_hz,
-            convention=imufusion.CONVENTION_ENU,
+            convention=imufusion.CONVENTION_NWU,
             gain=0.5,
             gyroscope_range=2000.0,
             acceleration_rejection=10.0,
@@ -53,7 +55,8 @@ class ImufusionReconstructor:
             else:
                 ahrs.update_no_magnetometer(rate, force / GRAVITY)
         nothing = np.full((n, 3), np.nan)
-        q_wb = np.array([ahrs.get_quaternion() for ahrs in self._filters], np.float64)
+        q_nwu = Rotation.from_quat([ahrs.get_quaternion() for ahrs in self._filters], scalar_first=True)
+        q_wb = (NWU_TO_ENU * q_nwu).as_quat(scalar_first=True)
         sigma = np.full(n, np.nan)
         return SkeletonFrame(
             observation.sequence, observation.time_ns, q_wb, nothing, nothing, nothing, sigma, seen.status, 0

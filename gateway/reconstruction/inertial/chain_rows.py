@@ -117,7 +117,7 @@ def field_row(
     off, disturbance = field_error(body, state, s, m)
     sigma = math.sqrt(noise.heading**2 + min(state.P[s, 2, 2], OPEN_SIGMA**2))
     weight = max(1.0, abs(off) / sigma / noise.huber) * disturbance
-    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > noise.start_heading**2
+    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > noise.heading**2
     memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
     variance = noise.heading**2 * memory_s / dt * weight
     row = np.zeros(3)
