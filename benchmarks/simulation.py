@@ -10,12 +10,30 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import EmulatedBody
 from devices.emulators.ideal_sensors import sense
+from devices.emulators.imperfections import Imperfections
 from devices.emulators.motions import BodyMotion
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.link import Chunk, Framing
+from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit, field_vector
 from gateway.comparison import orientation_error, rmse_deg
 from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame
+from gateway.pipeline import Pipeline
+from gateway.stream import ClockMode
 
+LINK = "simulated"
+SENSORS = Imperfections(
+    accelerometer_noise=0.03,
+    gyrometer_noise=np.radians(0.1),
+    magnetometer_noise=0.5,
+    accelerometer_bias=0.05,
+    gyrometer_bias=np.radians(0.3),
+    gyrometer_bias_walk=np.radians(0.005),
+    scale=0.002,
+    placement=0.01,
+)
+"""Consumer sensors with lever arms that are 1 cm off."""
 DIP_DEG = 25.0
 """Of the simulated field where the method itself is tried, not its weakness in steep fields."""
 
@@ -59,6 +77,26 @@ def ideal_frames(
             status=np.zeros(n, dtype=np.uint8),
             gap_ns=np.zeros(n, dtype=np.int64),
         )
+
+
+def through_the_wire(
+    suit: WornSuit,
+    motion: BodyMotion,
+    imperfections: Imperfections,
+    reconstructor: str,
+    seconds: float,
+    seed: int,
+) -> list[SkeletonFrame]:
+    """Skeleton frames of an emulated suit at 100 Hz with all its errors, bytes and all."""
+    settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field, is_fine=True)
+    traffic = SuitTraffic(motion, settings, imperfections, seed)
+    params = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
+    pipeline = Pipeline(suit, params, reconstructor, ClockMode.ESTIMATED)
+    pipeline.add_link(LINK, Framing.BYTE_STREAM)
+    frames: list[SkeletonFrame] = []
+    for sent in traffic.transmissions(seconds):
+        frames += pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), LINK))
+    return frames
 
 
 def errors_deg(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float) -> FloatArray:
