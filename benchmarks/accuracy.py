@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.accuracy_simulation import add_convergence, add_fast_arm
 from benchmarks.figures import Figure, Report, table
+from benchmarks.gyro_free import add_gyro_free
 from benchmarks.offline import imu_frames, orientations
 from benchmarks.peers import NO_FIELD, start
 from benchmarks.scoring import Score, score
@@ -80,6 +81,7 @@ def run() -> Report:
     add_convergence(report)
     add_fast_arm(report)
     _add_recordings(report)
+    add_gyro_free(report, DATA / "broad")
     return report
 
 

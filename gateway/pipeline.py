@@ -24,6 +24,7 @@ from gateway.despiking import Despiker
 from gateway.errors import SettingsError
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
+from gateway.gnss import GnssParams, GnssReceiver
 from gateway.reconstruction import (
     FUSED,
     NO_CONTACTS,
@@ -72,6 +73,9 @@ class Pipeline:
         interval_s = params.frame_interval_ns * 1e-9
         self.reconstructor = create_reconstructor(reconstructor, suit, interval_s, root)
         self.skeleton_frames = 0
+        self.gnss_params: dict[str, GnssParams] = {}
+        """By link; a receiver that is not named has the defaults."""
+        self._gnss: dict[str, GnssReceiver] = {}
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
@@ -80,7 +84,7 @@ class Pipeline:
         if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
             raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
         table = settings.clock.table
-        return cls(
+        pipeline = cls(
             suit,
             settings.assembly.params(),
             settings.reconstructor,
@@ -90,10 +94,19 @@ class Pipeline:
             round(settings.clock.trigger_patience_ms * 1e6),
             settings.root_motion.root(),
         )
+        pipeline.gnss_params = {
+            link.name: GnssParams(link.device, round(link.latency_ms * 1e6), link.origin)
+            for link in settings.links
+            if link.carries == "gnss"
+        }
+        return pipeline
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
-        self.stream.add_link(name, framing)
+        if framing is Framing.GNSS:
+            self._gnss[name] = GnssReceiver(self.gnss_params.get(name, GnssParams()))
+        else:
+            self.stream.add_link(name, framing)
 
     def sent(self, chunk: SentChunk) -> None:
         """The gateway put this on a link: time requests and sampling triggers, whose answers need it."""
@@ -121,7 +134,8 @@ class Pipeline:
 
     def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
         imu_frames: list[ImuFrame] = []
-        for reading in self.stream.receive(chunk):
+        receiver = self._gnss.get(chunk.link)
+        for reading in self.stream.receive(chunk) if receiver is None else receiver.receive(chunk):
             imu_frames += self._assemble(reading, chunk.arrived_ns)
         return imu_frames
 
@@ -151,6 +165,7 @@ class Pipeline:
         triggers, assembler = self.stream.triggers, self.fused_assembler or self.assembler
         return {
             **({} if triggers is None else {"triggers": triggers.figures.summary()}),
+            **({"gnss": {name: r.statistics() for name, r in self._gnss.items()}} if self._gnss else {}),
             "skeleton_frames": self.skeleton_frames,
             "dropped_by_link": dropped,
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},

@@ -35,6 +35,32 @@ class LinkSettings(_Strict):
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
         "can://socketcan/can0, tcp://host:port, udp://host:port, recording:///path/to/file.mcap",
     )
+    carries: Literal["suit", "gnss"] = Field(
+        default="suit", description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver"
+    )
+    device: int = Field(
+        default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"
+    )
+    latency_ms: float = Field(
+        default=50,
+        ge=0,
+        le=5000,
+        description="for gnss: from the instant of a fix to its arrival, at the least",
+    )
+    origin: tuple[float, float, float] | None = Field(
+        default=None,
+        description="for gnss: latitude and longitude in degrees and height above the ellipsoid in metres of "
+        "the world's origin; none: the first fix",
+    )
+
+    @model_validator(mode="after")
+    def _is_on_earth(self) -> LinkSettings:
+        if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):
+            raise ValueError("origin: latitude within ±90 and longitude within ±180 degrees are wanted")
+        given = {"device", "latency_ms", "origin"} & self.model_fields_set
+        if self.carries != "gnss" and given:
+            raise ValueError(f"{', '.join(sorted(given))}: only a link with 'carries: gnss' has that")
+        return self
 
 
 class ClockSettings(_Strict):
@@ -166,7 +192,8 @@ class RecordingSettings(_Strict):
         description="added to the file's name, which begins with the time in UTC",
     )
     skeleton: bool = Field(
-        default=True, description="record skeleton frames too; without them files are about a third as large"
+        default=True,
+        description="record skeleton frames too; without them files are about a quarter as large",
     )
     flush_ms: float = Field(
         default=200,

@@ -17,6 +17,7 @@ from rich.console import Console
 
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
+from devices.emulators.gnss_receiver import FORMATS
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import Recording, play
@@ -31,6 +32,7 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
+from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
 from gateway.cli.emulated_rig import dress, move, tumble
 from gateway.errors import GatewayError, nearest
 
@@ -90,6 +92,10 @@ def emulate(
     id_conflict: Annotated[
         bool, typer.Option("--id-conflict", help="The last module has the id of the one before it.")
     ] = False,
+    gnss: Annotated[
+        Path | None, typer.Option(help="A satellite receiver on the body's root too: link to its port.")
+    ] = None,
+    gnss_format: Annotated[str, typer.Option(help=f"What it speaks: {', '.join(FORMATS)}.")] = "nmea",
     tumbling: Annotated[
         bool,
         typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
@@ -115,9 +121,10 @@ def emulate(
             has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
             encoding=encoding,
         )
-        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, tumbling)
+        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, tumbling, gnss is not None)
+    receiver = None if gnss is None else companion(rig, seed, gnss, gnss_format, seconds)
     try:
-        _play(source, _transport(on, link, port, channel, fd), as_json, seconds)
+        _play(source, _transport(on, link, port, channel, fd), as_json, seconds, receiver)
     except (OSError, can.CanError) as error:
         raise GatewayError(f"the emulated suit cannot speak on {on}: {error}; {_REMEDIES[on]}") from error
 
@@ -130,10 +137,13 @@ def _traffic(
     fresh: int,
     id_conflict: bool,
     is_tumbling: bool,
+    has_gnss: bool,
 ) -> SuitTraffic:
     if imperfections not in PRESETS:
         raise GatewayError(f"--imperfections {imperfections}: unknown{nearest(imperfections, PRESETS)}")
     suit = load_rig(rig)
+    if has_gnss:
+        suit = without_position_devices(suit)
     ids = suit.module_ids
     world = replace(
         settings,
@@ -168,11 +178,13 @@ def _play(
     transport: Transport,
     as_json: bool,
     seconds: float | None,
+    receiver: Companion | None,
 ) -> None:
     start_ns = gateway_time_ns() + _START_DELAY_NS
+    beside = None if receiver is None else receiver(start_ns)
     suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=seconds)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_run(suit, as_json))
+        asyncio.run(_run(suit, beside, as_json))
     if not as_json:
         counts = suit.counts
         Console().print(
@@ -180,8 +192,9 @@ def _play(
         )
 
 
-async def _run(suit: EmulatedSuit, as_json: bool) -> None:
-    task = asyncio.ensure_future(suit.run())
+async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, as_json: bool) -> None:
+    runs = [suit.run()] if beside is None else [suit.run(), beside.run()]
+    task = asyncio.ensure_future(asyncio.gather(*runs))
     while not (url := suit.transport.url) and not task.done():  # noqa: ASYNC110 - for a moment
         await asyncio.sleep(0.01)
     if url:

@@ -10,6 +10,10 @@ from gateway.reconstruction.fused import FusedReconstructor
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
+from gateway.reconstruction.inertial.rate_free import (
+    DelayedRateFreeReconstructor,
+    RateFreeReconstructor,
+)
 from gateway.reconstruction.reconstructor import Reconstructor, update_many
 from gateway.reconstruction.whole_body import (
     NO_CONTACTS,
@@ -35,6 +39,8 @@ RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {
     "articulated": ArticulatedReconstructor,
     "fused": FusedReconstructor,
     "fused_neutral": partial(FusedReconstructor, starts_neutral=True),
+    "gyro_free": RateFreeReconstructor,
+    "gyro_free_delayed": DelayedRateFreeReconstructor,
     "independent": IndependentReconstructor,
     "joint": JointReconstructor,
     "outward": OutwardReconstructor,
