@@ -112,6 +112,7 @@ def _follow_field(
     for s in range(len(body.parents)):
         if is_valid[s] == 0.0 or not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
             continue
+        chain_rows.watch_field(body, state, s, field[s], dt)
         if state.is_open[s] == 0:
             chain_rows.field_row(evidence, body, state, noise, s, field[s], dt)
             continue
