@@ -58,7 +58,8 @@ class LinkSettings(_Strict):
     def _is_on_earth(self) -> LinkSettings:
         if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):
             raise ValueError("origin: latitude within ±90 and longitude within ±180 degrees are wanted")
-        given = {"device", "latency_ms", "origin"} & self.model_fields_set
+        names = ("device", "latency_ms", "origin")  # a recorded configuration tells defaults too
+        given = [name for name in names if getattr(self, name) != LinkSettings.model_fields[name].default]
         if self.carries != "gnss" and given:
             raise ValueError(f"{', '.join(sorted(given))}: only a link with 'carries: gnss' has that")
         return self
