@@ -4,26 +4,35 @@
                   └────────── Stream ────────────┘    ImuFrame      └─ SkeletonFrame
 
 ``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times, and told in
-the same order what the gateway sent and when (``sent``), it gives the same skeleton frames, bit for bit.
+the same order what the gateway sent and when (``sent``) and what was asked of it (``event``), it gives the
+same skeleton frames, bit for bit.
 ``gateway.service`` puts links before it and outputs after.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.corrections import SensorCorrections
+from gateway.calibration.mounting import remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
 from gateway.reconstruction import FUSED, RECONSTRUCTORS
+from gateway.resets import Resets
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Reading, Stream
+
+RESET_EVENT, CALIBRATED_EVENT = "reset", "calibrated"
+INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT})
+"""Events that are inputs: a recording must hand them over again in their place."""
 
 
 class Pipeline:
@@ -54,8 +63,14 @@ class Pipeline:
             self.fused_assembler = FusedAssembler(suit.module_ids, params, reference)
         self.unused: Counter[str] = Counter()
         """Readings of a kind that the reconstructor has no use for."""
-        self.reconstructor = RECONSTRUCTORS[reconstructor](suit, params.frame_interval_ns * 1e-9)
+        self._method, self._interval_s = reconstructor, params.frame_interval_ns * 1e-9
+        self.suit = suit
+        """As worn now: a calibration may have changed it."""
+        self.reconstructor = RECONSTRUCTORS[reconstructor](suit, self._interval_s)
+        self.resets = Resets(suit.skeleton)
         self.skeleton_frames = 0
+        self.on_imu_frame: Callable[[ImuFrame], None] | None = None
+        """Told every frame before it is reconstructed: for calibrations."""
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
@@ -79,12 +94,31 @@ class Pipeline:
         """The gateway put this on a link: time requests and sampling triggers, whose answers need it."""
         self.stream.sent(chunk)
 
+    def event(self, name: str, data: Mapping[str, Any]) -> dict[str, object]:
+        """Something asked of the gateway that changes what follows; other events pass without effect.
+
+        ``reset`` (kind, facing) and ``calibrated`` (see ``mounting_event``). What came of it; raises
+        ``GatewayError`` where that cannot be done, and then has changed nothing.
+        """
+        if name == RESET_EVENT:
+            return self.resets.reset(str(data["kind"]), float(data.get("facing", 0.0)))
+        if name == CALIBRATED_EVENT:
+            self.suit = remounted(self.suit, data)
+            self.reconstructor = RECONSTRUCTORS[self._method](self.suit, self._interval_s)
+            self.resets = Resets(self.suit.skeleton)
+        return {}
+
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
         skeleton_frames: list[SkeletonFrame] = []
         for reading in self.stream.receive(chunk):
             imu_frames = self._assemble(reading, chunk.arrived_ns)
-            skeleton_frames.extend(self.reconstructor.update(imu_frame) for imu_frame in imu_frames)
+            if self.on_imu_frame is not None:
+                for imu_frame in imu_frames:
+                    self.on_imu_frame(imu_frame)
+            skeleton_frames.extend(
+                self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in imu_frames
+            )
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
 
