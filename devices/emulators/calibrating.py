@@ -44,6 +44,12 @@ def timetable() -> dict[str, tuple[float, float]]:
     return found
 
 
+def begin_of_script(not_before_ns: int) -> int:
+    """The next gateway time at which an emulated wearer begins: all on one machine agree about it."""
+    period_ns = round(PERIOD_S * 1e9)
+    return -(-not_before_ns // period_ns) * period_ns
+
+
 @dataclass(frozen=True)
 class WearerFaults:
     """What a wearer does wrong, for trying whether it is noticed."""
@@ -77,7 +83,7 @@ def calibration_motion(
         *_wobble(rows, times, rng, faults.wobble),
     ]
     thigh = rows.get("left_thigh", 0)
-    depth = [replace_row(term) for term in squat if term.row == thigh]
+    depth = [_as_only_row(term) for term in squat if term.row == thigh]
     leg = _length(body, "left_shank") + _length(body, "left_foot")
     path = SquatPath(Script.of(1, depth, PERIOD_S), leg, heading)
     return BodyMotion(body, Script.of(body.n_segments, terms, PERIOD_S), path)
@@ -89,12 +95,10 @@ def strapped_on(body: EmulatedBody, seed: int, displacement: float = 0.02) -> Em
     turned = Rotation.random(body.n_segments, random_state=rng).as_quat(scalar_first=True)
     away = rng.normal(size=(body.n_segments, 3))
     away *= displacement / np.linalg.norm(away, axis=1, keepdims=True)
-    return replace(
-        body, sensor_to_segment=turned, module_positions=body.module_positions + away
-    )
+    return replace(body, sensor_to_segment=turned, module_positions=body.module_positions + away)
 
 
-def replace_row(term: Term) -> Term:
+def _as_only_row(term: Term) -> Term:
     """The squat's knee bend as the only row of the root's path."""
     return term._replace(row=0, axis=2)
 
@@ -175,9 +179,7 @@ def _squat(rows: dict[str, int], span: tuple[float, float], faults: WearerFaults
     return terms
 
 
-def _legs(
-    rows: dict[str, int], times: dict[str, tuple[float, float]], faults: WearerFaults
-) -> list[Term]:
+def _legs(rows: dict[str, int], times: dict[str, tuple[float, float]], faults: WearerFaults) -> list[Term]:
     """Each leg: forward stretched, the knee up, and both again."""
     terms = []
     for side in ("left", "right"):

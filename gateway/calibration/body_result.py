@@ -65,7 +65,9 @@ class BodyResult:
         """That of the worst module."""
         return min(module.quality.score for module in self.modules)
 
-    def accepted(self, segments: Collection[str] | None = None, with_poor: bool = False) -> list[ModuleResult]:
+    def accepted(
+        self, segments: Collection[str] | None = None, with_poor: bool = False
+    ) -> list[ModuleResult]:
         """Those to be used: found, not poor unless wanted, and of the segments given.
 
         Raises ``GatewayError`` for a segment without module.

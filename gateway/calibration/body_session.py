@@ -193,7 +193,9 @@ class BodySession:
                 sigma = (ARMS_UP_SIGMA if is_arm else POSE_SIGMA) + 0.5 * pose.moved_rad
                 poses.append(PoseTerm(segment, pose.R_es, neutral @ turn, sigma))
         equations = self._equations(readings, {term.segment for term in poses})
-        return Problem(skeleton.parents, self.suit.lever_arms, skeleton.offsets, poses, axes, fields, equations)
+        return Problem(
+            skeleton.parents, self.suit.lever_arms, skeleton.offsets, poses, axes, fields, equations
+        )
 
     def _axis_terms(self, segment: int, found: ModuleFindings) -> list[AxisTerm]:
         """Of movements that were large and repeated enough to say something."""

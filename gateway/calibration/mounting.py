@@ -14,7 +14,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import ModuleResult
 from gateway.calibration.rig_file import write_rig
 from gateway.errors import GatewayError
-from gateway.settings_files import load_settings, load_yaml
+from gateway.settings_files import load_settings, load_yaml, shipped_folder
 
 _DATE = r"\d{8}T\d{6}Z"
 
@@ -69,6 +69,12 @@ def write_mounted_rig(
     return kept
 
 
+def worn_rig(source: Path) -> Path:
+    """Where a calibration of this rig goes unless told: the file itself, but never a shipped one."""
+    is_shipped = shipped_folder().resolve() in source.resolve().parents
+    return Path(f"{source.stem}.worn.yaml") if is_shipped else source
+
+
 def history_folder(rig: Path) -> Path:
     """Where earlier versions of a rig file are."""
     return rig.with_name(f"{rig.stem}.history")
@@ -119,4 +125,3 @@ def restore(rig: Path, version: str | None = None, now: datetime | None = None) 
     except OSError as error:
         raise GatewayError(f"{rig} cannot be written: {error.strerror}") from error
     return chosen[0]
-

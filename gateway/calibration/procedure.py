@@ -41,9 +41,7 @@ class Step:
     """For movements: segments that turn about their z axis, and the sign of the turn they begin with."""
 
 
-_TRUNK = {
-    name: -1 for name in ("pelvis", "thorax", "head", "left_shoulder_girdle", "right_shoulder_girdle")
-}
+_TRUNK = {name: -1 for name in ("pelvis", "thorax", "head", "left_shoulder_girdle", "right_shoulder_girdle")}
 _ARMS = {f"{side}_{part}": 1 for side in ("left", "right") for part in ("upper_arm", "forearm", "hand")}
 _SECONDS = dict(STEPS)
 
@@ -114,8 +112,7 @@ def procedure_for(skeleton: Skeleton) -> tuple[Step, ...]:
     return tuple(
         step
         for step in PROCEDURE
-        if (step.kind is not Kind.MOVEMENT or names & set(step.turns))
-        and (step.name != "t_pose" or has_arms)
+        if (step.kind is not Kind.MOVEMENT or names & set(step.turns)) and (step.name != "t_pose" or has_arms)
     )
 
 
