@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -30,11 +28,6 @@ from gateway.stream import ClockMode
 
 LINK = "simulated"
 RATE_HZ = 60.0
-
-
-def wearer(suit: WornSuit, heading: float, seed: int) -> EmulatedBody:
-    """Modules turned at random, each 2 cm off its place; heading is drawn with the motion, not with the body."""
-    return strapped_on(dress(suit), seed)
 
 
 def imu_frames(
@@ -68,7 +61,7 @@ def simulated_session(
 ) -> tuple[BodySession, EmulatedBody]:
     """All steps done; and the body as it truly is."""
     suit = load_rig("suit_17")
-    body = wearer(suit, heading, seed)
+    body = strapped_on(dress(suit), seed)
     return session_of(suit, imu_frames(suit, body, heading, seed, faults), uses_field), body
 
 

@@ -90,7 +90,7 @@ def calibration_motion(
 
 
 def strapped_on(body: EmulatedBody, seed: int, displacement: float = 0.02) -> EmulatedBody:
-    """The body with its modules turned at random, and each off its place by so much in a random direction, m."""
+    """Modules turned at random, each off its place by so much (m) in a random direction."""
     rng = np.random.default_rng([seed, 12])
     turned = Rotation.random(body.n_segments, random_state=rng).as_quat(scalar_first=True)
     away = rng.normal(size=(body.n_segments, 3))
@@ -247,8 +247,12 @@ def _wobble(
     terms: list[Term] = []
     if amount == 0.0:
         return terms
-    moved = {"squat": ("pelvis",), "left_leg": ("left_thigh",), "right_leg": ("right_thigh",)}
-    moved["arms"] = ("left_upper_arm", "right_upper_arm")
+    moved = {
+        "squat": ["pelvis"],
+        "left_leg": ["left_thigh"],
+        "right_leg": ["right_thigh"],
+        "arms": ["left_upper_arm", "right_upper_arm"],
+    }
     for step, names in moved.items():
         begin, end = times[step]
         middle = 0.5 * (begin + end)

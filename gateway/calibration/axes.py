@@ -49,7 +49,7 @@ def movement_axis(angular_rate: FloatArray, interval_s: float) -> MovementAxis |
     spread = np.pi / 2
     if all(len(part) >= 10 for part in halves):
         first, second = (_principal(part)[0] for part in halves)
-        spread = float(np.arccos(min(abs(first @ second), 1.0)))
+        spread = float(np.arccos(min(abs(float(first @ second)), 1.0)))
     return MovementAxis(axis, float(np.ptp(angle)), spread, share)
 
 

@@ -1,4 +1,4 @@
-"""A body calibration while it is done: frames come in, steps begin and end, the result is asked for. Sans-I/O."""
+"""A body calibration while it is done: frames in, steps begun and ended, then the result. Sans-I/O."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
+from gateway.calibration.axes import movement_axis
 from gateway.calibration.body_quality import judge_module
 from gateway.calibration.body_result import BodyResult, ModuleFindings, ModuleResult
 from gateway.calibration.body_solver import (
@@ -21,7 +22,6 @@ from gateway.calibration.body_solver import (
     Solution,
     solve_body,
 )
-from gateway.calibration.axes import movement_axis
 from gateway.calibration.evidence import Readings, Span, field_heading, pose_of, readings_of
 from gateway.calibration.joint_centres import JointEquations, joint_equations, side
 from gateway.calibration.procedure import Kind, Step, pose_rotation, procedure_for

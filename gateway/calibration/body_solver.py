@@ -215,27 +215,24 @@ def _start(problem: Problem, used: list[int]) -> tuple[float, FloatArray, FloatA
     axes give the headings of the modules.
     """
     first = {term.segment: term for term in reversed(problem.poses)}
-    right = {s: _bearing_of_axis(problem, first[s]) for s in used}
-    known = [problem.fields[s][0] + right[s] for s in used if s in problem.fields and right[s] is not None]
+    seen = {s: _bearing_of_axis(problem, first[s]) for s in used}
+    right = {s: bearing for s, bearing in seen.items() if bearing is not None}
+    known = [problem.fields[s][0] + right[s] for s in right if s in problem.fields]
     facing = float(np.angle(np.mean(np.exp(1j * np.array(known))))) if known else 0.0
     headings = []
     for s in used:
         if s in problem.fields:
             headings.append(problem.fields[s][0])
-        elif right[s] is not None:
+        elif s in right:
             headings.append(facing - right[s])
         else:
-            raise ValueError(_no_heading())
+            raise ValueError("a module has neither a field nor a movement that tells its heading")
     wearer = Rotation.from_rotvec([0.0, 0.0, facing]).as_matrix()
     R_bs = [
         (wearer @ first[s].posture).T @ _turns(np.array([heading]))[0] @ first[s].R_es
         for s, heading in zip(used, headings, strict=True)
     ]
     return facing, np.array(headings), np.stack(R_bs)
-
-
-def _no_heading() -> str:
-    return "a module has neither a field nor a movement that tells its heading"
 
 
 def _bearing_of_axis(problem: Problem, pose: PoseTerm) -> float | None:

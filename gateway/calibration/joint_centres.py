@@ -5,8 +5,8 @@ The joint's acceleration is the same seen from either side (Seel, Schauer & Rais
     R₁ (f₁ − Γ₁ ρ₁) = R₂ (f₂ − Γ₂ ρ₂),      Γ = [ω̇]× + [ω]×[ω]×
 
 with ρ the vector from the joint to the module, sensor axes, and R the modules' orientations, whose headings
-may differ by an unknown Δ (Weygers & Kok 2020, IEEE Sensors J. 20(14)). Without orientations their lengths still
-agree: ‖f₁ − Γ₁ ρ₁‖ = ‖f₂ − Γ₂ ρ₂‖, solved by Gauss–Newton as published.
+may differ by an unknown Δ (Weygers & Kok 2020, IEEE Sensors J. 20(14)). Without orientations their
+lengths still agree: ‖f₁ − Γ₁ ρ₁‖ = ‖f₂ − Γ₂ ρ₂‖, solved by Gauss–Newton as published.
 
 The equations of thousands of instants are folded once into a triangle of 16 × 16 numbers that says the same
 of any ρ₁, ρ₂ and Δ.
@@ -30,8 +30,7 @@ _SMOOTH = 7  # samples of the smoothing that derivative and readings share
 
 def lever_matrix(angular_rate: FloatArray, angular_acceleration: FloatArray) -> FloatArray:
     """Γ (n, 3, 3) with the acceleration of a point at ρ, against the joint's, Γ ρ."""
-    gamma = _skew(angular_acceleration) + _skew(angular_rate) @ _skew(angular_rate)
-    return gamma
+    return _skew(angular_acceleration) + _skew(angular_rate) @ _skew(angular_rate)
 
 
 def _skew(v: FloatArray) -> FloatArray:
@@ -79,7 +78,7 @@ class JointEquations:
     """Instants."""
 
     def residuals(self, rho_1: FloatArray, rho_2: FloatArray, heading: float) -> FloatArray:
-        """(16,) m/s², whose sum of squares is that of all instants. heading: of the second against the first."""
+        """(16,) m/s², squares summing up to those of all instants; heading: the second's against the first's."""
         folded: FloatArray = self.triangle @ features(rho_1, rho_2, heading)
         return folded
 

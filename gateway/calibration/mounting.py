@@ -34,7 +34,7 @@ def mounting_event(modules: Collection[ModuleResult]) -> dict[str, Any]:
 
 
 def remounted(suit: WornSuit, event: Mapping[str, Any]) -> WornSuit:
-    """The suit with its modules as a ``calibrated`` event says. Raises ``GatewayError`` for another body's."""
+    """The suit with its modules as a ``calibrated`` event says. Raises ``GatewayError``."""
     rotations, places = suit.sensor_to_segment.copy(), suit.lever_arms.copy()
     for name, mounting in event["modules"].items():
         if name not in suit.skeleton.segment_names:
@@ -47,7 +47,7 @@ def remounted(suit: WornSuit, event: Mapping[str, Any]) -> WornSuit:
 def write_mounted_rig(
     source: Path, target: Path, modules: Collection[ModuleResult], now: datetime | None = None
 ) -> Path | None:
-    """The rig of ``source`` with its modules as found, as the file ``target``; an older one goes to the history.
+    """The rig of ``source`` with its modules as found, as ``target``; an older one goes to the history.
 
     Where the older one is now; None when there was none. Raises ``SettingsError`` for a bad rig,
     ``GatewayError`` when a file cannot be written.

@@ -41,7 +41,7 @@ class Step:
     """For movements: segments that turn about their z axis, and the sign of the turn they begin with."""
 
 
-_TRUNK = {name: -1 for name in ("pelvis", "thorax", "head", "left_shoulder_girdle", "right_shoulder_girdle")}
+_TRUNK = dict.fromkeys(("pelvis", "thorax", "head", "left_shoulder_girdle", "right_shoulder_girdle"), -1)
 _ARMS = {f"{side}_{part}": 1 for side in ("left", "right") for part in ("upper_arm", "forearm", "hand")}
 _SECONDS = dict(STEPS)
 
@@ -102,11 +102,11 @@ PROCEDURE: tuple[Step, ...] = (
 
 
 def procedure_for(skeleton: Skeleton) -> tuple[Step, ...]:
-    """The steps that tell something about this body. Raises ``GatewayError`` for one without such segments."""
+    """The steps that tell something about this body. Raises ``GatewayError`` for other bodies."""
     names = set(skeleton.segment_names)
     if not names & {segment for step in PROCEDURE for segment in step.turns}:
         raise GatewayError(
-            f"body '{skeleton.name}' has no segment that these movements turn: a body calibration is for people"
+            f"body '{skeleton.name}' has no segment that these movements turn: they are for people"
         )
     has_arms = any(name.endswith("upper_arm") for name in names)
     return tuple(

@@ -47,7 +47,7 @@ class AcceptCalibrationRequest(_Request):
     poor: bool = Field(default=False, description="take poor results too")
     save: bool = Field(
         default=False,
-        description="write the rig file named in the configuration too, or `<rig>.worn.yaml` for a shipped one",
+        description="write the configuration's rig file too, or `<rig>.worn.yaml` for a shipped one",
     )
 
 

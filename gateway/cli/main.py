@@ -11,6 +11,8 @@ import gateway
 from devices.device_errors import DeviceError
 from devices.link import LinkError
 from gateway.cli.body import body_app
+from gateway.cli.calibrate_body import body as calibrate_body
+from gateway.cli.calibrate_body import put_back, versions
 from gateway.cli.calibrate_clocks import calibrate_app
 from gateway.cli.calibrate_sensors import sensors as calibrate_sensors
 from gateway.cli.configuration import config_app
@@ -54,6 +56,13 @@ calibrate_app.command(
     "sensors",
     epilog="Example: mocap-gateway calibrate sensors --link /dev/ttyUSB0 --rig suit_17 -o mine.yaml",
 )(calibrate_sensors)
+calibrate_app.command(
+    "body",
+    epilog="Examples: mocap-gateway calibrate body -c my.yaml; "
+    "mocap-gateway calibrate body --link /tmp/suit --rig suit_17 --emulated -o mine.yaml",
+)(calibrate_body)
+calibrate_app.command("history", epilog="Example: mocap-gateway calibrate history mine.yaml")(versions)
+calibrate_app.command("restore", epilog="Example: mocap-gateway calibrate restore mine.yaml")(put_back)
 app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(body_app, name="body")
 app.add_typer(config_app, name="config")
