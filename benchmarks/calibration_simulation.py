@@ -30,6 +30,11 @@ LINK = "simulated"
 RATE_HZ = 60.0
 
 
+def simulated_body(suit: WornSuit, seed: int) -> EmulatedBody:
+    """Modules turned at random, each 2 cm off its place."""
+    return strapped_on(dress(suit), seed)
+
+
 def imu_frames(
     suit: WornSuit,
     body: EmulatedBody,
@@ -61,7 +66,7 @@ def simulated_session(
 ) -> tuple[BodySession, EmulatedBody]:
     """All steps done; and the body as it truly is."""
     suit = load_rig("suit_17")
-    body = strapped_on(dress(suit), seed)
+    body = simulated_body(suit, seed)
     return session_of(suit, imu_frames(suit, body, heading, seed, faults), uses_field), body
 
 

@@ -55,7 +55,7 @@ class WearerFaults:
     """What a wearer does wrong, for trying whether it is noticed."""
 
     pose_error: float = radians(1.5)
-    """Standard deviation of every joint angle in a pose, rad: nobody stands as drawn."""
+    """Of every segment in a pose, about each axis, rad (standard deviation): nobody stands as drawn."""
     moving: str | None = None
     """Segment that turns during the N-pose."""
     moving_angle: float = radians(14.0)
@@ -75,7 +75,7 @@ def calibration_motion(
     times = timetable()
     squat = _squat(rows, times["squat"], faults)
     terms = [
-        *_poses(rows, times, rng, faults),
+        *_poses(body, rows, times, rng, faults),
         *squat,
         *_legs(rows, times, faults),
         *_arms(rows, times["arms"], faults),
@@ -140,6 +140,7 @@ def _length(body: EmulatedBody, segment: str) -> float:
 
 
 def _poses(
+    body: EmulatedBody,
     rows: dict[str, int],
     times: dict[str, tuple[float, float]],
     rng: np.random.Generator,
@@ -150,9 +151,11 @@ def _poses(
     for pose in ("n_pose", "t_pose"):
         begin, end = times[pose]
         begin, end = begin - _SETTLING_S - 1.0, end + 1.0
-        for row in rows.values():
-            for axis, wrong in enumerate(rng.normal(0.0, faults.pose_error, 3)):
-                terms.append(Term(row, axis, wrong, begin, end, 1.0))
+        wrong = rng.normal(0.0, faults.pose_error, (len(rows), 3))
+        for row in rows.values():  # of the segments against the drawing, not of joint upon joint
+            parent = int(body.parents[row])
+            joint = wrong[row] - (wrong[parent] if parent >= 0 else 0.0)
+            terms += [Term(row, axis, joint[axis], begin, end, 1.0) for axis in range(3)]
     begin, end = times["t_pose"]
     for side, sign in (("left", 1.0), ("right", -1.0)):
         if (arm := rows.get(f"{side}_upper_arm")) is not None:

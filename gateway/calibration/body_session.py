@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.calibration.axes import movement_axis
+from gateway.calibration.axes import hinge_axes, movement_axis
 from gateway.calibration.body_quality import judge_module
 from gateway.calibration.body_result import BodyResult, ModuleFindings, ModuleResult
 from gateway.calibration.body_solver import (
@@ -33,6 +33,8 @@ LONGEST_S = 1200.0
 """A session forgets what is older than so long."""
 TRUSTED_FIELD_CHANGE = 0.10
 """Relative change of the field's strength up to which it tells headings."""
+HINGE_SIGMA = np.radians(5.0)
+"""Of a knee's axis as found in any movement: no knee is a hinge."""
 _LIVE_S = 0.3
 _SMALL_MOVEMENT = np.radians(20.0)
 
@@ -179,9 +181,6 @@ class BodySession:
         for segment, found in zip(self._segments, findings, strict=True):
             terms = self._axis_terms(segment, found)
             is_trusted = found.earth_field is not None and found.earth_field.change < TRUSTED_FIELD_CHANGE
-            if not (is_trusted or terms):
-                found.has_no_heading = True
-                continue
             axes += terms
             if is_trusted and found.earth_field is not None and found.poses:
                 fields[segment] = (found.earth_field.heading, FIELD_SIGMA + found.earth_field.change)
@@ -193,6 +192,14 @@ class BodySession:
                 sigma = (ARMS_UP_SIGMA if is_arm else POSE_SIGMA) + 0.5 * pose.moved_rad
                 poses.append(PoseTerm(segment, pose.R_es, neutral @ turn, sigma))
         equations = self._equations(readings, {term.segment for term in poses})
+        axes += self._hinges(readings, {term.segment for term in axes}, set(equations))
+        told = _reached({term.segment for term in axes} | set(fields), equations, skeleton.parents.tolist())
+        for segment, found in zip(self._segments, findings, strict=True):
+            found.has_no_heading = bool(found.poses) and segment not in told
+        poses = [term for term in poses if term.segment in told]
+        equations = {
+            child: one for child, one in equations.items() if {child, int(skeleton.parents[child])} <= told
+        }
         return Problem(
             skeleton.parents, self.suit.lever_arms, skeleton.offsets, poses, axes, fields, equations
         )
@@ -205,6 +212,35 @@ class BodySession:
                 sign = self.step(name).turns[found.segment]
                 sigma = AXIS_SIGMA + 0.5 * movement.spread_rad + np.radians(10.0) * (1.0 - movement.share)
                 terms.append(AxisTerm(segment, movement.axis, sign, sigma))
+        return terms
+
+    def _hinges(self, readings: Readings, known: set[int], joined: set[int]) -> list[AxisTerm]:
+        """Knees in the free movement: their axes, for thighs and shanks that no movement told one of.
+
+        A knee bends about -z, from standing on.
+        """
+        skeleton = self.suit.skeleton
+        module_of = {segment: module for module, segment in enumerate(self._segments)}
+        terms = []
+        for child in sorted(joined):
+            parent = int(skeleton.parents[child])
+            span = self.spans.get(("free", module_of[child]))
+            is_knee = skeleton.segment_names[child].endswith("shank")
+            if span is None or not is_knee or {child, parent} <= known:
+                continue
+            rows = readings.rows(span)
+            above, below = (readings.angular_rate[rows, module_of[s]] for s in (parent, child))
+            try:
+                hinge = hinge_axes(above, below, readings.interval_s)
+            except ValueError:
+                continue
+            bend = np.cumsum(below @ hinge.second - above @ hinge.first) * readings.interval_s
+            if np.ptp(bend) > _SMALL_MOVEMENT:
+                sign = -1 if bend.mean() > 0.0 else 1
+                terms += [
+                    AxisTerm(parent, hinge.first, sign, HINGE_SIGMA),
+                    AxisTerm(child, hinge.second, sign, HINGE_SIGMA),
+                ]
         return terms
 
     def _equations(self, readings: Readings, used: set[int]) -> Mapping[int, JointEquations]:
@@ -259,3 +295,13 @@ class BodySession:
                 )
             )
         return BodyResult(tuple(modules), solution.facing, solution.joints, self.done)
+
+
+def _reached(told: set[int], equations: Mapping[int, JointEquations], parents: list[int]) -> set[int]:
+    """Segments whose heading is told, or can be had from a neighbour by the joint between them."""
+    reached = set(told)
+    for _ in equations:
+        for child in equations:
+            if {child, parents[child]} & reached:
+                reached |= {child, parents[child]}
+    return reached

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from gateway.calibration.joint_centres import JointEquations
+from gateway.calibration.joint_centres import JointEquations, relative_heading
 from gateway.frames import FloatArray, IntArray
 
 POSE_SIGMA = np.radians(3.0)
@@ -219,20 +219,33 @@ def _start(problem: Problem, used: list[int]) -> tuple[float, FloatArray, FloatA
     right = {s: bearing for s, bearing in seen.items() if bearing is not None}
     known = [problem.fields[s][0] + right[s] for s in right if s in problem.fields]
     facing = float(np.angle(np.mean(np.exp(1j * np.array(known))))) if known else 0.0
-    headings = []
-    for s in used:
-        if s in problem.fields:
-            headings.append(problem.fields[s][0])
-        elif s in right:
-            headings.append(facing - right[s])
-        else:
-            raise ValueError("a module has neither a field nor a movement that tells its heading")
+    told = {s: facing - bearing for s, bearing in right.items()}
+    told |= {s: heading for s, (heading, _) in problem.fields.items()}
+    told = _spread(told, problem)
+    if set(used) - set(told):
+        raise ValueError("a module has neither a field nor a movement that tells its heading")
+    headings = [told[s] for s in used]
     wearer = Rotation.from_rotvec([0.0, 0.0, facing]).as_matrix()
     R_bs = [
         (wearer @ first[s].posture).T @ _turns(np.array([heading]))[0] @ first[s].R_es
         for s, heading in zip(used, headings, strict=True)
     ]
     return facing, np.array(headings), np.stack(R_bs)
+
+
+def _spread(told: Mapping[int, float], problem: Problem) -> dict[int, float]:
+    """Headings of further modules, from neighbour to neighbour, by the accelerations of the joints between."""
+    found = dict(told)
+    for _ in problem.equations:
+        for child, equations in problem.equations.items():
+            parent = int(problem.parents[child])
+            if (child in found) != (parent in found):
+                turn = relative_heading(equations)
+                if child in found:
+                    found[parent] = found[child] - turn
+                else:
+                    found[child] = found[parent] + turn
+    return found
 
 
 def _bearing_of_axis(problem: Problem, pose: PoseTerm) -> float | None:

@@ -78,7 +78,7 @@ class JointEquations:
     """Instants."""
 
     def residuals(self, rho_1: FloatArray, rho_2: FloatArray, heading: float) -> FloatArray:
-        """(16,) m/s², squares summing up to those of all instants; heading: the second's against the first's."""
+        """(16,) m/s², squares summing up to all instants'; heading: the second's against the first's."""
         folded: FloatArray = self.triangle @ features(rho_1, rho_2, heading)
         return folded
 
@@ -92,6 +92,28 @@ def features(rho_1: FloatArray, rho_2: FloatArray, heading: float) -> FloatArray
     second = np.concatenate([[1.0], rho_2])
     turn = np.array([np.cos(heading), np.sin(heading), 1.0])
     return np.concatenate([[1.0], rho_1, np.outer(turn, second).ravel()])
+
+
+def relative_heading(equations: JointEquations) -> float:
+    """Δ: heading of the second module's level world against the first's, rad, for which the rest fits best."""
+    angles = np.linspace(-np.pi, np.pi, 72, endpoint=False)
+    left = [_left_at(equations, angle) for angle in angles]
+    best = float(angles[int(np.argmin(left))])
+    width = float(angles[1] - angles[0])
+    finer = np.linspace(best - width, best + width, 41)
+    return float(finer[int(np.argmin([_left_at(equations, angle) for angle in finer]))])
+
+
+def _left_at(equations: JointEquations, heading: float) -> float:
+    """Sum of squares left with the best ρ₁ and ρ₂."""
+    origin = features(np.zeros(3), np.zeros(3), heading)
+    units = [features(*np.split(unit, 2), heading) - origin for unit in np.eye(6)]
+    design = equations.triangle @ np.stack(units, axis=1)
+    target = -(equations.triangle @ origin)
+    # joints lie within the body: a little stiffness keeps what motion does not tell near the module
+    stiff = np.sqrt(1e-4 * max(equations.n, 1)) * np.eye(6)
+    rho = np.linalg.lstsq(np.vstack([design, stiff]), np.concatenate([target, np.zeros(6)]), rcond=None)[0]
+    return float(np.sum((design @ rho - target) ** 2))
 
 
 def joint_equations(first: Side, second: Side) -> JointEquations:

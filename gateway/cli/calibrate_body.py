@@ -14,7 +14,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from devices.emulators.calibrating import begin_of_script, timetable
+from devices.emulators.calibrating import PERIOD_S, begin_of_script, timetable
 from devices.endpoints import link_from_url
 from devices.link import Link, gateway_time_ns
 from devices.reconnect import ReconnectingLink
@@ -175,7 +175,7 @@ class _Guide:
                 if gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9 and not self._is_emulated:
                     raise GatewayError(_NOT_ALIVE.format(_UNHEARD_S))
                 await asyncio.sleep(_REFRESH_S)
-        self._begin_ns = begin_of_script(gateway_time_ns()) if self._is_emulated else 0
+        self._begin_ns = begin_of_script(gateway_time_ns()) - round(PERIOD_S * 1e9)
 
     async def _do(self, step: Step, console: Console, segments: list[str] | None = None) -> None:
         """Count down, record; the bars show at once what every module does."""
