@@ -1,4 +1,4 @@
-"""``python -m benchmarks accuracy|speed|latency|clock|joints|sensors|all``."""
+"""``python -m benchmarks accuracy|speed|latency|clock|joints|sensors|calibration|all``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, clock, joints, latency, sensors, speed
+from benchmarks import accuracy, calibration, clock, joints, latency, sensors, speed
 from benchmarks.figures import Report, write_docs
 
 SUITES: dict[str, Callable[[], Report]] = {
@@ -17,6 +17,7 @@ SUITES: dict[str, Callable[[], Report]] = {
     "clock": clock.run,
     "joints": joints.run,
     "sensors": sensors.run,
+    "calibration": calibration.run,
 }
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy import DATA
-from benchmarks.calibration_recordings import CalibratedTrial, hipose_trial, qmt_trial
+from benchmarks.calibration_recordings import CalibratedTrial, hipose_trial
 from benchmarks.calibration_simulation import errors, imu_frames, session_of, simulated_body
 from benchmarks.figures import Figure, Report, table
 from devices.emulators.bodies import EmulatedBody
@@ -24,11 +22,13 @@ PUBLISHED = "<=6"
 
 
 def run() -> Report:
-    """Eight headings in simulation, then every recording that is there."""
+    """Eight headings in simulation, then a recording of a whole body."""
     report = Report("calibration")
     _add_simulation(report)
-    for trial in _trials():
-        _add_recording(report, trial)
+    if (DATA / "hipose_mtw17").exists():
+        _add_recording(report, hipose_trial(DATA / "hipose_mtw17"))
+    else:
+        print("skipped hipose_mtw17: not there")
     return report
 
 
@@ -116,17 +116,6 @@ def _pose_only(session: BodySession, frames: list[ImuFrame], body: EmulatedBody,
         true = Rotation.from_quat(body.sensor_to_segment[segment], scalar_first=True)
         found.append(np.degrees((neutral.inv() * sensor * true.inv()).magnitude()))
     return np.array(found)
-
-
-def _trials() -> Iterator[CalibratedTrial]:
-    for path, read in (
-        ("hipose_mtw17", hipose_trial),
-        ("qmt_fullbody16/full_body_example_data.mat", qmt_trial),
-    ):
-        if (DATA / path).exists():
-            yield read(DATA / path)
-        else:
-            print(f"skipped {path}: not there")
 
 
 def _add_recording(report: Report, trial: CalibratedTrial) -> None:

@@ -7,7 +7,6 @@ What differs is the reconstruction and the calibration together.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,23 +41,15 @@ class CalibratedTrial(NamedTuple):
 def hipose_trial(folder: Path) -> CalibratedTrial:
     """17 modules with magnetometers; N-pose in the first five seconds."""
     what = "17 modules, N-pose and free movement; against the vendor's orientations (not a truth)"
-    return _trial(read_hipose_mtw17(folder), (1.0, 4.0), what, uses_field=True)
+    return _trial(read_hipose_mtw17(folder), (1.0, 4.0), what)
 
 
-def qmt_trial(path: Path) -> CalibratedTrial:
-    """15 modules without magnetometers."""
-    what = "no magnetometer, headings from knees and joints; against the set's orientations"
-    return _trial(vendor.read_qmt(path), (0.5, 3.5), what, uses_field=False)
-
-
-def _trial(
-    recording: Recording, still: tuple[float, float], what: str, *, uses_field: bool
-) -> CalibratedTrial:
+def _trial(recording: Recording, still: tuple[float, float], what: str) -> CalibratedTrial:
     suit = vendor.dressed(recording)
     frames = imu_frames(recording, suit)
     begin_s = max(float(track.times[0]) for track in recording.modules)
     at_ns = frames[0].time_ns - round(begin_s * 1e9)
-    session = BodySession(suit, uses_field)
+    session = BodySession(suit)
     for frame in frames:
         session.add(frame)
     session.mark("n_pose", at_ns + round(still[0] * 1e9), at_ns + round(still[1] * 1e9))
@@ -67,16 +58,13 @@ def _trial(
     reference, is_after = _reference(recording, suit, still)
     ours = _angles(recording, worn_as(suit, result.accepted(with_poor=True)))
     session.spans = {key: span for key, span in session.spans.items() if key[0] == "n_pose"}
-    pose_only = worn_as(suit, session.result().accepted(with_poor=True)) if uses_field else None
-    nothing = np.full_like(ours, np.nan)
+    pose_only = worn_as(suit, session.result().accepted(with_poor=True))
     return CalibratedTrial(
         recording.name,
         what,
         suit.skeleton.joints,
         _rmse_deg(ours[is_after], reference[is_after]),
-        _rmse_deg(
-            (nothing if pose_only is None else _angles(recording, pose_only))[is_after], reference[is_after]
-        ),
+        _rmse_deg(_angles(recording, pose_only)[is_after], reference[is_after]),
         {module.segment: module.quality.verdict for module in result.modules},
     )
 
@@ -90,7 +78,7 @@ def _reference(
     recording: Recording, suit: WornSuit, still: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
     """The vendor's joint angles (T, n_joints, 3), and which instants come after the pose."""
-    frames = solve(recording, replace(suit), "independent")
+    frames = solve(recording, suit, "independent")
     times, _ = orientations(frames, max(float(track.times[0]) for track in recording.modules))
     q_ref = np.full((len(times), suit.skeleton.n_segments, 4), np.nan)
     for reference in recording.references:

@@ -171,7 +171,8 @@ class BodySession:
                 rate = readings.angular_rate[readings.rows(span), module]
                 found.movements[step.name] = movement_axis(rate, readings.interval_s)
         if self.uses_field and pose_spans:
-            found.earth_field = field_heading(readings, module, pose_spans, self.suit.magnetic_field)
+            others = [span for (_, m), span in self.spans.items() if m == module and span not in pose_spans]
+            found.earth_field = field_heading(readings, module, pose_spans, self.suit.magnetic_field, others)
         return found
 
     def _problem(self, readings: Readings, findings: list[ModuleFindings]) -> Problem:
@@ -197,8 +198,10 @@ class BodySession:
         for segment, found in zip(self._segments, findings, strict=True):
             found.has_no_heading = bool(found.poses) and segment not in told
         poses = [term for term in poses if term.segment in told]
+        posed = {term.segment for term in poses}
+        axes = [term for term in axes if term.segment in posed]
         equations = {
-            child: one for child, one in equations.items() if {child, int(skeleton.parents[child])} <= told
+            child: one for child, one in equations.items() if {child, int(skeleton.parents[child])} <= posed
         }
         return Problem(
             skeleton.parents, self.suit.lever_arms, skeleton.offsets, poses, axes, fields, equations

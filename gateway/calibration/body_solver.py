@@ -33,12 +33,12 @@ ARMS_UP_SIGMA = np.radians(6.0)
 AXIS_SIGMA = np.radians(1.5)
 """Of the axis of a movement; more where it was not repeated well."""
 FIELD_SIGMA = np.radians(3.0)
-PLACE_SIGMA = 0.03
+PLACE_SIGMA = 0.02
 """Of a module against its place in the rig, each component, m."""
-LENGTH_SIGMA = 0.01
+LENGTH_SIGMA = 0.02
 """Of a joint against the body file, each component, m."""
-_SLOWNESS = 10.0  # samples in a row say the same: smoothing, soft tissue
-_FORCE_SIGMA = 0.15  # m/s², least that two views of a joint's acceleration differ
+_SLOWNESS = 30.0  # samples in a row say the same: smoothing, soft tissue
+_FORCE_SIGMA = 0.3  # m/s², least that two views of a joint's acceleration differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +234,7 @@ def _start(problem: Problem, used: list[int]) -> tuple[float, FloatArray, FloatA
 
 
 def _spread(told: Mapping[int, float], problem: Problem) -> dict[int, float]:
-    """Headings of further modules, from neighbour to neighbour, by the accelerations of the joints between."""
+    """Headings of further modules, from neighbour to neighbour, by their joints' accelerations."""
     found = dict(told)
     for _ in problem.equations:
         for child, equations in problem.equations.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,28 +119,37 @@ class FieldHeading:
     """Of the module's own level world against the world, rad, anticlockwise."""
     change: float
     """Largest departure of the field's strength from its median, relative, after smoothing."""
-    dip_change: float
-    """The same of the angle to the horizontal, rad."""
 
 
 def field_heading(
-    readings: Readings, module: int, spans: Sequence[Span], field: FloatArray
+    readings: Readings,
+    module: int,
+    poses: Sequence[Span],
+    field: FloatArray,
+    others: Sequence[Span] = (),
 ) -> FieldHeading | None:
-    """From the poses. field: (3,) that of the earth, world. None without a magnetometer."""
+    """Heading from the poses, changes from the other steps too. None without a magnetometer.
+
+    field: (3,) that of the earth, world.
+    """
+    spans = [*poses, *others]
     rows = np.concatenate([np.arange(*readings.rows(span).indices(len(readings.time_ns))) for span in spans])
     magnetic = readings.magnetic_field[rows, module]
     known = np.isfinite(magnetic).all(axis=1) & readings.heard[rows, module]
     if known.sum() < 20:
         return None
     level = np.einsum("tij,tj->ti", readings.R_es[rows[known], module], magnetic[known])
-    turn = np.arctan2(field[1], field[0]) - np.arctan2(level[:, 1], level[:, 0])
+    in_pose = rows[known] < 0
+    for span in poses:
+        in_pose |= (readings.time_ns[rows[known]] >= span[0]) & (readings.time_ns[rows[known]] <= span[1])
+    if not in_pose.any():
+        return None
+    turn = np.arctan2(field[1], field[0]) - np.arctan2(level[in_pose, 1], level[in_pose, 0])
     heading = float(np.angle(np.mean(np.exp(1j * turn))))
     strength = _running(np.linalg.norm(magnetic[known], axis=1))
-    dip = _running(np.arctan2(-level[:, 2], np.hypot(level[:, 0], level[:, 1])))
     return FieldHeading(
         heading,
         float(np.abs(strength / np.median(strength) - 1.0).max()),
-        float(np.abs(dip - np.median(dip)).max()),
     )
 
 
@@ -148,8 +157,3 @@ def _running(values: FloatArray, n: int = 15) -> FloatArray:
     n = min(n, len(values))
     mean: FloatArray = np.convolve(values, np.full(n, 1.0 / n), "valid")
     return mean
-
-
-def spans_of(spans: Mapping[tuple[str, int], Span], step: str, module: int) -> Span | None:
-    """When a module did a step."""
-    return spans.get((step, module))

@@ -95,7 +95,7 @@ def features(rho_1: FloatArray, rho_2: FloatArray, heading: float) -> FloatArray
 
 
 def relative_heading(equations: JointEquations) -> float:
-    """Δ: heading of the second module's level world against the first's, rad, for which the rest fits best."""
+    """Δ: heading of the second module's level world against the first's, rad, by the best fit."""
     angles = np.linspace(-np.pi, np.pi, 72, endpoint=False)
     left = [_left_at(equations, angle) for angle in angles]
     best = float(angles[int(np.argmin(left))])

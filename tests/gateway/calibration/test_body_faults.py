@@ -56,7 +56,9 @@ def reasons(result, segment):
 def errors_deg(result, body):
     found = []
     for module in result.modules:
-        true = Rotation.from_quat(body.sensor_to_segment[body.segment_names.index(module.segment)], scalar_first=True)
+        true = Rotation.from_quat(
+            body.sensor_to_segment[body.segment_names.index(module.segment)], scalar_first=True
+        )
         ours = Rotation.from_quat(module.sensor_to_segment, scalar_first=True)
         found.append(np.degrees((ours * true.inv()).magnitude()))
     return np.array(found)
@@ -104,13 +106,13 @@ def test_the_angle_that_is_told_is_the_one_it_moved_by():
 
 def test_a_field_that_changes_is_told():
     def disturb(times, force, rate, field, status):
-        begin, end = timetable()["t_pose"]
+        begin, end = timetable()["squat"]
         field[(times > begin) & (times < end), 1] *= 1.22
 
     session, _ = wearer(disturb=disturb)
     result = session.result()
     name = result.modules[1].segment
-    assert "changed by 22 %" in reasons(result, name) or "changed by" in reasons(result, name)
+    assert "changed by 22 %" in reasons(result, name) or "changed by 23 %" in reasons(result, name)
     assert of(result, name).quality.verdict != "good"
 
 
@@ -158,7 +160,7 @@ def test_one_module_can_be_done_again():
     session, _ = wearer(disturb=disturb)
     segment = session.result().modules[2].segment
     assert of(session.result(), segment).quality.verdict != "good"
-    begin, end = timetable()["left_leg"]
+    begin, _ = timetable()["left_leg"]
     session.spans["n_pose", 2] = (round((begin - 1.5) * 1e9), round((begin - 0.2) * 1e9))
     result = session.result()
     assert "moved" not in reasons(result, segment)

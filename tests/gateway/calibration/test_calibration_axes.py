@@ -51,7 +51,10 @@ def _hinged(rng, n=2000):
     """Rates of two segments that tumble about, joined by a hinge, in both sensors' axes."""
     t = np.arange(n) * INTERVAL_S
     common = np.stack([np.sin(2 * np.pi * f * t + p) for f, p in rng.uniform(0.3, 1.0, (3, 2))], axis=1)
-    bend, bend_rate = 0.8 * (1 - np.cos(2 * np.pi * 0.7 * t)), 0.8 * 2 * np.pi * 0.7 * np.sin(2 * np.pi * 0.7 * t)
+    bend, bend_rate = (
+        0.8 * (1 - np.cos(2 * np.pi * 0.7 * t)),
+        0.8 * 2 * np.pi * 0.7 * np.sin(2 * np.pi * 0.7 * t),
+    )
     z = np.array([0.0, 0.0, 1.0])
     relative = Rotation.from_rotvec(np.outer(bend, z))
     second = relative.inv().apply(common) + np.outer(bend_rate, z)
@@ -95,7 +98,7 @@ def _joined(rng, heading):
         rate[0], rate[-1] = rate[1], rate[-2]
         acceleration = np.gradient(rate, INTERVAL_S, axis=0)
         lever = np.cross(acceleration, arm) + np.cross(rate, np.cross(rate, arm))
-        force = np.einsum("nij,ni->nj", R, joint + [0, 0, 9.81]) + lever
+        force = np.einsum("nij,ni->nj", R, joint + np.array([0, 0, 9.81])) + lever
         own = Rotation.from_rotvec([0, 0, -heading * k]).as_matrix()
         sides.append(side(force, rate, own @ R, INTERVAL_S))
     return sides, arms
