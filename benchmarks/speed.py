@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from vqf import VQF
 
 from benchmarks.emulated_stream import LINK, relay_chunks, suit_17
-from benchmarks.figures import Figure, Report
+from benchmarks.figures import Figure, Report, table
+from benchmarks.speed_growth import SIZES, enlarged_frame, enlarged_suit
 from devices.link import Chunk, Framing
 from firmware_protocol import FrameDecoder, PacketDecoder
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
 from gateway.frames import ImuFrame, LocalReading
-from gateway.pipeline import Pipeline
-from gateway.reconstruction import RECONSTRUCTORS
+from gateway.pipeline import FRAMES_AT_A_TIME, Pipeline
+from gateway.reconstruction import RECONSTRUCTORS, Reconstructor, update_many
 from gateway.stream import ClockMode, Stream
 
 PARAMS = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
 REPEATS = 5
+INTERVAL_S = 0.01
+GROWTH_FRAMES = 300
 
 
 def run() -> Report:
@@ -28,12 +32,16 @@ def run() -> Report:
     suit, motion = suit_17()
     chunks = relay_chunks(motion, seconds=20.0)
     singles = relay_chunks(motion, seconds=10.0, has_relay=False)
+    frames = _imu_frames(suit.module_ids, chunks)
     report = Report("speed")
     report.figures = [
         *_decode_figures(chunks, singles),
-        *_frame_figures(suit, _imu_frames(suit.module_ids, chunks)),
-        *_pipeline_figures(suit, chunks),
+        *_frame_figures(suit, frames),
+        *_offline_figures(suit, chunks, frames),
     ]
+    figures, growth = _growth(suit, frames)
+    report.figures += figures
+    report.tables.append(growth)
     return report
 
 
@@ -57,18 +65,10 @@ def _decode_figures(chunks: list[Chunk], singles: list[Chunk]) -> list[Figure]:
 
 def _frame_figures(suit: WornSuit, frames: list[ImuFrame]) -> list[Figure]:
     def reconstruct(name: str) -> Callable[[], int]:
-        reconstructor = RECONSTRUCTORS[name](suit, 0.01)
-
-        def work() -> int:
-            reconstructor.reset()
-            for frame in frames:
-                reconstructor.update(frame)
-            return len(frames)
-
-        return work
+        return partial(_update_each, RECONSTRUCTORS[name](suit, INTERVAL_S), frames)
 
     def vqf_alone() -> int:
-        filters = [VQF(0.01) for _ in suit.module_ids]
+        filters = [VQF(INTERVAL_S) for _ in suit.module_ids]
         for frame in frames:
             for one, gyr, acc, mag in zip(
                 filters, frame.angular_rate, frame.specific_force, frame.magnetic_field, strict=True
@@ -89,31 +89,80 @@ def _frame_figures(suit: WornSuit, frames: list[ImuFrame]) -> list[Figure]:
     ]
 
 
-def _pipeline_figures(suit: WornSuit, chunks: list[Chunk]) -> list[Figure]:
-    def speed(name: str) -> float:
+def _offline_figures(suit: WornSuit, chunks: list[Chunk], frames: list[ImuFrame]) -> list[Figure]:
+    def from_frames(name: str) -> float:
+        reconstructor = RECONSTRUCTORS[name](suit, INTERVAL_S)
+
+        def work() -> int:
+            reconstructor.reset()
+            blocks = range(0, len(frames), FRAMES_AT_A_TIME)
+            return sum(len(update_many(reconstructor, frames[k : k + FRAMES_AT_A_TIME])) for k in blocks)
+
+        return 1e6 * INTERVAL_S / _best_us(work)
+
+    def from_bytes(name: str) -> float:
         def work() -> int:
             whole = Pipeline(suit, PARAMS, name, ClockMode.ESTIMATED)
             whole.add_link(LINK, Framing.BYTE_STREAM)
-            return sum(len(whole.feed(chunk)) for chunk in chunks)
+            return sum(1 for _ in whole.replay(chunks))
 
-        return 1e6 / _best_us(work) / 100
+        return 1e6 * INTERVAL_S / _best_us(work)
 
-    bytes_to_skeleton = "bytes to skeleton of 17 modules at 100 Hz, `joint`, whole pipeline"
+    decoded = "frames of 17 modules at 100 Hz to skeleton, as a recording is processed"
+    whole = "bytes to skeleton of 17 modules at 100 Hz, whole pipeline"
     return [
-        Figure("offline_x_realtime", speed("joint"), "×", ">=100", bytes_to_skeleton),
+        Figure("offline_x_realtime", from_frames("joint"), "×", ">=100", f"{decoded}, `joint`"),
+        Figure("offline_outward_x_realtime", from_frames("outward"), "×", ">=400", f"{decoded}, `outward`"),
+        Figure("offline_bytes_x_realtime", from_bytes("joint"), "×", "", f"{whole}, `joint`"),
         Figure(
-            "offline_independent_x_realtime", speed("independent"), "×", "", "the same with `independent`"
+            "offline_independent_x_realtime", from_bytes("independent"), "×", "", f"{whole}, `independent`"
         ),
     ]
 
 
+def _growth(suit: WornSuit, frames: list[ImuFrame]) -> tuple[list[Figure], str]:
+    """Figures, and a table: µs of a frame by the number of segments."""
+    rows, us = [], {}
+    for n in SIZES:
+        worn = enlarged_suit(suit, n)
+        many = [enlarged_frame(suit, frame, n) for frame in frames[:GROWTH_FRAMES]]
+        times = []
+        for name in ("joint", "outward"):
+            reconstructor = RECONSTRUCTORS[name](worn, INTERVAL_S)
+            update_many(reconstructor, many)  # headings have been shown
+            times.append(_best_us(partial(_update_each, reconstructor, many)))
+        us[n] = times[0]
+        rows.append(
+            [str(n), f"{times[0]:.1f}", f"{times[0] / n:.2f}", f"{times[1]:.1f}", f"{times[1] / n:.2f}"]
+        )
+    heads = ["segments", "`joint`, µs", "a segment", "`outward`, µs", "a segment"]
+    figures = [
+        Figure("frame_1024_us", us[1024], "µs", "", "`joint`, 1024 segments, one frame"),
+        Figure(
+            "frame_growth",
+            us[1024] / us[64] / 16,
+            "",
+            "<=1.25",
+            "time a segment at 1024 segments over that at 64: 1 is linear",
+        ),
+    ]
+    return figures, "Time of one frame by the number of segments, live:\n\n" + table(heads, rows)
+
+
+def _update_each(reconstructor: Reconstructor, frames: list[ImuFrame]) -> int:
+    reconstructor.reset()
+    for frame in frames:
+        reconstructor.update(frame)
+    return len(frames)
+
+
 def _best_us(work: Callable[[], int]) -> float:
-    """Least time of one unit of work, µs: the machine is shared, and noise only ever adds."""
+    """Least processor time of one unit of work, µs: the machine is shared, and noise only ever adds."""
     times = []
     for _ in range(REPEATS):
-        begin = time.perf_counter()
+        begin = time.process_time()
         count = work()
-        times.append((time.perf_counter() - begin) / count * 1e6)
+        times.append((time.process_time() - begin) / count * 1e6)
     return float(np.min(times))
 
 

@@ -11,10 +11,11 @@ same skeleton frames, bit for bit.
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
@@ -23,16 +24,26 @@ from gateway.calibration.corrections import SensorCorrections
 from gateway.calibration.mounting import remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
+from gateway.errors import GatewayError
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
-from gateway.reconstruction import FUSED, RECONSTRUCTORS
+from gateway.reconstruction import FUSED, RECONSTRUCTORS, update_many
 from gateway.resets import Resets
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Reading, Stream
 
+FRAMES_AT_A_TIME = 256
+"""Of a recording: enough that a call costs nothing, few enough to stay in the processor's cache."""
 RESET_EVENT, CALIBRATED_EVENT = "reset", "calibrated"
 INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT})
 """Events that are inputs: a recording must hand them over again in their place."""
+
+
+class InputEvent(NamedTuple):
+    """What was asked of the gateway: see ``Pipeline.event``."""
+
+    name: str
+    data: Mapping[str, Any]
 
 
 class Pipeline:
@@ -110,17 +121,42 @@ class Pipeline:
 
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
-        skeleton_frames: list[SkeletonFrame] = []
-        for reading in self.stream.receive(chunk):
-            imu_frames = self._assemble(reading, chunk.arrived_ns)
-            if self.on_imu_frame is not None:
-                for imu_frame in imu_frames:
-                    self.on_imu_frame(imu_frame)
-            skeleton_frames.extend(
-                self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in imu_frames
-            )
+        skeleton_frames = [
+            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self._imu_frames(chunk)
+        ]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
+
+    def replay(self, items: Iterable[Chunk | SentChunk | InputEvent]) -> Iterator[SkeletonFrame]:
+        """A recording: the frames that ``feed``, ``sent`` and ``event`` of each item give, bit for bit, but
+        many at a time. An event that is not possible with this suit or method is passed over."""
+        block: list[ImuFrame] = []
+        for item in items:
+            if isinstance(item, Chunk):
+                block += self._imu_frames(item)
+            elif isinstance(item, SentChunk):
+                self.sent(item)
+            if isinstance(item, InputEvent) or len(block) >= FRAMES_AT_A_TIME:
+                yield from self._solved(block)
+                block = []
+            if isinstance(item, InputEvent):
+                with contextlib.suppress(GatewayError):
+                    self.event(item.name, item.data)
+        yield from self._solved(block)
+
+    def _solved(self, block: list[ImuFrame]) -> Iterator[SkeletonFrame]:
+        self.skeleton_frames += len(block)
+        if block:
+            yield from map(self.resets.apply, update_many(self.reconstructor, block))
+
+    def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+        imu_frames: list[ImuFrame] = []
+        for reading in self.stream.receive(chunk):
+            imu_frames += self._assemble(reading, chunk.arrived_ns)
+        if self.on_imu_frame is not None:
+            for imu_frame in imu_frames:
+                self.on_imu_frame(imu_frame)
+        return imu_frames
 
     def _assemble(self, reading: Reading, arrived_ns: int) -> list[ImuFrame]:
         fused = self.fused_assembler

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.outputs import MqttOutput, MqttSettings
+from gateway.outputs import MqttSettings
+from gateway.outputs.mqtt import MqttOutput
 from tests.contract_watch import ContractWatch, assert_kept
 
 

@@ -103,7 +103,7 @@ def _pitch(gait: Gait) -> BPoly:
 def _lifted(
     foot: Foot, where: FloatArray, yaw: float, pitch: BPoly, phase: float, pivot: FloatArray
 ) -> list[FloatArray]:
-    """The ankle of a foot pitched about a point (forward, up) that stands still, and three derivatives by phase."""
+    """The ankle of a foot pitched about a still point (forward, up), and its three derivatives by phase."""
     angle, rate, change, jerk = (float(pitch(phase, order)) for order in range(4))
     c, s = np.cos(angle), np.sin(angle)
     turned = np.array([c * pivot[0] - s * pivot[1], s * pivot[0] + c * pivot[1]])

@@ -132,7 +132,7 @@ class PlannedPath:
             Derivatives(c, -s * psi.rate, -s * psi.acceleration - c * psi.rate**2),
         )
 
-    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:  # noqa: ARG002 - as Waves
+    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
         """World coordinates of the pelvis' joint at ``times`` (T, M)."""
         parts = self.place(times)
         turned = [
@@ -206,7 +206,8 @@ def planned_motion(
     steady_s = path.start_s + path.ramp_s + _START_STRIDES * stride_s
     step = stride_s / STEPS_OF_GRID
     before = int(np.ceil((steady_s - fade.rest_s) / step))
-    times = steady_s + step * np.arange(-before - _MARGIN, STEPS_OF_GRID + _MARGIN + 1)
+    grid = np.arange(-before - _MARGIN, STEPS_OF_GRID + _MARGIN + 1)
+    times = np.asarray(steady_s + step * grid, np.float64)
     angles = np.zeros((len(times), body.n_segments, 3))
     axial = pelvis.evaluate(times[:, None], fade.evaluate(times[:, None]))[1].value[:, 0]
     facing = path.heading(times).value + axial

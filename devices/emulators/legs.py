@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -84,5 +85,5 @@ def leg_angles(
     R_thigh = plane * Rotation.from_euler("z", hip[:, None])
     R_shank = R_thigh * Rotation.from_euler("z", -knee[:, None])
     chain = [R_pelvis, R_thigh, R_shank, R_foot]
-    turns = [(parent.inv() * child).as_euler("ZXY") for parent, child in zip(chain, chain[1:], strict=False)]
+    turns = [(parent.inv() * child).as_euler("ZXY") for parent, child in pairwise(chain)]
     return np.stack([np.unwrap(turn, axis=0)[:, [1, 2, 0]] for turn in turns], axis=1)

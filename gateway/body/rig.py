@@ -175,7 +175,7 @@ def _skeleton(body: BodyFile, names: list[str], parents: list[int]) -> Skeleton:
             for point in segment.contacts
         ),
         interpolations=tuple(
-            Interpolation(s, *(names.index(name) for name in rule.between), rule.fraction)
+            Interpolation(s, names.index(rule.between[0]), names.index(rule.between[1]), rule.fraction)
             for s, segment in enumerate(body.segments)
             if (rule := segment.interpolate) is not None
         ),

@@ -110,13 +110,13 @@ def fit_ellipsoid(readings: FloatArray, strength: float, shape: Shape = Shape.SY
 
 def _start(readings: FloatArray, strength: float, shape: Shape) -> tuple[FloatArray, FloatArray]:
     """Matrix and bias to begin with: the algebraic ellipsoid, or where it is no use the sphere."""
-    centre, radius = _sphere(readings)
-    sphere = np.eye(3) * (strength / radius), centre
+    centre, radius = sphere(readings)
+    ball = np.eye(3) * (strength / radius), centre
     if abs(shape.value) < len(np.triu_indices(3)[0]):
-        return sphere
+        return ball
     form = _ellipsoid(readings)
     if form is None:
-        return sphere
+        return ball
     quadratic, bias = form
     if shape is Shape.TRIANGULAR:
         factor: FloatArray = np.asarray(strength * np.linalg.cholesky(quadratic).T, dtype=np.float64)
@@ -126,7 +126,7 @@ def _start(readings: FloatArray, strength: float, shape: Shape) -> tuple[FloatAr
     return root, bias
 
 
-def _sphere(readings: FloatArray) -> tuple[FloatArray, float]:
+def sphere(readings: FloatArray) -> tuple[FloatArray, float]:
     """Centre and radius of the algebraic least-squares sphere."""
     middle = readings.mean(axis=0)
     m = readings - middle
@@ -137,7 +137,7 @@ def _sphere(readings: FloatArray) -> tuple[FloatArray, float]:
 
 def _ellipsoid(readings: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Q and b of (m − b)ᵀ Q (m − b) = 1 by Li & Griffiths (2004); None when the data do not give one."""
-    centre, radius = _sphere(readings)
+    centre, radius = sphere(readings)
     x, y, z = ((readings - centre) / radius).T
     design = np.stack([x * x, y * y, z * z, 2 * y * z, 2 * x * z, 2 * x * y, 2 * x, 2 * y, 2 * z, x**0])
     scatter = design @ design.T

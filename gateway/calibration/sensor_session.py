@@ -12,11 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from devices.calibration import SensorCalibration
-from gateway.calibration.coverage import CELLS, DIRECTIONS, missing_sides
+from gateway.calibration.coverage import coverage, missing_sides
+from gateway.calibration.ellipsoid import sphere
 from gateway.calibration.rest import RestDetector
 from gateway.calibration.sensors import (
+    ENOUGH_COVERAGE,
     POSITIONS_FOR_ALL,
-    WANTED_COVERAGE,
     EllipsoidResult,
     GyrometerResult,
     accelerometer_ellipsoid,
@@ -30,6 +31,8 @@ from gateway.frames import FloatArray, Vector3
 SENSORS = ("gyrometer", "accelerometer", "magnetometer")
 REST_S = 3.0
 """How long a module should lie still for its gyrometer, s."""
+_SHOWN_READINGS = 1500  # of the field, thinned, that progress is judged by
+_FEWEST_FOR_A_SPHERE = 20
 
 Result = GyrometerResult | EllipsoidResult
 
@@ -52,8 +55,6 @@ class ModuleSession:
     def __init__(self) -> None:
         self._rest = RestDetector()
         self._field: list[Vector3] = []
-        self._seen = np.zeros(CELLS, dtype=bool)
-        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
         self._samples = 0
 
     def add(
@@ -65,11 +66,9 @@ class ModuleSession:
             self._rest.add(time_ns, force, rate)
         if magnetic_field is not None:
             self._field.append(magnetic_field)
-            self._low = np.minimum(self._low, magnetic_field)
-            self._high = np.maximum(self._high, magnetic_field)
 
     def progress(self) -> Progress:
-        """As of now. The magnetometer's coverage is judged from the middle of its readings."""
+        """As of now."""
         stretches = self._rest.stretches
         positions = rest_positions(stretches)
         return Progress(
@@ -92,15 +91,11 @@ class ModuleSession:
         return magnetometer_ellipsoid(np.array(self._field).reshape(-1, 3), field_ut)
 
     def _coverage(self) -> float:
-        if not self._field:
+        """From the middle of the sphere through the readings: a small patch has a far one, covers little."""
+        if len(self._field) < _FEWEST_FOR_A_SPHERE:
             return 0.0
-        half = 0.5 * (self._high - self._low)
-        # A sensor that has hardly been turned sees a short arc: of its own width that would be a lot.
-        if half.min() < 0.35 * half.max() or half.max() < 5.0:
-            return min(1.0 / CELLS * len(self._field), 0.05)
-        newest = (np.array(self._field[-2000:]) - 0.5 * (self._high + self._low)) / half
-        self._seen[np.unique(np.argmax(newest @ DIRECTIONS.T, axis=1))] = True
-        return float(self._seen.mean())
+        readings = np.array(self._field[:: 1 + len(self._field) // _SHOWN_READINGS])
+        return coverage(readings, sphere(readings)[0])
 
 
 class SensorSession:
@@ -148,7 +143,7 @@ class SensorSession:
                 "accelerometer" not in self.sensors
                 or (progress.positions >= self.wanted_positions and not progress.sides_missing)
             )
-            and ("magnetometer" not in self.sensors or progress.coverage >= WANTED_COVERAGE)
+            and ("magnetometer" not in self.sensors or progress.coverage >= ENOUGH_COVERAGE)
         )
 
     def results(self, module: int) -> dict[str, Result | str]:

@@ -16,8 +16,9 @@ from gateway.frames import FloatArray
 POSITIONS_FOR_ALL = 12
 """Rest positions from which on the accelerometer's nine parameters are estimated; with fewer six of them."""
 FEWEST_POSITIONS = 6
-WANTED_COVERAGE = 0.75
-"""Share of directions that the magnetometer should have seen."""
+ENOUGH_COVERAGE = 0.8
+"""Share of directions at which the magnetometer has seen enough: a little more than what counts as good."""
+_GOOD_COVERAGE = 0.75
 _SYMMETRIC_COVERAGE = 0.4  # below it the ellipsoid is not determined: a sphere is fitted
 _LARGEST_SCALE = 2.0  # a sphere of another size is a patch of one that was guessed
 _A_CELL = 12  # readings of each cell that are used
@@ -191,7 +192,7 @@ def _magnetometer_quality(fit: EllipsoidFit, readings: FloatArray, strength: flo
     uncertain = float(fit.bias_sigma.max())
     return judged(
         Finding(
-            graded(fit.coverage, WANTED_COVERAGE, 0.2),
+            graded(fit.coverage, _GOOD_COVERAGE, 0.2),
             f"only {100 * fit.coverage:.0f} % of directions seen{hint}",
         ),
         Finding(

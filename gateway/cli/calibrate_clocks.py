@@ -25,15 +25,7 @@ from gateway.settings import GatewaySettings, load_gateway_settings
 
 _UNHEARD_S = 10.0
 
-calibrate_app = typer.Typer(help="Measure what has to be known before a capture.", no_args_is_help=True)
 
-
-@calibrate_app.callback()
-def _group() -> None:
-    """Subcommands stay named, however few there are."""
-
-
-@calibrate_app.command(epilog="Example: mocap-gateway calibrate clocks -c config/gateway.yaml --minutes 60")
 def clocks(
     config: Annotated[
         Path, typer.Option("--config", "-c", help="Configuration file: its links and rig.")

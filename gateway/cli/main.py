@@ -4,68 +4,113 @@ from __future__ import annotations
 
 import logging
 import sys
+from typing import ClassVar
 
 import typer
 
 import gateway
-from devices.device_errors import DeviceError
-from devices.link import LinkError
-from gateway.cli.body import body_app
-from gateway.cli.calibrate_body import body as calibrate_body
-from gateway.cli.calibrate_body import put_back, versions
-from gateway.cli.calibrate_clocks import calibrate_app
-from gateway.cli.calibrate_sensors import sensors as calibrate_sensors
-from gateway.cli.configuration import config_app
-from gateway.cli.demo import demo
-from gateway.cli.diff import diff
-from gateway.cli.doctor import doctor
-from gateway.cli.emulate import emulate
-from gateway.cli.modules import modules_app
-from gateway.cli.record import record
-from gateway.cli.recordings import info, recordings, recover
-from gateway.cli.replay import replay
-from gateway.cli.run import run
-from gateway.cli.view import view
-from gateway.cli.watch import watch
+from gateway.cli.lazy_commands import LazyCommand, LazyGroup
 from gateway.errors import GatewayError
+
+
+class _Commands(LazyGroup):
+    lazy: ClassVar = {
+        "demo": LazyCommand(
+            "gateway.cli.demo:demo",
+            "See it work, without any hardware or broker.",
+            "Example: mocap-gateway demo --seconds 20 --rig robot_arm_4",
+        ),
+        "run": LazyCommand(
+            "gateway.cli.run:run",
+            "Read the suit, reconstruct, publish. Ends on Ctrl-C or SIGTERM; "
+            "SIGHUP reads the configuration anew.",
+            "Example: mocap-gateway run -c config/gateway.yaml",
+        ),
+        "emulate": LazyCommand(
+            "gateway.cli.emulate:emulate",
+            "Emulate a suit: a moving body, its sensors with their errors, the modules' protocol.",
+            "Example: mocap-gateway emulate --rig suit_17 --on pty --link /tmp/suit",
+        ),
+        "watch": LazyCommand(
+            "gateway.cli.watch:watch",
+            "Show the poses that a gateway publishes.",
+            "Example: mocap-gateway watch --port 1883 --gateway gateway1",
+        ),
+        "view": LazyCommand(
+            "gateway.cli.view:view",
+            "Show the moving body on a page in the browser, live or from a recording.",
+            "Examples: mocap-gateway view --port 1883 --page-port 8080; mocap-gateway view walk.mcap",
+        ),
+        "record": LazyCommand(
+            "gateway.cli.record:record",
+            "Run the gateway and record everything: raw bytes, what was sent, poses, events.",
+            "Example: mocap-gateway record -c my.yaml --name walk",
+        ),
+        "replay": LazyCommand(
+            "gateway.cli.replay:replay",
+            "Play a recording: over MQTT like a live suit, or recomputed at once.",
+            "Examples: mocap-gateway replay walk.mcap --speed 2 --embedded; "
+            "mocap-gateway replay walk.mcap --verify; mocap-gateway replay walk.mcap --with my_rig.yaml",
+        ),
+        "diff": LazyCommand(
+            "gateway.cli.diff:diff",
+            "Compare the poses of two recordings: angle between the orientations, by segment.",
+            "Example: mocap-gateway diff walk.mcap walk_joint.mcap --plot diff.html",
+        ),
+        "export": LazyCommand(
+            "gateway.cli.export:export",
+            "Write the poses of a recording as BVH, C3D, glTF, OpenSim .sto and .mot, TRC, CSV or Parquet.",
+            "Examples: mocap-gateway export walk.mcap --to bvh; "
+            "mocap-gateway export walk.mcap --to c3d --to csv -o exports/ --axes y-up --unit mm",
+        ),
+        "recordings": LazyCommand(
+            "gateway.cli.recordings:recordings",
+            "List the recordings of a folder: when, how long, how large, modules, loss.",
+            "Example: mocap-gateway recordings recordings/",
+        ),
+        "info": LazyCommand(
+            "gateway.cli.recordings:info",
+            "Show what is in a recording: settings, suit, software, channels, losses, events.",
+            "Example: mocap-gateway info walk.mcap --extract walk_files/",
+        ),
+        "recover": LazyCommand(
+            "gateway.cli.recordings:recover",
+            "Make a whole file of all that can be read of one: after a kill, a power cut or a full disk.",
+            "Example: mocap-gateway recover walk.mcap --in-place",
+        ),
+        "doctor": LazyCommand(
+            "gateway.cli.doctor:doctor",
+            "Examine a set-up: rig, ports, capacity of serial lines and CAN buses, broker.",
+            "Example: mocap-gateway doctor -c config/gateway.yaml",
+        ),
+        "health": LazyCommand(
+            "gateway.cli.health:health",
+            "Ask the running gateway whether it is well: 0 if it is, 1 if not. It needs a `metrics.port`.",
+            "Example: mocap-gateway health --port 9464",
+        ),
+        "modules": LazyCommand(
+            "gateway.cli.modules:modules_app",
+            "List, identify, assign and configure the modules of a suit; fetch files from its memory card.",
+        ),
+        "calibrate": LazyCommand(
+            "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."
+        ),
+        "body": LazyCommand("gateway.cli.body:body_app", "Bodies: segments, joints, lengths."),
+        "config": LazyCommand(
+            "gateway.cli.configuration:config_app",
+            "Check a configuration file, or show what may stand in one.",
+        ),
+    }
+
 
 app = typer.Typer(
     name="mocap-gateway",
+    cls=_Commands,
     help="Open motion capture from body-worn sensors: wearable suit in, skeleton over MQTT out.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command(epilog="Example: mocap-gateway demo --seconds 20 --rig robot_arm_4")(demo)
-app.command(epilog="Example: mocap-gateway run -c config/gateway.yaml")(run)
-app.command(epilog="Example: mocap-gateway emulate --rig suit_17 --on pty --link /tmp/suit")(emulate)
-app.command(epilog="Example: mocap-gateway watch --port 1883 --gateway gateway1")(watch)
-app.command(epilog="Example: mocap-gateway view --port 1883 --page-port 8080")(view)
-app.command(epilog="Example: mocap-gateway record -c my.yaml --name walk")(record)
-app.command(
-    epilog="Examples: mocap-gateway replay walk.mcap --speed 2 --embedded; "
-    "mocap-gateway replay walk.mcap --verify; mocap-gateway replay walk.mcap --with my_rig.yaml"
-)(replay)
-app.command(epilog="Example: mocap-gateway diff walk.mcap walk_joint.mcap --plot diff.html")(diff)
-app.command(epilog="Example: mocap-gateway recordings recordings/")(recordings)
-app.command(epilog="Example: mocap-gateway info walk.mcap --extract walk_files/")(info)
-app.command(epilog="Example: mocap-gateway recover walk.mcap --in-place")(recover)
-app.command(epilog="Example: mocap-gateway doctor -c config/gateway.yaml")(doctor)
-app.add_typer(modules_app, name="modules")
-calibrate_app.command(
-    "sensors",
-    epilog="Example: mocap-gateway calibrate sensors --link /dev/ttyUSB0 --rig suit_17 -o mine.yaml",
-)(calibrate_sensors)
-calibrate_app.command(
-    "body",
-    epilog="Examples: mocap-gateway calibrate body -c my.yaml; "
-    "mocap-gateway calibrate body --link /tmp/suit --rig suit_17 --emulated -o mine.yaml",
-)(calibrate_body)
-calibrate_app.command("history", epilog="Example: mocap-gateway calibrate history mine.yaml")(versions)
-calibrate_app.command("restore", epilog="Example: mocap-gateway calibrate restore mine.yaml")(put_back)
-app.add_typer(calibrate_app, name="calibrate")
-app.add_typer(body_app, name="body")
-app.add_typer(config_app, name="config")
 
 
 def _print_version(wanted: bool) -> None:
@@ -88,7 +133,17 @@ def main() -> None:
     logging.basicConfig(format="%(asctime)s %(levelname)-7s %(message)s", level=logging.WARNING)
     try:
         app()
-    except (GatewayError, DeviceError, LinkError) as error:
+    except Exception as error:
+        if not isinstance(error, _told()):
+            raise
         for line in str(error).splitlines():
             print(f"mocap-gateway: {line}", file=sys.stderr)  # noqa: T201 - this is the user's terminal
         sys.exit(1)
+
+
+def _told() -> tuple[type[Exception], ...]:
+    """Errors that the user can put right. Imported when one comes: ``--help`` needs no devices."""
+    from devices.device_errors import DeviceError  # noqa: PLC0415 - see above
+    from devices.link import LinkError  # noqa: PLC0415
+
+    return GatewayError, DeviceError, LinkError

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gateway.calibration.sensor_session import REST_S, Progress, Result, SensorSession
-from gateway.calibration.sensors import WANTED_COVERAGE, EllipsoidResult, GyrometerResult
+from gateway.calibration.sensors import ENOUGH_COVERAGE, EllipsoidResult, GyrometerResult
 
 _COLOURS = {"good": "green", "fair": "yellow", "poor": "red"}
 _BAR = 16
@@ -32,7 +32,7 @@ def advice(session: SensorSession, progress: Mapping[int, Progress]) -> str:
             if moving
             else "now turn them to another side, and let them lie there"
         )
-    if "magnetometer" in session.sensors and any(one.coverage < WANTED_COVERAGE for one in heard):
+    if "magnetometer" in session.sensors and any(one.coverage < ENOUGH_COVERAGE for one in heard):
         return "turn them slowly about all axes, away from iron, until the bars are full"
     silent = [str(module) for module, one in progress.items() if not one.samples]
     return f"waiting for module {', '.join(silent)}" if silent else "that is enough"
@@ -127,6 +127,6 @@ def _positions(one: Progress, wanted: int) -> Text:
 
 
 def _bar(share: float) -> Text:
-    full = min(round(_BAR * share / WANTED_COVERAGE), _BAR)
-    colour = "green" if share >= WANTED_COVERAGE else "yellow"
+    full = min(round(_BAR * share / ENOUGH_COVERAGE), _BAR)
+    colour = "green" if share >= ENOUGH_COVERAGE else "yellow"
     return Text("█" * full + "░" * (_BAR - full) + f" {100 * share:.0f} %", colour)

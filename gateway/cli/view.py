@@ -5,20 +5,29 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from pydantic import ValidationError
 
+from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.topics import ANY_GATEWAY
+from gateway.recording import open_recording
+
+if TYPE_CHECKING:
+    import viser
 
 LOOPBACK = "127.0.0.1"
 
 
 def view(
+    recording: Annotated[
+        Path | None, typer.Argument(help="A recording to play; without one, what a gateway publishes now.")
+    ] = None,
     host: Annotated[str, typer.Option(help="Host of the MQTT broker.")] = LOOPBACK,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the MQTT broker.")] = 1883,
     username: Annotated[str | None, typer.Option(help="User name at the broker.")] = None,
@@ -37,7 +46,7 @@ def view(
     ] = LOOPBACK,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a broker that is not there yet.")] = False,
 ) -> None:
-    """Show the moving body on a page in the browser, live.
+    """Show the moving body on a page in the browser, live or from a recording.
 
     The page loads nothing from elsewhere and works on a phone. It only subscribes: it cannot slow the
     gateway down, and may run on another machine.
@@ -56,7 +65,10 @@ def view(
         raise typer.Exit(2) from None
     refuse_busy_port(page_host, page_port)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_serve(settings, gateway, (page_host, page_port), wait))
+        if recording is None:
+            asyncio.run(_serve_live(settings, gateway, (page_host, page_port), wait))
+        else:
+            asyncio.run(_serve_recording(recording, (page_host, page_port)))
 
 
 def refuse_busy_port(host: str, port: int) -> None:
@@ -72,16 +84,32 @@ def refuse_busy_port(host: str, port: int) -> None:
             ) from None
 
 
-async def _serve(settings: MqttSettings, gateway: str, page: tuple[str, int], waits: bool) -> None:
+@contextlib.contextmanager
+def _page(address: tuple[str, int]) -> Iterator[viser.ViserServer]:
+    """A page, while it is wanted. Raises ``GatewayError`` without the extra."""
     try:
         import viser  # noqa: PLC0415 - an extra, and slow to import
     except ImportError:
         raise GatewayError("the page needs the extra 'viewer': pip install 'mocap-gateway[viewer]'") from None
-    from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
-
-    server = viser.ViserServer(*page, label="mocap-gateway", verbose=False)
+    server = viser.ViserServer(*address, label="mocap-gateway", verbose=False)
     try:
-        typer.echo(f"live page: http://{page[0]}:{page[1]}")
-        await LiveViewer(server, settings, gateway).run(waits)
+        typer.echo(f"live page: http://{address[0]}:{address[1]}")
+        yield server
     finally:
         server.stop()
+
+
+async def _serve_live(settings: MqttSettings, gateway: str, address: tuple[str, int], waits: bool) -> None:
+    with _page(address) as server:
+        from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
+
+        await LiveViewer(server, settings, gateway).run(waits)
+
+
+async def _serve_recording(recording: Path, address: tuple[str, int]) -> None:
+    with progress_bar(f"reading {recording.name}") as tell:
+        arrays = open_recording(recording).skeleton_arrays(tell)
+    with _page(address) as server:
+        from gateway.viewer.playback import Playback  # noqa: PLC0415 - needs the extra
+
+        await Playback(server, arrays, recording.stem).run()

@@ -7,8 +7,10 @@ therefore lies in a directory named after the state of the whole package.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar, cast
@@ -18,6 +20,8 @@ import numba
 F = TypeVar("F", bound=Callable[..., object])
 
 PACKAGE = Path(__file__).resolve().parents[1]
+KEPT_CACHES = 5
+"""Older states of the package whose kernels are kept: for going back to one, or for a process still on it."""
 
 
 def source_fingerprint(package: Path) -> str:
@@ -44,7 +48,21 @@ def cache_directory(package: Path) -> Path:
     return base / f"kernels-{source_fingerprint(package)}"
 
 
-numba.config.CACHE_DIR = str(cache_directory(PACKAGE))  # type: ignore[attr-defined]  # set by name in numba
+def prune(directory: Path, kept: int = KEPT_CACHES) -> None:
+    """Removes kernels of older states of the package beside ``directory``, but the ``kept`` newest."""
+    others = [path for path in directory.parent.glob("kernels-*") if path != directory and path.is_dir()]
+    ages = {}
+    for path in others:
+        with contextlib.suppress(OSError):  # another process prunes too
+            ages[path] = path.stat().st_mtime
+    for path in sorted(ages, key=lambda path: ages[path])[: max(0, len(ages) - kept)]:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+CACHE_DIRECTORY = cache_directory(PACKAGE)
+if not CACHE_DIRECTORY.exists():
+    prune(CACHE_DIRECTORY)
+numba.config.CACHE_DIR = str(CACHE_DIRECTORY)  # type: ignore[attr-defined]  # set by name in numba
 
 
 def compiled(function: F) -> F:

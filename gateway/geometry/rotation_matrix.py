@@ -1,4 +1,7 @@
-"""Rotation matrices: exponential, logarithm of a product, and the two-vector solve. Compiled."""
+"""Rotation matrices: exponential, logarithm of a product, and the two-vector solve. Compiled.
+
+``…_into`` and ``turn…`` write where they are told and make no array, for loops over many segments.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import cross, norm, skew, vector
+from gateway.geometry.vectors import cross, norm, vector
 
 PARALLEL = 1e-3
 """Sine of the angle under which two directions no longer define an orientation."""
@@ -17,22 +20,64 @@ PARALLEL = 1e-3
 @compiled
 def from_rotation_vector(r: FloatArray) -> FloatArray:
     """The exponential (Rodrigues); shape (3,) -> (3, 3)."""
-    angle = norm(r)
+    R = np.empty((3, 3))
+    exponential_into(R, r[0], r[1], r[2])
+    return R
+
+
+@compiled
+def exponential_into(R: FloatArray, x: float, y: float, z: float) -> None:
+    """R ← exp([r]×), r = (x, y, z) rad; (3, 3)."""
+    angle = math.sqrt(x * x + y * y + z * z)
     # 1 − cos a = 2 sin²(a/2): no cancellation at small angles
     half = math.sin(0.5 * angle) / (0.5 * angle) if angle > 0.0 else 1.0
     a = math.sin(angle) / angle if angle > 0.0 else 1.0
-    K = skew(r)
-    return np.eye(3) + a * K + 0.5 * half * half * multiply(K, K)
+    b = 0.5 * half * half
+    R[0, 0], R[0, 1], R[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    R[1, 0], R[1, 1], R[1, 2] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
+    R[2, 0], R[2, 1], R[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
 
 
 @compiled
 def multiply(A: FloatArray, B: FloatArray) -> FloatArray:
     """A B; shapes (3, 3), (3, 3) -> (3, 3)."""
     C = np.empty((3, 3))
+    multiply_into(C, A, B)
+    return C
+
+
+@compiled
+def multiply_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
+    """C ← A B; shapes (3, 3). C is neither A nor B."""
     for i in range(3):
         for j in range(3):
             C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
-    return C
+
+
+@compiled
+def turn(E: FloatArray, v: FloatArray) -> None:
+    """v ← E v in place; shapes (3, 3), (3,)."""
+    x, y, z = v[0], v[1], v[2]
+    for i in range(3):
+        v[i] = E[i, 0] * x + E[i, 1] * y + E[i, 2] * z
+
+
+@compiled
+def turn_columns(E: FloatArray, R: FloatArray) -> None:
+    """R ← E R in place; shapes (3, 3)."""
+    for j in range(3):
+        x, y, z = R[0, j], R[1, j], R[2, j]
+        for i in range(3):
+            R[i, j] = E[i, 0] * x + E[i, 1] * y + E[i, 2] * z
+
+
+@compiled
+def turn_rows(R: FloatArray, E: FloatArray) -> None:
+    """R ← R E in place; shapes (3, 3)."""
+    for i in range(3):
+        x, y, z = R[i, 0], R[i, 1], R[i, 2]
+        for j in range(3):
+            R[i, j] = x * E[0, j] + y * E[1, j] + z * E[2, j]
 
 
 @compiled

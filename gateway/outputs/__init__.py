@@ -1,13 +1,12 @@
 """Where skeleton frames go: MQTT.
 
-``MqttOutput`` publishes them, ``PoseSubscriber`` receives them; ``messages`` declares every payload
+``mqtt.MqttOutput`` publishes them, ``PoseSubscriber`` receives them; ``messages`` declares every payload
 and ``topics`` where it is published. Reading order: ``messages``, ``topics``, ``settings``,
 ``mqtt``, ``connection``, ``pose_encoding``, ``subscriber``, ``broker_process``.
 """
 
 from gateway.outputs.broker_process import BrokerProcess, EmbeddedBrokerError
 from gateway.outputs.messages import BridgeInfo, ModuleInfo, PoseMessage
-from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.settings import CredentialError, MqttSettings, PoseMap, TlsSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
@@ -20,7 +19,6 @@ __all__ = [
     "CredentialError",
     "EmbeddedBrokerError",
     "ModuleInfo",
-    "MqttOutput",
     "MqttSettings",
     "Output",
     "PoseMap",

@@ -10,9 +10,9 @@ from gateway.reconstruction.fused import FusedReconstructor
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
-from gateway.reconstruction.reconstructor import Reconstructor
+from gateway.reconstruction.reconstructor import Reconstructor, update_many
 
-__all__ = ["FUSED", "RECONSTRUCTORS", "Reconstructor", "create_reconstructor"]
+__all__ = ["FUSED", "RECONSTRUCTORS", "Reconstructor", "create_reconstructor", "update_many"]
 
 RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
     "articulated": ArticulatedReconstructor,

@@ -21,7 +21,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.comparison import orientation_error
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
-from gateway.pipeline import Pipeline
+from gateway.pipeline import InputEvent, Pipeline
 from gateway.recording.reading import (
     Progress,
     RecordedEvent,
@@ -81,8 +81,7 @@ def solve(
 ) -> Iterator[SkeletonFrame]:
     """Skeleton frames made anew from the recorded bytes; source: None for what was recorded."""
     pipeline = recording_pipeline(recording, source or recorded_source(recording))
-    for item in recording.inputs(progress):
-        yield from _fed_item(pipeline, item)
+    yield from pipeline.replay(map(_as_input, recording.inputs(progress)))
 
 
 def verify(recording: Recording, progress: Progress | None = None) -> Verification:
@@ -145,6 +144,10 @@ def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
     """The frames that a message completes."""
     is_input = message.topic.startswith((fmt.CHUNKS, fmt.SENT)) or message.topic == fmt.EVENTS
     return _fed_item(pipeline, decode_message(message)) if is_input else []
+
+
+def _as_input(item: Chunk | SentChunk | RecordedEvent) -> Chunk | SentChunk | InputEvent:
+    return InputEvent(item.name, item.data) if isinstance(item, RecordedEvent) else item
 
 
 def _fed_item(pipeline: Pipeline, item: RecordedItem | None) -> list[SkeletonFrame]:

@@ -98,7 +98,6 @@ class LiveViewer:
         skeleton = skeleton_of(body)
         self._body, self._drawn = body, None
         self._scene, self._keeper = BodyScene(self._server, skeleton), PostureKeeper(skeleton)
-        self._panel.offer(skeleton.segment_names, ())
 
     def _draw(self) -> None:
         latest = self._latest

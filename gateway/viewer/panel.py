@@ -48,19 +48,23 @@ class Panel:
         with tabs.add_tab("Modules"):
             self._modules = gui.add_html("")
         self._shown: dict[int, str] = {}
-
-    def offer(self, segments: Sequence[str], joints: Sequence[str]) -> None:
-        """What can be plotted: attitudes of segments, angles of joints."""
-        choices = [f"angles of {joint}" for joint in joints] + [f"attitude of {name}" for name in segments]
-        self._plotted.options = tuple(choices)
+        self._offered: tuple[str, ...] = ()
 
     def add_pose(self, pose: PoseMessage) -> None:
-        """A pose for the plot."""
+        """A pose for the plot: attitudes of segments, and of joints the angles where poses carry them."""
+        joints = pose.joint_angles or {}
+        offered = (*(f"angles of {joint}" for joint in joints), *(f"attitude of {s}" for s in pose.segments))
+        if offered != self._offered:
+            self._offered = self._plotted.options = offered
         kind, _, name = self._plotted.value.partition(" of ")
         if kind == "attitude":
             q_wb = pose.segments.get(name)
             angles = attitude(q_wb) if q_wb is not None else (_UNDEFINED,) * 3
             self._plot.add(f"{name} °", pose.t_ns, ("heading", "pitch", "roll"), angles)
+        elif kind == "angles" and joints.get(name):
+            found = joints[name] or {}
+            movements = [movement.replace("_", " ") for movement in found]
+            self._plot.add(f"{name} °", pose.t_ns, movements, list(found.values()))
 
     def draw_plot(self) -> None:
         """Bring the plot up to date."""

@@ -17,8 +17,9 @@ import aiomqtt
 import psutil
 import pytest
 
-from gateway.outputs import BrokerProcess, EmbeddedBrokerError, MqttOutput, MqttSettings, PoseSubscriber
+from gateway.outputs import BrokerProcess, EmbeddedBrokerError, MqttSettings, PoseSubscriber
 from gateway.outputs.connection import broker_connection
+from gateway.outputs.mqtt import MqttOutput
 
 if TYPE_CHECKING:
     from tests.conftest import PoseSource

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from gateway.outputs import MqttOutput, MqttSettings, PoseSubscriber, connection
+from gateway.outputs import MqttSettings, PoseSubscriber, connection
+from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.subscriber import BrokerUnreachableError
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ GATEWAY_THAT_PUBLISHES = """
 import asyncio, sys
 import numpy as np
 from gateway.body.skeleton import Skeleton
-from gateway.outputs import BridgeInfo, MqttOutput, MqttSettings
+from gateway.outputs import BridgeInfo, MqttSettings
+from gateway.outputs.mqtt import MqttOutput
 
 async def main():
     skeleton = Skeleton("one", ("pelvis",), np.array([-1]), np.zeros((1, 3)), np.zeros((1, 3)))

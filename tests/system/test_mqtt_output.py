@@ -15,16 +15,10 @@ from typing import TYPE_CHECKING
 import aiomqtt
 import pytest
 
-from gateway.outputs import (
-    BrokerUnreachableError,
-    MqttOutput,
-    MqttSettings,
-    PoseMap,
-    PoseSubscriber,
-    TlsSettings,
-)
+from gateway.outputs import BrokerUnreachableError, MqttSettings, PoseMap, PoseSubscriber, TlsSettings
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.messages import PUBLICATIONS, ModuleAvailability, ModuleState
+from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import PASSWORD_VARIABLE
 
 if TYPE_CHECKING:

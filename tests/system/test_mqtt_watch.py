@@ -15,8 +15,9 @@ import pytest
 from rich.console import Console
 
 from gateway.cli.watch import Watch, watch_poses
-from gateway.outputs import MqttOutput, MqttSettings
+from gateway.outputs import MqttSettings
 from gateway.outputs.messages import PoseMessage
+from gateway.outputs.mqtt import MqttOutput
 
 if TYPE_CHECKING:
     from tests.conftest import Mosquitto, PoseSource

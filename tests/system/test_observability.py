@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import subprocess
+import sys
 import time
 import urllib.error
 import urllib.request
@@ -238,3 +240,22 @@ async def test_a_port_in_use_is_named(commanded_suit, mosquitto):
                 OutputError, match=rf"metrics: cannot listen at 127.0.0.1:{port} .*metrics.port"
             ):
                 await service.run()
+
+
+async def test_the_health_command_is_for_scripts(commanded_suit, mosquitto, until):
+    async with (
+        commanded_suit() as suit,
+        gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),
+    ):
+        await until(lambda: service.mqtt.is_connected and service.pipeline.skeleton_frames > 20)
+        port = service.observer.metrics.port
+        done = await asyncio.to_thread(health_command, port)
+        assert (done.returncode, orjson.loads(done.stdout)["status"]) == (0, "ok")
+    done = await asyncio.to_thread(health_command, port)
+    assert done.returncode == 1
+    assert "no gateway answers" in done.stderr
+
+
+def health_command(port):
+    command = [sys.executable, "-m", "gateway", "health", "--port", str(port)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

@@ -1,8 +1,8 @@
 """Both sides of every row go through the same low-pass, which differentiates without delay. Compiled.
 
-With ``v = R (ω × r)`` the world velocity of a joint about the module, ``R ([ω̇, ω] ⊳ r) = dv/dt`` exactly. A
-first-order low-pass with time constant τ of a derivative is ``(v − average(v)) / τ``: no sample of ω is ever
-differenced, and both sides of an equation are delayed alike. Orientation errors in world axes hardly change
+With ``W = R [ω]×``, ``R ([ω̇, ω] ⊳ r) = (dW/dt) r`` exactly, for every arm r. A first-order low-pass with time
+constant τ of a derivative is the swing ``K = (W − average(W)) / τ``: no sample of ω is ever differenced, and
+both sides of an equation are delayed alike. Orientation errors in world axes hardly change
 within τ, so the row counts as one about now.
 """
 
@@ -12,11 +12,9 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray, IntArray
-from gateway.geometry import rotation_matrix
+from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot
-from gateway.reconstruction.inertial.chain_prediction import velocity
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
 
 SETTLED = 3.0
@@ -37,14 +35,11 @@ def average(
     force: FloatArray,
     rate: FloatArray,
     is_valid: FloatArray,
-    fixed: IntArray,
     dt: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Accelerations less gravity of each joint seen from the child and from the parent, (n, 3) twice, world;
-    of each fixed point, (d, 3); and ‖[ω̇, ω]‖ of each segment, (n,) 1/s². In place: the averages."""
-    n, n_devices = len(body.parents), len(body.device_segment)
-    U, U_parent, U_device = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n_devices, 3))
-    motion = np.zeros(n)
+) -> tuple[FloatArray, FloatArray]:
+    """Swing of each segment, (n, 3, 3) 1/s², world, and ‖[ω̇, ω]‖, (n,) 1/s². In place: the averages."""
+    n = len(body.parents)
+    K, motion, f_w, W = np.zeros((n, 3, 3)), np.zeros(n), np.empty(3), np.empty((3, 3))
     gain = 1.0 - math.exp(-dt / noise.smoothing_s)
     long_gain = 1.0 - math.exp(-dt / noise.unaided_window_s)
     per_s = gain / dt
@@ -52,38 +47,45 @@ def average(
         if is_valid[s] < 2.0:
             state.fresh_s[s] = 0.0
             continue
-        w = rate[s] - state.bias[s]
-        f_w, w_w = rotation_matrix.rotate(state.R[s], force[s]), rotation_matrix.rotate(state.R[s], w)
-        v = velocity(state.R[s], w, body.to_joint[s])
-        if state.fresh_s[s] == 0.0:
-            state.force[s], state.long_force[s], state.turn[s], state.joint_velocity[s] = f_w, f_w, w_w, v
-            state.last_force[s] = f_w
-        # the mean over the step, as the difference of v is
-        state.force[s] += gain * (0.5 * (f_w + state.last_force[s]) - state.force[s])
-        state.last_force[s] = f_w
-        state.long_force[s] += long_gain * (f_w - state.long_force[s])
-        U[s] = state.force[s] + per_s * (v - state.joint_velocity[s])
-        derivative = per_s * (w_w - state.turn[s])
-        motion[s] = math.sqrt(dot(derivative, derivative) + dot(w, w) ** 2)
-        state.turn[s] += gain * (w_w - state.turn[s])
-        state.joint_velocity[s] += gain * (v - state.joint_velocity[s])
-        p = body.parents[s]
-        if p >= 0 and is_valid[p] >= 2.0:
-            v = velocity(state.R[p], rate[p] - state.bias[p], body.from_parent[s])
-            if state.fresh_s[s] == 0.0 or state.fresh_s[p] <= 1.5 * dt:
-                state.parent_velocity[s] = v
-            U_parent[s] = state.force[p] + per_s * (v - state.parent_velocity[s])
-            state.parent_velocity[s] += gain * (v - state.parent_velocity[s])
+        R, f = state.R[s], force[s]
+        x, y, z = (
+            rate[s, 0] - state.bias[s, 0],
+            rate[s, 1] - state.bias[s, 1],
+            rate[s, 2] - state.bias[s, 2],
+        )
+        is_fresh = state.fresh_s[s] == 0.0
+        mean_gain = max(long_gain, dt / (state.fresh_s[s] + dt))
+        square = 0.0
+        for i in range(3):
+            f_w[i] = R[i, 0] * f[0] + R[i, 1] * f[1] + R[i, 2] * f[2]
+            W[i, 0] = R[i, 1] * z - R[i, 2] * y
+            W[i, 1] = R[i, 2] * x - R[i, 0] * z
+            W[i, 2] = R[i, 0] * y - R[i, 1] * x
+            if is_fresh:
+                state.force[s, i], state.last_force[s, i], state.long_force[s, i] = f_w[i], f_w[i], f_w[i]
+                state.swing[s, i] = W[i]
+            # the mean over the step, as the difference of W is
+            state.force[s, i] += gain * (0.5 * (f_w[i] + state.last_force[s, i]) - state.force[s, i])
+            state.last_force[s, i] = f_w[i]
+            state.long_force[s, i] += mean_gain * (f_w[i] - state.long_force[s, i])
+            for j in range(3):
+                K[s, i, j] = per_s * (W[i, j] - state.swing[s, i, j])
+                state.swing[s, i, j] += gain * (W[i, j] - state.swing[s, i, j])
+                square += K[s, i, j] ** 2
+        motion[s] = math.sqrt(0.5 * square)
         state.fresh_s[s] += dt
-    for d in range(n_devices):
-        s = body.device_segment[d]
-        if fixed[d] and is_valid[s] >= 2.0:
-            v = velocity(state.R[s], rate[s] - state.bias[s], body.device_arm[d])
-            if state.fresh_s[s] <= 1.5 * dt:
-                state.device_velocity[d] = v
-            U_device[d] = state.force[s] + per_s * (v - state.device_velocity[d])
-            state.device_velocity[d] += gain * (v - state.device_velocity[d])
-    return U, U_parent, U_device, motion
+    return K, motion
+
+
+@compiled
+def felt_at(force: FloatArray, K: FloatArray, arm: FloatArray, error: FloatArray) -> FloatArray:
+    """(3,) m/s², world: specific force at ``arm + error`` (3,) from a module that feels ``force``."""
+    u = np.empty(3)
+    for i in range(3):
+        u[i] = force[i]
+        for j in range(3):
+            u[i] += K[i, j] * (arm[j] + error[j])
+    return u
 
 
 @compiled

@@ -9,7 +9,7 @@ import numpy as np
 from gateway.frames import FloatArray, StatusArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import cross, is_finite, norm
+from gateway.geometry.vectors import is_finite, norm
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.tree_filter import propagate
 
@@ -27,13 +27,14 @@ def predict(
 ) -> None:
     """Turns every started segment over dt by the mean of its last two rates (n, 3), in place."""
     n = len(body.parents)
-    M = np.zeros((n, 3, 3))
+    before, turn, w = np.zeros((n, 3, 3)), np.empty((3, 3)), np.empty(3)
     for s in range(n):
         if state.is_started[s] == 0:
             continue
-        M[s] = state.R[s] * dt
+        before[s] = state.R[s]
         if is_valid[s] > 0.0:
-            w = 0.5 * (rate[s] + state.rate[s]) - state.bias[s]
+            for i in range(3):
+                w[i] = 0.5 * (rate[s, i] + state.rate[s, i]) - state.bias[s, i]
             speed = norm(w)
             density = noise.gyrometer**2 + (noise.gyrometer_scale * speed) ** 2 * noise.scale_memory_s
             if _exceeds(rate[s], noise.largest_rate):
@@ -43,21 +44,22 @@ def predict(
                 state.silent_s[s] = 0.0
             state.rate[s] = rate[s]
         else:
-            state.rate[s] = state.bias[s] + (state.rate[s] - state.bias[s]) * math.exp(-dt / LONGEST_COAST_S)
-            w = state.rate[s] - state.bias[s]
+            for i in range(3):
+                w[i] = (state.rate[s, i] - state.bias[s, i]) * math.exp(-dt / LONGEST_COAST_S)
+                state.rate[s, i] = state.bias[s, i] + w[i]
             state.silent_s[s] += dt
             density = noise.dead_rate**2 * LONGEST_COAST_S
         if state.silent_s[s] > LONGEST_SILENCE_S:
             state.is_started[s] = 2
-        turn = rotation_matrix.from_rotation_vector(w * dt)
-        state.R[s] = rotation_matrix.multiply(state.R[s], turn)
-        propagate(state.P[s], M[s], M[s])
+        rotation_matrix.exponential_into(turn, w[0] * dt, w[1] * dt, w[2] * dt)
+        rotation_matrix.turn_rows(state.R[s], turn)
+        propagate(state.P[s], before[s], before[s], dt)
         for i in range(3):
             # an orientation cannot be worse than unknown: keeps a long silence finite
             state.P[s, i, i] += density * dt if state.P[s, i, i] < OPEN_SIGMA**2 else 0.0
             state.P[s, 3 + i, 3 + i] += noise.bias_walk**2 * dt
         if body.parents[s] >= 0:
-            propagate(state.C[s], M[s], M[body.parents[s]])
+            propagate(state.C[s], before[s], before[body.parents[s]], dt)
 
 
 @compiled
@@ -98,36 +100,34 @@ def start(
         state.P[s, i, i] = noise.start_tilt**2
         state.P[s, 3 + i, 3 + i] = noise.bias**2
     state.P[s, 2, 2] = OPEN_SIGMA**2
+    # a module that comes back may sit elsewhere
+    state.arm_covariance[s] = 0.0
+    for i in range(6):
+        state.arm_covariance[s, i, i] = noise.lever_arm_offset**2
     state.is_started[s], state.is_open[s] = 1, body.opens[s]
-    state.fresh_s[s], state.silent_s[s] = 0.0, 0.0
+    state.fresh_s[s], state.silent_s[s], state.compass_s[s] = 0.0, 0.0, 0.0
     state.heading[s], state.rest[s] = 0.0, 0.0
 
 
 @compiled
 def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray) -> None:
     """World rotations (n, 3) of segments, and of all remembered that turns with them, in place."""
-    n = len(body.parents)
-    for s in range(n):
-        p = body.parents[s]
-        if p >= 0 and _is_turn(turns[p]):
-            E = rotation_matrix.from_rotation_vector(turns[p])
-            state.parent_velocity[s] = rotation_matrix.rotate(E, state.parent_velocity[s])
+    E = np.empty((len(body.parents), 3, 3))
+    for s in range(len(body.parents)):
         if _is_turn(turns[s]):
-            E = rotation_matrix.from_rotation_vector(turns[s])
-            state.R[s] = rotation_matrix.multiply(E, state.R[s])
-            state.force[s] = rotation_matrix.rotate(E, state.force[s])
-            state.last_force[s] = rotation_matrix.rotate(E, state.last_force[s])
-            state.long_force[s] = rotation_matrix.rotate(E, state.long_force[s])
-            state.joint_velocity[s] = rotation_matrix.rotate(E, state.joint_velocity[s])
-            state.turn[s] = rotation_matrix.rotate(E, state.turn[s])
+            rotation_matrix.exponential_into(E[s], turns[s, 0], turns[s, 1], turns[s, 2])
+            rotation_matrix.turn_columns(E[s], state.R[s])
+            rotation_matrix.turn_columns(E[s], state.swing[s])
+            rotation_matrix.turn(E[s], state.force[s])
+            rotation_matrix.turn(E[s], state.last_force[s])
+            rotation_matrix.turn(E[s], state.long_force[s])
     for d in range(len(body.device_segment)):
-        if _is_turn(turns[body.device_segment[d]]):
-            E = rotation_matrix.from_rotation_vector(turns[body.device_segment[d]])
-            state.device_velocity[d] = rotation_matrix.rotate(E, state.device_velocity[d])
+        s = body.device_segment[d]
+        if _is_turn(turns[s]):
             for j in range(state.history.shape[1]):
                 if state.history[d, j, 0] > -np.inf:
-                    state.history[d, j, 1:4] = rotation_matrix.rotate(E, state.history[d, j, 1:4])
-                    state.history[d, j, 4:7] = rotation_matrix.rotate(E, state.history[d, j, 4:7])
+                    rotation_matrix.turn(E[s], state.history[d, j, 1:4])
+                    rotation_matrix.turn(E[s], state.history[d, j, 4:7])
 
 
 @compiled
@@ -138,4 +138,15 @@ def _is_turn(v: FloatArray) -> bool:
 @compiled
 def velocity(R: FloatArray, w: FloatArray, arm: FloatArray) -> FloatArray:
     """R (ω × r), (3,) world, m/s: of a point at ``arm`` relative to the module."""
-    return rotation_matrix.rotate(R, cross(w, arm))
+    v = np.empty(3)
+    velocity_into(v, R, w, arm)
+    return v
+
+
+@compiled
+def velocity_into(v: FloatArray, R: FloatArray, w: FloatArray, arm: FloatArray) -> None:
+    """v ← R (ω × r); see ``velocity``."""
+    v[0] = w[1] * arm[2] - w[2] * arm[1]
+    v[1] = w[2] * arm[0] - w[0] * arm[2]
+    v[2] = w[0] * arm[1] - w[1] * arm[0]
+    rotation_matrix.turn(R, v)

@@ -1,7 +1,9 @@
 """The observations of the chain filters as rows on orientation errors. Compiled.
 
 A world vector ``u = R̂ s`` is truly ``exp(δ) R̂ s ≈ u − [u]× δ``. Two sides that must agree therefore give
-``u − u_p = [u]× δ − [u_p]× δ_p``, and a known vector ``y``: ``u − y = [u]× δ``.
+``u − u_p = [m]× (δ − δ_p)`` with their mean ``m = (u + u_p) / 2``, and a known vector ``y``:
+``u − y = [y]× δ``.
+With u and u_p in their own places noise would seem to show a turn of both together, which no joint shows.
 """
 
 from __future__ import annotations
@@ -14,12 +16,10 @@ from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, skew
-from gateway.reconstruction.inertial.blocks import inverse, product, product_transposed, times_vector
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.tree_filter import Evidence, add_edge, add_own
+from gateway.reconstruction.inertial.lever_arms import relative_covariance, spread
+from gateway.reconstruction.inertial.tree_filter import Evidence, add_edge, add_joint, add_known, add_own
 
-REFERENCE_INTERVAL_S = 0.025
-"""``Noise.specific_force`` belongs to rows this far apart; denser rows say no more in all."""
 DIP_TOLERANCE = 0.1
 """rad: a field steeper or flatter than it should be by that much is half disturbed."""
 NORM_TOLERANCE = 0.1
@@ -39,22 +39,21 @@ def joint_row(
     u: FloatArray,
     u_p: FloatArray,
     variance: float,
+    dt: float,
 ) -> None:
-    """The joint's acceleration seen from both sides; variance of a component, (m/s²)²."""
-    H, H_p, residual = skew(u), -skew(u_p), u - u_p
+    """The joint's acceleration seen from both sides, every dt; variance of a component, (m/s²)²."""
+    residual, middle = u - u_p, 0.5 * (u + u_p)
     if state.is_open[s]:
         # heading against the parent unknown: the horizontal parts are only equally long
-        spread = variance + dot(u[:2], u[:2]) + dot(u_p[:2], u_p[:2])
+        H, H_p = skew(u), -skew(u_p)
+        wide = variance + dot(u, u) + dot(u_p, u_p)
         for i in range(3):
             H[i, 2], H_p[i, 2] = 0.0, 0.0
-            add_edge(evidence, s, H[i], H_p[i], residual[i], spread if i < 2 else variance)
+            add_edge(evidence, s, H[i], H_p[i], residual[i], wide if i < 2 else variance)
         return
-    P, P_p = state.P[s, :3, :3].copy(), state.P[p, :3, :3].copy()
-    crossed = product_transposed(product(H, state.C[s, :3, :3].copy()), H_p)
-    S = _projected(H, P) + _projected(H_p, P_p) + crossed + crossed.T
-    variance *= _huber(S, residual, variance, noise.huber)
-    for i in range(3):
-        add_edge(evidence, s, H[i], H_p[i], residual[i], variance)
+    at_once = variance * min(1.0, dt / noise.row_memory_s)
+    variance *= _huber(spread(middle, relative_covariance(state, s, p)), residual, at_once, noise.huber)
+    add_joint(evidence, s, middle, residual, variance)
 
 
 @compiled
@@ -69,31 +68,28 @@ def known_row(
     is_open: bool,
 ) -> None:
     """A vector that is known in the world; is_open: its horizontal direction says nothing yet."""
-    H, residual = skew(u), u - y
+    residual = u - y
     if is_open:
-        spread = variance + dot(u[:2], u[:2]) + dot(y[:2], y[:2])
+        H = skew(0.5 * (u + y))
+        wide = variance + dot(u, u) + dot(y, y)
         for i in range(3):
             H[i, 2] = 0.0
-            add_own(evidence, s, H[i], residual[i], spread if i < 2 else variance)
+            add_own(evidence, s, H[i], residual[i], wide if i < 2 else variance)
         return
-    S = _projected(H, state.P[s, :3, :3].copy())
-    variance *= _huber(S, residual, variance, noise.huber)
-    for i in range(3):
-        add_own(evidence, s, H[i], residual[i], variance)
+    variance *= _huber(spread(y, state.P[s, :3, :3]), residual, variance, noise.huber)
+    add_known(evidence, s, y, residual, variance)
 
 
 @compiled
-def _projected(H: FloatArray, P: FloatArray) -> FloatArray:
-    return product_transposed(product(H, P), H)
+def _huber(uncertain: FloatArray, residual: FloatArray, variance: float, limit: float) -> float:
+    """By how much the variance is raised: 1 within ``limit`` standard deviations of the innovation.
 
-
-@compiled
-def _huber(S: FloatArray, residual: FloatArray, variance: float, limit: float) -> float:
-    """By how much the variance is raised: 1 within ``limit`` standard deviations of the innovation."""
+    uncertain: (3,) variances that the orientation gives it.
+    """
+    square = 0.0
     for i in range(3):
-        S[i, i] += variance
-    distance = math.sqrt(max(0.0, dot(residual, times_vector(inverse(S), residual))))
-    return max(1.0, distance / limit)
+        square += residual[i] ** 2 / (uncertain[i] + variance)
+    return max(1.0, math.sqrt(square) / limit)
 
 
 @compiled
@@ -115,7 +111,7 @@ def field_row(
     off, disturbance = field_error(body, state, s, m)
     sigma = math.sqrt(noise.heading**2 + min(state.P[s, 2, 2], OPEN_SIGMA**2))
     weight = max(1.0, abs(off) / sigma / noise.huber) * disturbance
-    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > noise.heading**2
+    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > noise.start_heading**2
     memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
     variance = noise.heading**2 * memory_s / dt * weight
     row = np.zeros(3)
@@ -145,4 +141,4 @@ def rest_row(evidence: Evidence, state: FilterState, s: int, window_s: float, dt
 def row_variance(noise: Noise, motion: float, interval_s: float) -> float:
     """(m/s²)² of a row of accelerations that comes every ``interval_s``; motion: ‖[ω̇, ω]‖ or rms sum."""
     variance = noise.specific_force**2 + (noise.lever_arm * motion) ** 2
-    return variance * REFERENCE_INTERVAL_S / interval_s
+    return variance * noise.row_memory_s / interval_s

@@ -9,9 +9,9 @@ import numpy as np
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, IntArray, Quantity
 
-N_READINGS = 9
+N_READINGS = 12
 """Readings of a local device that a derivative is fitted to, at most."""
-N_HISTORY = 64
+N_HISTORY = 96
 """Frames remembered of the segment that carries a local device."""
 OPEN_SIGMA = 1.6
 """rad: a heading of which nothing is known."""
@@ -20,21 +20,24 @@ OPEN_SIGMA = 1.6
 class Noise(NamedTuple):
     """One set for all bodies and motions; per axis, one standard deviation."""
 
-    specific_force: float = 1.0
-    """m/s² at ``REFERENCE_INTERVAL_S``: what a row of accelerations is off by besides the lever arms. Sensors
-    are several times better; this is play of joints, soft tissue and clock residue."""
-    lever_arm: float = 0.1
-    """m: uncertainty of a lever arm, times ‖[ω̇, ω]‖. Larger than a ruler's error because the derivative's
-    error grows with it too."""
+    specific_force: float = 0.1
+    """m/s²: what a row of accelerations is off by besides the lever arms. Sensors are several times better;
+    this is play of joints and clock residue."""
+    lever_arm: float = 0.01
+    """m: by how much a lever arm changes while the body moves (soft tissue), times ‖[ω̇, ω]‖."""
+    lever_arm_offset: float = 0.02
+    """m: how far a lever arm was measured wrong; what of it shows in the motion is found out."""
+    row_memory_s: float = 0.1
+    """For how long a row stays off to the same side: denser rows say no more in all."""
     huber: float = 2.0
     """Standard deviations beyond which a row counts linearly, no longer quadratically."""
-    smoothing_s: float = 0.1
-    """Time constant of the low-pass through which both sides of a row go: bandwidth 1.6 Hz."""
-    gyrometer: float = 0.002
+    smoothing_s: float = 0.05
+    """Time constant of the low-pass through which both sides of a row go: bandwidth 3 Hz."""
+    gyrometer: float = 0.001
     """rad/s/√Hz: consumer sensors have 0.0002; sampling at tens of Hz and aliasing add."""
-    gyrometer_scale: float = 0.005
+    gyrometer_scale: float = 0.006
     """Relative error of scale and axes."""
-    scale_memory_s: float = 0.1
+    scale_memory_s: float = 0.5
     """For how long a scale error keeps its effect in a motion to and fro."""
     bias: float = 0.01
     """rad/s at the start: half a degree per second, as after a factory calibration."""
@@ -42,11 +45,13 @@ class Noise(NamedTuple):
     """rad/s/√s."""
     start_tilt: float = 0.3
     """rad: of a first orientation from one specific force."""
-    heading: float = 0.3
-    """rad: how far the field's heading is off where it passes all tests: buildings bend it that much."""
+    heading: float = 0.1
+    """rad: how far the field's heading strays where it passes all tests."""
     heading_memory_s: float = 10.0
     """For how long it stays off to the same side."""
-    unaided_speed: float = 0.5
+    start_heading: float = 0.3
+    """rad: how far it may be off throughout: what a first heading by the field counts against the motion."""
+    unaided_speed: float = 0.3
     """m/s: how fast a body moves whose acceleration nothing tells."""
     unaided_window_s: float = 1.0
     """Over it the mean acceleration is that speed over the window."""
@@ -97,12 +102,14 @@ class FilterState(NamedTuple):
     force: FloatArray  # (n, 3) average of R f
     last_force: FloatArray  # (n, 3) R f of the frame before
     long_force: FloatArray  # (n, 3) the same over the unaided window
-    joint_velocity: FloatArray  # (n, 3) average of R (ω × r) at the proximal joint
-    parent_velocity: FloatArray  # (n, 3) the same of the parent's module to that joint
-    turn: FloatArray  # (n, 3) average of R ω
+    swing: FloatArray  # (n, 3, 3) average of R [ω]×
+    arm: FloatArray  # (n, 6) found errors of to_joint and from_parent, m
+    arm_covariance: FloatArray  # (n, 6, 6) their covariance
+    compass_s: FloatArray  # (n,) for how long an undisturbed field has been seen
     heading: FloatArray  # (n, 3) cosine and sine sums of an open heading, and their possible length
     rest: FloatArray  # (n, 9) average rate, force, their variances, and seconds at rest
-    device_velocity: FloatArray  # (d, 3) as joint_velocity, for fixed points
+    device_shift: FloatArray  # (d, 3) found error of a fixed point's arm, m
+    device_covariance: FloatArray  # (d, 3, 3) its covariance
     device_age_s: FloatArray  # (d,) since the device last told something
     readings: FloatArray  # (d, N_READINGS, 5) seconds of frame time, value, standard deviation
     n_readings: IntArray  # (d, 2) how many; 1 while the last one waits for its frames
@@ -117,8 +124,9 @@ def initial_state(n: int, d: int) -> FilterState:
 
     return FilterState(
         np.full(2, -1, np.int64), np.zeros(n, np.int64), np.ones(n, np.int64), z(n), z(n),
-        z(n, 3, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3),
-        z(n, 3), z(n, 3), z(n, 9), z(d, 3), np.full(d, np.inf), z(d, N_READINGS, 5),
+        z(n, 3, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
+        z(n, 6), z(n, 6, 6), z(n), z(n, 3), z(n, 9), z(d, 3), z(d, 3, 3), np.full(d, np.inf),
+        z(d, N_READINGS, 5),
         np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, 7), -np.inf),
     )  # fmt: skip

@@ -9,15 +9,22 @@ import numpy as np
 from gateway.frames import FloatArray, IntArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial import chain_rows
-from gateway.reconstruction.inertial.chain_averages import REST_WINDOW_S, SETTLED, average, watch_rest
+from gateway.reconstruction.inertial.chain_averages import (
+    REST_WINDOW_S,
+    SETTLED,
+    average,
+    felt_at,
+    watch_rest,
+)
 from gateway.reconstruction.inertial.chain_prediction import predict, start, turn_segments, valid_rows
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.heading_start import (
-    COMPASS_S,
+    compass_turn,
     gather_heading,
     shown_heading,
     turn_evidence,
 )
+from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
 from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
 from gateway.reconstruction.inertial.observations import SegmentObservations
 from gateway.reconstruction.inertial.tree_filter import (
@@ -59,15 +66,15 @@ def step(
                 start(body, state, noise, s, force[s], rate[s], field[s])
             if state.is_started[s] != 1:
                 is_valid[s] = 0.0
-    U, U_parent, U_device, motion = average(body, state, noise, force, rate, is_valid, fixed, dt)
+    K, motion = average(body, state, noise, force, rate, is_valid, dt)
     evidence = no_evidence(n)
     turns = np.zeros((n, 3))
     if body.uses_field:
         _follow_field(evidence, body, state, noise, is_valid, field, dt, turns)
     anchored = _device_rows(
-        evidence, body, state, noise, fixed, is_valid, force, rate, U_device, motion, dt, time_s, turns
+        evidence, body, state, noise, fixed, is_valid, force, rate, K, motion, dt, time_s, turns
     )
-    _joint_rows(evidence, body, state, noise, is_valid, U, U_parent, motion, dt, anchored, turns)
+    U = _joint_rows(evidence, body, state, noise, is_valid, K, motion, dt, anchored, turns)
     for s in range(n):
         if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):
             chain_rows.rest_row(evidence, state, s, REST_WINDOW_S, dt)
@@ -103,8 +110,8 @@ def _follow_field(
         if state.is_open[s] == 0:
             chain_rows.field_row(evidence, body, state, noise, s, field[s], dt)
             continue
-        off, _ = chain_rows.field_error(body, state, s, field[s])
-        turns[s, 2] = -off * min(1.0, dt / COMPASS_S)
+        off, disturbance = chain_rows.field_error(body, state, s, field[s])
+        turns[s, 2] = compass_turn(state, s, off, disturbance, dt)
     for s in range(len(body.parents)):
         turn_evidence(state, s, turns[s, 2])
         if body.parents[s] >= 0:
@@ -121,7 +128,7 @@ def _device_rows(
     is_valid: FloatArray,
     force: FloatArray,
     rate: FloatArray,
-    U_device: FloatArray,
+    K: FloatArray,
     motion: FloatArray,
     dt: float,
     time_s: float,
@@ -136,8 +143,7 @@ def _device_rows(
             continue
         if fixed[d]:
             if state.fresh_s[s] > SETTLED * noise.smoothing_s:
-                variance = chain_rows.row_variance(noise, motion[s], dt)
-                chain_rows.known_row(evidence, state, noise, s, U_device[d], -body.gravity, variance, False)
+                _fixed_row(evidence, body, state, noise, d, s, K[s], motion[s], dt)
                 anchored[s] = 1.0
             continue
         note_frame(body, state, noise, d, time_s, force[s], rate[s] - state.bias[s])
@@ -145,8 +151,9 @@ def _device_rows(
         if is_new:
             interval = min(state.device_age_s[d], span)
             state.device_age_s[d] = 0.0
-            # overlapping windows share their readings
-            variance = variance * 0.5 * span / interval + chain_rows.row_variance(noise, motion[s], interval)
+            # overlapping windows share their readings, and frames with their errors
+            variance += noise.specific_force**2 + (noise.lever_arm * motion[s]) ** 2
+            variance *= max(1.0, span / interval)
             if body.parents[s] < 0 and state.is_open[s]:
                 gather_heading(state, s, u, y, variance, interval)
                 _open_root(evidence, body, state, noise, s, turns)
@@ -156,6 +163,29 @@ def _device_rows(
         if state.device_age_s[d] < AIDED_S:
             anchored[s] = 1.0
     return anchored
+
+
+@compiled
+def _fixed_row(
+    evidence: Evidence,
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    d: int,
+    s: int,
+    K: FloatArray,
+    motion: float,
+    dt: float,
+) -> None:
+    """A point of segment s that does not move."""
+    if state.device_covariance[d, 0, 0] == 0.0:
+        for i in range(3):
+            state.device_covariance[d, i, i] = noise.lever_arm_offset**2
+    u = felt_at(state.force[s], K, body.device_arm[d], state.device_shift[d])
+    variance = chain_rows.row_variance(noise, motion, dt)
+    at_once = variance * dt / noise.row_memory_s
+    variance += learn_device_arm(state, noise, d, s, u, -body.gravity, K, variance, at_once, dt)
+    chain_rows.known_row(evidence, state, noise, s, u, -body.gravity, variance, False)
 
 
 @compiled
@@ -191,38 +221,65 @@ def _joint_rows(
     state: FilterState,
     noise: Noise,
     is_valid: FloatArray,
-    U: FloatArray,
-    U_parent: FloatArray,
+    K: FloatArray,
     motion: FloatArray,
     dt: float,
     anchored: FloatArray,
     turns: FloatArray,
-) -> None:
-    """Rows of all joints; chains that no device holds up get the unaided row at their first segment."""
+) -> FloatArray:
+    """Rows of all joints; chains that no device holds up get the unaided row at their first segment.
+
+    Returns the specific force at the proximal joints as their own segments see it, (n, 3), world.
+    """
     n, settled_s = len(body.parents), SETTLED * noise.smoothing_s
-    chain = np.arange(n)
+    chain, U = np.arange(n), np.zeros((n, 3))
     for s in range(n):
         p = body.parents[s]
+        U[s] = felt_at(state.force[s], K[s], body.to_joint[s], state.arm[s, :3])
         if p < 0 or is_valid[s] < 2.0 or is_valid[p] < 2.0:
             continue
         if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
             continue
         chain[s] = chain[p]
         anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
-        variance = chain_rows.row_variance(noise, math.hypot(motion[s], motion[p]), dt)
-        if state.is_open[s]:
-            gather_heading(state, s, U[s], U_parent[s], variance, dt)
-            shown, angle = shown_heading(state, noise, s)
-            if shown > 0.0:
-                state.is_open[s] = 0
-                _settle(evidence, s, shown)
-                _turn_beyond(body, s, angle, turns)
-                continue
-        if (turns[s, 2] == 0.0 and turns[p, 2] == 0.0) or state.is_open[s]:
-            chain_rows.joint_row(evidence, state, noise, s, p, U[s], U_parent[s], variance)
+        _joint_row(evidence, body, state, noise, s, p, U[s], K, motion, dt, turns)
     for s in range(n):
         if chain[s] == s and anchored[s] == 0.0 and is_valid[s] == 2.0:
             chain_rows.unaided_row(evidence, state, noise, s, body.gravity, dt)
+    return U
+
+
+@compiled
+def _joint_row(
+    evidence: Evidence,
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    s: int,
+    p: int,
+    u: FloatArray,
+    K: FloatArray,
+    motion: FloatArray,
+    dt: float,
+    turns: FloatArray,
+) -> None:
+    """Of segment s and its parent p; u (3,), which corrected lever arms change."""
+    u_p = felt_at(state.force[p], K[p], body.from_parent[s], state.arm[s, 3:])
+    variance = chain_rows.row_variance(noise, math.hypot(motion[s], motion[p]), dt)
+    if state.is_open[s]:
+        gather_heading(state, s, u, u_p, variance, dt)
+        shown, angle = shown_heading(state, noise, s)
+        if shown > 0.0:
+            state.is_open[s] = 0
+            _settle(evidence, s, shown)
+            _turn_beyond(body, s, angle, turns)
+            return
+    elif turns[s, 2] != 0.0 or turns[p, 2] != 0.0:
+        return  # this instant's averages are those before the turn
+    else:
+        at_once = variance * dt / noise.row_memory_s
+        variance += learn_joint_arms(state, noise, s, p, u, u_p, K[s], K[p], variance, at_once, dt)
+    chain_rows.joint_row(evidence, state, noise, s, p, u, u_p, variance, dt)
 
 
 @compiled

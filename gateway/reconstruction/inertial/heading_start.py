@@ -4,7 +4,7 @@ While a segment's heading against its parent is open, a linearised filter may co
 horizontal accelerations of the joint seen from both sides are the same vector up to one angle ψ, whose
 posterior is von Mises: ``exp(κ cos(ψ − ψ₀))`` with ``κ e^{iψ₀} = Σ u_p ū / σ²`` (horizontal parts as complex
 numbers). Once κ is large enough the segment and all beyond it are turned by ψ₀ and the filter takes over.
-Until then the field, if there is one, leads the heading as a compass does.
+Until then the field, if there is one, leads the heading as a compass does; it counts as evidence of its own.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ from gateway.reconstruction.inertial.chain_state import FilterState, Noise
 
 FORGET_S = 20.0
 """Evidence older than this counts less: gyrometers drift."""
-COMPASS_S = 1.0
-"""Time constant with which the field leads an open heading."""
+COMPASS_S = 10.0
+"""The field leads an open heading with its mean over at most that long."""
+COMPASS_TRUSTED_S = 0.3
+"""Having seen an undisturbed field for so long, its heading counts beside the motion."""
 DENSE = 5.0
 """Rows share errors: the angle found is less sure than the evidence says by this factor."""
 
@@ -39,11 +41,23 @@ def gather_heading(
 @compiled
 def shown_heading(state: FilterState, noise: Noise, s: int) -> tuple[float, float]:
     """Variance (rad²) and angle of a heading that motion has shown; variance 0: not yet."""
-    heading = state.heading[s]
-    concentration = math.hypot(heading[0], heading[1])
-    if concentration < noise.heading_evidence or concentration < noise.heading_coherence * heading[2]:
+    prior = 0.0
+    if state.compass_s[s] > COMPASS_TRUSTED_S:
+        prior = DENSE / noise.start_heading**2
+    along, across = state.heading[s, 0] + prior, state.heading[s, 1]
+    concentration = math.hypot(along, across)
+    possible = state.heading[s, 2] + prior
+    if concentration < noise.heading_evidence or concentration < noise.heading_coherence * possible:
         return 0.0, 0.0
-    return DENSE / concentration, math.atan2(heading[1], heading[0])
+    return DENSE / concentration, math.atan2(across, along)
+
+
+@compiled
+def compass_turn(state: FilterState, s: int, off: float, disturbance: float, dt: float) -> float:
+    """Turn (rad) of an open heading that the field sees off; disturbance: 1 none, more counts less."""
+    state.compass_s[s] += dt / disturbance
+    memory_s: float = max(dt, min(state.compass_s[s], COMPASS_S))
+    return -off * min(1.0, dt / disturbance / memory_s)
 
 
 @compiled

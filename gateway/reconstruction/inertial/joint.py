@@ -8,17 +8,22 @@ the headings.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, ImuFrame, Quantity, SkeletonFrame, Status, StatusArray
-from gateway.geometry import quaternion
-from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.chain_prediction import turn_segments
+from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame
+from gateway.reconstruction.inertial.chain_frames import (
+    SHORTEST_STEP_S,
+    Constants,
+    Inputs,
+    advance,
+    wearing_of,
+)
 from gateway.reconstruction.inertial.chain_state import (
     FilterState,
     Noise,
@@ -26,12 +31,8 @@ from gateway.reconstruction.inertial.chain_state import (
     fixed_points,
     initial_state,
 )
-from gateway.reconstruction.inertial.chain_step import orientation_sigma, step
+from gateway.reconstruction.inertial.held_arguments import hold
 from gateway.reconstruction.inertial.local_device import RootMotion
-from gateway.reconstruction.inertial.local_rows import take_reading
-from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
-
-SHORTEST_STEP_S = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,6 @@ class ChainReconstructor:
         self, suit: WornSuit, nominal_interval_s: float, settings: ChainSettings | None = None
     ) -> None:
         self._settings = settings = settings or ChainSettings()
-        self._interval_s = nominal_interval_s
         self._n = suit.skeleton.n_segments
         self._body = chain_body(suit, settings.uses_field)
         self._fixed = fixed_points(self._body)
@@ -70,17 +70,20 @@ class ChainReconstructor:
         self._device = device
         self._root = device.segment if device else int(np.flatnonzero(suit.skeleton.parents < 0)[0])
         self._devices = [d for d in suit.local_devices if suit.module_of_segment[d.segment] >= 0]
-        self._parents = suit.skeleton.parents.astype(np.int64)
-        self._offsets = np.array(suit.skeleton.offsets, np.float64)
-        self._has_module = suit.module_of_segment >= 0
-        self._observer = SegmentObserver(suit)
         self._root_motion = RootMotion(device, settings.longest_hold_s)
+        self._measures_root = (
+            device is not None
+            and device.quantity is Quantity.POSITION
+            and int(suit.skeleton.parents[device.segment]) < 0
+        )
+        self._wearing = wearing_of(suit, device if self._measures_root else None, nominal_interval_s)
+        self._no_readings = np.zeros((0, 8))
         self._compile(len(suit.module_ids))
         self.reset()
 
     def reset(self) -> None:
         """Forget everything but the parameters."""
-        self._state = initial_state(self._n, len(self._devices))
+        self._use(initial_state(self._n, len(self._devices)))
         self._root_motion.reset()
 
     def state(self) -> dict[str, NDArray[np.generic]]:
@@ -95,79 +98,78 @@ class ChainReconstructor:
             if name not in state or state[name].shape != array.shape:
                 raise ValueError(f"the saved state's {name!r} does not fit this body of {self._n} segments")
             array[...] = state[name]
-        self._state = FilterState(**fresh)
+        self._use(FilterState(**fresh))
+
+    def _use(self, state: FilterState) -> None:
+        self._state = state
+        noise = self._settings.noise
+        constants = Constants(self._wearing, self._body, noise, self._fixed, self.is_joint, state)
+        self._held = hold(constants)
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
-        observed = self._observer.observe(observation)
-        clock = self._state.time_ns
-        if clock[1] < 0:
-            clock[:] = observation.time_ns - round(self._interval_s * 1e9), observation.time_ns
-        dt = (observation.time_ns - clock[0]) * 1e-9
-        acceleration, is_valid = np.full((self._n, 3), np.nan), np.zeros(self._n)
-        if dt > SHORTEST_STEP_S:
-            self._take_readings(observation)
-            time_s = (observation.time_ns - clock[1]) * 1e-9
-            clock[0] = observation.time_ns
-            noise = self._settings.noise
-            acceleration, is_valid = step(
-                self._body, self._state, noise, self._fixed, self.is_joint, dt, time_s, observed
-            )
-        return self._frame(observation, observed, acceleration, is_valid)
+        return self.update_many((observation,))[0]
 
-    def _take_readings(self, observation: ImuFrame) -> None:
-        if self._device is not None and self._device.quantity is Quantity.POSITION:
-            self._root_motion.add(observation.local)
-        for reading in observation.local:
-            for d, device in enumerate(self._devices):
-                if reading.device != device.device or reading.quantity != device.quantity:
-                    continue
-                value = np.array(reading.value, np.float64)
-                if np.isfinite(value).all():
-                    time_s = (reading.time_ns - self._state.time_ns[1]) * 1e-9
-                    sigma = float(np.max(np.nan_to_num(np.asarray(reading.sigma))))
-                    take_reading(self._state, self._settings.noise, d, time_s, value, sigma)
+    def update_many(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
+        """Instants in time order, in one call: the same as ``update`` of each, bit for bit, and faster."""
+        if not observations:
+            return []
+        arrays = advance(self._held, *self._inputs(observations))
+        return [
+            SkeletonFrame(o.sequence, o.time_ns, q_wb, rate, acceleration, p_w, sigma, status, self._root)
+            for o, q_wb, rate, acceleration, p_w, sigma, status in zip(observations, *arrays, strict=True)
+        ]
 
-    def _frame(
-        self,
-        observation: ImuFrame,
-        observed: SegmentObservations,
-        acceleration: FloatArray,
-        is_valid: FloatArray,
-    ) -> SkeletonFrame:
-        q_wb, rate, sigma, status = _outputs(
-            self._state, self._parents, self._has_module, is_valid, observed.angular_rate, observed.status
-        )
-        return SkeletonFrame(
-            sequence=observation.sequence,
-            time_ns=observation.time_ns,
-            q_wb=q_wb,
-            angular_rate=rate,
-            joint_acceleration=acceleration,
-            p_w=joint_positions(self._parents, self._offsets, q_wb, self._root_position(q_wb, observation)),
-            sigma=sigma,
-            status=status,
-            root=self._root,
+    def _inputs(self, observations: Sequence[ImuFrame]) -> Inputs:
+        time_ns = np.array([observation.time_ns for observation in observations], np.int64)
+        readings, readings_end = self._no_readings, np.zeros(len(observations), np.int64)
+        if any(observation.local for observation in observations):
+            readings, readings_end = self._readings(observations)
+        return Inputs(
+            time_ns,
+            _stacked([observation.specific_force for observation in observations], np.float64),
+            _stacked([observation.angular_rate for observation in observations], np.float64),
+            _stacked([observation.magnetic_field for observation in observations], np.float64),
+            _stacked([observation.status for observation in observations], np.uint8),
+            self._root_positions(observations),
+            readings_end,
+            readings,
         )
 
-    def _root_position(self, q_wb: FloatArray, observation: ImuFrame) -> FloatArray:
-        """(3,) of the skeleton root's joint: by a device on it that measures position, else the origin."""
-        device = self._device
-        if device is None or device.quantity is not Quantity.POSITION or self._parents[device.segment] >= 0:
-            return np.zeros(3)
-        measured = self._root_motion.position(observation.time_ns)
-        return measured - quaternion.rotate(q_wb[device.segment], device.position)
+    def _readings(self, observations: Sequence[ImuFrame]) -> tuple[FloatArray, IntArray]:
+        first_ns = int(self._state.time_ns[1])
+        if first_ns < 0:
+            first_ns = observations[0].time_ns
+        rows: list[tuple[float, ...]] = []
+        ends = []
+        for observation in observations:
+            for reading in observation.local:
+                time_s = (reading.time_ns - first_ns) * 1e-9
+                rows.extend(
+                    (d, time_s, *reading.value, *reading.sigma)
+                    for d, device in enumerate(self._devices)
+                    if reading.device == device.device and reading.quantity == device.quantity
+                )
+            ends.append(len(rows))
+        return np.array(rows, np.float64).reshape(-1, 8), np.array(ends, np.int64)
+
+    def _root_positions(self, observations: Sequence[ImuFrame]) -> FloatArray:
+        """(T, 3) where the device on the skeleton's root is; without one, zeros."""
+        positions = np.zeros((len(observations), 3))
+        if self._measures_root:
+            latest_ns = int(self._state.time_ns[0])
+            for position, observation in zip(positions, observations, strict=True):
+                if (observation.time_ns - latest_ns) * 1e-9 > SHORTEST_STEP_S:
+                    latest_ns = observation.time_ns
+                    self._root_motion.add(observation.local)
+                position[:] = self._root_motion.position(observation.time_ns)
+        return positions
 
     def _compile(self, n_modules: int) -> None:
-        """A few frames, so that every kernel is compiled before the first real one comes."""
+        """One frame, so that the kernel is compiled before the first real one comes."""
         self.reset()
-        turn_segments(self._body, self._state, np.zeros((self._n, 3)))
-        for d in range(len(self._devices)):
-            take_reading(self._state, self._settings.noise, d, 0.0, np.zeros(3), 1.0)
         ones, none = np.ones((n_modules, 3)), np.zeros(n_modules, np.int64)
-        for k in range(2):
-            time_ns = round((k + 1) * self._interval_s * 1e9)
-            self.update(ImuFrame(k, time_ns, ones, 0.1 * ones, ones, none.astype(np.uint8), none))
+        self.update(ImuFrame(0, 0, ones, ones, ones, none.astype(np.uint8), none))
 
 
 class OutwardReconstructor(ChainReconstructor):
@@ -180,29 +182,8 @@ class OutwardReconstructor(ChainReconstructor):
 JointReconstructor = ChainReconstructor
 
 
-@compiled
-def _outputs(
-    state: FilterState,
-    parents: NDArray[np.int64],
-    has_module: NDArray[np.bool_],
-    is_valid: FloatArray,
-    measured_rate: FloatArray,
-    measured_status: StatusArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, StatusArray]:
-    n = len(parents)
-    q_wb, rate = np.full((n, 4), np.nan), np.full((n, 3), np.nan)
-    sigma, status = orientation_sigma(state), measured_status.copy()
-    for s in range(n):
-        p = parents[s]
-        if not has_module[s]:
-            status[s] = Status.MISSING.value
-            if p >= 0 and status[p] != Status.MISSING.value:
-                q_wb[s], rate[s], status[s] = q_wb[p], rate[p], Status.PREDICTED.value
-        elif state.is_started[s] == 0:
-            status[s] = Status.MISSING.value
-        else:
-            q_wb[s] = quaternion.from_matrix(state.R[s])
-            rate[s] = state.rate[s] - state.bias[s]
-            if is_valid[s] == 0.0:
-                status[s] = Status.PREDICTED.value
-    return q_wb, rate, sigma, status
+def _stacked(arrays: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
+    """(T, …) copied, so that a read-only or strided array does not have the kernel compiled again."""
+    if len(arrays) == 1:  # three times as fast
+        return np.array(arrays[0], dtype, order="C", ndmin=arrays[0].ndim + 1)
+    return np.array(arrays, dtype, order="C")

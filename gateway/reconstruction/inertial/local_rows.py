@@ -30,7 +30,7 @@ ACCELERATION, POSITION = Quantity.ACCELERATION.value, Quantity.POSITION.value
 LEAST_READINGS = 4
 LONGEST_GAP_S = 0.35
 """Between readings; over a longer one nothing is differentiated."""
-HISTORY_PER_WINDOW = 30.0
+HISTORY_PER_WINDOW = 80.0
 
 
 @compiled
@@ -63,7 +63,8 @@ def note_frame(
     if time_s - history[N_HISTORY - 1, 0] < noise.local_window_s / HISTORY_PER_WINDOW:
         return
     for j in range(N_HISTORY - 1):
-        history[j] = history[j + 1]
+        for i in range(7):
+            history[j, i] = history[j + 1, i]
     history[N_HISTORY - 1, 0] = time_s
     history[N_HISTORY - 1, 1:4] = rotation_matrix.rotate(R, f)
     if body.device_kind[d] == POSITION:
@@ -147,7 +148,8 @@ def _own_side(
             ahead = t[i] - middle
             if ahead > 0.0:
                 kernel += weights[i] * (ahead if order == 2 else 1.0)
-        u += 0.5 * kernel * step * (history[j, 1:4] + history[j - 1, 1:4])
+        for i in range(3):
+            u[i] += 0.5 * kernel * step * (history[j, 1 + i] + history[j - 1, 1 + i])
         total += kernel * step
     for i in range(len(t)):
         arm += weights[i] * _at(history, t[i])

@@ -27,7 +27,7 @@ class SegmentObserver:
 
     def __init__(self, suit: WornSuit) -> None:
         self._module_of_segment = suit.module_of_segment.astype(np.int64)
-        self._R_bs = np.stack([quaternion.to_matrix(quaternion.normalise(q)) for q in suit.sensor_to_segment])
+        self._R_bs = sensor_to_segment_matrices(suit)
 
     def observe(self, imu_frame: ImuFrame) -> SegmentObservations:
         """The frame by segment."""
@@ -35,11 +35,16 @@ class SegmentObserver:
         rows = (imu_frame.specific_force, imu_frame.angular_rate, imu_frame.magnetic_field)
         f, w, x = (np.array(row, np.float64, order="C") for row in rows)
         status = np.array(imu_frame.status, np.uint8)
-        return _by_segment(self._module_of_segment, self._R_bs, f, w, x, status)
+        return by_segment(self._module_of_segment, self._R_bs, f, w, x, status)
+
+
+def sensor_to_segment_matrices(suit: WornSuit) -> FloatArray:
+    """R_bs (n_segments, 3, 3)."""
+    return np.stack([quaternion.to_matrix(quaternion.normalise(q)) for q in suit.sensor_to_segment])
 
 
 @compiled
-def _by_segment(
+def by_segment(
     module_of_segment: IntArray,
     R_bs: FloatArray,
     specific_force: FloatArray,
@@ -47,6 +52,7 @@ def _by_segment(
     magnetic_field: FloatArray,
     status: StatusArray,
 ) -> SegmentObservations:
+    """Rows by module, (m, 3) and (m,), turned by R_bs (n, 3, 3) and sorted by segment."""
     n = len(module_of_segment)
     f_b, w_b, x_b = np.full((n, 3), np.nan), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
     status_b = np.full(n, Status.MISSING.value, np.uint8)
@@ -54,9 +60,10 @@ def _by_segment(
         row = module_of_segment[s]
         if row < 0:
             continue
-        f_b[s] = rotation_matrix.rotate(R_bs[s], specific_force[row])
-        w_b[s] = rotation_matrix.rotate(R_bs[s], angular_rate[row])
-        x_b[s] = rotation_matrix.rotate(R_bs[s], magnetic_field[row])
+        f_b[s], w_b[s], x_b[s] = specific_force[row], angular_rate[row], magnetic_field[row]
+        rotation_matrix.turn(R_bs[s], f_b[s])
+        rotation_matrix.turn(R_bs[s], w_b[s])
+        rotation_matrix.turn(R_bs[s], x_b[s])
         if is_finite(f_b[s]):
             status_b[s] = status[row]
     return SegmentObservations(f_b, w_b, x_b, status_b)

@@ -16,15 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from gateway.frames import FloatArray, IntArray
+from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import dot
+from gateway.geometry.vectors import cross, dot
 from gateway.reconstruction.inertial.blocks import (
-    inverse,
-    product,
-    product_transposed,
-    times_vector,
-    transposed_product,
-    transposed_times_vector,
+    inverse_3_into,
+    inverse_into,
+    product_into,
+    symmetric_sum_into,
+    times_vector_into,
 )
 
 
@@ -79,14 +79,57 @@ def add_edge(
 
 
 @compiled
-def propagate(P: FloatArray, M: FloatArray, M_other: FloatArray) -> None:
-    """P ← F P F_oᵀ with F = [[I, −M], [0, I]], in place; (6, 6), M = R Δt (3, 3), M_other likewise."""
-    for j in range(6):
-        for i in range(3):
-            P[i, j] -= M[i, 0] * P[3, j] + M[i, 1] * P[4, j] + M[i, 2] * P[5, j]
-    for i in range(6):
+def add_joint(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, variance: float) -> None:
+    """``residual = [m]× (δ − δ_p)``, of segment s and its parent; (3,), variance of each component.
+
+    In closed form, with ``[m]×ᵀ [m]× = (m · m) I − m mᵀ``.
+    """
+    weight = 1.0 / variance
+    across, square = cross(residual, m), dot(m, m)
+    for i in range(3):
+        evidence.c[s, i] += weight * across[i]
+        evidence.p[s, i] -= weight * across[i]
         for j in range(3):
-            P[i, j] -= P[i, 3] * M_other[j, 0] + P[i, 4] * M_other[j, 1] + P[i, 5] * M_other[j, 2]
+            information = weight * ((square if i == j else 0.0) - m[i] * m[j])
+            evidence.cc[s, i, j] += information
+            evidence.cp[s, i, j] -= information
+            evidence.pp[s, i, j] += information
+
+
+@compiled
+def add_known(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, variance: float) -> None:
+    """``residual = [m]× δ``, of segment s; (3,), variance of each component."""
+    weight = 1.0 / variance
+    across, square = cross(residual, m), dot(m, m)
+    for i in range(3):
+        evidence.own_vector[s, i] += weight * across[i]
+        for j in range(3):
+            evidence.own[s, i, j] += weight * ((square if i == j else 0.0) - m[i] * m[j])
+
+
+@compiled
+def propagate(P: FloatArray, R: FloatArray, R_other: FloatArray, dt: float) -> None:
+    """P ← F P F_oᵀ with F = [[I, −R Δt], [0, I]], in place; P (6, 6), R (3, 3), R_other likewise."""
+    for j in range(6):
+        x, y, z = dt * P[3, j], dt * P[4, j], dt * P[5, j]
+        for i in range(3):
+            P[i, j] -= R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
+    for i in range(6):
+        x, y, z = dt * P[i, 3], dt * P[i, 4], dt * P[i, 5]
+        for j in range(3):
+            P[i, j] -= x * R_other[j, 0] + y * R_other[j, 1] + z * R_other[j, 2]
+
+
+class _Workspace(NamedTuple):
+    """What one update needs besides its arguments; by segment, then blocks that are used again and again."""
+
+    known: FloatArray  # (n, 6, 6) prior information, of segments with children
+    G: FloatArray  # (n, 6, 6) of a segment on its parent
+    W: FloatArray  # (n, 6, 6) covariance given the parent
+    offset: FloatArray  # (n, 6) error where the parent has none
+    A: FloatArray  # (6, 6) prior regression on the parent
+    T: FloatArray  # (6, 6)
+    X: FloatArray  # (6, 6)
 
 
 @compiled
@@ -96,66 +139,91 @@ def update_tree(parents: IntArray, P: FloatArray, C: FloatArray, evidence: Evide
     ``evidence`` is used up. parents: (n,), parents first, −1 for the root of a tree (several may be).
     """
     n = len(parents)
-    G, W, offset = np.empty((n, 6, 6)), np.empty((n, 6, 6)), np.empty((n, 6))
-    inverse_P = np.empty((n, 6, 6))
-    for s in range(n):
-        inverse_P[s] = inverse(P[s])
+    blocks, six = (n, 6, 6), (6, 6)
+    work = _Workspace(
+        np.empty(blocks), np.empty(blocks), np.empty(blocks), np.empty((n, 6)), np.empty(six), np.empty(six),
+        np.empty(six),
+    )  # fmt: skip
+    is_known = np.zeros(n, np.bool_)  # whose prior has been inverted
     for s in range(n - 1, -1, -1):
-        if parents[s] >= 0:
-            _gather(s, parents[s], inverse_P, P, C, evidence, G, W, offset)
+        p = parents[s]
+        if p < 0 and not is_known[s]:
+            inverse_into(work.known[s], P[s])
+        if p >= 0:
+            if not is_known[p]:
+                inverse_into(work.known[p], P[p])
+                is_known[p] = True
+            _gather(s, p, P, C, evidence, work)
     x = np.empty((n, 6))
     for s in range(n):
-        p = parents[s]
-        if p < 0:
-            P[s] = inverse(inverse_P[s] + evidence.own[s])
-            x[s] = times_vector(P[s], evidence.own_vector[s])
+        if parents[s] < 0:
+            _add_into(work.X, work.known[s], evidence.own[s])
+            inverse_into(P[s], work.X)
+            times_vector_into(x[s], P[s], evidence.own_vector[s])
         else:
-            x[s] = times_vector(G[s], x[p]) + offset[s]
-            C[s] = product(G[s], P[p])
-            P[s] = W[s] + product_transposed(C[s], G[s])
-            _make_symmetric(P[s])
+            _hand_down(s, parents[s], P, C, x, work)
     return x
 
 
 @compiled
-def _gather(
-    s: int,
-    p: int,
-    inverse_P: FloatArray,
-    P: FloatArray,
-    C: FloatArray,
-    evidence: Evidence,
-    G: FloatArray,
-    W: FloatArray,
-    offset: FloatArray,
-) -> None:
-    """All that is known beyond the edge is told to the parent: x_s = G x_p + offset, covariance W."""
-    A = product(C[s], inverse_P[p])
-    conditional = inverse(P[s] - product_transposed(A, C[s]))
-    JA = product(conditional, A)
-    J_pp = transposed_product(A, JA)
-    J_ss, J_sp = conditional + evidence.own[s], -JA
-    vector_s, vector_p = evidence.own_vector[s].copy(), np.zeros(6)
+def _gather(s: int, p: int, P: FloatArray, C: FloatArray, evidence: Evidence, work: _Workspace) -> None:
+    """All that is known beyond the edge is told to the parent.
+
+    A priori ``x_s = A x_p + noise of covariance Σ``. With Λ the information about x_s and B that about
+    both ends, ``W = (Σ⁻¹ + Λ)⁻¹``, ``T = Λ A + B``, ``G = A − W T``; the parent hears ``Bᵀ A + Gᵀ T``: the
+    usual ``Aᵀ Σ⁻¹ A − …`` without its difference of large numbers.
+    """
+    A, T, X, W, G = work.A, work.T, work.X, work.W[s], work.G[s]
+    own, own_p, B = evidence.own[s], evidence.own[p], evidence.cp[s]
+    product_into(A, C[s], work.known[p])
+    symmetric_sum_into(W, P[s], -1.0, A, C[s])
+    inverse_into(X, W)
     for i in range(3):
-        vector_s[i] += evidence.c[s, i]
-        vector_p[i] += evidence.p[s, i]
+        evidence.own_vector[s, i] += evidence.c[s, i]
         for j in range(3):
-            J_ss[i, j] += evidence.cc[s, i, j]
-            J_sp[i, j] += evidence.cp[s, i, j]
-            J_pp[i, j] += evidence.pp[s, i, j]
-    W[s] = inverse(J_ss)
-    G[s] = -product(W[s], J_sp)
-    offset[s] = times_vector(W[s], vector_s)
-    evidence.own[p] += J_pp + transposed_product(J_sp, G[s])
-    _make_symmetric(evidence.own[p])
-    evidence.own_vector[p] += vector_p + transposed_times_vector(G[s], vector_s)
+            own[i, j] += evidence.cc[s, i, j]
+            own_p[i, j] += evidence.pp[s, i, j]
+    _add_into(T, X, own)
+    inverse_into(W, T)
+    product_into(T, own, A)
+    for i in range(3):
+        for j in range(3):
+            T[i, j] += B[i, j]
+    product_into(X, W, T)
+    for i in range(6):
+        for j in range(6):
+            G[i, j] = A[i, j] - X[i, j]
+    for i in range(6):
+        for j in range(i + 1):
+            told = (G[0, i] * T[0, j] + G[1, i] * T[1, j]) + (G[2, i] * T[2, j] + G[3, i] * T[3, j])
+            told += G[4, i] * T[4, j] + G[5, i] * T[5, j]
+            if i < 3:
+                told += B[0, i] * A[0, j] + B[1, i] * A[1, j] + B[2, i] * A[2, j]
+            own_p[i, j] += told
+            own_p[j, i] = own_p[i, j]
+    times_vector_into(work.offset[s], W, evidence.own_vector[s])
+    for i in range(6):
+        if i < 3:
+            evidence.own_vector[p, i] += evidence.p[s, i]
+        for k in range(6):
+            evidence.own_vector[p, i] += G[k, i] * evidence.own_vector[s, k]
 
 
 @compiled
-def _make_symmetric(A: FloatArray) -> None:
+def _hand_down(s: int, p: int, P: FloatArray, C: FloatArray, x: FloatArray, work: _Workspace) -> None:
+    """What the parent has been found to be is told to the child."""
+    times_vector_into(x[s], work.G[s], x[p])
     for i in range(6):
-        for j in range(i):
-            A[i, j] = A[j, i] = 0.5 * (A[i, j] + A[j, i])
+        x[s, i] += work.offset[s, i]
+    product_into(C[s], work.G[s], P[p])
+    symmetric_sum_into(P[s], work.W[s], 1.0, C[s], work.G[s])
+
+
+@compiled
+def _add_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
+    for i in range(6):
+        for j in range(6):
+            C[i, j] = A[i, j] + B[i, j]
 
 
 @compiled
@@ -166,20 +234,44 @@ def update_outward(parents: IntArray, P: FloatArray, evidence: Evidence) -> Floa
     evidence it leaves the information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child.
     """
     n = len(parents)
-    x = np.empty((n, 6))
+    x, J, X = np.empty((n, 6)), np.empty((6, 6)), np.empty((6, 6))
+    known, gain = np.empty((3, 3)), np.empty((3, 3))
     for s in range(n):
         p = parents[s]
-        J, vector = inverse(P[s]) + evidence.own[s], evidence.own_vector[s]
+        inverse_into(X, P[s])
+        _add_into(J, X, evidence.own[s])
         if p >= 0 and evidence.cc[s, 0, 0] + evidence.cc[s, 1, 1] + evidence.cc[s, 2, 2] > 0.0:
-            known = inverse(inverse(P[p, :3, :3].copy()) + evidence.pp[s])
-            gain = product(evidence.cp[s], known)
-            shared = product_transposed(gain, evidence.cp[s])
-            innovation = evidence.p[s] - times_vector(evidence.pp[s], x[p, :3])
-            told = evidence.c[s] - times_vector(evidence.cp[s], x[p, :3])
-            for i in range(3):
-                vector[i] += told[i] - dot(gain[i], innovation)
-                for j in range(3):
-                    J[i, j] += evidence.cc[s, i, j] - shared[i, j]
-        P[s] = inverse(J)
-        x[s] = times_vector(P[s], vector)
+            _hear_parent(s, P[p], x[p], evidence, J, known, gain)
+        inverse_into(P[s], J)
+        times_vector_into(x[s], P[s], evidence.own_vector[s])
     return x
+
+
+@compiled
+def _hear_parent(
+    s: int,
+    P_p: FloatArray,
+    x_p: FloatArray,
+    evidence: Evidence,
+    J: FloatArray,
+    known: FloatArray,
+    gain: FloatArray,
+) -> None:
+    """Adds to J and to ``own_vector`` of s what the edge tells once the parent is integrated out."""
+    pp, cp, vector = evidence.pp[s], evidence.cp[s], evidence.own_vector[s]
+    inverse_3_into(gain, P_p[:3, :3])
+    for i in range(3):
+        for j in range(3):
+            gain[i, j] += pp[i, j]
+    inverse_3_into(known, gain)
+    rotation_matrix.multiply_into(gain, cp, known)
+    for i in range(3):
+        vector[i] += evidence.c[s, i]
+        for k in range(3):
+            vector[i] -= cp[i, k] * x_p[k]
+            innovation = evidence.p[s, k] - pp[k, 0] * x_p[0] - pp[k, 1] * x_p[1] - pp[k, 2] * x_p[2]
+            vector[i] -= gain[i, k] * innovation
+        for j in range(i + 1):
+            shared = gain[i, 0] * cp[j, 0] + gain[i, 1] * cp[j, 1] + gain[i, 2] * cp[j, 2]
+            J[i, j] += evidence.cc[s, i, j] - shared
+            J[j, i] = J[i, j]

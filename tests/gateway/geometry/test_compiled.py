@@ -1,7 +1,9 @@
 """The kernel cache must not outlive a change of the kernels."""
 
+import os
+
 from gateway.geometry import compiled as module
-from gateway.geometry.compiled import cache_directory, compiled, source_fingerprint
+from gateway.geometry.compiled import cache_directory, compiled, prune, source_fingerprint
 
 
 def test_fingerprint_follows_every_file_with_kernels_and_no_other(tmp_path):
@@ -33,3 +35,19 @@ def test_division_by_zero_does_not_raise():
         return a / b
 
     assert compiled(quotient)(1.0, 0.0) == float("inf")
+
+
+def test_only_the_newest_caches_are_kept(tmp_path):
+    for age in range(6):
+        folder = tmp_path / f"kernels-{age}"
+        folder.mkdir()
+        (folder / "kernel.nbc").write_bytes(b"code")
+        os.utime(folder, (1000 - age, 1000 - age))
+    (tmp_path / "other").mkdir()
+    prune(tmp_path / "kernels-5", kept=2)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "kernels-0",
+        "kernels-1",
+        "kernels-5",
+        "other",
+    ]

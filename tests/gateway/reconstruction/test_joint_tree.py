@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gateway.reconstruction.inertial import blocks as blocks_module
 from gateway.reconstruction.inertial import tree_filter
 from gateway.reconstruction.inertial.local_rows import derivative_weights
 
@@ -81,6 +82,36 @@ def test_without_evidence_nothing_changes():
     np.testing.assert_allclose(C, C_before, atol=1e-12)
 
 
+def cross_matrix(a):
+    return np.cross(a, np.eye(3)).T
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_vector_row_is_its_three_scalar_rows(seed):
+    m, residual, other = np.random.default_rng(seed).standard_normal((3, 3))
+    whole, rows = (tree_filter.no_evidence(len(PARENTS)) for _ in range(2))
+    tree_filter.add_joint(whole, 2, m, residual, 0.3)
+    tree_filter.add_known(whole, 3, m, other, 0.7)
+    for i, H in enumerate(cross_matrix(m)):
+        tree_filter.add_edge(rows, 2, H, -H, residual[i], 0.3)
+        tree_filter.add_own(rows, 3, H, other[i], 0.7)
+    for name, array in rows._asdict().items():
+        np.testing.assert_allclose(getattr(whole, name), array, atol=1e-14, err_msg=name)
+
+
+@pytest.mark.parametrize("size", [3, 6])
+def test_inverse_of_ill_conditioned_blocks(size):
+    """A heading unknown to 1.6 rad beside tilts known to a milliradian and biases to 1e-4 rad/s."""
+    rng = np.random.default_rng(5)
+    scale = np.diag([1e-3, 1e-3, 1.6, 1e-4, 1e-4, 1e-3][:size])
+    A = scale @ (np.eye(size) + 0.3 * (B := rng.standard_normal((size, size))) @ B.T) @ scale
+    M = np.empty_like(A)
+    (blocks_module.inverse_into if size == 6 else blocks_module.inverse_3_into)(M, A)
+    np.testing.assert_array_equal(M, M.T)
+    unscaled = np.linalg.inv(scale)
+    np.testing.assert_allclose(scale @ M @ scale @ unscaled @ A @ unscaled, np.eye(size), atol=1e-12)
+
+
 def test_propagation_is_that_of_the_turning_error():
     """Against finite differences of the world error δ of R exp((ω − b) Δt) with respect to δ and b."""
     rng = np.random.default_rng(2)
@@ -98,8 +129,7 @@ def test_propagation_is_that_of_the_turning_error():
     A = rng.standard_normal((6, 6))
     P = A @ A.T
     expected = F @ P @ F.T
-    M = R.as_matrix() * dt
-    tree_filter.propagate(P, M, M)
+    tree_filter.propagate(P, R.as_matrix(), R.as_matrix(), dt)
     np.testing.assert_allclose(P, expected, atol=2e-3 * dt * 100)
 
 

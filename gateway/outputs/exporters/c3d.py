@@ -1,0 +1,55 @@
+"""C3D: joint centres and tips as points, segment rotations, joint angles; by the library ezc3d."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray
+from gateway.outputs.exporters.take import Take, rotation
+
+_UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
+
+
+def write(take: Take, path: Path, units_per_m: float) -> None:
+    """Points ``<segment>``, ``<segment>_tip`` and, in degrees, one a joint (listed in POINT:ANGLES), and the
+    segments' 4 × 4 matrices under ROTATION. Raises ``GatewayError`` without the extra ``export``."""
+    try:
+        import ezc3d  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise GatewayError("C3D needs the extra 'export': pip install 'mocap-gateway[export]'") from None
+    segments, joints = take.skeleton.segment_names, [joint.name for joint in take.skeleton.joints]
+    angle_labels = [f"{name}_angles" for name in joints]
+    places = np.concatenate([take.p_w, take.tips_w], axis=1) * units_per_m
+    angles = np.nan_to_num(np.degrees(take.joint_angles)).reshape(len(places), len(joints), 3)
+    points = np.concatenate([places, angles], axis=1)
+    file = ezc3d.c3d()
+    file.add_parameter("POINT", "LABELS", [*segments, *(f"{name}_tip" for name in segments), *angle_labels])
+    file.add_parameter("POINT", "ANGLES", angle_labels)
+    file.add_parameter("POINT", "UNITS", [_UNITS.get(units_per_m, "mm")])
+    file.add_parameter("POINT", "RATE", [take.rate_hz])
+    file.add_parameter("ANALOG", "RATE", [take.rate_hz])
+    file.add_parameter("ROTATION", "LABELS", list(segments))
+    file.add_parameter("ROTATION", "RATE", [take.rate_hz])
+    file["data"]["points"] = _homogeneous(points)
+    file["data"]["rotations"] = _matrices(take, units_per_m)
+    file["data"]["analogs"] = np.zeros((1, 0, len(points)))
+    file.write(str(path))
+
+
+def _homogeneous(points: FloatArray) -> FloatArray:
+    """(F, N, 3) to the library's (4, N, F)."""
+    ones = np.ones((*points.shape[:2], 1))
+    return np.concatenate([points, ones], axis=2).transpose(2, 1, 0)
+
+
+def _matrices(take: Take, units_per_m: float) -> FloatArray:
+    """(4, 4, S, F): rotation, and place of the proximal joint, of every segment."""
+    frames, segments = take.q_wb.shape[:2]
+    pose = np.zeros((frames, segments, 4, 4))
+    pose[..., :3, :3] = rotation(take.q_wb).as_matrix().reshape(frames, segments, 3, 3)
+    pose[..., :3, 3] = take.p_w * units_per_m
+    pose[..., 3, 3] = 1.0
+    return pose.transpose(2, 3, 1, 0)

@@ -1,0 +1,155 @@
+"""A motion as exported: regular in time, every segment defined, in the axes that the format wants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from gateway.body.joint_angles import joint_angles
+from gateway.body.skeleton import Skeleton
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray, IntArray
+from gateway.recording import SkeletonArrays
+
+
+class Axes(StrEnum):
+    """World axes of an export. Segment axes never change: x anterior, y superior, z to the right."""
+
+    Z_UP = "z-up"
+    """East, north, up: as published."""
+    Y_UP = "y-up"
+    """x east, y up, z south: BVH, glTF, OpenSim."""
+
+
+_TURNS = {Axes.Z_UP: Rotation.identity(), Axes.Y_UP: Rotation.from_euler("x", -90, degrees=True)}
+
+
+@dataclass(frozen=True)
+class Take:
+    """F frames of S segments at a regular rate. Nothing in it is NaN but what was never known."""
+
+    name: str
+    skeleton: Skeleton
+    rate_hz: float
+    begun_ns: int
+    """Gateway time of the first frame, ns."""
+    q_wb: FloatArray  # (F, S, 4) segment to world, w x y z
+    p_w: FloatArray  # (F, S, 3) m, proximal joint
+    joint_angles: FloatArray  # (F, J, 3) rad; NaN beyond a joint's last angle
+    recorded: SkeletonArrays
+    """As recorded: irregular where frames were not recorded, NaN where nothing was known."""
+    filled: NDArray[np.bool_]  # (F, S) orientation put in: not known, or the frame not recorded
+    axes: Axes
+    subject: str = ""
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(F,) since the first frame, s."""
+        times: FloatArray = np.arange(len(self.q_wb)) / self.rate_hz
+        return times
+
+    @property
+    def angle_names(self) -> list[tuple[int, int, str]]:
+        """(joint, angle, ``<joint>_<movement>``) of every column of ``joint_angles`` that means something."""
+        return [
+            (j, a, f"{joint.name}_{angle.name}")
+            for j, joint in enumerate(self.skeleton.joints)
+            for a, angle in enumerate(joint.angles)
+        ]
+
+    @property
+    def tips_w(self) -> FloatArray:
+        """(F, S, 3) where every segment ends, m."""
+        return self.p_w + rotated(self.q_wb, self.skeleton.tips)
+
+
+def rotated(q_wb: FloatArray, vectors: FloatArray) -> FloatArray:
+    """(F, S, 3): vectors (S, 3) in segment axes, in world axes at every frame of q_wb (F, S, 4)."""
+    frames, segments = q_wb.shape[:2]
+    turned = rotation(q_wb).apply(np.broadcast_to(vectors, (frames, segments, 3)).reshape(-1, 3))
+    world: FloatArray = turned.reshape(frames, segments, 3)
+    return world
+
+
+def rotation(q: FloatArray) -> Rotation:
+    """Quaternions (…, 4) as one flat ``Rotation``."""
+    return Rotation.from_quat(q.reshape(-1, 4), scalar_first=True)
+
+
+def take_of(arrays: SkeletonArrays, name: str, axes: Axes) -> Take:
+    """A take of a recorded result. Raises ``GatewayError`` where a segment is never known, or with one frame.
+
+    Frames that were not recorded, and orientations that were not known, are interpolated between their
+    neighbours in time; before the first and after the last known one it is repeated.
+    """
+    if len(arrays.time_ns) < 2:
+        raise GatewayError(f"{name} has {len(arrays.time_ns)} frame(s): a motion needs two at least")
+    never = [n for s, n in enumerate(arrays.segment_names) if np.isnan(arrays.q_wb[:, s, 0]).all()]
+    if never:
+        raise GatewayError(
+            f"{name}: {', '.join(never)} never had an orientation: leave out what does not work with "
+            "another rig (replay --with), or record it again"
+        )
+    rate_hz = arrays.rate_hz
+    index = np.round((arrays.time_ns - arrays.time_ns[0]) * 1e-9 * rate_hz).astype(np.int64)
+    grid = np.arange(index[-1] + 1)
+    q_wb, filled = _filled_orientations(arrays.q_wb, index, grid)
+    turn = _TURNS[axes]
+    angles = joint_angles(arrays.skeleton, q_wb)
+    world = (turn * rotation(q_wb)).as_quat(scalar_first=True).reshape(q_wb.shape)
+    places = _root_path(arrays, index, grid)
+    return Take(
+        name=name,
+        skeleton=arrays.skeleton,
+        rate_hz=rate_hz,
+        begun_ns=int(arrays.time_ns[0]),
+        q_wb=world,
+        p_w=_chained(arrays.skeleton, world, turn.apply(places)),
+        joint_angles=angles,
+        recorded=arrays,
+        filled=filled,
+        axes=axes,
+    )
+
+
+def _filled_orientations(
+    q_wb: FloatArray, index: IntArray, grid: IntArray
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Orientations at every instant of the grid, and which were put in."""
+    complete = np.empty((len(grid), q_wb.shape[1], 4))
+    filled = np.ones(complete.shape[:2], np.bool_)
+    for s in range(q_wb.shape[1]):
+        known = ~np.isnan(q_wb[:, s, 0])
+        at = index[known]
+        filled[at, s] = False
+        values = rotation(q_wb[known, s])
+        if len(at) == 1:
+            complete[:, s] = values.as_quat(scalar_first=True)
+        else:
+            complete[:, s] = Slerp(at, values)(np.clip(grid, at[0], at[-1])).as_quat(scalar_first=True)
+        complete[at, s] = q_wb[known, s]
+    return complete, filled
+
+
+def _root_path(arrays: SkeletonArrays, index: IntArray, grid: IntArray) -> FloatArray:
+    """(F, 3) of the root's joint, m: straight lines where it was not known; the origin if it never was."""
+    root = arrays.p_w[:, int(np.flatnonzero(arrays.skeleton.parents < 0)[0])]
+    known = ~np.isnan(root[:, 0])
+    if not known.any():
+        return np.zeros((len(grid), 3))
+    return np.stack([np.interp(grid, index[known], root[known, i]) for i in range(3)], axis=1)
+
+
+def _chained(skeleton: Skeleton, q_wb: FloatArray, root: FloatArray) -> FloatArray:
+    """(F, S, 3) by forward kinematics, m."""
+    p_w = np.empty((*q_wb.shape[:2], 3))
+    for s, parent in enumerate(skeleton.parents):
+        if parent < 0:
+            p_w[:, s] = root
+        else:
+            p_w[:, s] = p_w[:, parent] + rotation(q_wb[:, parent]).apply(skeleton.offsets[s])
+    return p_w

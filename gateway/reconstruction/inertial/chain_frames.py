@@ -1,0 +1,180 @@
+"""Frames of a suit through a chain filter in one call: modules to segments, step, outputs. Compiled.
+
+A live frame and a whole recording go through the same function, so they agree bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gateway.body.kinematics import joint_positions
+from gateway.body.skeleton import LocalDevice, WornSuit
+from gateway.frames import FloatArray, IntArray, Status, StatusArray
+from gateway.geometry import quaternion
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import is_finite
+from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
+from gateway.reconstruction.inertial.chain_step import orientation_sigma, step
+from gateway.reconstruction.inertial.held_arguments import Held
+from gateway.reconstruction.inertial.local_rows import take_reading
+from gateway.reconstruction.inertial.observations import by_segment, sensor_to_segment_matrices
+
+SHORTEST_STEP_S = 1e-5
+MISSING, PREDICTED = Status.MISSING.value, Status.PREDICTED.value
+
+
+class Wearing(NamedTuple):
+    """How the suit is worn, as far as the filter itself need not know; constant."""
+
+    module_of_segment: IntArray  # (n_segments,) −1: none
+    R_bs: FloatArray  # (n_segments, 3, 3) sensor to segment
+    parents: IntArray  # (n_segments,) of the skeleton
+    offsets: FloatArray  # (n_segments, 3) of the skeleton, m
+    root_device: IntArray  # (1,) segment whose device measures where the root is; −1: nothing does
+    root_arm: FloatArray  # (3,) that device on it, segment axes, m
+    nominal_interval_ns: IntArray  # (1,)
+
+
+class Constants(NamedTuple):
+    """All that does not change from frame to frame but the state's arrays, which change in place."""
+
+    wearing: Wearing
+    body: ChainBody
+    noise: Noise
+    fixed: IntArray  # (d,) see ``chain_state.fixed_points``
+    is_joint: bool
+    state: FilterState
+
+
+class Inputs(NamedTuple):
+    """T instants of m modules in sensor axes, as in ``ImuFrame``; k readings of local devices in all."""
+
+    time_ns: IntArray  # (T,)
+    specific_force: FloatArray  # (T, m, 3)
+    angular_rate: FloatArray  # (T, m, 3)
+    magnetic_field: FloatArray  # (T, m, 3)
+    status: StatusArray  # (T, m)
+    root_position: FloatArray  # (T, 3) measured, m; of no meaning without a device for it
+    readings_end: IntArray  # (T,) how many of the readings have come with this instant
+    readings: FloatArray  # (k, 8) device of the filter, s since the first frame, value, standard deviation
+
+
+Outputs = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, StatusArray]
+"""``q_wb`` (T, n, 4), ``angular_rate``, ``joint_acceleration``, ``p_w`` (T, n, 3), ``sigma``, ``status``
+(T, n), as in ``SkeletonFrame``."""
+
+
+def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval_s: float) -> Wearing:
+    """root_device: what measures where the skeleton's root is, if anything does."""
+    return Wearing(
+        suit.module_of_segment.astype(np.int64),
+        sensor_to_segment_matrices(suit),
+        suit.skeleton.parents.astype(np.int64),
+        np.array(suit.skeleton.offsets, np.float64),
+        np.array([-1 if root_device is None else root_device.segment], np.int64),
+        np.zeros(3) if root_device is None else np.array(root_device.position, np.float64),
+        np.array([round(nominal_interval_s * 1e9)], np.int64),
+    )
+
+
+@compiled
+def advance(
+    held: Held,
+    time_ns: IntArray,
+    specific_force: FloatArray,
+    angular_rate: FloatArray,
+    magnetic_field: FloatArray,
+    status: StatusArray,
+    root_position: FloatArray,
+    readings_end: IntArray,
+    readings: FloatArray,
+) -> Outputs:
+    """All instants in turn; arguments after the first: the fields of ``Inputs``."""
+    constants = held.all
+    wearing, state, noise = constants.wearing, constants.state, constants.noise
+    n_frames, n = len(time_ns), len(wearing.parents)
+    q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
+    acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
+    sigma, status_out = np.empty((n_frames, n)), np.empty((n_frames, n), np.uint8)
+    taken, none_valid = 0, np.zeros(n)
+    for t in range(n_frames):
+        observed = by_segment(
+            wearing.module_of_segment, wearing.R_bs, specific_force[t], angular_rate[t], magnetic_field[t],
+            status[t],
+        )  # fmt: skip
+        is_valid, dt = none_valid, _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
+        if dt > SHORTEST_STEP_S:
+            _take(state, noise, readings[taken : readings_end[t]])
+            acceleration[t], is_valid = step(
+                constants.body, state, noise, constants.fixed, constants.is_joint, dt,
+                (time_ns[t] - state.time_ns[1]) * 1e-9, observed,
+            )  # fmt: skip
+        taken = readings_end[t]
+        _outputs(wearing, state, is_valid, observed.status, q_wb[t], rate[t], status_out[t])
+        sigma[t] = orientation_sigma(state)
+        p_w[t] = _positions(wearing, q_wb[t], root_position[t])
+    return q_wb, rate, acceleration, p_w, sigma, status_out
+
+
+@compiled
+def _tick(clock: IntArray, time_ns: int, nominal_interval_ns: int) -> float:
+    """Seconds since the frame before; one that is not later leaves the clock as it is."""
+    if clock[1] < 0:
+        clock[0], clock[1] = time_ns - nominal_interval_ns, time_ns
+    dt = 1e-9 * float(time_ns - clock[0])
+    if dt > SHORTEST_STEP_S:
+        clock[0] = time_ns
+    return dt
+
+
+@compiled
+def _positions(wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> FloatArray:
+    """(n, 3) of the proximal joints: from the device on the skeleton's root, else from the origin."""
+    root, origin = wearing.root_device[0], np.zeros(3)
+    if root >= 0:
+        arm = quaternion.rotate(q_wb[root], wearing.root_arm)
+        for i in range(3):
+            origin[i] = root_position[i] - arm[i]
+    return joint_positions(wearing.parents, wearing.offsets, q_wb, origin)
+
+
+@compiled
+def _take(state: FilterState, noise: Noise, readings: FloatArray) -> None:
+    for reading in readings:
+        value, sigma = reading[2:5].copy(), 0.0
+        if is_finite(value):
+            for i in range(5, 8):
+                if not math.isnan(reading[i]):
+                    sigma = max(sigma, min(reading[i], np.finfo(np.float64).max))
+            take_reading(state, noise, int(reading[0]), reading[1], value, sigma)
+
+
+@compiled
+def _outputs(
+    wearing: Wearing,
+    state: FilterState,
+    is_valid: FloatArray,
+    measured_status: StatusArray,
+    q_wb: FloatArray,
+    rate: FloatArray,
+    status: StatusArray,
+) -> None:
+    """Segments without module go with their parent; the others as the filter has them."""
+    for s in range(len(wearing.parents)):
+        p = wearing.parents[s]
+        status[s] = measured_status[s]
+        if wearing.module_of_segment[s] < 0:
+            status[s] = MISSING
+            if p >= 0 and status[p] != MISSING:
+                q_wb[s], rate[s], status[s] = q_wb[p], rate[p], PREDICTED
+        elif state.is_started[s] == 0:
+            status[s] = MISSING
+        else:
+            q_wb[s] = quaternion.from_matrix(state.R[s])
+            for i in range(3):
+                rate[s, i] = state.rate[s, i] - state.bias[s, i]
+            if is_valid[s] == 0.0:
+                status[s] = PREDICTED

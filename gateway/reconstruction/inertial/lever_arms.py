@@ -1,0 +1,139 @@
+"""Lever arms that were measured wrong: what of it shows in the motion is found out. Compiled.
+
+The two sides of a joint's row are ``force + K r`` with the swing ``K = R ([ω̇]× + [ω]×²)``. Arms that are off
+by ``e`` leave ``u − u_p = … − K e + K_p e_p``: linear in e with coefficients that the motion changes all the
+time, so orientation and arms can be told apart. Each joint has a small Kalman filter of its own for its
+six components; the orientation error enters it as noise that stays for ``ORIENTATION_MEMORY_S``, and what the
+arms are still uncertain of enters the orientation's rows. Directions that never show stay as measured.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import FloatArray
+from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial.chain_state import FilterState, Noise
+
+ORIENTATION_MEMORY_S = 1.0
+
+
+@compiled
+def relative_covariance(state: FilterState, s: int, p: int) -> FloatArray:
+    """(3, 3) of the orientation error of segment s against that of p, world axes, rad²."""
+    D = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            D[i, j] = state.P[s, i, j] + state.P[p, i, j] - state.C[s, i, j] - state.C[s, j, i]
+    return D
+
+
+@compiled
+def spread(v: FloatArray, D: FloatArray) -> FloatArray:
+    """Diagonal (3,) of ``[v]× D [v]×ᵀ``: what an uncertain orientation makes of a vector."""
+    x, y, z = v[0], v[1], v[2]
+    result = np.empty(3)
+    result[0] = z * z * D[1, 1] - 2.0 * y * z * D[1, 2] + y * y * D[2, 2]
+    result[1] = z * z * D[0, 0] - 2.0 * x * z * D[0, 2] + x * x * D[2, 2]
+    result[2] = y * y * D[0, 0] - 2.0 * x * y * D[0, 1] + x * x * D[1, 1]
+    return result
+
+
+@compiled
+def learn_joint_arms(
+    state: FilterState,
+    noise: Noise,
+    s: int,
+    p: int,
+    u: FloatArray,
+    u_p: FloatArray,
+    K: FloatArray,
+    K_p: FloatArray,
+    variance: float,
+    at_once: float,
+    dt: float,
+) -> float:
+    """Corrects ``state.arm[s]`` and, in place, the sides u, u_p (3,); K, K_p (3, 3) 1/s², world.
+
+    variance: of a component of the row that comes every dt, (m/s²)²; at_once: of a single one. Returns what
+    the arms' uncertainty adds to the former.
+    """
+    rows = np.empty((3, 6))
+    for i in range(3):
+        for j in range(3):
+            rows[i, j], rows[i, 3 + j] = -K[i, j], K_p[i, j]
+    off = spread(0.5 * (u + u_p), relative_covariance(state, s, p))
+    before = state.arm[s].copy()
+    added = _learn(
+        state.arm[s], state.arm_covariance[s], rows, u - u_p, off, variance, at_once, noise.huber, dt
+    )
+    for i in range(3):
+        for j in range(3):
+            u[i] += K[i, j] * (state.arm[s, j] - before[j])
+            u_p[i] += K_p[i, j] * (state.arm[s, 3 + j] - before[3 + j])
+    return added * noise.row_memory_s / dt
+
+
+@compiled
+def learn_device_arm(
+    state: FilterState,
+    noise: Noise,
+    d: int,
+    s: int,
+    u: FloatArray,
+    y: FloatArray,
+    K: FloatArray,
+    variance: float,
+    at_once: float,
+    dt: float,
+) -> float:
+    """The same of fixed point d of segment s, at which u must be the known y."""
+    off = spread(y, state.P[s, :3, :3])
+    before = state.device_shift[d].copy()
+    added = _learn(
+        state.device_shift[d], state.device_covariance[d], -K, u - y, off, variance, at_once, noise.huber, dt
+    )
+    for i in range(3):
+        for j in range(3):
+            u[i] += K[i, j] * (state.device_shift[d, j] - before[j])
+    return added * noise.row_memory_s / dt
+
+
+@compiled
+def _learn(
+    x: FloatArray,
+    P: FloatArray,
+    rows: FloatArray,
+    residual: FloatArray,
+    off: FloatArray,
+    variance: float,
+    at_once: float,
+    huber: float,
+    dt: float,
+) -> float:
+    """Three scalar updates of x (m,) and P (m, m) in place by rows (3, m) and their residuals; the mean
+    variance that P meant for a component beforehand."""
+    m, added = len(x), 0.0
+    gain, start = np.empty(m), x.copy()
+    for i in range(3):
+        for a in range(m):
+            for b in range(m):
+                added += rows[i, a] * P[a, b] * rows[i, b] / 3.0
+    for i in range(3):
+        innovation, uncertain = residual[i], 0.0
+        for a in range(m):
+            innovation -= rows[i, a] * (x[a] - start[a])
+            gain[a] = 0.0
+            for b in range(m):
+                gain[a] += P[a, b] * rows[i, b]
+            uncertain += rows[i, a] * gain[a]
+        white = variance + off[i] * max(1.0, ORIENTATION_MEMORY_S / dt)
+        surprise = abs(innovation) / math.sqrt(at_once + off[i] + uncertain)
+        total = uncertain + white * max(1.0, surprise / huber)
+        for a in range(m):
+            x[a] += gain[a] * innovation / total
+            for b in range(m):
+                P[a, b] -= gain[a] * gain[b] / total
+    return added

@@ -1,0 +1,112 @@
+"""A recording on the page, with a time line."""
+
+from __future__ import annotations
+
+import asyncio
+import bisect
+import time
+
+import viser
+
+from gateway.body.joint_angles import JointAngles
+from gateway.frames import SkeletonFrame
+from gateway.outputs.messages import PoseMessage
+from gateway.outputs.pose_encoding import PoseEncoder
+from gateway.outputs.settings import PoseMap
+from gateway.recording import SkeletonArrays
+from gateway.viewer.panel import ButtonRow, Panel
+from gateway.viewer.posture import PostureKeeper
+from gateway.viewer.scene import BodyScene, prepare
+
+PICTURES_HZ = 30.0
+SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
+TIME_LINE_STEP_S = 0.01
+
+
+class Playback:
+    """Plays a recorded result: play, pause, speed, and a time line that can be dragged."""
+
+    def __init__(self, server: viser.ViserServer, arrays: SkeletonArrays, name: str) -> None:
+        self._arrays = arrays
+        self._times_s = arrays.time_s.tolist()
+        self._position_s = 0.0
+        self._is_playing = True
+        self._name = name
+        skeleton = arrays.skeleton
+        self._encoder = PoseEncoder(skeleton.segment_names, None, frozenset(PoseMap), JointAngles(skeleton))
+        prepare(server)
+        self._scene, self._keeper = BodyScene(server, skeleton), PostureKeeper(skeleton)
+        self._panel = Panel(server, (ButtonRow("Playback", ("play", "pause", "begin"), self._press),))
+        self._speed = server.gui.add_dropdown("Speed ×", SPEEDS, initial_value="1")
+        end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
+        self._line = server.gui.add_slider("Time s", 0.0, end_s, TIME_LINE_STEP_S, 0.0)
+        self._line_shown_s = 0.0
+        self._drawn = -1
+
+    async def run(self) -> None:
+        """For ever; begins anew at the end."""
+        before = time.monotonic()
+        while True:
+            await asyncio.sleep(1.0 / PICTURES_HZ)
+            now = time.monotonic()
+            self.advance(now - before)
+            before = now
+
+    def advance(self, elapsed_s: float) -> None:
+        """Go on by so much real time, and draw."""
+        if self._line.value != self._line_shown_s:  # somebody has dragged it
+            self._position_s = float(self._line.value)
+        elif self._is_playing:
+            self._position_s += elapsed_s * float(self._speed.value)
+            if self._position_s > self._times_s[-1]:
+                self._position_s = 0.0
+        self._take_choices()
+        self._draw(max(0, bisect.bisect_right(self._times_s, self._position_s) - 1))
+
+    @property
+    def position_s(self) -> float:
+        """Where the playback is, s from the first frame."""
+        return self._position_s
+
+    def _draw(self, index: int) -> None:
+        shown_s = round(self._position_s / TIME_LINE_STEP_S) * TIME_LINE_STEP_S
+        if self._line.value != shown_s:
+            self._move_line(shown_s)
+        self._line_shown_s = self._line.value
+        if index == self._drawn:
+            return
+        self._drawn = index
+        pose = PoseMessage.model_validate_json(self._encoder.encode(self._frame(index)))
+        self._scene.draw(self._keeper.take(pose), is_stale=False)
+        self._panel.add_pose(pose)
+        self._panel.draw_plot()
+        frames = f"frame {index + 1} of {len(self._times_s)}"
+        self._panel.show_status(self._name, f"{self._times_s[index]:.2f} s, {frames}", is_alarm=False)
+
+    def _take_choices(self) -> None:
+        self._scene.show_axes(self._panel.axes.value)
+        self._scene.shows_names = self._panel.names.value
+        self._scene.follows = self._panel.follow.value
+
+    def _press(self, what: str) -> None:
+        self._is_playing = what != "pause"
+        if what == "begin":
+            self._move_line(0.0)
+
+    def _move_line(self, position_s: float) -> None:
+        # the library's property has a setter, which the type checker does not see
+        self._line.value = position_s  # type: ignore[misc]
+
+    def _frame(self, index: int) -> SkeletonFrame:
+        arrays = self._arrays
+        return SkeletonFrame(
+            sequence=int(arrays.sequence[index]),
+            time_ns=int(arrays.time_ns[index]),
+            q_wb=arrays.q_wb[index],
+            angular_rate=arrays.angular_rate[index],
+            joint_acceleration=arrays.joint_acceleration[index],
+            p_w=arrays.p_w[index],
+            sigma=arrays.sigma[index],
+            status=arrays.status[index],
+            root=0,
+        )

@@ -1,0 +1,270 @@
+"""Every export read back by a reader that is not ours; forward kinematics from the file agrees with ours."""
+
+from __future__ import annotations
+
+import csv
+import json
+import struct
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from devices.emulators.motions import BodyMotion
+from gateway.body.rig import load_rig
+from gateway.cli.emulated_rig import dress, move
+from gateway.errors import GatewayError
+from gateway.frames import Status
+from gateway.outputs.exporters import FORMATS, Axes, take_of
+from gateway.recording import SkeletonArrays
+
+LARGEST_ANGLE = 1e-4  # rad
+LARGEST_DISTANCE = 1e-4  # m
+RATE_HZ = 100.0
+FRAMES = 120
+
+
+def motion() -> SkeletonArrays:
+    """A walking person, as recorded: two frames missing, a silent hand."""
+    suit = load_rig("suit_17")
+    moving: BodyMotion = move(dress(suit), suit.skeleton.name, 3)
+    times = np.arange(FRAMES) / RATE_HZ + 2.0
+    kept = np.delete(np.arange(FRAMES), [40, 41])
+    q_wb = moving.state(times).q_wb[kept].copy()
+    skeleton = suit.skeleton
+    p_w = np.full((len(kept), skeleton.n_segments, 3), np.nan)
+    p_w[:, 0] = np.column_stack([times, 0.1 * np.sin(times), 0.9 + 0 * times])[kept]
+    hand = skeleton.index("left_hand")
+    q_wb[60:70, hand] = np.nan
+    status = np.full(q_wb.shape[:2], Status.MEASURED.value, np.uint8)
+    status[60:70, hand] = Status.MISSING.value
+    rates = np.zeros((len(kept), skeleton.n_segments, 3))
+    return SkeletonArrays(
+        time_ns=(10**18 + np.round(times[kept] * 1e9)).astype(np.int64),
+        sequence=kept.astype(np.int64),
+        q_wb=q_wb,
+        p_w=p_w,
+        angular_rate=rates + 0.25,
+        joint_acceleration=rates - 1.5,
+        sigma=np.full(q_wb.shape[:2], 0.01),
+        status=status,
+        skeleton=skeleton,
+    )
+
+
+ARRAYS = motion()
+
+
+def exported(name, tmp_path, axes=None, units_per_m=None):
+    """(take, file) of a format."""
+    kind = FORMATS[name]
+    take = take_of(ARRAYS, "walk", axes or kind.axes)
+    path = tmp_path / f"walk{kind.suffix}"
+    kind.write(take, path, units_per_m or kind.units_per_m)
+    return take, path
+
+
+def turned(take, frame, segment):
+    return Rotation.from_quat(take.q_wb[frame, segment], scalar_first=True)
+
+
+def test_holes_are_filled_and_told():
+    take = take_of(ARRAYS, "walk", Axes.Z_UP)
+    hand = take.skeleton.index("left_hand")
+    assert len(take.q_wb) == FRAMES
+    assert not np.isnan(take.q_wb).any()
+    assert take.filled[:, 0].sum() == 2
+    assert take.filled[:, hand].sum() == 12
+    steps = [(turned(take, k, hand).inv() * turned(take, k + 1, hand)).magnitude() for k in range(FRAMES - 1)]
+    assert max(steps) < 0.2
+    np.testing.assert_allclose(take.q_wb[:40], ARRAYS.q_wb[:40], atol=1e-12)
+
+
+def test_both_world_axes_are_the_same_motion():
+    up, east = take_of(ARRAYS, "walk", Axes.Y_UP), take_of(ARRAYS, "walk", Axes.Z_UP)
+    np.testing.assert_allclose(up.p_w[..., 1], east.p_w[..., 2], atol=1e-12)
+    np.testing.assert_allclose(up.p_w[..., 2], -east.p_w[..., 1], atol=1e-12)
+    np.testing.assert_allclose(up.tips_w[..., 0], east.tips_w[..., 0], atol=1e-12)
+
+
+def test_a_segment_that_was_never_known_is_refused():
+    q_wb = ARRAYS.q_wb.copy()
+    q_wb[:, 3] = np.nan
+    broken = SkeletonArrays(**{**vars(ARRAYS), "q_wb": q_wb})
+    with pytest.raises(GatewayError, match=f"{ARRAYS.segment_names[3]} never had an orientation"):
+        take_of(broken, "walk", Axes.Z_UP)
+
+
+def test_bvh_read_by_bvhio(tmp_path):
+    bvhio = pytest.importorskip("bvhio", reason="bvhio is not installed")
+    take, path = exported("bvh", tmp_path)
+    assert float(path.read_text().split("Frame Time:")[1].split()[0]) == pytest.approx(1 / RATE_HZ)
+    root = bvhio.readAsBvh(str(path)).Root
+
+    def check(joint, frame, turn_of_parent, place_of_parent):
+        key, s = joint.Keyframes[frame], take.skeleton.index(joint.Name)
+        offset = key.Position if joint is root else joint.Offset
+        place = place_of_parent + turn_of_parent.apply(np.array(offset) / 100.0)
+        q = key.Rotation
+        turn = turn_of_parent * Rotation.from_quat([q.w, q.x, q.y, q.z], scalar_first=True)
+        assert np.linalg.norm(place - take.p_w[frame, s]) < LARGEST_DISTANCE
+        assert (turn.inv() * turned(take, frame, s)).magnitude() < LARGEST_ANGLE
+        return 1 + sum(check(child, frame, turn, place) for child in joint.Children)
+
+    for frame in (0, 41, FRAMES - 1):
+        assert check(root, frame, Rotation.identity(), np.zeros(3)) == take.skeleton.n_segments
+
+
+def test_c3d_points_read_by_another_library(tmp_path):
+    pytest.importorskip("ezc3d", reason="the extra 'export' is not installed")
+    c3d = pytest.importorskip("c3d", reason="c3d is not installed")
+    take, path = exported("c3d", tmp_path)
+    with path.open("rb") as handle:
+        reader = c3d.Reader(handle)
+        assert reader.point_rate == pytest.approx(RATE_HZ)
+        labels = [label.strip() for label in reader.point_labels]
+        points = np.array([frame[:, :3] for _, frame, _ in reader.read_frames()])
+    n = take.skeleton.n_segments
+    assert tuple(labels[:n]) == take.skeleton.segment_names
+    np.testing.assert_allclose(points[:, :n] / 1000.0, take.p_w, atol=LARGEST_DISTANCE)
+    np.testing.assert_allclose(points[:, n : 2 * n] / 1000.0, take.tips_w, atol=LARGEST_DISTANCE)
+    knee = labels.index("left_knee_angles")
+    j = [joint.name for joint in take.skeleton.joints].index("left_knee")
+    np.testing.assert_allclose(points[:, knee], np.degrees(take.joint_angles[:, j]), atol=1e-3)
+
+
+def test_c3d_rotations(tmp_path):
+    ezc3d = pytest.importorskip("ezc3d", reason="the extra 'export' is not installed")
+    take, path = exported("c3d", tmp_path)
+    read = ezc3d.c3d(str(path))
+    matrices = read["data"]["rotations"].transpose(3, 2, 0, 1)[..., :3, :3]
+    expected = Rotation.from_quat(take.q_wb.reshape(-1, 4), scalar_first=True)
+    errors = (Rotation.from_matrix(matrices.reshape(-1, 3, 3)).inv() * expected).magnitude()
+    assert errors.max() < LARGEST_ANGLE
+    assert read["parameters"]["ANALOG"]["RATE"]["value"][0] == pytest.approx(RATE_HZ)
+
+
+def opensim_table(path):
+    """(labels, rows) of a .sto or .mot file."""
+    lines = path.read_text().splitlines()
+    begin = lines.index("endheader") + 1
+    return lines[:begin], lines[begin].split("\t"), [line.split("\t") for line in lines[begin + 1 :]]
+
+
+def test_sto_orientations(tmp_path):
+    take, path = exported("sto", tmp_path)
+    head, labels, rows = opensim_table(path)
+    assert "DataType=Quaternion" in head
+    assert labels[1:] == [f"{name}_imu" for name in take.skeleton.segment_names]
+    q = np.array([[list(map(float, cell.split(","))) for cell in row[1:]] for row in rows])
+    np.testing.assert_allclose(q, take.q_wb, atol=1e-8)
+    np.testing.assert_allclose([float(row[0]) for row in rows], take.time_s, atol=1e-6)
+
+
+def test_mot_angles_have_the_model_s_names_and_signs(tmp_path):
+    take, path = exported("mot", tmp_path)
+    head, labels, rows = opensim_table(path)
+    assert "inDegrees=yes" in head
+    assert f"nColumns={len(labels)}" in head
+    values = np.array(rows, float)
+    for label, joint, angle, sign in (
+        ("knee_angle_l", "left_knee", "flexion", 1.0),
+        ("hip_adduction_r", "right_hip", "adduction", 1.0),
+        ("lumbar_extension", "spine", "flexion", -1.0),
+    ):
+        j, a = next((j, a) for j, a, name in take.angle_names if name == f"{joint}_{angle}")
+        expected = sign * np.degrees(take.joint_angles[:, j, a])
+        np.testing.assert_allclose(values[:, labels.index(label)], expected, atol=1e-6)
+
+
+def test_trc_markers(tmp_path):
+    take, path = exported("trc", tmp_path)
+    lines = path.read_text().splitlines()
+    values = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
+    assert (float(values["DataRate"]), values["Units"]) == (RATE_HZ, "mm")
+    names = [name for name in lines[3].split("\t")[2:] if name]
+    table = np.array([line.split("\t") for line in lines[6:]], float)
+    points = table[:, 2:].reshape(len(table), -1, 3) / 1000.0
+    np.testing.assert_allclose(
+        points[:, names.index("head")], take.p_w[:, take.skeleton.index("head")], atol=1e-6
+    )
+    tip = names.index("right_foot_tip")
+    np.testing.assert_allclose(points[:, tip], take.tips_w[:, take.skeleton.index("right_foot")], atol=1e-6)
+
+
+def test_csv_and_parquet_are_the_same_table(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra 'export' is not installed")
+    take, path = exported("csv", tmp_path)
+    _, other = exported("parquet", tmp_path)
+    table = parquet.read_table(other)
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == table.column_names
+    for name in ("pelvis_orientation_w", "head_position_z_m", "left_knee_flexion_deg", "pelvis_sigma_rad"):
+        from_csv = np.array([float(row[name] or "nan") for row in rows])
+        np.testing.assert_allclose(from_csv, table[name].to_numpy(), rtol=1e-8)
+    assert rows[40]["pelvis_status"] == "not_recorded"
+    assert rows[40]["pelvis_angular_rate_x_rad_per_s"] == ""
+    assert rows[62]["left_hand_status"] == "missing"
+    assert len(rows) == len(take.q_wb)
+
+
+def glb_parts(path):
+    """(JSON, binary) of a .glb by its specification."""
+    data = path.read_bytes()
+    magic, version, length = struct.unpack_from("<4sII", data)
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    json_length, json_kind = struct.unpack_from("<I4s", data, 12)
+    assert json_kind == b"JSON"
+    binary_at = 20 + json_length
+    assert data[binary_at + 4 : binary_at + 8] == b"BIN\0"
+    return json.loads(data[20:binary_at]), data[binary_at + 8 :]
+
+
+def test_gltf_animation_by_its_specification(tmp_path):
+    pytest.importorskip("pygltflib", reason="the extra 'export' is not installed")
+    take, path = exported("gltf", tmp_path)
+    document, binary = glb_parts(path)
+    widths = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+
+    def values(accessor):
+        each = document["accessors"][accessor]
+        view = document["bufferViews"][each["bufferView"]]
+        begin, width = view.get("byteOffset", 0), widths[each["type"]]
+        flat = np.frombuffer(binary, "<f4", each["count"] * width, begin)
+        return flat.reshape(-1, width)
+
+    animation, nodes = document["animations"][0], document["nodes"]
+    tracks = {
+        (channel["target"]["node"], channel["target"]["path"]): animation["samplers"][channel["sampler"]]
+        for channel in animation["channels"]
+    }
+    root = document["skins"][0]["skeleton"]
+    np.testing.assert_allclose(values(tracks[root, "rotation"]["input"])[:, 0], take.time_s, atol=1e-5)
+    frame = 70
+
+    def check(node, turn_of_parent, place_of_parent):
+        offset = np.array(nodes[node]["translation"])
+        if (node, "translation") in tracks:
+            offset = values(tracks[node, "translation"]["output"])[frame]
+        place = place_of_parent + turn_of_parent.apply(offset)
+        turn = turn_of_parent * Rotation.from_quat(values(tracks[node, "rotation"]["output"])[frame])
+        s = take.skeleton.index(nodes[node]["name"])
+        assert np.linalg.norm(place - take.p_w[frame, s]) < LARGEST_DISTANCE
+        assert (turn.inv() * turned(take, frame, s)).magnitude() < LARGEST_ANGLE
+        return 1 + sum(check(child, turn, place) for child in nodes[node].get("children", ()))
+
+    assert check(root, Rotation.identity(), np.zeros(3)) == take.skeleton.n_segments
+
+
+@pytest.mark.parametrize(("name", "units_per_m"), [("bvh", 1.0), ("trc", 100.0), ("csv", 1000.0)])
+def test_units_are_kept_to(tmp_path, name, units_per_m):
+    take, path = exported(name, tmp_path, units_per_m=units_per_m)
+    text = path.read_text()
+    if name == "csv":
+        assert "pelvis_position_x_mm" in text.splitlines()[0]
+    elif name == "trc":
+        assert text.splitlines()[2].split("\t")[4] == "cm"
+    else:
+        first = text.split("Frame Time:")[1].splitlines()[1].split()
+        np.testing.assert_allclose(np.array(first[:3], float), take.p_w[0, 0], atol=1e-6)

@@ -1,0 +1,53 @@
+"""The command line answers at once: what is slow to import is imported where it is used."""
+
+import subprocess
+import sys
+
+import pytest
+
+from gateway.cli.lazy_commands import load
+from gateway.cli.main import _Commands
+
+SLOW_PACKAGES = ("numba", "scipy", "numpy", "pydantic", "aiomqtt", "amqtt")
+
+
+def imported_by(arguments):
+    """Which of the slow packages ``mocap-gateway`` with these arguments has imported at its end."""
+    code = (
+        "import sys\n"
+        f"sys.argv = ['mocap-gateway', *{arguments!r}]\n"
+        "from gateway.cli.main import main\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert not end.code, end.code\n"
+        f"print('imported:', *[name for name in {SLOW_PACKAGES!r} if name in sys.modules])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout, done.stdout.splitlines()[-1].split()[1:]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["-h"], ["--version"]])
+def test_help_and_version_import_nothing_slow(arguments):
+    assert imported_by(arguments)[1] == []
+
+
+def test_help_lists_every_command():
+    said = imported_by(["--help"])[0]
+    assert all(name in said for name in _Commands.lazy)
+
+
+def test_watching_needs_no_compiler():
+    assert not {"numba", "scipy"} & set(imported_by(["watch", "--help"])[1])
+
+
+@pytest.mark.parametrize("name", _Commands.lazy)
+def test_the_list_says_what_the_command_says(name):
+    loaded = load(name, _Commands.lazy[name])
+    assert loaded.help.split("\n\n")[0].replace("\n", " ") == _Commands.lazy[name].summary
+    assert loaded.epilog == _Commands.lazy[name].epilog
+
+
+def test_an_unknown_command_is_told_the_nearest():
+    done = subprocess.run(
+        [sys.executable, "-m", "gateway", "demmo"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "demo" in done.stderr

@@ -1,0 +1,83 @@
+"""``calibrate sensors`` as a user types it, on an emulated suit in a box."""
+
+import asyncio
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.imperfections import UNCALIBRATED
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.emulators.transports import PtyTransport
+from devices.emulators.tumbling import TumblingMotion
+from devices.link import gateway_time_ns
+from gateway.body.rig import load_rig
+from gateway.cli.emulated_rig import dress
+
+pytestmark = pytest.mark.system
+
+SEED = 3
+
+
+def calibrate(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "gateway", "calibrate", "sensors", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=150,
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "where is the suit?"),
+        (("--link", "x"), "--link needs --rig"),
+        (("--mqtt", "localhost:1883"), "stop the running gateway"),
+        (("--link", "x", "--rig", "arm_3", "--only", "gyro"), "did you mean 'gyrometer'"),
+        (("--link", "x", "--rig", "arm_3", "--modules", "77"), "it has 1, 8, 9"),
+        (("--link", "x", "--rig", "arm_3", "--flash"), "give --allow-writes"),
+        (("--link", "x", "--rig", "arm_3", "-o", "nowhere/x.yaml"), "there is no folder"),
+    ],
+)
+def test_bad_input_is_answered_in_one_line(arguments, message):
+    ended = calibrate(*arguments)
+    assert ended.returncode == 1
+    assert message in ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+async def test_a_suit_in_a_box_is_calibrated_into_a_rig_file_and_into_flash(tmp_path):
+    suit = load_rig("arm_3")
+    traffic = SuitTraffic(
+        TumblingMotion(dress(suit), SEED),
+        SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field),
+        UNCALIBRATED,
+        SEED,
+    )
+    emulated = EmulatedSuit(traffic, PtyTransport(tmp_path / "suit"), start_ns=gateway_time_ns())
+    playing = asyncio.create_task(emulated.run())
+    where = ("--link", tmp_path / "suit", "--rig", "arm_3", "--seconds", 130, "--json")
+    try:
+        await asyncio.sleep(0.5)
+        first = await asyncio.to_thread(calibrate, *where, "-o", tmp_path / "mine.yaml")
+        assert first.returncode == 0, first.stderr
+        assert set(load_rig(str(tmp_path / "mine.yaml")).calibrations) == {1, 8, 9}
+        flashed = await asyncio.to_thread(
+            calibrate, *where, "--only", "gyrometer,magnetometer", "--flash", "--allow-writes"
+        )
+        assert flashed.returncode == 0, flashed.stderr
+        again = await asyncio.to_thread(calibrate, *where, "--only", "gyrometer", "-o", tmp_path / "x.yaml")
+    finally:
+        playing.cancel()
+    for module, found in json.loads(first.stdout).items():
+        assert {sensor["quality"] for sensor in found.values()} == {"good"}
+        before = np.linalg.norm(found["gyrometer"]["bias"])
+        after = np.linalg.norm(json.loads(again.stdout)[module]["gyrometer"]["bias"])
+        assert after < 0.2 * before  # the module takes its bias out itself now
