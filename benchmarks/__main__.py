@@ -1,4 +1,4 @@
-"""``python -m benchmarks accuracy|speed|latency|clock|joints|sensors|calibration|all``."""
+"""``python -m benchmarks accuracy|speed|latency|clock|record|walking|joints|sensors|calibration|all``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, calibration, clock, joints, latency, sensors, speed
+from benchmarks import accuracy, calibration, clock, joints, latency, record, sensors, speed, walking
 from benchmarks.figures import Report, write_docs
 
 SUITES: dict[str, Callable[[], Report]] = {
@@ -15,6 +15,8 @@ SUITES: dict[str, Callable[[], Report]] = {
     "speed": speed.run,
     "latency": latency.run,
     "clock": clock.run,
+    "walking": walking.run,
+    "record": record.run,
     "joints": joints.run,
     "sensors": sensors.run,
     "calibration": calibration.run,

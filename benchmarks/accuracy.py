@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.figures import Figure, Report, table
+from benchmarks.gyro_free import add_gyro_free
 from benchmarks.offline import imu_frames, orientations
 from benchmarks.scoring import Score, score
 from benchmarks.simulation import PLACEMENTS, arm, errors_deg, ideal_frames, through_the_wire
@@ -99,6 +100,7 @@ def run() -> Report:
     _add_convergence(report)
     _add_simulated_arm(report)
     _add_recordings(report)
+    add_gyro_free(report, DATA / "broad")
     return report
 
 

@@ -48,7 +48,7 @@ class Run:
 
 def run() -> Report:
     """17 modules at 100 Hz, then more until the gateway no longer keeps up."""
-    with _mosquitto() as port:
+    with mosquitto_broker() as port:
         runs = []
         for n_modules, rate_hz in LOADS:
             runs.append(asyncio.run(_measure(port, n_modules, rate_hz)))
@@ -89,12 +89,12 @@ def _table(runs: list[Run]) -> str:
 async def _measure(broker_port: int, n_modules: int, rate_hz: float) -> Run:
     with tempfile.TemporaryDirectory() as folder:
         port = Path(folder) / "suit"
-        config = _write_config(Path(folder), port, broker_port, n_modules)
-        async with _process(
+        config = write_config(Path(folder), port, broker_port, n_modules)
+        async with process_of(
             "-m", "benchmarks.paced_writer", str(port), str(n_modules), str(rate_hz), str(SECONDS)
         ) as suit:
-            await _line(suit)
-            async with _process("-m", "gateway", "run", "-c", str(config)) as gateway:
+            await line_of(suit)
+            async with process_of("-m", "gateway", "run", "-c", str(config)) as gateway:
                 return await _listen(suit, gateway, broker_port, n_modules, rate_hz)
 
 
@@ -124,7 +124,7 @@ async def _listen(
         before = sum(process.cpu_times()[:2])
         await asyncio.sleep(SECONDS - 2.0)
         cpu_percent = (sum(process.cpu_times()[:2]) - before) / (SECONDS - 2.0) * 100
-        written_ns = np.array((await _line(suit))["written_ns"])
+        written_ns = np.array((await line_of(suit))["written_ns"])
         await asyncio.sleep(1.0)
         collecting.cancel()
     return _evaluate(np.array(received), written_ns, n_modules, rate_hz, cpu_percent)
@@ -141,8 +141,8 @@ def _evaluate(
     return Run(n_modules, rate_hz, latency_ms[SETTLING_TICKS:], expected - len(received), cpu_percent)
 
 
-def _write_config(folder: Path, port: Path, broker_port: int, n_modules: int) -> Path:
-    """A rig of as many modules as the load has, on a body with as many segments."""
+def write_config(folder: Path, port: Path, broker_port: int, n_modules: int) -> Path:
+    """A configuration, and a rig of as many modules as the load has, on a body with as many segments."""
     segments = [
         {"name": f"segment_{i}", "parent": f"segment_{i - 1}" if i else None, "tip": [0.1, 0, 0]}
         for i in range(n_modules)
@@ -164,7 +164,8 @@ def _write_config(folder: Path, port: Path, broker_port: int, n_modules: int) ->
 
 
 @contextlib.asynccontextmanager
-async def _process(*arguments: str) -> AsyncIterator[asyncio.subprocess.Process]:
+async def process_of(*arguments: str) -> AsyncIterator[asyncio.subprocess.Process]:
+    """A Python process that is ended with the block."""
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(
         sys.executable, *arguments, stdin=pipe, stdout=pipe, limit=2**24
@@ -177,16 +178,18 @@ async def _process(*arguments: str) -> AsyncIterator[asyncio.subprocess.Process]
         await process.wait()
 
 
-async def _line(process: asyncio.subprocess.Process) -> dict[str, list[int]]:
+async def line_of(process: asyncio.subprocess.Process) -> dict[str, list[int]]:
+    """The next line that it prints, JSON."""
     assert process.stdout is not None
     return json.loads(await process.stdout.readline())  # type: ignore[no-any-return]
 
 
 @contextlib.contextmanager
-def _mosquitto() -> Iterator[int]:
+def mosquitto_broker() -> Iterator[int]:
+    """A broker on a free port, which is given."""
     program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
     if program is None:
-        raise SystemExit("the latency suite needs mosquitto: apt install mosquitto")
+        raise SystemExit("this suite needs mosquitto: apt install mosquitto")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])

@@ -32,6 +32,9 @@ class Framing(Enum):
     CAN = "can"
     """CAN frame records as packed by ``firmware_protocol.can_framing.pack_can_records``."""
 
+    GNSS = "gnss"
+    """NMEA 0183 and UBX messages of a satellite receiver; nothing of ours, and nothing is written to it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Chunk:

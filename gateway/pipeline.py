@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,10 +25,19 @@ from gateway.calibration.corrections import SensorCorrections
 from gateway.calibration.mounting import remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
-from gateway.errors import GatewayError
+from gateway.errors import GatewayError, SettingsError
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
-from gateway.reconstruction import FUSED, RECONSTRUCTORS, update_many
+from gateway.gnss import GnssParams, GnssReceiver
+from gateway.reconstruction import (
+    FUSED,
+    NO_CONTACTS,
+    RootMode,
+    RootSettings,
+    WholeBodyReconstructor,
+    create_reconstructor,
+    update_many,
+)
 from gateway.resets import Resets
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Reading, Stream
@@ -58,6 +68,7 @@ class Pipeline:
         clock_table: ClockTable | None = None,
         despiker: Despiker | None = None,
         trigger_patience_ns: int = 250_000_000,
+        root: RootSettings | None = None,
     ) -> None:
         """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
         triggers = None
@@ -74,20 +85,27 @@ class Pipeline:
             self.fused_assembler = FusedAssembler(suit.module_ids, params, reference)
         self.unused: Counter[str] = Counter()
         """Readings of a kind that the reconstructor has no use for."""
-        self._method, self._interval_s = reconstructor, params.frame_interval_ns * 1e-9
+        interval_s = params.frame_interval_ns * 1e-9
+        self._make = partial(create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root)
         self.suit = suit
         """As worn now: a calibration may have changed it."""
-        self.reconstructor = RECONSTRUCTORS[reconstructor](suit, self._interval_s)
+        self.reconstructor = self._make(suit)
         self.resets = Resets(suit.skeleton)
         self.skeleton_frames = 0
         self.on_imu_frame: Callable[[ImuFrame], None] | None = None
         """Told every frame before it is reconstructed: for calibrations."""
+        self.gnss_params: dict[str, GnssParams] = {}
+        """By link; a receiver that is not named has the defaults."""
+        self._gnss: dict[str, GnssReceiver] = {}
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
-        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table."""
+        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table, and
+        for a body that cannot walk and shall."""
+        if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
+            raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
         table = settings.clock.table
-        return cls(
+        pipeline = cls(
             suit,
             settings.assembly.params(),
             settings.reconstructor,
@@ -95,11 +113,21 @@ class Pipeline:
             None if table is None else load_clock_table(Path(table)),
             Despiker() if settings.assembly.despike else None,
             round(settings.clock.trigger_patience_ms * 1e6),
+            settings.root_motion.root(),
         )
+        pipeline.gnss_params = {
+            link.name: GnssParams(link.device, round(link.latency_ms * 1e6), link.origin)
+            for link in settings.links
+            if link.carries == "gnss"
+        }
+        return pipeline
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
-        self.stream.add_link(name, framing)
+        if framing is Framing.GNSS:
+            self._gnss[name] = GnssReceiver(self.gnss_params.get(name, GnssParams()))
+        else:
+            self.stream.add_link(name, framing)
 
     def sent(self, chunk: SentChunk) -> None:
         """The gateway put this on a link: time requests and sampling triggers, whose answers need it."""
@@ -115,7 +143,7 @@ class Pipeline:
             return self.resets.reset(str(data["kind"]), float(data.get("facing", 0.0)))
         if name == CALIBRATED_EVENT:
             self.suit = remounted(self.suit, data)
-            self.reconstructor = RECONSTRUCTORS[self._method](self.suit, self._interval_s)
+            self.reconstructor = self._make(self.suit)
             self.resets = Resets(self.suit.skeleton)
         return {}
 
@@ -151,7 +179,8 @@ class Pipeline:
 
     def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
         imu_frames: list[ImuFrame] = []
-        for reading in self.stream.receive(chunk):
+        receiver = self._gnss.get(chunk.link)
+        for reading in self.stream.receive(chunk) if receiver is None else receiver.receive(chunk):
             imu_frames += self._assemble(reading, chunk.arrived_ns)
         if self.on_imu_frame is not None:
             for imu_frame in imu_frames:
@@ -184,10 +213,14 @@ class Pipeline:
         triggers, assembler = self.stream.triggers, self.fused_assembler or self.assembler
         return {
             **({} if triggers is None else {"triggers": triggers.figures.summary()}),
+            **({"gnss": {name: r.statistics() for name, r in self._gnss.items()}} if self._gnss else {}),
             "skeleton_frames": self.skeleton_frames,
             "dropped_by_link": dropped,
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},
             "unused_readings": dict(self.unused),
             "spikes": self.despiker.summary() if self.despiker is not None else {},
+            "joint_agreement": self.reconstructor.joint_agreement()
+            if isinstance(self.reconstructor, WholeBodyReconstructor)
+            else {},
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
         }

@@ -58,7 +58,8 @@ class Service:
         self.observer = Observer(settings, suit, info, self.pipeline, self.links, self.mqtt)
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
-        self.commands = CommandClient(self.links, allow_writes=settings.allow_device_writes)
+        suit_links = [link for link in self.links if link.framing is not Framing.GNSS]
+        self.commands = CommandClient(suit_links, allow_writes=settings.allow_device_writes)
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
@@ -122,7 +123,7 @@ class Service:
             link.on_event = self._happened_then
         for name, framing in carried.items():
             self.pipeline.add_link(name, framing)
-        if not isinstance(link, ReplayLink):
+        if not isinstance(link, ReplayLink) and link.framing is not Framing.GNSS:
             self._announced.append(link)
         try:
             async for chunk in link:
@@ -180,6 +181,9 @@ class Service:
 
 def _links_of(settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None]) -> list[Link]:
     links = [link_from_url(link.url, name=link.name) for link in settings.links]
+    for link, wanted in zip(links, settings.links, strict=True):
+        if wanted.carries == "gnss" and not isinstance(link, ReplayLink):
+            link.framing = Framing.GNSS
     return [
         link
         if isinstance(link, ReplayLink)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -11,12 +11,15 @@ from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
-from gateway.reconstruction import RECONSTRUCTORS
+from gateway.reconstruction import RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
 
 RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 """Nothing that could mean another folder."""
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Strict(BaseModel):
@@ -32,6 +35,32 @@ class LinkSettings(_Strict):
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
         "can://socketcan/can0, tcp://host:port, udp://host:port, recording:///path/to/file.mcap",
     )
+    carries: Literal["suit", "gnss"] = Field(
+        default="suit", description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver"
+    )
+    device: int = Field(
+        default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"
+    )
+    latency_ms: float = Field(
+        default=50,
+        ge=0,
+        le=5000,
+        description="for gnss: from the instant of a fix to its arrival, at the least",
+    )
+    origin: tuple[float, float, float] | None = Field(
+        default=None,
+        description="for gnss: latitude and longitude in degrees and height above the ellipsoid in metres of "
+        "the world's origin; none: the first fix",
+    )
+
+    @model_validator(mode="after")
+    def _is_on_earth(self) -> LinkSettings:
+        if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):
+            raise ValueError("origin: latitude within ±90 and longitude within ±180 degrees are wanted")
+        given = {"device", "latency_ms", "origin"} & self.model_fields_set
+        if self.carries != "gnss" and given:
+            raise ValueError(f"{', '.join(sorted(given))}: only a link with 'carries: gnss' has that")
+        return self
 
 
 class ClockSettings(_Strict):
@@ -105,6 +134,27 @@ class AssemblySettings(_Strict):
         )
 
 
+class RootMotionSettings(_Strict):
+    """Whether the body moves through the world."""
+
+    mode: RootMode = Field(
+        default=RootMode.AUTO,
+        description="walking: the body stands on resting feet, flies between them and so moves through the "
+        "world; fixed: its root stays at the origin, or where a local device measures it; auto: walking for "
+        "bodies with contacts (feet) whose position no device measures",
+    )
+    floor: Literal["level", "open"] = Field(
+        default="level",
+        description="level: feet stand on one level floor, so that height does not drift; "
+        "open: heights as they are found (stairs, slopes)",
+    )
+    floor_height_m: Finite = Field(default=0, description="height of a level floor")
+
+    def root(self) -> RootSettings:
+        """As the reconstructors take it."""
+        return RootSettings(self.mode, self.floor == "level", self.floor_height_m)
+
+
 class ModuleReportSettings(_Strict):
     """What is published of every module."""
 
@@ -142,7 +192,8 @@ class RecordingSettings(_Strict):
         description="added to the file's name, which begins with the time in UTC",
     )
     skeleton: bool = Field(
-        default=True, description="record skeleton frames too; without them files are about a third as large"
+        default=True,
+        description="record skeleton frames too; without them files are about a quarter as large",
     )
     flush_ms: float = Field(
         default=200,
@@ -184,6 +235,7 @@ class GatewaySettings(_Strict):
     reconstructor: str = Field(
         default="independent", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
     )
+    root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()
     assembly: AssemblySettings = AssemblySettings()
     mqtt: MqttSettings = MqttSettings()

@@ -107,7 +107,7 @@ def relative_heading(equations: JointEquations) -> float:
 def _left_at(equations: JointEquations, heading: float) -> float:
     """Sum of squares left with the best ρ₁ and ρ₂."""
     origin = features(np.zeros(3), np.zeros(3), heading)
-    units = [features(*np.split(unit, 2), heading) - origin for unit in np.eye(6)]
+    units = [features(unit[:3], unit[3:], heading) - origin for unit in np.eye(6)]
     design = equations.triangle @ np.stack(units, axis=1)
     target = -(equations.triangle @ origin)
     # joints lie within the body: a little stiffness keeps what motion does not tell near the module

@@ -19,6 +19,7 @@ from rich.console import Console
 from devices.emulators.calibrating import begin_of_script, strapped_on
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
+from devices.emulators.gnss_receiver import FORMATS
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import Recording, play
@@ -33,6 +34,7 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
+from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
 from gateway.cli.emulated_rig import calibrate, dress, move, tumble
 from gateway.errors import GatewayError, nearest
 
@@ -115,6 +117,10 @@ def emulate(
     id_conflict: Annotated[
         bool, typer.Option("--id-conflict", help="The last module has the id of the one before it.")
     ] = False,
+    gnss: Annotated[
+        Path | None, typer.Option(help="A satellite receiver on the body's root too: link to its port.")
+    ] = None,
+    gnss_format: Annotated[str, typer.Option(help=f"What it speaks: {', '.join(FORMATS)}.")] = "nmea",
     tumbling: Annotated[
         bool,
         typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
@@ -152,12 +158,13 @@ def emulate(
             encoding=encoding,
         )
         wearing = _Wearing(tumbling, motion, strap_on, radians(facing))
-        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, wearing)
+        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, wearing, gnss is not None)
+    receiver = None if gnss is None else companion(rig, seed, gnss, gnss_format, seconds)
     start_ns = gateway_time_ns() + _START_DELAY_NS
     if motion is MotionKind.CALIBRATION:
         start_ns = begin_of_script(start_ns)
     try:
-        _play(source, _transport(on, link, port, channel, fd), as_json, seconds, start_ns)
+        _play(source, _transport(on, link, port, channel, fd), as_json, seconds, receiver, start_ns)
     except (OSError, can.CanError) as error:
         raise GatewayError(f"the emulated suit cannot speak on {on}: {error}; {_REMEDIES[on]}") from error
 
@@ -170,10 +177,13 @@ def _traffic(
     fresh: int,
     id_conflict: bool,
     wearing: _Wearing,
+    has_gnss: bool,
 ) -> SuitTraffic:
     if imperfections not in PRESETS:
         raise GatewayError(f"--imperfections {imperfections}: unknown{nearest(imperfections, PRESETS)}")
     suit = load_rig(rig)
+    if has_gnss:
+        suit = without_position_devices(suit)
     ids = suit.module_ids
     world = replace(
         settings,
@@ -214,11 +224,13 @@ def _play(
     transport: Transport,
     as_json: bool,
     seconds: float | None,
+    receiver: Companion | None,
     start_ns: int,
 ) -> None:
+    beside = None if receiver is None else receiver(start_ns)
     suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=seconds)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_run(suit, as_json))
+        asyncio.run(_run(suit, beside, as_json))
     if not as_json:
         counts = suit.counts
         Console().print(
@@ -226,8 +238,9 @@ def _play(
         )
 
 
-async def _run(suit: EmulatedSuit, as_json: bool) -> None:
-    task = asyncio.ensure_future(suit.run())
+async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, as_json: bool) -> None:
+    runs = [suit.run()] if beside is None else [suit.run(), beside.run()]
+    task = asyncio.ensure_future(asyncio.gather(*runs))
     while not (url := suit.transport.url) and not task.done():  # noqa: ASYNC110 - for a moment
         await asyncio.sleep(0.01)
     if url:

@@ -10,14 +10,37 @@ from gateway.reconstruction.fused import FusedReconstructor
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
+from gateway.reconstruction.inertial.rate_free import (
+    DelayedRateFreeReconstructor,
+    RateFreeReconstructor,
+)
 from gateway.reconstruction.reconstructor import Reconstructor, update_many
+from gateway.reconstruction.whole_body import (
+    NO_CONTACTS,
+    OrientationFinder,
+    RootMode,
+    RootSettings,
+    WholeBodyReconstructor,
+)
 
-__all__ = ["FUSED", "RECONSTRUCTORS", "Reconstructor", "create_reconstructor", "update_many"]
+__all__ = [
+    "FUSED",
+    "NO_CONTACTS",
+    "RECONSTRUCTORS",
+    "Reconstructor",
+    "RootMode",
+    "RootSettings",
+    "WholeBodyReconstructor",
+    "create_reconstructor",
+    "update_many",
+]
 
-RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], Reconstructor]] = {
+RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {
     "articulated": ArticulatedReconstructor,
     "fused": FusedReconstructor,
     "fused_neutral": partial(FusedReconstructor, starts_neutral=True),
+    "gyro_free": RateFreeReconstructor,
+    "gyro_free_delayed": DelayedRateFreeReconstructor,
     "independent": IndependentReconstructor,
     "joint": JointReconstructor,
     "outward": OutwardReconstructor,
@@ -29,9 +52,15 @@ FUSED = frozenset({"fused", "fused_neutral"})
 """Those that want orientations fused on the modules, and no raw values."""
 
 
-def create_reconstructor(name: str, suit: WornSuit, nominal_interval_s: float) -> Reconstructor:
-    """The reconstructor of that name. Raises ``ValueError`` for an unknown one, naming those there are."""
+def create_reconstructor(
+    name: str, suit: WornSuit, nominal_interval_s: float, root: RootSettings | None = None
+) -> Reconstructor:
+    """The reconstructor of that name; for the whole body, unless orientations come fused from the modules.
+
+    Raises ``ValueError`` for an unknown one, naming those there are, and for a root that shall walk on a body
+    without contacts."""
     if name not in RECONSTRUCTORS:
         known = ", ".join(sorted(RECONSTRUCTORS))
         raise ValueError(f"no reconstructor is called {name!r}; there are: {known}")
-    return RECONSTRUCTORS[name](suit, nominal_interval_s)
+    finder = RECONSTRUCTORS[name](suit, nominal_interval_s)
+    return finder if name in FUSED else WholeBodyReconstructor(suit, finder, root)

@@ -10,6 +10,7 @@ arrays.q_wb  # (F, S, 4)
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,6 +29,8 @@ from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.recording.skeleton_encoding import decode_skeleton_frame
 from gateway.recording.suit_snapshot import decode_suit
 from gateway.settings import GatewaySettings
+
+_log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
 """Told bytes read and bytes in all, now and then."""
@@ -94,10 +97,23 @@ class RecordingMeta:
 
     @cached_property
     def settings(self) -> GatewaySettings:
-        """The gateway's configuration, without secrets. What ``clock.table`` names is ``clock_table``."""
+        """The gateway's configuration, without secrets. What ``clock.table`` names is ``clock_table``.
+
+        Settings of another version that this one does not know are left out, with a warning.
+        """
         try:
-            return GatewaySettings.model_validate(json.loads(self._attachment(fmt.SETTINGS)))
-        except (ValueError, ValidationError) as error:
+            plain = json.loads(self._attachment(fmt.SETTINGS))
+            unknown = _take_out_unknown(plain)
+            if unknown:
+                _log.warning("%s: settings of version %s left out: %s", self.path, self.software, unknown)
+            return GatewaySettings.model_validate(plain)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise SettingsError(
+                f"{self.path}: the recorded configuration cannot be read: '{where}': {first['msg']}"
+            ) from error
+        except ValueError as error:
             raise SettingsError(f"{self.path}: the recorded configuration cannot be read: {error}") from error
 
     @property
@@ -207,6 +223,22 @@ class Recording:
                     yield item
         if progress is not None:
             progress(total, total)
+
+
+def _take_out_unknown(plain: dict[str, Any]) -> str:
+    """Remove, and name, the settings that this version does not know."""
+    try:
+        GatewaySettings.model_validate(plain)
+    except ValidationError as error:
+        places = [problem["loc"] for problem in error.errors() if problem["type"] == "extra_forbidden"]
+    else:
+        return ""
+    for *path, key in places:
+        holder: Any = plain
+        for part in path:
+            holder = holder[part]
+        del holder[key]
+    return ", ".join(".".join(map(str, place)) for place in places)
 
 
 def open_recording(path: str | Path) -> Recording:

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
-import numpy as np
 import yaml
 
 import gateway
 from devices import recording_format as fmt
-from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.body.skeleton import WornSuit
+from gateway.recording.suit_files import body_of, rig_of
 from gateway.recording.suit_snapshot import encode_suit
 from gateway.settings import GatewaySettings
 
@@ -85,60 +85,6 @@ def _processor() -> str:
     lines = info.read_text(errors="replace").splitlines() if info.exists() else []
     named = (line.split(":", 1)[1].strip() for line in lines if line.startswith(("model name", "Model")))
     return next(named, platform.processor())
-
-
-def body_of(skeleton: Skeleton) -> dict[str, Any]:
-    """A skeleton as the content of a body file."""
-    names = skeleton.segment_names
-    return {
-        "name": skeleton.name,
-        "neutral": skeleton.neutral.tolist(),
-        "segments": [
-            {
-                "name": name,
-                "parent": None if parent < 0 else names[parent],
-                "joint": skeleton.offsets[i].tolist(),
-                "tip": skeleton.tips[i].tolist(),
-            }
-            for i, (name, parent) in enumerate(zip(names, skeleton.parents.tolist(), strict=True))
-        ],
-    }
-
-
-def rig_of(suit: WornSuit) -> dict[str, Any]:
-    """A worn suit as the content of a rig file beside its body file."""
-    names = suit.skeleton.segment_names
-    modules = [
-        {
-            "id": suit.module_ids[row],
-            "segment": names[segment],
-            "position": suit.lever_arms[segment].tolist(),
-            "sensor_to_segment": suit.sensor_to_segment[segment].tolist(),
-        }
-        for segment, row in enumerate(suit.module_of_segment.tolist())
-        if row >= 0
-    ]
-    modules.sort(key=lambda module: suit.module_ids.index(module["id"]))
-    devices = [
-        {
-            "kind": device.quantity.name.lower(),
-            "segment": names[device.segment],
-            "device": device.device,
-            "position": device.position.tolist(),
-        }
-        for device in suit.local_devices
-    ]
-    return {"body": fmt.BODY, "modules": modules, "local_devices": devices, "world": _world(suit)}
-
-
-def _world(suit: WornSuit) -> dict[str, Any]:
-    east, north, up = suit.magnetic_field
-    field = {
-        "norm_ut": float(np.linalg.norm(suit.magnetic_field)),
-        "dip_deg": float(np.degrees(np.arctan2(-up, np.hypot(east, north)))),
-        "declination_deg": float(np.degrees(np.arctan2(east, north))),
-    }
-    return {"gravity": float(-suit.gravity[2]), "magnetic_field": field}
 
 
 def _yaml(content: dict[str, Any]) -> bytes:

@@ -11,6 +11,7 @@ import enum
 import json
 import types
 import typing
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -43,7 +44,7 @@ def _plain(value: Any) -> Any:
         return {"dtype": value.dtype.str, "shape": list(value.shape), "values": value.ravel().tolist()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     return _plain_scalar(value)
 
@@ -75,7 +76,7 @@ def _value(hint: Any, plain: Any) -> Any:
     if origin in {tuple, list}:
         hints = inner if len(inner) == len(plain) and ... not in inner else (inner[0],) * len(plain)
         return origin(_value(each, item) for each, item in zip(hints, plain, strict=True))
-    if origin is dict:
+    if origin in {dict, Mapping}:
         return {_value(inner[0], key): _value(inner[1], item) for key, item in plain.items()}
     return _scalar(hint, plain)
 

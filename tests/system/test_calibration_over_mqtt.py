@@ -1,4 +1,4 @@
-"""A running service is calibrated and reset by requests, without restart; the recording replays bit for bit."""
+"""A running service is calibrated and reset by requests; its recording replays bit for bit."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from devices.emulators.emulated_suit import EmulatedSuit
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig
+from gateway.calibration.procedure import PROCEDURE
 from gateway.cli.emulated_rig import dress
 from gateway.modules.operations import RequestError
 from gateway.modules.remote import remote_suit
@@ -23,8 +24,6 @@ from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
 
 pytestmark = pytest.mark.system
-
-SPEED = 1.0
 
 
 @contextlib.asynccontextmanager
@@ -69,7 +68,7 @@ async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypat
             with pytest.raises(RequestError, match="calibration/begin"):
                 await ask.perform("result", {})
             steps = (await ask.perform("begin", {"field": True}))["steps"]
-            assert [step["step"] for step in steps][0] == "n_pose"
+            assert steps[0]["step"] == "n_pose"
             await asyncio.sleep(0.3)
             with pytest.raises(RequestError, match="there is no step 'dance'"):
                 await ask.perform("step", {"step": "dance"})
@@ -114,6 +113,4 @@ async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypat
 
 
 def test_the_timetable_has_every_step_of_the_procedure():
-    from gateway.calibration.procedure import PROCEDURE
-
     assert set(timetable()) == {step.name for step in PROCEDURE}

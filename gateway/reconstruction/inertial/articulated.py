@@ -49,6 +49,8 @@ class ArticulatedSettings:
 
     longest_gap_s: float = 0.25
     """Differences are not taken over longer gaps, and readings of the local device not held longer."""
+    local_window_s: float = 0.08
+    """Over which a position or velocity of the local device is differentiated: −3 dB at 8.8 Hz."""
     static_frames: int = 20
     """Successive frames at rest that make a static start."""
     static_norm_tolerance: float = 0.3
@@ -101,7 +103,7 @@ class ArticulatedReconstructor:
             settings.second_difference_sigma,
         )
         self._observer = SegmentObserver(suit)
-        self._root_motion = RootMotion(device, settings.longest_gap_s)
+        self._root_motion = RootMotion(device, settings.longest_gap_s, settings.local_window_s)
         self._static_start = StaticStart(
             suit.gravity,
             suit.magnetic_field,
@@ -119,7 +121,7 @@ class ArticulatedReconstructor:
         self._static_start.reset()
         self._needs_pose = self._starting_pose is not None
 
-    def update(self, observation: ImuFrame) -> SkeletonFrame:
+    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
         time_ns = observation.time_ns
         observed = self._observer.observe(observation)

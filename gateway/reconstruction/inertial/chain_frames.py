@@ -91,8 +91,10 @@ def advance(
     root_position: FloatArray,
     readings_end: IntArray,
     readings: FloatArray,
+    resting: FloatArray,
 ) -> Outputs:
-    """All instants in turn; arguments after the first: the fields of ``Inputs``."""
+    """All instants in turn; arguments after the first: the fields of ``Inputs``, and (T, n) for how long each
+    segment has stood still, s."""
     constants = held.all
     wearing, state, noise = constants.wearing, constants.state, constants.noise
     n_frames, n = len(time_ns), len(wearing.parents)
@@ -110,7 +112,7 @@ def advance(
             _take(state, noise, readings[taken : readings_end[t]])
             acceleration[t], is_valid = step(
                 constants.body, state, noise, constants.fixed, constants.is_joint, dt,
-                (time_ns[t] - state.time_ns[1]) * 1e-9, observed,
+                (time_ns[t] - state.time_ns[1]) * 1e-9, observed, resting[t],
             )  # fmt: skip
         taken = readings_end[t]
         _outputs(wearing, state, is_valid, observed.status, q_wb[t], rate[t], status_out[t])

@@ -27,6 +27,7 @@ from gateway.reconstruction.inertial.heading_start import (
 from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
 from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
 from gateway.reconstruction.inertial.observations import SegmentObservations
+from gateway.reconstruction.inertial.rest_rows import rest_rows
 from gateway.reconstruction.inertial.tree_filter import (
     Evidence,
     add_edge,
@@ -50,8 +51,10 @@ def step(
     dt: float,
     time_s: float,
     observed: SegmentObservations,
+    resting: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """dt: since the frame before, s (> 0); time_s: of the frame since the first. ``state`` changes in place.
+    """dt: since the frame before, s (> 0); time_s: of the frame since the first. resting: (n,) s for how
+    long each segment has stood still, 0: not. ``state`` changes in place.
 
     Returns the accelerations of all proximal joints (n, 3), world, NaN where not known; and (n,) whether the
     segment's module counted: 0 no, 1 its gyrometer, 2 all of it.
@@ -74,6 +77,7 @@ def step(
     anchored = _device_rows(
         evidence, body, state, noise, fixed, is_valid, force, rate, K, motion, dt, time_s, turns
     )
+    rest_rows(evidence, body, state, noise, is_valid, force, resting, dt, anchored)
     U = _joint_rows(evidence, body, state, noise, is_valid, K, motion, dt, anchored, turns)
     for s in range(n):
         if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):

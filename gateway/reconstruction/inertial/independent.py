@@ -69,7 +69,7 @@ class IndependentReconstructor:
         self._rate = np.full((n, 3), np.nan)
         self._time_ns = 0
 
-    def update(self, observation: ImuFrame) -> SkeletonFrame:
+    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant."""
         status = self._step_filters(observation)
         observed = self._observer.observe(observation)

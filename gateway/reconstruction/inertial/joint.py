@@ -106,15 +106,24 @@ class ChainReconstructor:
         constants = Constants(self._wearing, self._body, noise, self._fixed, self.is_joint, state)
         self._held = hold(constants)
 
-    def update(self, observation: ImuFrame) -> SkeletonFrame:
-        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
-        return self.update_many((observation,))[0]
+    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
+        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``.
 
-    def update_many(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
-        """Instants in time order, in one call: the same as ``update`` of each, bit for bit, and faster."""
+        resting: (n_segments,) s for how long each has stood still, 0: not; see ``stance``.
+        """
+        return self.update_many((observation,), None if resting is None else resting[None])[0]
+
+    def update_many(
+        self, observations: Sequence[ImuFrame], resting: FloatArray | None = None
+    ) -> list[SkeletonFrame]:
+        """Instants in time order, in one call: the same as ``update`` of each, bit for bit, and faster.
+
+        resting: (T, n_segments) as there.
+        """
         if not observations:
             return []
-        arrays = advance(self._held, *self._inputs(observations))
+        rest = np.zeros((len(observations), self._n)) if resting is None else resting
+        arrays = advance(self._held, *self._inputs(observations), rest)
         return [
             SkeletonFrame(o.sequence, o.time_ns, q_wb, rate, acceleration, p_w, sigma, status, self._root)
             for o, q_wb, rate, acceleration, p_w, sigma, status in zip(observations, *arrays, strict=True)

@@ -1,9 +1,9 @@
 """Local measuring device (ML): from its readings to the acceleration of the point it sits on.
 
-By kind: a fixed point has ``a_1 = 0``; acceleration is taken as it comes; velocity is differentiated
-once and position twice, by backward differences at the device's own rate and with its own time stamps.
-The result is known one reading (velocity) or two readings (position) after the first; it is then
-interpolated to the instant of a frame where readings lie on both sides of it, otherwise held.
+By kind: a fixed point has ``a_1 = 0``; acceleration is taken as it comes; velocity is differentiated once and
+position twice by ``differentiation``, over the window asked for or, with a window of 0, by backward
+differences at the device's own rate. What is found belongs to the middle of the window; it is interpolated
+to the instant of a frame where such instants lie on both sides of it, otherwise the last one is held.
 """
 
 from __future__ import annotations
@@ -16,8 +16,11 @@ import numpy as np
 
 from gateway.body.skeleton import LocalDevice
 from gateway.frames import FloatArray, LocalReading, Quantity
+from gateway.reconstruction.inertial.differentiation import Differentiator
 
 _N_DERIVATIVES = {Quantity.ACCELERATION: 0, Quantity.VELOCITY: 1, Quantity.POSITION: 2}
+WANTED_SIGMA = 1.0
+"""m/s²: readings that allow it are differentiated over a shorter window."""
 _KEPT = 8  # readings; frames lag the newest reading by a few at most
 
 
@@ -33,16 +36,23 @@ class RootMotion:
     device: None stands for a root that is fixed: ``a_1 = 0`` is assumed.
     longest_hold_s: a reading older than this is no longer held; the acceleration is then NaN, and after
     the gap the differences begin anew.
+    window_s: over which readings are differentiated at the most; 0: over as few as can be.
     """
 
-    def __init__(self, device: LocalDevice | None, longest_hold_s: float) -> None:
+    def __init__(self, device: LocalDevice | None, longest_hold_s: float, window_s: float = 0.0) -> None:
         self._device = device
         self._longest_hold_ns = round(longest_hold_s * 1e9)
+        n_derivatives = _N_DERIVATIVES.get(device.quantity, 0) if device else 0
+        self._differentiator = (
+            Differentiator(n_derivatives, window_s, longest_hold_s, WANTED_SIGMA) if n_derivatives else None
+        )
         self.reset()
 
     def reset(self) -> None:
         """Forget all readings."""
-        self._values: deque[_Instant] = deque(maxlen=3)
+        self._last_ns: int | None = None
+        if self._differentiator is not None:
+            self._differentiator.reset()
         self._accelerations: deque[_Instant] = deque(maxlen=_KEPT)
         self._positions: deque[_Instant] = deque(maxlen=_KEPT)
 
@@ -53,9 +63,9 @@ class RootMotion:
             return
         for reading in readings:
             is_ours = reading.device == device.device and reading.quantity == device.quantity
-            is_newer = not self._values or reading.time_ns > self._values[-1].time_ns
+            is_newer = self._last_ns is None or reading.time_ns > self._last_ns
             if is_ours and is_newer and np.isfinite(reading.value).all():
-                self._take(device.quantity, _Instant(reading.time_ns, np.asarray(reading.value, np.float64)))
+                self._take(device.quantity, reading)
 
     def acceleration(self, time_ns: int) -> FloatArray:
         """a_1, (3,) world, m/s²; NaN while not known."""
@@ -69,16 +79,17 @@ class RootMotion:
             return np.zeros(3)
         return self._at(self._positions, time_ns)
 
-    def _take(self, quantity: Quantity, now: _Instant) -> None:
-        if self._values and now.time_ns - self._values[-1].time_ns > self._longest_hold_ns:
-            self._values.clear()
-        self._values.append(now)
-        n_derivatives = _N_DERIVATIVES[quantity]
-        if len(self._values) > n_derivatives:
-            value = _latest_derivative(list(self._values)[-1 - n_derivatives :])
-            self._accelerations.append(_Instant(now.time_ns, value))
+    def _take(self, quantity: Quantity, reading: LocalReading) -> None:
+        self._last_ns = reading.time_ns
+        value = np.asarray(reading.value, np.float64)
+        if self._differentiator is None:
+            self._accelerations.append(_Instant(reading.time_ns, value))
+        else:
+            found = self._differentiator.add(reading.time_ns, value, np.asarray(reading.sigma, np.float64))
+            if found is not None:
+                self._accelerations.append(_Instant(found.time_ns, found.value))
         if quantity is Quantity.POSITION:
-            self._positions.append(now)
+            self._positions.append(_Instant(reading.time_ns, value))
 
     def _at(self, instants: deque[_Instant], time_ns: int) -> FloatArray:
         """Interpolated between the readings around ``time_ns``, else the last one before it."""
@@ -93,14 +104,3 @@ class RootMotion:
                 is_fresh = time_ns - instant.time_ns <= self._longest_hold_ns
                 return instant.value if is_fresh else np.full(3, np.nan)
         return np.full(3, np.nan)
-
-
-def _latest_derivative(instants: list[_Instant]) -> FloatArray:
-    """Backward difference of order len(instants) − 1; each difference stands at the middle of its step."""
-    times = [instant.time_ns for instant in instants]
-    steps = np.diff(times) * 1e-9
-    values = np.array([instant.value for instant in instants])
-    while len(values) > 1:
-        values = np.diff(values, axis=0) / steps[:, None]
-        steps = 0.5 * (steps[1:] + steps[:-1])
-    return np.asarray(values[0], np.float64)

@@ -159,7 +159,7 @@ def test_clocks_are_drawn_within_their_limits():
 
 
 def test_presets_grow_worse():
-    assert list(PRESETS) == ["ideal", "typical", "rough"]
+    assert list(PRESETS) == ["ideal", "typical", "rough", "uncalibrated"]
     for name in ("gyrometer_noise", "accelerometer_bias", "clock_skew_ppm", "loss", "jitter"):
         assert 0 == getattr(IDEAL, name) < getattr(TYPICAL, name) < getattr(ROUGH, name)
 

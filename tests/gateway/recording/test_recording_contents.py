@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from devices.calibration import SensorCalibration
 from devices.link import SentChunk
 from devices.recording_file import RecordingError
 from gateway.body.rig import load_rig
@@ -85,6 +87,23 @@ def test_suits_come_back_bit_for_bit(rig):
     assert encode_suit(back) == encode_suit(suit)
 
 
+def test_calibrations_come_back_in_both_forms(tmp_path):
+    calibration = SensorCalibration(
+        accelerometer_bias=np.array([0.1, 1 / 3, -0.2]), magnetometer_matrix=np.eye(3) * 1.1
+    )
+    suit = load_rig("single")
+    module = suit.module_ids[0]
+    suit = dataclasses.replace(suit, calibrations={module: calibration})
+    back = decode_suit(encode_suit(suit)).calibrations
+    assert back[module].accelerometer_bias.tobytes() == calibration.accelerometer_bias.tobytes()
+    settings = GatewaySettings(links=[LinkSettings(name="suit", url="/dev/x")], rig="single")
+    for name, data in attachments_of(settings, suit).items():
+        (tmp_path / name).write_bytes(data)
+    edited = load_rig(str(tmp_path / "rig.yaml")).calibrations
+    np.testing.assert_allclose(edited[module].magnetometer_matrix, calibration.magnetometer_matrix)
+    np.testing.assert_allclose(edited[module].accelerometer_bias, calibration.accelerometer_bias, atol=1e-11)
+
+
 def test_a_suit_of_a_newer_version_is_refused_in_words():
     plain = json.loads(encode_suit(load_rig("single"))) | {"gloves": 2}
     with pytest.raises(SettingsError, match="'gloves' is not known to this version"):
@@ -103,6 +122,10 @@ def test_rig_and_body_are_files_that_can_be_loaded(rig, tmp_path):
     np.testing.assert_allclose(again.magnetic_field, suit.magnetic_field, atol=1e-9)
     np.testing.assert_array_equal(again.skeleton.tips, suit.skeleton.tips)
     assert len(again.local_devices) == len(suit.local_devices)
+    assert [j.name for j in again.skeleton.joints] == [j.name for j in suit.skeleton.joints]
+    assert [j.free for j in again.skeleton.joints] == [j.free for j in suit.skeleton.joints]
+    assert len(again.skeleton.contacts) == len(suit.skeleton.contacts)
+    assert again.skeleton.interpolations == suit.skeleton.interpolations
     assert GatewaySettings.model_validate(yaml.safe_load((tmp_path / "gateway.yaml").read_text())) == settings
 
 
@@ -160,3 +183,27 @@ def test_without_skeleton_frames_there_are_no_arrays(record, arm_chunks):
 def test_names_that_could_mean_another_folder_are_refused(record, name):
     with pytest.raises(RecordingError, match="is no name for a recording"):
         record(name=name)
+
+
+def test_settings_of_another_version_are_left_out_and_named(record, caplog):
+    meta = open_recording(record()).meta
+    plain = json.loads(meta.attachments["gateway.yaml"])
+    newer = plain | {"gloves": 2, "clock": plain["clock"] | {"leap": True}}
+    newer["links"][0]["colour"] = "red"
+    meta.attachments = {**meta.attachments, "gateway.yaml": json.dumps(newer).encode()}
+    assert meta.settings.rig == "robot_arm_4"
+    assert "clock.leap" in caplog.text
+    assert "gloves" in caplog.text
+    assert "links.0.colour" in caplog.text
+
+
+def test_a_configuration_that_cannot_be_is_said_in_a_line(record):
+    meta = open_recording(record()).meta
+    plain = json.loads(meta.attachments["gateway.yaml"])
+    meta.attachments = {
+        **meta.attachments,
+        "gateway.yaml": json.dumps(plain | {"reconstructor": "magic"}).encode(),
+    }
+    with pytest.raises(SettingsError, match=r"'reconstructor': .*no such reconstructor") as error:
+        _ = meta.settings
+    assert "\n" not in str(error.value)

@@ -102,7 +102,6 @@ def test_figures_are_the_same_from_the_index_and_from_reading(whole):
     assert by_index.messages["/chunks/left"] == by_reading.messages["/chunks/left"] > 30
     assert by_index.modules == by_reading.modules
     assert by_index.duration_s == pytest.approx(by_reading.duration_s, abs=0.05)
-    assert by_index.duration_s == pytest.approx(0.5, abs=0.4)
     assert 0 <= by_index.loss_percent < 20
 
 

@@ -1,0 +1,84 @@
+"""Orientation without gyrometers: every trial of BROAD with its position as local device."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+
+from benchmarks.figures import Figure, Report, table
+from benchmarks.offline import imu_frames, orientations
+from benchmarks.scoring import reference_at
+from devices.emulators.recording_formats import read_broad
+from devices.emulators.recordings import Recording
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.comparison import orientation_error, rmse_deg
+from gateway.frames import FloatArray, ImuFrame
+from gateway.geometry import quaternion, rotation_matrix
+from gateway.reconstruction import create_reconstructor
+
+CAUSAL, DELAYED, UNAIDED = "gyro_free", "gyro_free_delayed", "per sample, unaided"
+METHODS = (UNAIDED, CAUSAL, DELAYED)
+
+
+def add_gyro_free(report: Report, folder: Path) -> None:
+    """The table of every trial and the figures; nothing where the data are absent."""
+    suit = load_rig("single")
+    rows, errors = [], {method: [] for method in METHODS}
+    for path in sorted(folder.glob("*.mat")):
+        recording, is_moving = read_broad(path), loadmat(path, squeeze_me=True)["movement"].astype(bool)
+        frames = [_without_gyrometers(frame) for frame in imu_frames(recording, suit)]
+        for method in METHODS:
+            times, q_wb = _solve(method, suit, recording, frames)
+            total, tilt = _errors(times, q_wb, recording, is_moving)
+            errors[method].append(total)
+            rows.append([recording.name, method, f"{total:.2f}", f"{tilt:.2f}"])
+    if not rows:
+        print(f"skipped broad_gyrofree: no trials in {folder}")
+        return
+    report.tables.append(
+        "### Without gyrometers: RMSE, degrees\n\nBROAD, position as local device, gyrometers hidden, "
+        "movement phases only, nothing aligned. `gyro_free` is causal, `gyro_free_delayed` half a second "
+        "late; `per sample, unaided`: accelerometer and magnetometer alone (TRIAD).\n\n"
+        + table(["trial", "method", "total", "tilt"], rows)
+    )
+    names = ((DELAYED, "broad_gyrofree_deg", "<=5"), (CAUSAL, "broad_gyrofree_causal_deg", ""))
+    for method, name, target in (*names, (UNAIDED, "broad_gyrofree_unaided_deg", "")):
+        note = f"{method}, BROAD with position ML, no gyrometers, mean of {len(errors[method])} trials"
+        report.figures.append(Figure(name, float(np.mean(errors[method])), "°", target, note))
+
+
+def _without_gyrometers(frame: ImuFrame) -> ImuFrame:
+    return replace(frame, angular_rate=np.full_like(frame.angular_rate, np.nan))
+
+
+def _solve(
+    method: str, suit: WornSuit, recording: Recording, frames: list[ImuFrame]
+) -> tuple[FloatArray, FloatArray]:
+    """Times (T,) on the recording's clock and orientations (T, 1, 4)."""
+    first_s = float(recording.modules[0].times[0])
+    if method == UNAIDED:
+        q_wb = np.array([[_triad(suit, frame)] for frame in frames])
+        return first_s + np.array([f.time_ns - frames[0].time_ns for f in frames]) * 1e-9, q_wb
+    reconstructor = create_reconstructor(method, suit, 1.0 / recording.sampling_rate_hz)
+    given = [reconstructor.update(frame) for frame in frames]
+    late_s = (given[0].time_ns - frames[0].time_ns) * 1e-9
+    return orientations(given, first_s + late_s)
+
+
+def _triad(suit: WornSuit, frame: ImuFrame) -> FloatArray:
+    f, m = frame.specific_force[0], frame.magnetic_field[0]
+    return quaternion.from_matrix(rotation_matrix.from_two_vectors(f, m, -suit.gravity, suit.magnetic_field))
+
+
+def _errors(
+    times: FloatArray, q_wb: FloatArray, recording: Recording, is_moving: FloatArray
+) -> tuple[float, float]:
+    """RMSE over the movement rows, total and tilt, degrees."""
+    q_ref = reference_at(times, recording.references[0])
+    row = np.clip(np.round(times * recording.sampling_rate_hz).astype(int), 0, len(is_moving) - 1)
+    errors = orientation_error(q_wb[is_moving[row], 0], q_ref[is_moving[row]])
+    return float(rmse_deg(errors.total)), float(rmse_deg(errors.inclination))

@@ -1,0 +1,159 @@
+"""Walking and running through the world: emulated with known truth; two real feet beside their markers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from benchmarks.accuracy import DATA, SENSORS
+from benchmarks.figures import Figure, Report, table
+from benchmarks.foot_recording import FootResult, measure_foot, read_foot
+from benchmarks.simulation import through_the_wire
+from devices.emulators.gait import RUN, WALK
+from devices.emulators.motions import BodyMotion, gait_motion
+from gateway.body.rig import load_rig
+from gateway.cli.emulated_rig import dress
+from gateway.frames import FloatArray, SkeletonFrame
+
+SEED = 1
+FROM_S = 5.0
+"""Filters start anywhere; the walk sets off at 2.75 s."""
+METHODS = ("independent", "outward", "joint")
+GAITS = {
+    "walk, straight": (WALK, 60.0),
+    "walk, circle of 4 m": (replace(WALK, radius=4.0), 30.0),
+    "run, straight": (RUN, 30.0),
+}
+
+
+class WalkResult(NamedTuple):
+    """Errors of one walk."""
+
+    distance_m: float
+    length_error: float
+    """Relative, of the path."""
+    end_error: float
+    """Of the place at the end, over the path's length."""
+    height_error_m: float
+    switches: int
+    largest_step_deg: float
+    """Largest change of any segment's orientation error from the frame before a switch to the one after."""
+
+
+def run() -> Report:
+    """Emulated walks by every method, then the recording if it is there."""
+    report = Report("walking")
+    suit = replace(load_rig("suit_17"), local_devices=())
+    rows, walked = [], {}
+    for name, (gait, seconds) in GAITS.items():
+        motion = gait_motion(dress(suit), SEED, gait=gait)
+        for method in METHODS:
+            frames = through_the_wire(suit, motion, SENSORS, method, seconds, SEED)
+            result = walked[name, method] = measure_walk(frames, motion)
+            rows.append(
+                [
+                    name,
+                    method,
+                    f"{result.distance_m:.1f}",
+                    f"{100 * result.length_error:+.2f}",
+                    f"{100 * result.end_error:.2f}",
+                    f"{1000 * result.height_error_m:.0f}",
+                    str(result.switches),
+                    f"{result.largest_step_deg:.3f}",
+                ]
+            )
+    _add_emulated(report, rows, walked)
+    _add_feet(report)
+    return report
+
+
+def measure_walk(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float = FROM_S) -> WalkResult:
+    """From ``from_s`` on; places are counted from where the body is then."""
+    times = np.array([frame.time_ns for frame in frames]) * 1e-9
+    kept = np.flatnonzero(times >= from_s)
+    truth = motion.state(times[kept])
+    place = np.array([frames[k].p_w[0] for k in kept])
+    true_place = truth.joint_position[:, 0]
+    off = (place - place[0]) - (true_place - true_place[0])
+    length, true_length = (
+        float(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1).sum()) for p in (place, true_place)
+    )
+    root = np.array([frames[k].root for k in kept])
+    switches = np.flatnonzero(np.diff(root))
+    steps = _error_steps_deg(np.stack([frames[k].q_wb for k in kept]), truth.q_wb)
+    return WalkResult(
+        distance_m=true_length,
+        length_error=length / true_length - 1.0,
+        end_error=float(np.linalg.norm(off[-1, :2])) / true_length,
+        height_error_m=float(np.abs(off[:, 2]).max()),
+        switches=len(switches),
+        largest_step_deg=float(steps[switches].max()) if len(switches) else 0.0,
+    )
+
+
+def _error_steps_deg(q_wb: FloatArray, true_q_wb: FloatArray) -> FloatArray:
+    """(T − 1,) by how much the orientation error of the worst segment changes from frame to frame."""
+    shape = q_wb.shape[:2]
+    estimate, truth = (Rotation.from_quat(q.reshape(-1, 4), scalar_first=True) for q in (q_wb, true_q_wb))
+    error = (estimate * truth.inv()).as_quat().reshape(*shape, 4)
+    after, before = (Rotation.from_quat(part.reshape(-1, 4)) for part in (error[1:], error[:-1]))
+    angle = (after * before.inv()).magnitude().reshape(shape[0] - 1, shape[1])
+    worst: FloatArray = np.degrees(angle.max(axis=1))
+    return worst
+
+
+def _add_emulated(report: Report, rows: list[list[str]], walked: dict[tuple[str, str], WalkResult]) -> None:
+    heads = [
+        "gait", "method", "path m", "path length error %", "end error % of path", "largest height error mm",
+        "root switches", "largest orientation step at a switch °",
+    ]  # fmt: skip
+    report.tables.append(
+        "### Emulated person, 17 consumer sensors, lever arms 1 cm off, no local device, 100 Hz\n\n"
+        f"Counted from {FROM_S:g} s on. The end error holds the heading's error, the length error does "
+        "not. Its feet stand still in the world; its bones are as long as the rig says."
+        "\n\n" + table(heads, rows)
+    )
+    for method in METHODS:
+        straight = walked["walk, straight", method]
+        note = f"`{method}`, straight walk of {straight.distance_m:.0f} m"
+        report.figures += [
+            Figure(f"walk_length_error_{method}_percent", 100 * abs(straight.length_error), "%", "<2", note),
+            Figure(f"walk_end_error_{method}_percent", 100 * straight.end_error, "%", "", note),
+        ]
+        steps = max(result.largest_step_deg for key, result in walked.items() if key[1] == method)
+        report.figures.append(
+            Figure(
+                f"root_switch_step_{method}_deg", steps, "°", "<0.5", f"`{method}`, all gaits, worst segment"
+            )
+        )
+
+
+def _add_feet(report: Report) -> None:
+    folder = DATA / "gaitmap_foot"
+    if not folder.exists():
+        print(f"skipped feet: {folder} is not there")
+        return
+    results = {side: measure_foot(read_foot(folder, side)) for side in ("left", "right")}
+    rows = [
+        [side, *(f"{value:.{digits}f}" for value, digits in zip(r, FootResult.digits(), strict=True))]
+        for side, r in results.items()
+    ]
+    report.tables.append(
+        "### Real feet (20 m there and back, optical markers on toe, ball and heel)\n\n"
+        "A foot is truly at rest while all three markers move slower than 0.2 m/s. Strides from one stance "
+        "to the next by `independent` without magnetometer and zero-velocity updates, against theirs."
+        "\n\n" + table(["foot", *FootResult.heads()], rows)
+    )
+    for name, target, note in (
+        ("precision", ">=0.95", "stance frames detected that are"),
+        ("recall", "", "stance frames that are detected"),
+        ("distance_error_percent", "<2", "sum of strides against the markers'"),
+    ):
+        worst = (min if name in ("precision", "recall") else max)(
+            abs(getattr(r, name)) for r in results.values()
+        )
+        unit = "%" if "percent" in name else ""
+        report.figures.append(Figure(f"feet_{name}", worst, unit, target, f"real feet, the worse: {note}"))

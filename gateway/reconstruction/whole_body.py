@@ -1,0 +1,282 @@
+"""What is the same whatever finds the orientations: before it and after it.
+
+ImuFrame → stuck modules left out → (rest of each segment) → orientations → segments without module
+         → where the body is in the world → SkeletonFrame
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.body.interpolation import follow, following_rules
+from gateway.body.kinematics import joint_positions
+from gateway.body.skeleton import WornSuit
+from gateway.frames import FloatArray, ImuFrame, Quantity, SkeletonFrame, Status
+from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
+from gateway.reconstruction.inertial.root_position import (
+    Contacts,
+    PositionSettings,
+    PositionState,
+    advance_position,
+    initial_position,
+)
+from gateway.reconstruction.inertial.stance import StanceSettings, StanceState, initial_stance, watch_stance
+from gateway.reconstruction.joint_agreement import (
+    AgreementState,
+    initial_agreement,
+    joint_scores,
+    joints_of,
+    segment_scores,
+    watch_joints,
+)
+from gateway.reconstruction.module_faults import RepeatState, initial_repeats, stuck_modules
+
+SHORTEST_STEP_S = 1e-5
+LONGEST_STEP_S = 0.5
+"""A longer pause counts as one of that length."""
+
+
+NO_CONTACTS = "body '{}' has no contacts to walk on: give its feet 'contacts', or set 'auto' or 'fixed'"
+
+
+class RootMode(StrEnum):
+    """What the skeleton's root does."""
+
+    AUTO = "auto"
+    """Walks if the body has contacts (feet) and no device measures where it is; else fixed."""
+    FIXED = "fixed"
+    """Stays at the origin, or where a local device measures it."""
+    WALKING = "walking"
+    """Stands on resting contacts and flies between them."""
+
+
+class RootSettings(NamedTuple):
+    """How the body moves through the world."""
+
+    mode: RootMode = RootMode.AUTO
+    has_floor: bool = True
+    floor: float = 0.0
+    """m: height of a level floor."""
+
+
+class OrientationFinder(Protocol):
+    """What this wraps: any reconstructor."""
+
+    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame: ...
+
+    def reset(self) -> None: ...
+
+
+class _Memory(NamedTuple):
+    """All that is remembered besides the finder."""
+
+    stance: StanceState
+    position: PositionState
+    repeats: RepeatState
+    agreement: AgreementState
+
+
+class WholeBodyReconstructor:
+    """A reconstructor for the whole body around one that finds orientations.
+
+    root of its frames: the segment that the body stands on, while it walks. p_w: in the world, z from the
+    floor, the start above the origin. status: PREDICTED for segments without module; a stuck module counts as
+    silent. ``joint_agreement``: see that module.
+    """
+
+    def __init__(self, suit: WornSuit, finder: OrientationFinder, root: RootSettings | None = None) -> None:
+        """Raises ``ValueError`` if the root shall walk and the body has no contacts."""
+        self._suit = suit
+        self.finder = finder
+        self._observer = SegmentObserver(suit)
+        self._rules = following_rules(suit)
+        self._joints = joints_of(suit)
+        self._contacts = _contacts(suit, root or RootSettings())
+        self._carries = np.zeros(suit.skeleton.n_segments)
+        self._carries[[segment for segment, _ in suit.skeleton.contacts]] = 1.0
+        self._gravity = float(np.linalg.norm(suit.gravity))
+        self._parents = suit.skeleton.parents.astype(np.int64)
+        self._offsets = np.array(suit.skeleton.offsets, np.float64)
+        self.reset()
+        self._compile()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but the parameters."""
+        self.finder.reset()
+        self._time_ns = -1
+        n = self._suit.skeleton.n_segments
+        n_contacts = len(self._contacts.segments) if self._contacts else 0
+        self._memory = _Memory(
+            initial_stance(n),
+            initial_position(n_contacts),
+            initial_repeats(len(self._suit.module_ids)),
+            initial_agreement(n),
+        )
+
+    def update(self, observation: ImuFrame) -> SkeletonFrame:
+        """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
+        return self.update_many((observation,))[0]
+
+    def update_many(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
+        """Instants in time order; the same as ``update`` of each, bit for bit."""
+        if not observations:
+            return []
+        clean, seen, rest, steps = [], [], [], []
+        for observation in observations:
+            steps.append(self._step(observation.time_ns))
+            clean.append(self._without_stuck(observation, steps[-1]))
+            seen.append(self._observer.observe(clean[-1]))
+            rest.append(self._watch(seen[-1], steps[-1]))
+        if isinstance(self.finder, _BatchFinder):
+            found = self.finder.update_many(clean, np.stack(rest))
+        else:
+            found = [self.finder.update(*one) for one in zip(clean, rest, strict=True)]
+        return [self._finish(*one) for one in zip(found, seen, rest, steps, strict=True)]
+
+    def _step(self, time_ns: int) -> float:
+        """Seconds since the frame before."""
+        dt = (time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else 0.0
+        self._time_ns = time_ns
+        return min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
+
+    def _watch(self, observed: SegmentObservations, dt: float) -> FloatArray:
+        return watch_stance(
+            StanceSettings(),
+            self._memory.stance,
+            self._carries,
+            self._gravity,
+            observed.specific_force,
+            observed.angular_rate,
+            observed.status,
+            dt,
+        )
+
+    def joint_agreement(self) -> dict[str, float]:
+        """By segment: 0 when its module agrees with a neighbour's about their joint, about 1 when with none.
+
+        Only segments of which the last seconds' motion tells it."""
+        scores = segment_scores(self._joints, joint_scores(self._joints, self._memory.agreement))
+        names = self._suit.skeleton.segment_names
+        return {names[s]: round(float(scores[s]), 3) for s in np.flatnonzero(np.isfinite(scores))}
+
+    def _without_stuck(self, observation: ImuFrame, dt: float) -> ImuFrame:
+        force, rate = (
+            np.array(v, np.float64, order="C") for v in (observation.specific_force, observation.angular_rate)
+        )
+        status = np.array(observation.status, np.uint8)
+        stuck = stuck_modules(self._memory.repeats, force, rate, status, dt).astype(bool)
+        if not stuck.any():
+            return observation
+        field = np.array(observation.magnetic_field, np.float64)
+        force[stuck], rate[stuck], field[stuck] = np.nan, np.nan, np.nan
+        status[stuck] = Status.MISSING
+        return replace(
+            observation, specific_force=force, angular_rate=rate, magnetic_field=field, status=status
+        )
+
+    def _finish(
+        self, found: SkeletonFrame, observed: SegmentObservations, resting: FloatArray, dt: float
+    ) -> SkeletonFrame:
+        q_wb, rate = np.array(found.q_wb, np.float64), np.array(found.angular_rate, np.float64)
+        sigma, status = np.array(found.sigma, np.float64), np.array(found.status, np.uint8)
+        follow(self._rules, q_wb, rate, sigma, status)
+        force = np.where(np.isfinite(rate), observed.specific_force, np.nan)
+        watch_joints(self._joints, self._memory.agreement, q_wb, force, rate, dt)
+        p_w, root = found.p_w, found.root
+        if self._contacts is not None:
+            place, stands_on = advance_position(
+                self._contacts,
+                PositionSettings(),
+                self._memory.position,
+                q_wb,
+                np.nan_to_num(rate),
+                observed.specific_force,
+                resting,
+                dt,
+            )
+            p_w = joint_positions(self._parents, self._offsets, q_wb, place)
+            root = stands_on if stands_on >= 0 else root
+        elif len(self._rules.segments):
+            p_w = joint_positions(self._parents, self._offsets, q_wb, np.array(p_w[0]))
+        return replace(found, q_wb=q_wb, angular_rate=rate, sigma=sigma, status=status, p_w=p_w, root=root)
+
+    def state(self) -> dict[str, NDArray[np.generic]]:
+        """All that is remembered, as arrays. Raises ``TypeError`` if the finder cannot tell its state."""
+        if not isinstance(self.finder, _Resumable):
+            raise TypeError(f"{type(self.finder).__name__} cannot be saved and resumed")
+        state = dict(self.finder.state())
+        for part, memory in self._memory._asdict().items():
+            state |= {f"{part}.{name}": array.copy() for name, array in memory._asdict().items()}
+        return state | {"time_ns.whole_body": np.array([self._time_ns])}
+
+    def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
+        """Go on from a saved state. Raises ``ValueError`` if it is of another body."""
+        if not isinstance(self.finder, _Resumable):
+            raise TypeError(f"{type(self.finder).__name__} cannot be saved and resumed")
+        for part, memory in self._memory._asdict().items():
+            for name, array in memory._asdict().items():
+                saved = state.get(f"{part}.{name}")
+                if saved is None or saved.shape != array.shape:
+                    raise ValueError(f"the saved state's '{part}.{name}' does not fit this body")
+                array[...] = saved
+        self._time_ns = int(state["time_ns.whole_body"][0])
+        self.finder.set_state(state)
+
+    def _compile(self) -> None:
+        """A few frames, so that every kernel is compiled before the first real one comes."""
+        m = len(self._suit.module_ids)
+        ones, none = np.ones((m, 3)), np.zeros(m, np.int64)
+        for k in range(2):
+            self.update(ImuFrame(k, k * 10_000_000, ones, 0.1 * ones, ones, none.astype(np.uint8), none))
+
+
+@runtime_checkable
+class _BatchFinder(Protocol):
+    """A finder that takes many frames in one call."""
+
+    def update_many(
+        self, observations: Sequence[ImuFrame], resting: FloatArray | None = None
+    ) -> list[SkeletonFrame]: ...
+
+
+@runtime_checkable
+class _Resumable(Protocol):
+    """A finder whose state can be saved."""
+
+    def state(self) -> dict[str, NDArray[np.generic]]: ...
+
+    def set_state(self, state: dict[str, NDArray[np.generic]]) -> None: ...
+
+
+def _contacts(suit: WornSuit, root: RootSettings) -> Contacts | None:
+    """None where the root does not walk."""
+    skeleton = suit.skeleton
+    is_placed = any(device.quantity is Quantity.POSITION for device in suit.local_devices)
+    walks = root.mode is RootMode.WALKING or (
+        root.mode is RootMode.AUTO and bool(skeleton.contacts) and not is_placed
+    )
+    if not walks:
+        return None
+    if not skeleton.contacts:
+        raise ValueError(NO_CONTACTS.format(skeleton.name))
+    with_module = np.flatnonzero(suit.module_of_segment >= 0)
+    own_root = int(np.flatnonzero(skeleton.parents < 0)[0])
+    reference = own_root if own_root in with_module else int(with_module[0])
+    return Contacts(
+        parents=skeleton.parents.astype(np.int64),
+        offsets=np.array(skeleton.offsets, np.float64),
+        segments=np.array([segment for segment, _ in skeleton.contacts], np.int64),
+        points=np.array([point for _, point in skeleton.contacts], np.float64),
+        reference=reference,
+        arm=np.array(suit.lever_arms[reference], np.float64),
+        gravity=np.array(suit.gravity, np.float64),
+        has_floor=root.has_floor,
+        floor=root.floor,
+    )

@@ -1,0 +1,290 @@
+"""What surrounds every reconstructor: rest, place in the world, segments without module, faults, agreement.
+
+The orientations come from the emulator's truth, so that only this is tested.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from devices.emulators.gait import RUN, WALK
+from devices.emulators.ideal_sensors import sense
+from devices.emulators.motions import gait_motion, generic_motion
+from gateway.body.rig import load_rig
+from gateway.cli.emulated_rig import dress
+from gateway.frames import ImuFrame, Quantity, SkeletonFrame, Status
+from gateway.reconstruction.whole_body import RootMode, RootSettings, WholeBodyReconstructor
+
+RATE_HZ = 100
+
+
+class KnownOrientations:
+    """Stands in for a reconstructor."""
+
+    def __init__(self, state):
+        self.q_wb, self.rate = state.q_wb, state.angular_rate
+
+    def reset(self):
+        pass
+
+    def state(self):
+        return {}
+
+    def set_state(self, state):
+        pass
+
+    def update(self, observation, resting=None):
+        k, n = observation.sequence, self.q_wb.shape[1]
+        zeros = np.zeros((n, 3))
+        status = np.zeros(n, np.uint8)
+        return SkeletonFrame(
+            k, observation.time_ns, self.q_wb[k], self.rate[k], zeros, zeros, np.full(n, 0.02), status, 0
+        )
+
+
+def observed(suit, state, seed=1):
+    """What slightly noisy modules measure."""
+    rng = np.random.default_rng(seed)
+    segments = [int(np.flatnonzero(suit.module_of_segment == m)[0]) for m in range(len(suit.module_ids))]
+    unturned = np.tile(np.eye(3), (suit.skeleton.n_segments, 1, 1))
+    values = sense(state, suit.lever_arms, unturned, suit.gravity, suit.magnetic_field)
+    noise = rng.normal(0.0, 1.0, (2, len(state.R_wb), len(segments), 3))
+    m = len(segments)
+    return [
+        ImuFrame(
+            k,
+            round(k * 1e9 / RATE_HZ),
+            values.specific_force[k, segments] + 0.05 * noise[0, k],
+            values.angular_rate[k, segments] + 0.005 * noise[1, k],
+            values.magnetic_field[k, segments],
+            np.zeros(m, np.uint8),
+            np.zeros(m, np.int64),
+        )
+        for k in range(len(state.R_wb))
+    ]
+
+
+@pytest.fixture(scope="module")
+def suit():
+    return replace(load_rig("suit_17"), local_devices=())
+
+
+def walk(suit, gait, seconds=15.0):
+    """Truth and frames of a walk that sets off after 2 s."""
+    state = gait_motion(dress(suit), 1, gait=gait).state(np.arange(round(seconds * RATE_HZ)) / RATE_HZ)
+    return state, observed(suit, state)
+
+
+@pytest.fixture(scope="module")
+def walked(suit):
+    return walk(suit, WALK)
+
+
+@pytest.fixture(scope="module")
+def placed(suit, walked):
+    state, frames = walked
+    reconstructor = WholeBodyReconstructor(suit, KnownOrientations(state))
+    return state, [reconstructor.update(frame) for frame in frames]
+
+
+def test_the_body_goes_where_it_went(placed):
+    state, frames = placed
+    place = np.array([frame.p_w[0] for frame in frames])
+    truth = state.joint_position[:, 0]
+    off = (place - place[0]) - (truth - truth[0])
+    assert np.linalg.norm(truth[-1] - truth[0]) > 11.0
+    assert np.abs(off[-1, :2]).max() < 0.003 * 12.0
+    assert np.abs(off[:, 2]).max() < 0.03
+
+
+def test_the_body_starts_over_the_origin_with_its_feet_on_the_floor(placed, suit):
+    first = placed[1][0]
+    np.testing.assert_allclose(first.p_w[0, :2], 0.0, atol=1e-3)
+    foot = suit.skeleton.index("left_foot")
+    assert first.p_w[foot, 2] == pytest.approx(0.068, abs=2e-3)
+
+
+def test_nothing_jumps_where_the_feet_take_over(placed):
+    state, frames = placed
+    place = np.array([frame.p_w[0] for frame in frames])
+    step = np.linalg.norm(np.diff(place, axis=0), axis=1)
+    true_step = np.linalg.norm(np.diff(state.joint_position[:, 0], axis=0), axis=1)
+    assert np.abs(step - true_step).max() < 0.006
+
+
+def test_the_feet_alternate_as_the_root(placed, suit):
+    roots = np.array([frame.root for frame in placed[1]])[400:]
+    feet = [suit.skeleton.index(f"{side}_foot") for side in ("left", "right")]
+    assert set(roots) == set(feet)
+    steps = 2 * WALK.stride_hz * len(roots) / RATE_HZ
+    assert np.count_nonzero(np.diff(roots)) == pytest.approx(steps, abs=1.5)
+
+
+def test_the_standing_foot_is_held(placed, suit):
+    state, frames = placed
+    foot = suit.skeleton.index("left_foot")
+    still = np.linalg.norm(state.joint_velocity[:, foot], axis=1) < 1e-3
+    still[:500] = False
+    speed = np.linalg.norm(np.diff([frame.p_w[foot] for frame in frames], axis=0), axis=1) * RATE_HZ
+    assert np.median(speed[still[1:]]) < 0.03
+
+
+def test_running_is_followed_through_its_flights(suit):
+    state, frames = walk(suit, RUN, 12.0)
+    reconstructor = WholeBodyReconstructor(suit, KnownOrientations(state))
+    place = np.array([reconstructor.update(frame).p_w[0] for frame in frames])
+    truth = state.joint_position[:, 0] - state.joint_position[0, 0]
+    off = place - place[0] - truth
+    assert truth[-1, 0] > 19.0
+    assert np.linalg.norm(off[-1, :2]) < 0.01 * truth[-1, 0]
+
+
+def test_resuming_equals_one_run_bit_for_bit(suit, walked):
+    state, frames = walked
+    whole, second = (WholeBodyReconstructor(suit, KnownOrientations(state)) for _ in range(2))
+    for frame in frames[:450]:
+        whole.update(frame)
+    second.set_state(whole.state())
+    for frame in frames[450:600]:
+        a, b = whole.update(frame), second.update(frame)
+        np.testing.assert_array_equal(a.p_w, b.p_w)
+        assert a.root == b.root
+
+
+def test_a_state_of_another_body_is_refused(suit, walked):
+    reconstructor = WholeBodyReconstructor(suit, KnownOrientations(walked[0]))
+    state = reconstructor.state() | {"stance.still_s": np.zeros(3)}
+    with pytest.raises(ValueError, match=r"'stance.still_s' does not fit"):
+        reconstructor.set_state(state)
+
+
+def test_a_fixed_root_stays(suit, walked):
+    state, frames = walked
+    reconstructor = WholeBodyReconstructor(suit, KnownOrientations(state), RootSettings(RootMode.FIXED))
+    for frame in frames[:500]:
+        seen = reconstructor.update(frame)
+    np.testing.assert_array_equal(seen.p_w[0], 0.0)
+    assert seen.root == 0
+
+
+def test_a_measured_place_is_left_alone(suit, walked):
+    state, frames = walked
+    device = replace(load_rig("suit_17").local_devices[0], quantity=Quantity.POSITION)
+    reconstructor = WholeBodyReconstructor(replace(suit, local_devices=(device,)), KnownOrientations(state))
+    for frame in frames[:500]:
+        seen = reconstructor.update(frame)
+    np.testing.assert_array_equal(seen.p_w[0], 0.0)
+
+
+def test_a_body_without_feet_cannot_be_made_to_walk():
+    with pytest.raises(ValueError, match="'robot_arm_4' has no contacts"):
+        WholeBodyReconstructor(load_rig("robot_arm_4"), KnownOrientations, RootSettings(RootMode.WALKING))
+
+
+def test_an_open_floor_keeps_heights_that_a_level_floor_takes_away(suit, walked):
+    """Orientations tilted by 2° let the feet seem to climb."""
+    state, frames = walked
+    heights = {}
+    for has_floor in (True, False):
+        finder = KnownOrientations(state)
+        tilt = np.array([np.cos(0.02), 0.0, -np.sin(0.02), 0.0])
+        w, x, y, z = np.moveaxis(finder.q_wb, -1, 0)
+        a, c = tilt[0], tilt[2]
+        finder.q_wb = np.stack([a * w - c * y, a * x + c * z, a * y + c * w, a * z - c * x], axis=-1)
+        reconstructor = WholeBodyReconstructor(suit, finder, RootSettings(has_floor=has_floor))
+        z_w = [reconstructor.update(frame).p_w[0, 2] for frame in frames]
+        heights[has_floor] = abs(z_w[-1] - z_w[0])
+    assert heights[False] > 0.2
+    assert heights[True] < 0.08
+
+
+@pytest.mark.parametrize("fault", ["dead", "stuck"])
+def test_a_walk_goes_on_over_one_foot(suit, walked, fault):
+    """The left foot's module fails at 5 s, in mid-swing; the right one's and the pelvis' carry on."""
+    state, frames = walked
+    reconstructor = WholeBodyReconstructor(suit, KnownOrientations(state))
+    foot = suit.module_of_segment[suit.skeleton.index("left_foot")]
+    swing = 500 + int(np.argmax(state.joint_velocity[500:620, suit.skeleton.index("left_foot"), 0]))
+    held = frames[swing]
+    for k, frame in enumerate(frames[:1200]):
+        shown = frame
+        if k > swing:
+            force, rate = frame.specific_force.copy(), frame.angular_rate.copy()
+            force[foot] = held.specific_force[foot] if fault == "stuck" else np.nan
+            rate[foot] = held.angular_rate[foot] if fault == "stuck" else np.nan
+            shown = replace(frame, specific_force=force, angular_rate=rate)
+        seen = reconstructor.update(shown)
+        assert np.isfinite(seen.p_w).all()
+    walked_m = state.joint_position[1199, 0] - state.joint_position[0, 0]
+    assert np.linalg.norm(seen.p_w[0, :2] - walked_m[:2]) < 0.05 * walked_m[0]
+
+
+class Seen(KnownOrientations):
+    """Keeps the last observation."""
+
+    def update(self, observation, resting=None):
+        self.observation = observation
+        return super().update(observation, resting)
+
+
+def test_a_stuck_module_counts_as_silent_and_comes_back(suit, walked):
+    state, frames = walked
+    finder = Seen(state)
+    reconstructor = WholeBodyReconstructor(suit, finder)
+    silent = []
+    for k, frame in enumerate(frames[300:520]):
+        force, rate = frame.specific_force.copy(), frame.angular_rate.copy()
+        if 20 <= k < 120:
+            force[4], rate[4] = frames[320].specific_force[4], frames[320].angular_rate[4]
+        reconstructor.update(replace(frame, specific_force=force, angular_rate=rate))
+        silent.append(finder.observation.status[4] == Status.MISSING)
+    assert np.flatnonzero(silent)[[0, -1]] == pytest.approx([70, 119], abs=1)
+
+
+def test_modules_that_all_repeat_themselves_are_not_called_stuck(suit, walked):
+    state, frames = walked
+    finder = Seen(state)
+    reconstructor = WholeBodyReconstructor(suit, finder)
+    for k in range(150):
+        reconstructor.update(replace(frames[0], time_ns=k * 10_000_000))
+    assert finder.observation.status.max() == Status.MEASURED
+
+
+def rows_exchanged(frame, a, b):
+    """The frame with two modules swapped."""
+    order = np.arange(len(frame.status))
+    order[[a, b]] = order[[b, a]]
+    return replace(frame, specific_force=frame.specific_force[order], angular_rate=frame.angular_rate[order])
+
+
+def test_modules_worn_wrong_agree_with_no_neighbour():
+    suit = replace(load_rig("suit_17"), local_devices=())
+    motion = generic_motion(dress(suit), 3, peak_angular_rate=6.0, peak_angular_acceleration=60.0)
+    state = motion.state(np.arange(900) / RATE_HZ)
+    frames = observed(suit, state)
+    left, right = (suit.skeleton.index(f"{side}_forearm") for side in ("left", "right"))
+    modules = suit.module_of_segment[[left, right]]
+    scores = []
+    for worn in (lambda frame: frame, lambda frame: rows_exchanged(frame, *modules)):
+        finder = KnownOrientations(state)
+        reconstructor = WholeBodyReconstructor(suit, finder)
+        for frame in frames:
+            reconstructor.update(worn(frame))
+        scores.append(reconstructor.joint_agreement())
+    right_way, swapped = scores
+    assert len(right_way) >= suit.skeleton.n_segments - 1  # the pelvis hardly moves
+    assert max(right_way.values()) < 0.3
+    assert min(swapped["left_forearm"], swapped["right_forearm"]) > 0.8
+    others = [v for name, v in swapped.items() if "arm" not in name and "hand" not in name]
+    assert max(others) < 0.3
+
+
+def test_who_does_not_move_gets_no_score(suit):
+    state = gait_motion(dress(suit), 1).state(np.zeros(600))
+    reconstructor = WholeBodyReconstructor(suit, KnownOrientations(state))
+    for frame in observed(suit, state):
+        reconstructor.update(frame)
+    assert reconstructor.joint_agreement() == {}

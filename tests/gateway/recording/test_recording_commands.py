@@ -1,0 +1,147 @@
+"""The commands on recordings, as typed."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from devices.link import Framing
+from devices.recording_writer import RecordingWriter, session_record
+from gateway.cli.main import app, main
+from gateway.recording import open_recording
+
+
+def typed(*arguments):
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout
+
+
+def test_verify_says_identical_or_what_differs(record):
+    path = record()
+    code, output = typed("replay", path, "--verify")
+    assert (code, output.startswith("identical: ")) == (0, True)
+    late = record(name="late", from_start=False)
+    assert typed("replay", late, "--verify", "--json")[0] == 0
+    with late.open("r+b") as file:
+        file.truncate(late.stat().st_size * 2 // 3)
+    code, output = typed("replay", late, "--verify")
+    assert (code, "identical" in output) == (0, True)
+
+
+def test_a_difference_is_said_with_its_likely_reasons(record, monkeypatch):
+    monkeypatch.setattr("gateway.recording.snapshot.platform.python_version", lambda: "3.99")
+    path = record(from_start=False)
+    monkeypatch.undo()
+    # other arithmetic: the method of another version stands in for it
+    from gateway.pipeline import Pipeline  # noqa: PLC0415
+
+    original = Pipeline.feed
+
+    def feed(self, chunk):
+        frames = original(self, chunk)
+        for frame in frames:
+            frame.q_wb[:] = frame.q_wb * (1 + 1e-15)
+        return frames
+
+    monkeypatch.setattr(Pipeline, "feed", feed)
+    code, output = typed("replay", path, "--verify")
+    assert code == 1
+    assert output.startswith("different: frame ")
+    assert "began while the gateway was running" in output
+    assert "recorded with python 3.99, now 3." in output
+
+
+def test_solve_again_diff_and_list(record, tmp_path):
+    path = record(name="walk")
+    code, output = typed("replay", path, "--offline", "--json")
+    assert (code, json.loads(output)["poses"] > 150) == (0, True)
+    code, output = typed("replay", path, "--reconstructor", "articulated")
+    solved = path.with_name(f"{path.stem}_articulated.mcap")
+    assert (code, str(solved) in output) == (0, True)
+    code, output = typed("info", path, "--extract", tmp_path / "out")
+    assert "bit-identical" in output
+    assert "recording_ended" in output
+    rig = yaml.safe_load((tmp_path / "out" / "rig.yaml").read_text())
+    rig["modules"][1]["sensor_to_segment"] = [0.7071, 0.7071, 0, 0]
+    (tmp_path / "out" / "mine.yaml").write_text(yaml.safe_dump(rig))
+    target = tmp_path / "mine.mcap"
+    assert typed("replay", path, "--with", tmp_path / "out" / "mine.yaml", "--output", target)[0] == 0
+    code, output = typed("diff", path, target, "--json")
+    figures = json.loads(output)["segments"]
+    assert sorted(round(each["max_deg"]) for each in figures)[-1] == 90
+    assert "mean °" in typed("diff", path, target)[1]
+    code, output = typed("recordings", path.parent, "--json")
+    assert [entry["name"] for entry in json.loads(output)] == ["walk", solved.stem]
+    assert "loss" in typed("recordings", path.parent)[1]
+    assert json.loads(typed("info", path, "--json")[1])["from_start"] is True
+
+
+def test_recover_beside_and_in_place(record):
+    path = record()
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size - 3000)
+    code, output = typed("recover", path)
+    beside = path.with_name(f"{path.stem}.recovered.mcap")
+    assert (code, "was not closed" in output, open_recording(beside).defect) == (0, True, None)
+    assert typed("recover", path, "--in-place")[0] == 0
+    assert "nothing was wrong with it" in typed("recover", path, "--in-place")[1]
+
+
+def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
+    path = record()
+    config = tmp_path / "mine.yaml"
+    config.write_text(
+        yaml.safe_dump(
+            {
+                "gateway": "again",
+                "links": [{"name": "suit", "url": "/dev/null"}],
+                "rig": "robot_arm_4",
+                "mqtt": {"port": mosquitto.port},
+            }
+        )
+    )
+    code, output = typed("replay", path, "--speed", "max", "--json", "-c", config)
+    played = json.loads(output)
+    assert (code, played["published"], played["dropped"]) == (0, played["poses"], 0)
+    assert played["poses"] == len(list(open_recording(path).skeleton_bytes()))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (("replay", "absent.mcap"), "recording absent.mcap cannot be read: No such file"),
+        (("info", __file__), "is no recording of mocap-gateway"),
+        (("recover", "absent.mcap"), "cannot be read"),
+        (("recover", "x.mcap", "--in-place", "--output", "y.mcap"), "not both"),
+        (("recordings", "absent"), "absent cannot be read"),
+        (("diff", "absent.mcap", "absent.mcap"), "cannot be read"),
+        (("replay", "{card}"), "tells no suit"),
+        (("replay", "{path}", "--speed", "fast"), "a number above 0, or max, is needed"),
+        (("replay", "{path}", "--reconstructor", "articulate"), "did you mean 'articulated'"),
+        (("replay", "{path}", "--with", "nothing"), "there is no file 'nothing'"),
+        (("replay", "{path}", "--verify", "--with", "single"), "leave out --with"),
+        (("replay", "{path}", "--output", "{path}"), "exists already"),
+        (("diff", "{path}", "{path}", "--plot", "plot.gif"), "a plot is written as"),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_line(
+    arguments, error, record, tmp_path, arm_chunks, monkeypatch, capsys
+):
+    path, card = record(chunks=arm_chunks[:60]), tmp_path / "card.mcap"
+    with RecordingWriter(card, session_record({"card": Framing.BYTE_STREAM}), {}, 0):
+        pass
+    monkeypatch.chdir(tmp_path)
+    given = [argument.format(path=path, card=card) for argument in arguments]
+    monkeypatch.setattr(sys, "argv", ["mocap-gateway", *given])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert error in lines[-1]
+    assert len(lines) == 1

@@ -1,0 +1,227 @@
+"""A gateway that records while it publishes: by setting, on request, through faults; then replayed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import random
+import re
+import signal
+import sys
+import time
+
+import aiomqtt
+import pytest
+import yaml
+
+from gateway.body.rig import load_rig
+from gateway.outputs.settings import MqttSettings
+from gateway.recording import files, open_recording
+from gateway.recording.recovery import recover_in_place
+from gateway.recording.solving import verify
+from gateway.service import Service
+from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+
+pytestmark = pytest.mark.system
+
+RIG = "robot_arm_4"
+MB = 10**6
+
+
+@contextlib.asynccontextmanager
+async def emulated(tmp_path, *options):
+    """An emulated arm on a pseudo-terminal, as a process of its own; gives the port's path."""
+    port = tmp_path / "port"
+    arguments = ["emulate", "--rig", RIG, "--on", "pty", "--link", str(port), "--json", *options]
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "gateway", *arguments, stdout=asyncio.subprocess.PIPE
+    )
+    try:
+        assert await process.stdout.readline()
+        yield port
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.terminate()
+        await process.wait()
+
+
+def settings_for(port, folder, broker_port, **recording):
+    kept = {"folder": str(folder), "min_free_mb": 1, "warn_free_mb": 1, "flush_ms": 50} | recording
+    return GatewaySettings(
+        gateway="lab",
+        links=[LinkSettings(name="suit", url=str(port))],
+        rig=RIG,
+        mqtt=MqttSettings(port=broker_port, health_interval=1),
+        recording=RecordingSettings(**kept),
+    )
+
+
+@contextlib.asynccontextmanager
+async def running(settings):
+    service = Service(settings, load_rig(RIG))
+    serving = asyncio.create_task(service.run())
+    try:
+        async with asyncio.timeout(30):
+            while service.pipeline.skeleton_frames < 20 and not serving.done():
+                await asyncio.sleep(0.02)
+        yield service
+    finally:
+        serving.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await serving
+
+
+async def test_a_recording_from_the_start_replays_bit_for_bit(tmp_path, mosquitto):
+    async with emulated(tmp_path, "--imperfections", "typical") as port:
+        settings = settings_for(port, tmp_path / "kept", mosquitto.port, at_start=True)
+        async with running(settings) as service:
+            await asyncio.sleep(3)
+    status = service.recording.status()
+    assert (status["state"], status["ended"], status["lost"]) == ("off", "stopped", {})
+    recording = open_recording(status["file"])
+    assert recording.meta.from_start
+    found = verify(recording)
+    assert found.difference is None
+    assert found.compared == status["written"]["skeleton"] == service.pipeline.skeleton_frames > 200
+    assert sum(1 for _ in recording.chunks()) == status["written"]["chunks"] > 200
+    assert sum(1 for _ in recording.sent()) >= 8  # time requests are part of what poses depend on
+    names = [event.name for event in recording.events()]
+    assert names == ["recording_begun", "link", "link", "link", "recording_ended"]
+    last = list(recording.statistics())[-1].values
+    assert last["skeleton_frames"] == service.pipeline.skeleton_frames
+
+
+async def test_requests_start_and_stop_recordings(tmp_path, mosquitto):
+    async with (
+        emulated(tmp_path) as port,
+        running(settings_for(port, tmp_path / "kept", mosquitto.port)),
+        aiomqtt.Client("127.0.0.1", mosquitto.port) as client,
+    ):
+        await client.subscribe("mocap/lab/bridge/response/recording/#")
+        await client.subscribe("mocap/lab/bridge/health")
+        numbers = itertools.count()
+
+        async def ask(verb, **data):
+            transaction = str(next(numbers))
+            payload = json.dumps({**data, "transaction": transaction})
+            await client.publish(f"mocap/lab/bridge/request/recording/{verb}", payload, qos=1)
+            async for message in client.messages:
+                answer = json.loads(message.payload)
+                if answer.get("transaction") == transaction:
+                    return answer
+            raise AssertionError
+
+        async with asyncio.timeout(30):
+            await asyncio.sleep(0.3)
+            assert (await ask("status"))["data"] == {"state": "off"}
+            begun = await ask("start", name="walk")
+            assert begun["status"] == "ok"
+            assert re.search(r"\d{8}T\d{6}Z_walk\.mcap$", begun["data"]["file"])
+            assert "already recording" in (await ask("start"))["error"]
+            await asyncio.sleep(0.5)
+            async for message in client.messages:
+                if message.topic.matches("mocap/lab/bridge/health"):
+                    health = json.loads(message.payload)["statistics"]["recording"]
+                    if health["state"] == "recording":
+                        assert health["file"] == begun["data"]["file"]
+                        break
+            ended = await ask("stop")
+            assert ended["data"]["state"] == "off"
+            assert "nothing is being recorded" in (await ask("stop"))["error"]
+            for name in ("../../etc/x", "a/b", ""):
+                assert "is no name for a recording" in (await ask("start", name=name))["error"]
+            assert "'name' is a text" in (await ask("start", name=5))["error"]
+            assert "not 'folder'" in (await ask("start", folder="/etc"))["error"]
+            assert "did you mean 'start'" in (await ask("stort"))["error"]
+    (path,) = (tmp_path / "kept").iterdir()
+    recording = open_recording(path)
+    assert not recording.meta.from_start
+    assert recording.defect is None
+    assert sum(1 for _ in recording.skeleton_frames()) > 20
+
+
+async def test_the_live_stream_goes_on_when_the_disk_is_full(tmp_path, mosquitto, monkeypatch, caplog):
+    free = [10_000 * MB]
+    monkeypatch.setattr(
+        files.SessionFiles.__init__,
+        "__kwdefaults__",
+        {**files.SessionFiles.__init__.__kwdefaults__, "free": lambda _: free[0]},
+    )
+    async with emulated(tmp_path) as port:
+        settings = settings_for(port, tmp_path / "kept", mosquitto.port, at_start=True, min_free_mb=500)
+        async with running(settings) as service:
+            free[0] = 100 * MB
+            async with asyncio.timeout(10):
+                while service.recording.is_recording:
+                    await asyncio.sleep(0.01)
+            before = service.pipeline.skeleton_frames, service.mqtt.counters.published
+            await asyncio.sleep(1)
+            assert service.pipeline.skeleton_frames > before[0] + 50
+            assert service.mqtt.counters.published > before[1] + 50
+            status = service.recording.status()
+    assert "100 MB free, less than min_free_mb 500" in status["ended"]
+    assert "recording has stopped" in caplog.text
+    assert "The live stream goes on" in caplog.text
+    assert open_recording(status["file"]).defect is None
+
+
+async def start_recorder(tmp_path, settings, *options):
+    config = tmp_path / "gateway.yaml"
+    config.write_text(yaml.safe_dump(settings.model_dump(mode="json", exclude_none=True)))
+    return await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "gateway", "record", "-c", str(config), "--name", "cli", *options),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+
+
+async def written_beyond(folder, size, process):
+    """Wait until a recording in the folder is so large; its path."""
+    async with asyncio.timeout(40):
+        while True:
+            for path in folder.glob("*.mcap"):
+                if path.stat().st_size > size:
+                    return path
+            assert process.returncode is None, await process.stderr.read()
+            await asyncio.sleep(0.02)
+
+
+async def test_record_ends_with_a_whole_file_on_ctrl_c(tmp_path, mosquitto):
+    folder = tmp_path / "kept"
+    async with emulated(tmp_path, "--imperfections", "typical") as port:
+        process = await start_recorder(tmp_path, settings_for(port, folder, mosquitto.port))
+        path = await written_beyond(folder, 100_000, process)
+        process.send_signal(signal.SIGINT)
+        output, _ = await asyncio.wait_for(process.communicate(), 20)
+    assert process.returncode == 0
+    assert re.search(rb"_cli\.mcap: [\d.]+ s, [\d.]+ MB, \d+ chunks, \d+ poses", output)
+    assert verify(open_recording(path)).is_identical
+    assert open_recording(path).defect is None
+
+
+@pytest.mark.parametrize("kills", [1, pytest.param(50, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])])
+async def test_a_kill_at_any_moment_costs_no_more_than_the_flush_interval(tmp_path, mosquitto, kills):
+    flush_ms = 200
+    moments = random.Random(5)
+    async with emulated(tmp_path, "--imperfections", "typical") as port:
+        for attempt in range(kills):
+            folder = tmp_path / f"kept{attempt}"
+            settings = settings_for(port, folder, mosquitto.port, flush_ms=flush_ms)
+            process = await start_recorder(tmp_path, settings, "--quiet")
+            path = await written_beyond(folder, 20_000, process)
+            await asyncio.sleep(moments.uniform(0, 1.0))
+            process.kill()
+            killed_ns = time.time_ns()
+            await process.wait()
+            recording = open_recording(path)
+            chunks = list(recording.chunks())
+            anchor = recording.meta.begun_utc_ns - recording.meta.begun_ns
+            lost_ms = (killed_ns - (chunks[-1].arrived_ns + anchor)) * 1e-6
+            assert -1 < lost_ms <= flush_ms + 12  # the suit speaks every 10 ms
+            assert verify(recording).is_identical
+            assert recover_in_place(path).messages > len(chunks)
+            again = open_recording(path)
+            assert list(again.chunks()) == chunks
+            assert again.defect is None
