@@ -1,7 +1,7 @@
 """Joint angles of real recordings with our calibration of how modules sit, against the orientations there.
 
 The vendor's orientations are made segments by the N-pose and the direction in which the knees bend, as in
-the suite ``joints``; ours by the body calibration (the same pose, and the rest of the recording as free movement).
+the suite ``joints``; ours by the body calibration: the same pose, and the rest as free movement.
 What differs is the reconstruction and the calibration together.
 """
 

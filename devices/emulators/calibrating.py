@@ -31,6 +31,7 @@ STEPS: tuple[tuple[str, float], ...] = (
 PERIOD_S = sum(GET_READY_S + seconds for _, seconds in STEPS) + 1.0
 """Then all begins anew."""
 
+_KNEE_BEND = radians(45.0)  # of thigh and shank against the vertical in the squat
 _SETTLING_S = 0.6  # the wearer is in position so long before a pose begins
 
 
@@ -73,17 +74,16 @@ def calibration_motion(
     rng = np.random.default_rng([seed, 11])
     rows = {name: n for n, name in enumerate(body.segment_names)}
     times = timetable()
-    squat = _squat(rows, times["squat"], faults)
     terms = [
         *_poses(body, rows, times, rng, faults),
-        *squat,
+        *_squat(rows, times["squat"], faults),
         *_legs(rows, times, faults),
         *_arms(rows, times["arms"], faults),
         *_free(rows, times["free"], rng, faults.effort),
         *_wobble(rows, times, rng, faults.wobble),
     ]
-    thigh = rows.get("left_thigh", 0)
-    depth = [_as_only_row(term) for term in squat if term.row == thigh]
+    begin, end = times["squat"]
+    depth = pulses(0, 2, _KNEE_BEND * faults.effort, begin + 0.3, end - 0.3, 2)
     leg = _length(body, "left_shank") + _length(body, "left_foot")
     path = SquatPath(Script.of(1, depth, PERIOD_S), leg, heading)
     return BodyMotion(body, Script.of(body.n_segments, terms, PERIOD_S), path)
@@ -96,11 +96,6 @@ def strapped_on(body: EmulatedBody, seed: int, displacement: float = 0.02) -> Em
     away = rng.normal(size=(body.n_segments, 3))
     away *= displacement / np.linalg.norm(away, axis=1, keepdims=True)
     return replace(body, sensor_to_segment=turned, module_positions=body.module_positions + away)
-
-
-def _as_only_row(term: Term) -> Term:
-    """The squat's knee bend as the only row of the root's path."""
-    return term._replace(row=0, axis=2)
 
 
 @dataclass(frozen=True)
@@ -172,7 +167,7 @@ def _poses(
 def _squat(rows: dict[str, int], span: tuple[float, float], faults: WearerFaults) -> list[Term]:
     """Two squats; the trunk leans forward, the feet stay."""
     begin, end = span
-    knee, lean = radians(45.0) * faults.effort, radians(35.0) * faults.effort
+    knee, lean = _KNEE_BEND * faults.effort, radians(35.0) * faults.effort
     terms = pulses(0, 2, -lean, begin + 0.3, end - 0.3, 2)
     for side in ("left", "right"):
         for part, angle in (("thigh", knee + lean), ("shank", -2.0 * knee), ("foot", knee)):
