@@ -26,7 +26,7 @@ _RANGE = (25.0, 10.0)  # degrees
 _SPREAD = (6.0, 25.0)  # degrees
 _OFF_POSE = (10.0, 35.0)  # degrees
 _OFF_POSE_ARMS = (20.0, 50.0)
-_JOINT = (0.012, 0.04)  # m
+_JOINT = (0.016, 0.045)  # m
 _ROTATION = (3.5, 9.0)  # degrees
 
 
