@@ -46,12 +46,11 @@ def judge_module(
 
 
 def _heard(found: ModuleFindings, name: str) -> Iterator[Finding]:
-    yield Finding(1.0 if found.poses else 0.0, f"{name} was in no pose: do the N-pose with all modules on")
-    for step in found.unheard:
-        yield Finding(
-            0.0,
-            f"module {found.module} ({name}) was not heard during {SPOKEN[step]}: is it on, and in reach?",
-        )
+    if found.unheard:
+        steps = ", ".join(SPOKEN[step] for step in found.unheard)
+        yield Finding(0.0, f"module {found.module} ({name}) was not heard during {steps}: is it in reach?")
+    else:
+        yield Finding(1.0 if found.poses else 0.0, f"{name} was in no pose: do the N-pose with all on")
     if found.has_no_heading:
         yield Finding(
             0.0, f"{name} has neither a steady field nor a movement that tells its heading: do all the steps"

@@ -56,6 +56,12 @@ def result_table(result: BodyResult) -> Table:
             Text(f"{quality.verdict} {quality.score:.2f}", _COLOURS[quality.verdict]),
             f"{np.degrees(one.rotation_sigma):.1f}°",
             f"{100 * one.position_sigma:.1f} cm",
-            "; ".join(quality.reasons),
+            _reasons(quality.reasons),
         )
     return table
+
+
+def _reasons(reasons: Sequence[str]) -> str:
+    """The worst one; the others are counted, and told by ``--json``."""
+    more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
+    return reasons[0] + more if reasons else ""

@@ -33,6 +33,8 @@ from gateway.settings_files import find_file
 
 _REFRESH_S = 0.1
 _UNHEARD_S = 10.0
+_PATIENCE = {"max_wait_ms": 1000.0, "max_gap_ms": 200.0}
+"""Of the assembly: nobody waits for these frames, so that late samples may come."""
 _NOT_ALIVE = "no module of the rig was heard for {:.0f} s: are they switched on, and is the link right?"
 
 
@@ -114,7 +116,9 @@ async def _calibrate(
     settings: GatewaySettings, suit: WornSuit, guide: _Guide, console: Console
 ) -> BodyResult:
     """Listen on all links while the wearer is guided."""
-    pipeline = Pipeline.from_settings(settings.model_copy(update={"reconstructor": "independent"}), suit)
+    patient = settings.assembly.model_copy(update=_PATIENCE)
+    changes = {"reconstructor": "independent", "assembly": patient}
+    pipeline = Pipeline.from_settings(settings.model_copy(update=changes), suit)
     pipeline.on_imu_frame = guide.session.add
     links = [link_from_url(one.url, name=one.name) for one in settings.links]
     readers = [
