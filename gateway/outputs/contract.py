@@ -17,6 +17,8 @@ import yaml
 from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, models_json_schema
 
+from gateway.calibration.verbs import REQUESTS as CALIBRATION_REQUESTS
+from gateway.calibration.verbs import RESET_REQUESTS
 from gateway.modules.verbs import REQUESTS as MODULE_REQUESTS
 from gateway.outputs import topics
 from gateway.outputs.contract_text import reference_page
@@ -35,6 +37,8 @@ REQUEST_FAMILIES: Mapping[str, Mapping[str, type[BaseModel]]] = {
     "gateway": OWN_REQUESTS,
     "modules": MODULE_REQUESTS,
     "recording": RECORDING_REQUESTS,
+    "calibration": CALIBRATION_REQUESTS,
+    "reset": RESET_REQUESTS,
 }
 """What may be asked of a gateway, ``bridge/request/<family>/<verb>``, and the data it takes."""
 
