@@ -74,7 +74,7 @@ def joint_trial(recording: Recording, still: tuple[float, float], reconstructor:
 
     still: from when to when the person stood in the neutral pose, s.
     """
-    suit = _dressed(recording)
+    suit = dressed(recording)
     frames = solve(recording, suit, reconstructor)
     times, q_ws = orientations(frames, max(float(track.times[0]) for track in recording.modules))
     index = [suit.skeleton.index(reference.name) for reference in recording.references]
@@ -82,10 +82,10 @@ def joint_trial(recording: Recording, still: tuple[float, float], reconstructor:
     for i, reference in zip(index, recording.references, strict=True):
         q_ref[:, i] = reference_at(times, reference)
     is_still = (times >= still[0]) & (times <= still[1])
-    facing = _facing(q_ref, is_still, suit.skeleton)
+    facing = facing_of(q_ref, is_still, suit.skeleton)
     turned = _common_heading(q_ws, q_ref, is_still, index, has_field=bool(recording.modules[0].sensors[2:]))
-    reference = joint_angles(suit.skeleton, _as_segments(q_ref, is_still, facing, suit.skeleton))
-    found = joint_angles(suit.skeleton, _as_segments(turned, is_still, facing, suit.skeleton))
+    reference = joint_angles(suit.skeleton, as_segments(q_ref, is_still, facing, suit.skeleton))
+    found = joint_angles(suit.skeleton, as_segments(turned, is_still, facing, suit.skeleton))
     return JointTrial(
         recording.name, suit.skeleton, reference[times > still[1]], found[times > still[1]], still[1]
     )
@@ -96,7 +96,7 @@ def hipose(folder: Path) -> JointTrial:
     return joint_trial(read_hipose_mtw17(folder), (1.0, 4.0), "independent")
 
 
-def _dressed(recording: Recording) -> WornSuit:
+def dressed(recording: Recording) -> WornSuit:
     """The 17-segment person with the recording's modules, their axes taken as the segments'.
 
     Shoulders by swing and twist: with arms that hang, single angles of the YXY sequence mean nothing.
@@ -139,7 +139,7 @@ def _common_heading(
     return turned
 
 
-def _as_segments(q_ws: FloatArray, is_still: FloatArray, facing: float, skeleton: Skeleton) -> FloatArray:
+def as_segments(q_ws: FloatArray, is_still: FloatArray, facing: float, skeleton: Skeleton) -> FloatArray:
     """Segment orientations, given that all segments were neutral, facing so, while the person stood still."""
     neutral = Rotation.from_rotvec([0, 0, facing]) * Rotation.from_quat(skeleton.neutral, scalar_first=True)
     q_wb = np.full_like(q_ws, np.nan)
@@ -153,7 +153,7 @@ def _as_segments(q_ws: FloatArray, is_still: FloatArray, facing: float, skeleton
     return q_wb
 
 
-def _facing(q_ref: FloatArray, is_still: FloatArray, skeleton: Skeleton) -> float:
+def facing_of(q_ref: FloatArray, is_still: FloatArray, skeleton: Skeleton) -> float:
     """Heading of the person, rad from east: the legs turn mostly about the axis to the right, z.
 
     Of the two ways to face, the one in which the knees bend backwards.

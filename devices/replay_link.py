@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import difflib
+import json
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from devices import recording_format as fmt
 from devices.link import Chunk, Framing, Link, LinkError, SentChunk, gateway_time_ns
@@ -47,6 +49,8 @@ class ReplayLink:
         """Names that its chunks bear, and the framing of each; known as soon as the file can be read."""
         self.on_sent: Callable[[SentChunk], None] | None = None
         """Told what the gateway had written to these links, in its place between the chunks."""
+        self.on_event: Callable[[str, Mapping[str, Any]], None] | None = None
+        """Told name and data of what had happened, in its place too."""
         self.hold: Callable[[], Awaitable[None]] | None = None
         """Awaited now and then before reading on: for whoever must not be overrun at full speed."""
         self.defect: str | None = None
@@ -96,6 +100,10 @@ class ReplayLink:
                 name = self._names.get(topic.removeprefix(fmt.SENT))
                 if name is not None:
                     self.on_sent(SentChunk(data, time_ns, name))
+            elif topic == fmt.EVENTS and self.on_event is not None:
+                with contextlib.suppress(ValueError, KeyError, TypeError):  # damaged: as if it were not there
+                    event = json.loads(data)
+                    self.on_event(str(event["name"]), dict(event["data"]))
         self.defect = self._parts.defect
         if self.defect is not None:
             _log.warning("%s", self.defect)

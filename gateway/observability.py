@@ -18,6 +18,7 @@ from gateway.outputs.messages import BridgeInfo, UtcAnchor
 from gateway.outputs.metrics import GatewayFigures, LinkFigures
 from gateway.outputs.metrics_server import MetricsServer
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.side_outputs import SideOutputs
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings
 
@@ -40,6 +41,7 @@ class Observer:
         pipeline: Pipeline,
         links: Sequence[Link],
         mqtt: MqttOutput,
+        side: SideOutputs,
         utc_ns: Clock = time.time_ns,
     ) -> None:
         """utc_ns: the host's UTC, ns."""
@@ -50,6 +52,7 @@ class Observer:
         self._pipeline = pipeline
         self._links = links
         self._mqtt = mqtt
+        self._side = side
         self._utc_ns = utc_ns
         self._anchors = AnchorWatch()
         self._states = ModuleStates(
@@ -102,7 +105,7 @@ class Observer:
             modules=self._states.states(gateway_time_ns()),
             skeleton_frames=self._pipeline.skeleton_frames,
             dropped_by_assembly={reason.name.lower(): count for reason, count in lost.items()},
-            outputs={"mqtt": self._mqtt.counters},
+            outputs={"mqtt": self._mqtt.counters, **self._side.counters},
             connected={"mqtt": self._mqtt.is_connected},
             utc=self.utc,
         )

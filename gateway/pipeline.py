@@ -4,24 +4,28 @@
                   └────────── Stream ────────────┘    ImuFrame      └─ SkeletonFrame
 
 ``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times, and told in
-the same order what the gateway sent and when (``sent``), it gives the same skeleton frames, bit for bit.
+the same order what the gateway sent and when (``sent``) and what was asked of it (``event``), it gives the
+same skeleton frames, bit for bit.
 ``gateway.service`` puts links before it and outputs after.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from itertools import chain, islice
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.corrections import SensorCorrections
+from gateway.calibration.mounting import remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
-from gateway.errors import SettingsError
+from gateway.errors import GatewayError, SettingsError
 from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
@@ -34,11 +38,22 @@ from gateway.reconstruction import (
     create_reconstructor,
     update_many,
 )
+from gateway.resets import Resets
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Reading, Stream
 
 FRAMES_AT_A_TIME = 256
 """Of a recording: enough that a call costs nothing, few enough to stay in the processor's cache."""
+RESET_EVENT, CALIBRATED_EVENT = "reset", "calibrated"
+INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT})
+"""Events that are inputs: a recording must hand them over again in their place."""
+
+
+class InputEvent(NamedTuple):
+    """What was asked of the gateway: see ``Pipeline.event``."""
+
+    name: str
+    data: Mapping[str, Any]
 
 
 class Pipeline:
@@ -71,8 +86,14 @@ class Pipeline:
         self.unused: Counter[str] = Counter()
         """Readings of a kind that the reconstructor has no use for."""
         interval_s = params.frame_interval_ns * 1e-9
-        self.reconstructor = create_reconstructor(reconstructor, suit, interval_s, root)
+        self._make = partial(create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root)
+        self.suit = suit
+        """As worn now: a calibration may have changed it."""
+        self.reconstructor = self._make(suit)
+        self.resets = Resets(suit.skeleton)
         self.skeleton_frames = 0
+        self.on_imu_frame: Callable[[ImuFrame], None] | None = None
+        """Told every frame before it is reconstructed: for calibrations."""
         self.gnss_params: dict[str, GnssParams] = {}
         """By link; a receiver that is not named has the defaults."""
         self._gnss: dict[str, GnssReceiver] = {}
@@ -112,31 +133,58 @@ class Pipeline:
         """The gateway put this on a link: time requests and sampling triggers, whose answers need it."""
         self.stream.sent(chunk)
 
+    def event(self, name: str, data: Mapping[str, Any]) -> dict[str, object]:
+        """Something asked of the gateway that changes what follows; other events pass without effect.
+
+        ``reset`` (kind, facing) and ``calibrated`` (see ``mounting_event``). What came of it; raises
+        ``GatewayError`` where that cannot be done, and then has changed nothing.
+        """
+        if name == RESET_EVENT:
+            return self.resets.reset(str(data["kind"]), float(data.get("facing", 0.0)))
+        if name == CALIBRATED_EVENT:
+            self.suit = remounted(self.suit, data)
+            self.reconstructor = self._make(self.suit)
+            self.resets = Resets(self.suit.skeleton)
+        return {}
+
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
-        skeleton_frames = [self.reconstructor.update(imu_frame) for imu_frame in self._imu_frames(chunk)]
+        skeleton_frames = [
+            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self._imu_frames(chunk)
+        ]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
 
-    def replay(self, items: Iterable[Chunk | SentChunk]) -> Iterator[SkeletonFrame]:
-        """A recording: the frames that ``feed`` and ``sent`` of each item give, bit for bit, but many at a
-        time."""
-        imu_frames = chain.from_iterable(map(self._played, items))
-        while block := list(islice(imu_frames, FRAMES_AT_A_TIME)):
-            self.skeleton_frames += len(block)
-            yield from update_many(self.reconstructor, block)
+    def replay(self, items: Iterable[Chunk | SentChunk | InputEvent]) -> Iterator[SkeletonFrame]:
+        """A recording: the frames that ``feed``, ``sent`` and ``event`` of each item give, bit for bit, but
+        many at a time. An event that is not possible with this suit or method is passed over."""
+        block: list[ImuFrame] = []
+        for item in items:
+            if isinstance(item, Chunk):
+                block += self._imu_frames(item)
+            elif isinstance(item, SentChunk):
+                self.sent(item)
+            if isinstance(item, InputEvent) or len(block) >= FRAMES_AT_A_TIME:
+                yield from self._solved(block)
+                block = []
+            if isinstance(item, InputEvent):
+                with contextlib.suppress(GatewayError):
+                    self.event(item.name, item.data)
+        yield from self._solved(block)
 
-    def _played(self, item: Chunk | SentChunk) -> list[ImuFrame]:
-        if isinstance(item, Chunk):
-            return self._imu_frames(item)
-        self.sent(item)
-        return []
+    def _solved(self, block: list[ImuFrame]) -> Iterator[SkeletonFrame]:
+        self.skeleton_frames += len(block)
+        if block:
+            yield from map(self.resets.apply, update_many(self.reconstructor, block))
 
     def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
         imu_frames: list[ImuFrame] = []
         receiver = self._gnss.get(chunk.link)
         for reading in self.stream.receive(chunk) if receiver is None else receiver.receive(chunk):
             imu_frames += self._assemble(reading, chunk.arrived_ns)
+        if self.on_imu_frame is not None:
+            for imu_frame in imu_frames:
+                self.on_imu_frame(imu_frame)
         return imu_frames
 
     def _assemble(self, reading: Reading, arrived_ns: int) -> list[ImuFrame]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import gateway
 from devices.command_client import CommandClient
@@ -14,6 +16,8 @@ from devices.link import Framing, Link, SentChunk
 from devices.reconnect import LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
 from gateway.body.skeleton import WornSuit
+from gateway.calibration.control import CalibrationControl, ResetControl
+from gateway.errors import GatewayError
 from gateway.host_sender import HostSender
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
@@ -24,7 +28,9 @@ from gateway.outputs.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
-from gateway.pipeline import Pipeline
+from gateway.outputs.side_outputs import SideOutputs
+from gateway.own_requests import OwnRequests
+from gateway.pipeline import INPUT_EVENTS, Pipeline
 from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
@@ -49,9 +55,12 @@ class Service:
         )
         self._records_at_start = settings.recording.at_start
         info = _describe(settings, suit)
-        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, info, self.statistics)
-        self._outputs: tuple[Output, ...] = (self.mqtt,)
-        self.observer = Observer(settings, suit, info, self.pipeline, self.links, self.mqtt)
+        self.side = SideOutputs(settings.outputs, suit.skeleton, settings.gateway, settings.assembly.rate_hz)
+        self.mqtt = MqttOutput(
+            settings.mqtt, suit.skeleton, info, self.statistics, lambda: self.side.counters
+        )
+        self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
+        self.observer = Observer(settings, suit, info, self.pipeline, self.links, self.mqtt, self.side)
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
         suit_links = [link for link in self.links if link.framing is not Framing.GNSS]
@@ -64,7 +73,15 @@ class Service:
         self._announced: list[Link] = []  # to the pipeline, and with modules at the other end
         self._synchroniser = _synchroniser(settings, self._announced, sender)
         self._triggerer = _triggerer(settings, self._announced, sender, stream)
-        families = {"modules": operations.perform, "recording": self.recording.perform}
+        self.own_requests = OwnRequests(self.mqtt)
+        self.calibration = CalibrationControl(self.pipeline, settings.rig, self._happened)
+        families = {
+            "gateway": self.own_requests.perform,
+            "modules": operations.perform,
+            "recording": self.recording.perform,
+            "calibration": self.calibration.perform,
+            "reset": ResetControl(self._happened).perform,
+        }
         self.requests = RequestResponder(settings.mqtt, settings.gateway, families)
 
     @property
@@ -83,7 +100,7 @@ class Service:
         Raises ``OutputError`` if an output cannot start, ``RecordingError`` if what it is to record cannot be
         written.
         """
-        async with self.mqtt, self.observer.watching():
+        async with self.mqtt, self.side.running(), self.observer.watching():
             if self._records_at_start:
                 self.recording.start()
             self.requests.start(self.mqtt.port)
@@ -110,6 +127,7 @@ class Service:
         carried = carried_links(link)
         if isinstance(link, ReplayLink):
             link.on_sent = self._note_sent
+            link.on_event = self._happened_then
         for name, framing in carried.items():
             self.pipeline.add_link(name, framing)
         if not isinstance(link, ReplayLink) and link.framing is not Framing.GNSS:
@@ -132,6 +150,19 @@ class Service:
         """An input of the pipeline like what comes, and recorded in its place among it."""
         self.recording.sent(sent)
         self.pipeline.sent(sent)
+
+    def _happened(self, name: str, data: Mapping[str, Any]) -> dict[str, object]:
+        """A reset or a calibration: another input of the pipeline. Raises ``GatewayError``."""
+        changed = self.pipeline.event(name, data)
+        self.recording.event(name, data)
+        self.recording.worn(self.pipeline.suit)
+        return changed
+
+    def _happened_then(self, name: str, data: Mapping[str, Any]) -> None:
+        """The same in a recording that is played; with another suit or method it may not be possible."""
+        if name in INPUT_EVENTS:
+            with contextlib.suppress(GatewayError):
+                self._happened(name, data)
 
     def _note_link(self, name: str, status: LinkStatus) -> None:
         self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})

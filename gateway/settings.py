@@ -11,6 +11,7 @@ from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
+from gateway.outputs.side_settings import OutputsSettings
 from gateway.reconstruction import RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
@@ -240,6 +241,7 @@ class GatewaySettings(_Strict):
     clock: ClockSettings = ClockSettings()
     assembly: AssemblySettings = AssemblySettings()
     mqtt: MqttSettings = MqttSettings()
+    outputs: OutputsSettings = OutputsSettings()
     recording: RecordingSettings = RecordingSettings()
     modules: ModuleReportSettings = ModuleReportSettings()
     metrics: MetricsSettings = MetricsSettings()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -27,15 +27,31 @@ def write_calibrated_rig(
     load_settings(source, RigFile)
     content: dict[str, Any] = load_yaml(source)
     date = measured or datetime.now(UTC).date().isoformat()
-    for module in content["modules"]:
+
+    def change(module: dict[str, Any]) -> None:
         calibration = calibrations.get(module["id"])
         if calibration is not None:
-            entry = CalibrationEntry.of(calibration, date)
-            module["calibration"] = entry.model_dump(mode="json")
+            module["calibration"] = CalibrationEntry.of(calibration, date).model_dump(mode="json")
+
+    write_rig(source, target, content, change, f"# {source.name} with its modules' sensors calibrated.\n")
+
+
+def write_rig(
+    source: Path,
+    target: Path,
+    content: dict[str, Any],
+    change: Callable[[dict[str, Any]], None],
+    head: str,
+) -> None:
+    """The content of a rig file, its modules' entries changed, as ``target``.
+
+    Raises ``GatewayError`` when that cannot be written.
+    """
+    for module in content["modules"]:
+        change(module)
     beside = source.parent / content["body"]
     if beside.is_file() and source.parent.resolve() != target.parent.resolve():
         content["body"] = str(beside.resolve())
-    head = f"# {source.name} with its modules' sensors calibrated.\n"
     text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
     try:
         target.write_text(text, encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from gateway.cli.calibrate_body import body, put_back, versions
 from gateway.cli.calibrate_clocks import clocks
 from gateway.cli.calibrate_sensors import sensors
 
@@ -14,3 +15,9 @@ calibrate_app.command(epilog="Example: mocap-gateway calibrate clocks -c config/
 calibrate_app.command(
     epilog="Example: mocap-gateway calibrate sensors --link /dev/ttyUSB0 --rig suit_17 -o mine.yaml"
 )(sensors)
+calibrate_app.command(
+    epilog="Examples: mocap-gateway calibrate body -c my.yaml; "
+    "mocap-gateway calibrate body --link /tmp/suit --rig suit_17 --emulated -o mine.yaml"
+)(body)
+calibrate_app.command("history", epilog="Example: mocap-gateway calibrate history mine.yaml")(versions)
+calibrate_app.command("restore", epilog="Example: mocap-gateway calibrate restore mine.yaml")(put_back)

@@ -8,13 +8,15 @@ import json
 from collections.abc import Iterable
 from dataclasses import replace
 from enum import StrEnum
+from math import radians
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import can
 import typer
 from rich.console import Console
 
+from devices.emulators.calibrating import begin_of_script, strapped_on
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
 from devices.emulators.gnss_receiver import FORMATS
@@ -33,7 +35,7 @@ from devices.emulators.transports import (
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
-from gateway.cli.emulated_rig import dress, move, tumble
+from gateway.cli.emulated_rig import calibrate, dress, move, tumble
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
@@ -54,6 +56,29 @@ class SamplingMode(StrEnum):
     RAW = "raw"
     FUSED = "fused"
     TRIGGERED = "triggered"
+
+
+class MotionKind(StrEnum):
+    """What the emulated body does."""
+
+    OWN = "own"
+    CALIBRATION = "calibration"
+
+
+class StrapOn(StrEnum):
+    """How the modules sit."""
+
+    RIG = "rig"
+    RANDOM = "random"
+
+
+class _Wearing(NamedTuple):
+    """How the suit is worn, and what is done in it."""
+
+    is_tumbling: bool
+    motion: MotionKind
+    strap_on: StrapOn
+    facing: float
 
 
 _MODES = {SamplingMode.FUSED: FUSED, SamplingMode.RAW: RAW, SamplingMode.TRIGGERED: TRIGGERED}
@@ -100,6 +125,17 @@ def emulate(
         bool,
         typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
     ] = False,
+    motion: Annotated[
+        MotionKind,
+        typer.Option(help="What the body does; calibration: the steps of `calibrate body`, over and over."),
+    ] = MotionKind.OWN,
+    strap_on: Annotated[
+        StrapOn,
+        typer.Option(help="random: modules turned anyhow on their segments, each 2 cm off its place."),
+    ] = StrapOn.RIG,
+    facing: Annotated[
+        float, typer.Option(help="Heading of the wearer who calibrates, degrees anticlockwise from east.")
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="Of the motion and of everything random.")] = 1,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="End after so long.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Say where and since when as JSON.")] = False,
@@ -121,10 +157,14 @@ def emulate(
             has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
             encoding=encoding,
         )
-        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, tumbling, gnss is not None)
+        wearing = _Wearing(tumbling, motion, strap_on, radians(facing))
+        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, wearing, gnss is not None)
     receiver = None if gnss is None else companion(rig, seed, gnss, gnss_format, seconds)
+    start_ns = gateway_time_ns() + _START_DELAY_NS
+    if motion is MotionKind.CALIBRATION:
+        start_ns = begin_of_script(start_ns)
     try:
-        _play(source, _transport(on, link, port, channel, fd), as_json, seconds, receiver)
+        _play(source, _transport(on, link, port, channel, fd), as_json, seconds, receiver, start_ns)
     except (OSError, can.CanError) as error:
         raise GatewayError(f"the emulated suit cannot speak on {on}: {error}; {_REMEDIES[on]}") from error
 
@@ -136,7 +176,7 @@ def _traffic(
     seed: int,
     fresh: int,
     id_conflict: bool,
-    is_tumbling: bool,
+    wearing: _Wearing,
     has_gnss: bool,
 ) -> SuitTraffic:
     if imperfections not in PRESETS:
@@ -152,7 +192,13 @@ def _traffic(
         fresh=frozenset(ids[:fresh]),
         stored_ids={ids[-1]: ids[-2]} if id_conflict and len(ids) > 1 else {},
     )
-    motion = (tumble if is_tumbling else move)(dress(suit), suit.skeleton.name, seed)
+    body = dress(suit)
+    if wearing.strap_on is StrapOn.RANDOM:
+        body = strapped_on(body, seed)
+    if wearing.motion is MotionKind.CALIBRATION:
+        motion = calibrate(body, suit.skeleton.name, seed, wearing.facing)
+    else:
+        motion = (tumble if wearing.is_tumbling else move)(body, suit.skeleton.name, seed)
     return SuitTraffic(motion, world, PRESETS[imperfections], seed)
 
 
@@ -179,8 +225,8 @@ def _play(
     as_json: bool,
     seconds: float | None,
     receiver: Companion | None,
+    start_ns: int,
 ) -> None:
-    start_ns = gateway_time_ns() + _START_DELAY_NS
     beside = None if receiver is None else receiver(start_ns)
     suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=seconds)
     with contextlib.suppress(KeyboardInterrupt):

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, EmulatedLocalDevice, emulated_body
+from devices.emulators.calibrating import calibration_motion
 from devices.emulators.motions import (
     BodyMotion,
     gait_motion,
@@ -58,6 +59,11 @@ def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> E
 def move(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
     """A motion that suits the body: walking for people, swinging for pendulums."""
     return MOTIONS.get(body_name, generic_motion)(body, seed)
+
+
+def calibrate(body: EmulatedBody, _body_name: str, seed: int, heading: float = 0.0) -> BodyMotion:
+    """The wearer goes through the steps of ``calibrate body``, over and over; heading in rad from east."""
+    return calibration_motion(body, seed, heading)
 
 
 def tumble(body: EmulatedBody, _body_name: str, seed: int) -> BodyMotion:

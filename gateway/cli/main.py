@@ -97,7 +97,7 @@ class _Commands(LazyGroup):
         ),
         "doctor": LazyCommand(
             "gateway.cli.doctor:doctor",
-            "Examine a set-up: rig, ports, capacity of serial lines and CAN buses, broker.",
+            "Examine a set-up: configuration, ports, lines and buses, modules, broker, clocks, disk.",
             "Example: mocap-gateway doctor -c config/gateway.yaml",
         ),
         "health": LazyCommand(

@@ -115,6 +115,10 @@ class RecordingControl:
         if self._recorder is not None:
             self._recorder.event(name, data, gateway_time_ns())
 
+    def worn(self, suit: WornSuit) -> None:
+        """How the suit is worn from now on: recordings begun later tell of this one."""
+        self._suit = suit
+
     async def keep_pace(self) -> None:
         """Let the disk catch up, if it has fallen far behind; mostly returns at once."""
         if self._recorder is not None and self._recorder.is_behind:

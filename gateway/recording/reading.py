@@ -173,10 +173,11 @@ class Recording:
         """What came over the links, not parsed."""
         return (item for item in self._decoded(fmt.CHUNKS, progress) if isinstance(item, Chunk))
 
-    def inputs(self, progress: Progress | None = None) -> Iterator[Chunk | SentChunk]:
-        """All that a reconstruction depends on: what came over the links and what was written to them."""
-        inputs = self._decoded((fmt.CHUNKS, fmt.SENT), progress)
-        return (item for item in inputs if isinstance(item, Chunk | SentChunk))
+    def inputs(self, progress: Progress | None = None) -> Iterator[Chunk | SentChunk | RecordedEvent]:
+        """All that a reconstruction depends on: what came over the links, what was written to them, and
+        events, of which resets and calibrations count."""
+        inputs = self._decoded((fmt.CHUNKS, fmt.SENT, fmt.EVENTS), progress)
+        return (item for item in inputs if isinstance(item, Chunk | SentChunk | RecordedEvent))
 
     def sent(self) -> Iterator[SentChunk]:
         """What the gateway wrote to the links."""

@@ -19,9 +19,16 @@ from devices.recording_file import RecordedMessage, RecordingError
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.body.skeleton import WornSuit
 from gateway.comparison import orientation_error
+from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
-from gateway.pipeline import Pipeline
-from gateway.recording.reading import Progress, Recording, decode_message
+from gateway.pipeline import InputEvent, Pipeline
+from gateway.recording.reading import (
+    Progress,
+    RecordedEvent,
+    RecordedItem,
+    Recording,
+    decode_message,
+)
 from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
@@ -74,7 +81,7 @@ def solve(
 ) -> Iterator[SkeletonFrame]:
     """Skeleton frames made anew from the recorded bytes; source: None for what was recorded."""
     pipeline = recording_pipeline(recording, source or recorded_source(recording))
-    yield from pipeline.replay(recording.inputs(progress))
+    yield from pipeline.replay(map(_as_input, recording.inputs(progress)))
 
 
 def verify(recording: Recording, progress: Progress | None = None) -> Verification:
@@ -141,11 +148,22 @@ def _solved_session(solved_from: str, attachments: Mapping[str, bytes]) -> str:
 
 def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
     """The frames that a message completes."""
-    item = decode_message(message) if message.topic.startswith((fmt.CHUNKS, fmt.SENT)) else None
+    is_input = message.topic.startswith((fmt.CHUNKS, fmt.SENT)) or message.topic == fmt.EVENTS
+    return _fed_item(pipeline, decode_message(message)) if is_input else []
+
+
+def _as_input(item: Chunk | SentChunk | RecordedEvent) -> Chunk | SentChunk | InputEvent:
+    return InputEvent(item.name, item.data) if isinstance(item, RecordedEvent) else item
+
+
+def _fed_item(pipeline: Pipeline, item: RecordedItem | None) -> list[SkeletonFrame]:
     if isinstance(item, Chunk):
         return pipeline.feed(item)
     if isinstance(item, SentChunk):
         pipeline.sent(item)
+    elif isinstance(item, RecordedEvent):
+        with contextlib.suppress(GatewayError):  # with another suit or method it may not be possible
+            pipeline.event(item.name, item.data)
     return []
 
 

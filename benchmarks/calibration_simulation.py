@@ -1,0 +1,93 @@
+"""An emulated wearer goes through the body calibration: through the wire, with all errors of the modules."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from devices.emulators.bodies import EmulatedBody
+from devices.emulators.calibrating import (
+    PERIOD_S,
+    WearerFaults,
+    calibration_motion,
+    strapped_on,
+    timetable,
+)
+from devices.emulators.imperfections import TYPICAL, Imperfections
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.link import Chunk, Framing
+from gateway.assembly import AssemblyParams
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.calibration.body_result import BodyResult
+from gateway.calibration.body_session import BodySession
+from gateway.cli.emulated_rig import dress
+from gateway.frames import FloatArray, ImuFrame
+from gateway.pipeline import Pipeline
+from gateway.stream import ClockMode
+
+LINK = "simulated"
+RATE_HZ = 60.0
+
+
+def simulated_body(suit: WornSuit, seed: int) -> EmulatedBody:
+    """Modules turned at random, each 2 cm off its place."""
+    return strapped_on(dress(suit), seed)
+
+
+def imu_frames(
+    suit: WornSuit,
+    body: EmulatedBody,
+    heading: float,
+    seed: int,
+    faults: WearerFaults | None = None,
+    imperfections: Imperfections = TYPICAL,
+) -> list[ImuFrame]:
+    """What the gateway assembles of the whole script, by its own clock: motion time is gateway time."""
+    motion = calibration_motion(body, seed, heading, faults)
+    settings = SuitSettings(
+        sampling_rate_hz=RATE_HZ, gravity=suit.gravity, magnetic_field=suit.magnetic_field, is_fine=True
+    )
+    traffic = SuitTraffic(motion, settings, imperfections, seed)
+    pipeline = Pipeline(
+        suit, AssemblyParams(1e9 / RATE_HZ, 50_000_000, 100_000_000, 500_000_000), "independent",
+        ClockMode.ESTIMATED,
+    )  # fmt: skip
+    frames: list[ImuFrame] = []
+    pipeline.on_imu_frame = frames.append
+    pipeline.add_link(LINK, Framing.BYTE_STREAM)
+    for sent in traffic.transmissions(PERIOD_S):
+        pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), LINK))
+    return frames
+
+
+def simulated_session(
+    heading: float, seed: int, *, uses_field: bool = True, faults: WearerFaults | None = None
+) -> tuple[BodySession, EmulatedBody]:
+    """All steps done; and the body as it truly is."""
+    suit = load_rig("suit_17")
+    body = simulated_body(suit, seed)
+    return session_of(suit, imu_frames(suit, body, heading, seed, faults), uses_field), body
+
+
+def session_of(suit: WornSuit, frames: list[ImuFrame], uses_field: bool = True) -> BodySession:
+    """The frames with the script's steps marked in them."""
+    session = BodySession(suit, uses_field)
+    for frame in frames:
+        session.add(frame)
+    for name, (begin, end) in timetable().items():
+        session.mark(name, round(begin * 1e9), round(end * 1e9))
+    return session
+
+
+def errors(result: BodyResult, body: EmulatedBody) -> tuple[FloatArray, FloatArray]:
+    """By module: error of ``q_bs``, degrees, and of the lever arm, m."""
+    angles, metres = [], []
+    for module in result.modules:
+        segment = body.segment_names.index(module.segment)
+        true = Rotation.from_quat(body.sensor_to_segment[segment], scalar_first=True)
+        assert module.sensor_to_segment is not None
+        found = Rotation.from_quat(module.sensor_to_segment, scalar_first=True)
+        angles.append(np.degrees((found * true.inv()).magnitude()))
+        metres.append(np.linalg.norm(module.position - body.module_positions[segment]))
+    return np.array(angles), np.array(metres)

@@ -1,0 +1,262 @@
+"""A wearer who goes through a body calibration: poses, squats, legs, arms, then everything at once.
+
+The timetable is public, so that a procedure that wants to be tried on an emulated wearer can keep to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import pi, radians
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from devices.emulators.bodies import EmulatedBody, FloatArray
+from devices.emulators.motions import BodyMotion
+from devices.emulators.scripted import Script, Term, pulses
+from devices.emulators.waves import Derivatives
+
+GET_READY_S = 3.0
+"""Before every step the wearer stands and gets into position."""
+STEPS: tuple[tuple[str, float], ...] = (
+    ("n_pose", 4.0),
+    ("t_pose", 4.0),
+    ("squat", 6.0),
+    ("left_leg", 7.0),
+    ("right_leg", 7.0),
+    ("arms", 5.0),
+    ("free", 15.0),
+)
+"""Name and duration of the steps, s."""
+PERIOD_S = sum(GET_READY_S + seconds for _, seconds in STEPS) + 1.0
+"""Then all begins anew."""
+
+_KNEE_BEND = radians(45.0)  # of thigh and shank against the vertical in the squat
+_SETTLING_S = 0.6  # the wearer is in position so long before a pose begins
+
+
+def timetable() -> dict[str, tuple[float, float]]:
+    """Begin and end of each step within the period, s."""
+    found: dict[str, tuple[float, float]] = {}
+    at = 0.0
+    for name, seconds in STEPS:
+        found[name] = (at + GET_READY_S, at + GET_READY_S + seconds)
+        at += GET_READY_S + seconds
+    return found
+
+
+def begin_of_script(not_before_ns: int) -> int:
+    """The next gateway time at which an emulated wearer begins: all on one machine agree about it."""
+    period_ns = round(PERIOD_S * 1e9)
+    return -(-not_before_ns // period_ns) * period_ns
+
+
+@dataclass(frozen=True)
+class WearerFaults:
+    """What a wearer does wrong, for trying whether it is noticed."""
+
+    pose_error: float = radians(1.5)
+    """Of every segment in a pose, about each axis, rad (standard deviation): nobody stands as drawn."""
+    moving: str | None = None
+    """Segment that turns during the N-pose."""
+    moving_angle: float = radians(14.0)
+    effort: float = 1.0
+    """Size of the movements; 0.1: far too small."""
+    wobble: float = 0.0
+    """Movements' axis wanders from one repetition to the next by about so much, rad."""
+
+
+def calibration_motion(
+    body: EmulatedBody, seed: int, heading: float = 0.0, faults: WearerFaults | None = None
+) -> BodyMotion:
+    """The whole script, facing ``heading`` (rad, anticlockwise from east)."""
+    faults = faults or WearerFaults()
+    rng = np.random.default_rng([seed, 11])
+    rows = {name: n for n, name in enumerate(body.segment_names)}
+    times = timetable()
+    terms = [
+        *_poses(body, rows, times, rng, faults),
+        *_squat(rows, times["squat"], faults),
+        *_legs(rows, times, faults),
+        *_arms(rows, times["arms"], faults),
+        *_free(rows, times["free"], rng, faults.effort),
+        *_wobble(rows, times, rng, faults.wobble),
+    ]
+    begin, end = times["squat"]
+    depth = pulses(0, 2, _KNEE_BEND * faults.effort, begin + 0.3, end - 0.3, 2)
+    leg = _length(body, "left_shank") + _length(body, "left_foot")
+    path = SquatPath(Script.of(1, depth, PERIOD_S), leg, heading)
+    return BodyMotion(body, Script.of(body.n_segments, terms, PERIOD_S), path)
+
+
+def strapped_on(body: EmulatedBody, seed: int, displacement: float = 0.02) -> EmulatedBody:
+    """Modules turned at random, each off its place by so much (m) in a random direction."""
+    rng = np.random.default_rng([seed, 12])
+    turned = Rotation.random(body.n_segments, random_state=rng).as_quat(scalar_first=True)
+    away = rng.normal(size=(body.n_segments, 3))
+    away *= displacement / np.linalg.norm(away, axis=1, keepdims=True)
+    return replace(body, sensor_to_segment=turned, module_positions=body.module_positions + away)
+
+
+@dataclass(frozen=True)
+class SquatPath:
+    """The root goes down as the thighs turn forward, so that the feet stay where they are."""
+
+    bend: Script
+    """One row: the angle of thigh and shank against the vertical, third component, rad."""
+    leg: float
+    """Length of thigh and shank together, m."""
+    facing: float
+    """rad, anticlockwise from east."""
+
+    def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
+        """Position of the root's joint in the world and its derivatives, each (T, N)."""
+        bend = self.bend.rows(np.zeros(times.shape[1], dtype=np.int64)).evaluate(times, fade)[2]
+        sine, cosine = np.sin(bend.value), np.cos(bend.value)
+        still = np.zeros_like(times)
+        level = Derivatives(still, still, still)
+        down = Derivatives(
+            -self.leg * (1.0 - cosine),
+            -self.leg * sine * bend.rate,
+            -self.leg * (cosine * bend.rate**2 + sine * bend.acceleration),
+        )
+        return [level, level, down]
+
+    def heading(self, times: FloatArray) -> Derivatives:
+        """Constant."""
+        still = np.zeros_like(times)
+        return Derivatives(still + self.facing, still, still)
+
+
+def _length(body: EmulatedBody, segment: str) -> float:
+    if segment not in body.segment_names:
+        return 0.0
+    return float(np.linalg.norm(body.offsets[body.segment_names.index(segment)]))
+
+
+def _poses(
+    body: EmulatedBody,
+    rows: dict[str, int],
+    times: dict[str, tuple[float, float]],
+    rng: np.random.Generator,
+    faults: WearerFaults,
+) -> list[Term]:
+    """Both poses, each a little wrong in its own way; the arms spread; one segment that will not be still."""
+    terms = []
+    for pose in ("n_pose", "t_pose"):
+        begin, end = times[pose]
+        begin, end = begin - _SETTLING_S - 1.0, end + 1.0
+        wrong = rng.normal(0.0, faults.pose_error, (len(rows), 3))
+        for row in rows.values():  # of the segments against the drawing, not of joint upon joint
+            parent = int(body.parents[row])
+            joint = wrong[row] - (wrong[parent] if parent >= 0 else 0.0)
+            terms += [Term(row, axis, joint[axis], begin, end, 1.0) for axis in range(3)]
+    begin, end = times["t_pose"]
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        if (arm := rows.get(f"{side}_upper_arm")) is not None:
+            terms.append(Term(arm, 0, sign * pi / 2, begin - _SETTLING_S - 1.5, end + 1.5, 1.5))
+    first = times["n_pose"][0] - 1.0
+    for axis, sway in ((0, 0.15), (2, 0.25)):  # nobody stands like a statue
+        terms.append(Term(0, axis, radians(sway), first, times["t_pose"][1], 0.8, 0.3 + 0.1 * axis, 0.0))
+    if faults.moving is not None:
+        begin, end = times["n_pose"]
+        terms += pulses(rows[faults.moving], 0, faults.moving_angle, begin + 0.5, end - 0.5, 1)
+    return terms
+
+
+def _squat(rows: dict[str, int], span: tuple[float, float], faults: WearerFaults) -> list[Term]:
+    """Two squats; the trunk leans forward, the feet stay."""
+    begin, end = span
+    knee, lean = _KNEE_BEND * faults.effort, radians(35.0) * faults.effort
+    terms = pulses(0, 2, -lean, begin + 0.3, end - 0.3, 2)
+    for side in ("left", "right"):
+        for part, angle in (("thigh", knee + lean), ("shank", -2.0 * knee), ("foot", knee)):
+            if (row := rows.get(f"{side}_{part}")) is not None:
+                # hip and ankle make up for lean and knee
+                terms += pulses(row, 2, angle, begin + 0.3, end - 0.3, 2)
+    return terms
+
+
+def _legs(rows: dict[str, int], times: dict[str, tuple[float, float]], faults: WearerFaults) -> list[Term]:
+    """Each leg: forward stretched, the knee up, and both again."""
+    terms = []
+    for side in ("left", "right"):
+        begin, end = times[f"{side}_leg"]
+        quarters = np.linspace(begin + 0.2, end - 0.2, 5)
+        swing, lift = radians(45.0) * faults.effort, radians(65.0) * faults.effort
+        for quarter in range(4):
+            span = float(quarters[quarter]), float(quarters[quarter + 1])
+            angle = lift if quarter % 2 else swing
+            if (thigh := rows.get(f"{side}_thigh")) is not None:
+                terms += pulses(thigh, 2, angle, *span, 1)
+            if (shank := rows.get(f"{side}_shank")) is not None and quarter % 2:
+                terms += pulses(shank, 2, -lift, *span, 1)
+    return terms
+
+
+def _arms(rows: dict[str, int], span: tuple[float, float], faults: WearerFaults) -> list[Term]:
+    """Both stretched arms forward and up, twice."""
+    begin, end = span
+    terms = []
+    for side in ("left", "right"):
+        if (row := rows.get(f"{side}_upper_arm")) is not None:
+            terms += pulses(row, 2, radians(100.0) * faults.effort, begin + 0.2, end - 0.2, 2)
+    return terms
+
+
+_FREE: dict[str, tuple[float, float, float]] = {
+    "pelvis": (12, 20, 15),
+    "thorax": (15, 25, 15),
+    "head": (20, 30, 20),
+    "shoulder_girdle": (15, 15, 8),
+    "upper_arm": (35, 20, 40),
+    "forearm": (4, 50, 40),
+    "hand": (25, 4, 30),
+    "thigh": (18, 15, 25),
+    "shank": (2, 4, 25),
+    "foot": (15, 5, 20),
+}
+"""Amplitudes about x, y, z in the free movement, degrees."""
+
+
+def _free(
+    rows: dict[str, int], span: tuple[float, float], rng: np.random.Generator, effort: float
+) -> list[Term]:
+    """All joints about all their axes."""
+    begin, end = span
+    terms = []
+    for name, row in rows.items():
+        part = name.partition("_")[2] if name.startswith(("left_", "right_")) else name
+        for axis, degrees in enumerate(_FREE.get(part, (8, 8, 8))):
+            angle, frequency = radians(degrees) * effort, rng.uniform(0.45, 0.9)
+            terms.append(Term(row, axis, angle, begin, end, 1.5, frequency, rng.uniform(0, 2 * pi)))
+            if part in ("shank", "forearm") and axis == 2:  # bent in the mean: neither goes the other way
+                terms.append(Term(row, 2, (-1.2 if part == "shank" else 1.2) * angle, begin, end, 1.5))
+    return terms
+
+
+def _wobble(
+    rows: dict[str, int],
+    times: dict[str, tuple[float, float]],
+    rng: np.random.Generator,
+    amount: float,
+) -> list[Term]:
+    """Beside the movement asked for, another one that differs between the repetitions."""
+    terms: list[Term] = []
+    if amount == 0.0:
+        return terms
+    moved = {
+        "squat": ["pelvis"],
+        "left_leg": ["left_thigh"],
+        "right_leg": ["right_thigh"],
+        "arms": ["left_upper_arm", "right_upper_arm"],
+    }
+    for step, names in moved.items():
+        begin, end = times[step]
+        middle = 0.5 * (begin + end)
+        for name in names:
+            if name in rows:
+                sign = float(rng.choice([-1.0, 1.0]))
+                terms += pulses(rows[name], 1, sign * amount, begin + 0.2, middle, 2)
+                terms += pulses(rows[name], 1, -sign * amount, middle, end - 0.2, 2)
+    return terms

@@ -1,0 +1,230 @@
+"""Calibrations and resets of a running gateway, on request. Belongs to one event loop."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.calibration.body_result import BodyResult, ModuleResult
+from gateway.calibration.body_session import BodySession
+from gateway.calibration.mounting import history, mounting_event, restore, worn_rig, write_mounted_rig
+from gateway.calibration.quality import Quality
+from gateway.calibration.verbs import (
+    REQUESTS,
+    RESET_REQUESTS,
+    AcceptCalibrationRequest,
+    BeginCalibrationRequest,
+    CalibrationStepRequest,
+    RestoreCalibrationRequest,
+)
+from gateway.errors import GatewayError, nearest
+from gateway.pipeline import CALIBRATED_EVENT, RESET_EVENT, Pipeline
+from gateway.settings_files import find_file
+
+STILL = np.radians(6.0)
+"""Angular rate below which a module counts as still in the live display, rad/s."""
+
+Happened = Callable[[str, Mapping[str, Any]], dict[str, object]]
+"""Hands an event to the pipeline and to the recording."""
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+def parsed(model: type[_Model], verb: str, data: Mapping[str, Any]) -> _Model:
+    """The data of a request. Raises ``GatewayError`` naming the field."""
+    try:
+        return model.model_validate(dict(data))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise GatewayError(f"{verb}: '{where}': {first['msg']}") from error
+
+
+class ResetControl:
+    """The family ``reset``."""
+
+    def __init__(self, happened: Happened) -> None:
+        self._happened = happened
+
+    async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+        """``heading``, ``full``, ``mounting``. Raises ``GatewayError``."""
+        if verb not in RESET_REQUESTS:
+            raise GatewayError(f"there is no request 'reset/{verb}'{nearest(verb, RESET_REQUESTS)}")
+        request = parsed(RESET_REQUESTS[verb], f"reset/{verb}", data).model_dump()
+        facing = float(np.radians(request.get("facing_deg", 0.0)))
+        return self._happened(RESET_EVENT, {"kind": verb, "facing": facing})
+
+
+class CalibrationControl:
+    """The family ``calibration``: one session at a time."""
+
+    def __init__(self, pipeline: Pipeline, rig: str, happened: Happened) -> None:
+        """rig: that the suit is worn by, a file or a shipped one, which is never written to."""
+        self._pipeline = pipeline
+        self._rig = rig
+        self._happened = happened
+        self._session: BodySession | None = None
+        self._result: BodyResult | None = None
+        self._running: asyncio.Task[None] | None = None
+        self._phase = "idle"
+        self._ends_at = 0.0
+        self._verbs: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+            "begin": self._begin,
+            "step": self._step,
+            "status": self._status,
+            "result": self._find_result,
+            "accept": self._accept,
+            "cancel": self._cancel,
+            "history": self._history,
+            "restore": self._restore,
+        }
+
+    async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+        """As ``gateway.calibration.verbs`` says. Raises ``GatewayError``."""
+        if verb not in self._verbs:
+            raise GatewayError(f"there is no request 'calibration/{verb}'{nearest(verb, self._verbs)}")
+        parsed(REQUESTS[verb], f"calibration/{verb}", data)
+        found = self._verbs[verb](data)
+        answer: dict[str, Any] = await found if asyncio.iscoroutine(found) else found
+        return answer
+
+    @property
+    def target(self) -> Path:
+        """Rig file that ``accept`` with ``save`` writes. Raises ``SettingsError`` when the rig is gone."""
+        return worn_rig(find_file(self._rig, "rigs"))
+
+    def _source(self) -> Path:
+        """What the new rig file is made from: what was written last, else the one of the configuration."""
+        return self.target if self.target.is_file() else find_file(self._rig, "rigs")
+
+    def _begin(self, data: Mapping[str, Any]) -> dict[str, Any]:
+        request = parsed(BeginCalibrationRequest, "calibration/begin", data)
+        self._cancel({})
+        self._session = BodySession(self._pipeline.suit, request.field)
+        self._pipeline.on_imu_frame = self._session.add
+        self._phase = "ready"
+        return {
+            "steps": [
+                {"step": s.name, "kind": s.kind.value, "seconds": s.seconds, "instruction": s.instruction}
+                for s in self._session.steps
+            ]
+        }
+
+    def _needed(self) -> BodySession:
+        if self._session is None:
+            raise GatewayError("no calibration is under way: ask for calibration/begin first")
+        return self._session
+
+    def _step(self, data: Mapping[str, Any]) -> dict[str, Any]:
+        request, session = parsed(CalibrationStepRequest, "calibration/step", data), self._needed()
+        step = session.step(request.step)
+        if self._running is not None and not self._running.done():
+            raise GatewayError(
+                f"step '{session.current or request.step}' is under way: wait until it is done"
+            )
+        if not session.now_ns:
+            raise GatewayError("no module has been heard yet: are they switched on, and is the link right?")
+        seconds = step.seconds if request.seconds is None else request.seconds
+        self._result = None
+        self._running = asyncio.create_task(
+            self._do(session, request, seconds), name=f"calibration {step.name}"
+        )
+        return {"step": step.name, "countdown_s": request.countdown_s, "seconds": seconds}
+
+    async def _do(self, session: BodySession, request: CalibrationStepRequest, seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+        self._phase, self._ends_at = f"get ready for {request.step}", loop.time() + request.countdown_s
+        await asyncio.sleep(request.countdown_s)
+        session.begin(request.step, request.segments)
+        self._phase, self._ends_at = f"recording {request.step}", loop.time() + seconds
+        await asyncio.sleep(seconds)
+        session.end()
+        self._phase = "ready"
+
+    def _status(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+        if self._session is None:
+            return {"phase": "idle"}
+        is_busy = self._running is not None and not self._running.done()
+        left = max(self._ends_at - asyncio.get_running_loop().time(), 0.0) if is_busy else 0.0
+        names = {self._pipeline.suit.module_of_segment[s]: n for s, n in self._named()}
+        return {
+            "phase": self._phase,
+            "left_s": round(left, 1),
+            "done": self._session.done,
+            "modules": [
+                {
+                    "segment": names[m],
+                    "heard": one.is_heard,
+                    "still": one.is_heard and one.turning < STILL,
+                    "turning_deg_s": round(float(np.degrees(one.turning)), 1),
+                }
+                for m, one in enumerate(self._session.live())
+            ],
+        }
+
+    def _named(self) -> list[tuple[int, str]]:
+        return list(enumerate(self._pipeline.suit.skeleton.segment_names))
+
+    async def _find_result(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+        session = self._needed()
+        if self._running is not None and not self._running.done():
+            raise GatewayError(f"{self._phase}: wait until the step is done")
+        self._result = await asyncio.to_thread(session.result)
+        return self._result.as_json()
+
+    async def _accept(self, data: Mapping[str, Any]) -> dict[str, Any]:
+        request = parsed(AcceptCalibrationRequest, "calibration/accept", data)
+        if self._result is None:
+            await self._find_result({})
+        assert self._result is not None
+        accepted = self._result.accepted(request.segments, request.poor)
+        if not accepted:
+            raise GatewayError("nothing in the result is good enough to be used: see calibration/result")
+        self._happened(CALIBRATED_EVENT, mounting_event(accepted))
+        answer: dict[str, Any] = {"accepted": [module.segment for module in accepted]}
+        if request.save:
+            kept = write_mounted_rig(self._source(), self.target, accepted)
+            answer |= {"file": str(self.target), "earlier": None if kept is None else str(kept)}
+        self._cancel({})
+        return answer
+
+    def _cancel(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+        if self._running is not None:
+            self._running.cancel()
+        self._running, self._session, self._result = None, None, None
+        self._pipeline.on_imu_frame = None
+        self._phase = "idle"
+        return {}
+
+    def _history(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+        return {"file": str(self.target), "versions": [path.stem for path in history(self.target)]}
+
+    def _restore(self, data: Mapping[str, Any]) -> dict[str, Any]:
+        request = parsed(RestoreCalibrationRequest, "calibration/restore", data)
+        version = restore(self.target, request.version)
+        self._happened(CALIBRATED_EVENT, mounting_event(_as_modules(load_rig(str(self.target)))))
+        return {"file": str(self.target), "version": version.stem}
+
+
+def _as_modules(suit: WornSuit) -> list[ModuleResult]:
+    """How a rig file says that modules sit."""
+    return [
+        ModuleResult(
+            suit.module_ids[row],
+            suit.skeleton.segment_names[s],
+            Quality(1.0),
+            suit.sensor_to_segment[s],
+            suit.lever_arms[s],
+            0.0,
+            0.0,
+        )
+        for s, row in enumerate(suit.module_of_segment.tolist())
+        if row >= 0
+    ]

@@ -1,0 +1,236 @@
+"""``mocap-gateway calibrate body``: how modules sit on the wearer, step by step."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from devices.emulators.calibrating import PERIOD_S, begin_of_script, timetable
+from devices.endpoints import link_from_url
+from devices.link import Link, gateway_time_ns
+from devices.reconnect import ReconnectingLink
+from devices.replay_link import ReplayLink, carried_links
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.calibration.body_result import BodyResult
+from gateway.calibration.body_session import BodySession
+from gateway.calibration.mounting import history, restore, worn_rig, write_mounted_rig
+from gateway.calibration.procedure import Step
+from gateway.cli.body_tables import live_table, modules_of, result_table
+from gateway.errors import GatewayError
+from gateway.pipeline import Pipeline
+from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
+from gateway.settings_files import find_file
+
+_REFRESH_S = 0.1
+_UNHEARD_S = 10.0
+_PATIENCE = {"max_wait_ms": 1000.0, "max_gap_ms": 200.0}
+"""Of the assembly: nobody waits for these frames, so that late samples may come."""
+_NOT_ALIVE = "no module of the rig was heard for {:.0f} s: are they switched on, and is the link right?"
+
+
+def body(
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Configuration: links and rig.")
+    ] = None,
+    link: Annotated[str | None, typer.Option(help="Port or URL of the suit, with --rig.")] = None,
+    rig: Annotated[str | None, typer.Option(help="Rig: a shipped one or a file.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Rig file to write [that of the rig; of a shipped one <rig>.worn.yaml]"
+        ),
+    ] = None,
+    steps: Annotated[str | None, typer.Option(help="Only these steps, separated by commas.")] = None,
+    countdown: Annotated[float, typer.Option(min=0, max=30, help="Time to get ready, s.")] = 3.0,
+    field: Annotated[
+        bool, typer.Option(help="Headings from magnetometers; --no-field: from movements alone.")
+    ] = True,
+    emulated: Annotated[
+        bool,
+        typer.Option("--emulated", help="The wearer is `emulate --motion calibration`: keep to his time."),
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: take what is not poor.")] = False,
+    poor: Annotated[bool, typer.Option("--poor", help="Take results of poor quality too.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON; asks nothing.")] = False,
+) -> None:
+    """Find out how every module sits: poses, a few movements, a score for each module.
+
+    The wearer may face any direction, and modules may be strapped on anyhow. What was not good enough can be
+    done again, for all modules or for one. The earlier rig file is kept: see `calibrate history`.
+    """
+    settings = _settings(config, link, rig)
+    source = find_file(settings.rig, "rigs", config)
+    suit = load_rig(settings.rig, config)
+    session = BodySession(suit, uses_field=field)
+    plan = [session.step(name.strip()) for name in steps.split(",")] if steps else list(session.steps)
+    guide = _Guide(session, plan, countdown, emulated, asks=not (yes or as_json or not sys.stdin.isatty()))
+    console = Console(stderr=as_json, quiet=as_json)
+    result = asyncio.run(_calibrate(settings, suit, guide, console))
+    if as_json:
+        typer.echo(json.dumps(result.as_json()))
+    taken = result.accepted(with_poor=poor)
+    if not taken:
+        raise GatewayError("no module could be calibrated well enough: nothing was written; see the reasons")
+    target = output or worn_rig(source)
+    kept = write_mounted_rig(source, target, taken)
+    typer.echo(f"written to {target}: use it as 'rig: {target}'", err=as_json)
+    if kept is not None:
+        typer.echo(f"the earlier one is kept as {kept}", err=as_json)
+    raise typer.Exit(0 if len(taken) == len(result.modules) else 1)
+
+
+def versions(rig: Annotated[Path, typer.Argument(help="Rig file that `calibrate body` wrote.")]) -> None:
+    """Earlier versions of a rig file, the newest first."""
+    for path in history(rig):
+        typer.echo(path.stem)
+
+
+def put_back(
+    rig: Annotated[Path, typer.Argument(help="Rig file that `calibrate body` wrote.")],
+    version: Annotated[str | None, typer.Option(help="As `calibrate history` lists it [the newest]")] = None,
+) -> None:
+    """Put an earlier version of a rig file back; what is there now is kept as well."""
+    typer.echo(f"{rig} is again as of {restore(rig, version).stem}")
+
+
+def _settings(config: Path | None, link: str | None, rig: str | None) -> GatewaySettings:
+    if config is not None:
+        settings = load_gateway_settings(config)
+        return settings if rig is None else settings.model_copy(update={"rig": rig})
+    if link is None or rig is None:
+        raise GatewayError("where is the suit? give -c CONFIG, or --link PORT --rig RIG")
+    return GatewaySettings(links=[LinkSettings(name="suit", url=link)], rig=rig)
+
+
+async def _calibrate(
+    settings: GatewaySettings, suit: WornSuit, guide: _Guide, console: Console
+) -> BodyResult:
+    """Listen on all links while the wearer is guided."""
+    patient = settings.assembly.model_copy(update=_PATIENCE)
+    changes = {"reconstructor": "independent", "assembly": patient}
+    pipeline = Pipeline.from_settings(settings.model_copy(update=changes), suit)
+    pipeline.on_imu_frame = guide.session.add
+    links = [link_from_url(one.url, name=one.name) for one in settings.links]
+    readers = [
+        asyncio.create_task(_read(one if isinstance(one, ReplayLink) else ReconnectingLink(one), pipeline))
+        for one in links
+    ]
+    try:
+        return await guide.run(console)
+    finally:
+        for reader in readers:
+            reader.cancel()
+        await asyncio.gather(*readers, return_exceptions=True)
+
+
+async def _read(link: Link, pipeline: Pipeline) -> None:
+    await link.open()
+    try:
+        for name, framing in carried_links(link).items():
+            pipeline.add_link(name, framing)
+        async for chunk in link:
+            pipeline.feed(chunk)
+    finally:
+        await link.close()
+
+
+class _Guide:
+    """Leads the wearer through the steps, and through those to be done again."""
+
+    def __init__(
+        self, session: BodySession, plan: list[Step], countdown: float, is_emulated: bool, *, asks: bool
+    ) -> None:
+        self.session = session
+        self._plan = plan
+        self._countdown = countdown
+        self._is_emulated = is_emulated
+        self._asks = asks
+        self._begin_ns = 0
+
+    async def run(self, console: Console) -> BodyResult:
+        """Raises ``GatewayError`` when no module is heard, or nothing can be solved."""
+        await self._until_heard(console)
+        for step in self._plan:
+            await self._do(step, console)
+        while True:
+            with console.status("computing ..."):
+                result = await asyncio.to_thread(self.session.result)
+            console.print(result_table(result))
+            again = await asyncio.to_thread(self._ask, console) if self._asks else None
+            if again is None:
+                return result
+            step, segments = again
+            await self._do(step, console, segments)
+
+    async def _until_heard(self, console: Console) -> None:
+        begin_ns = gateway_time_ns()
+        with console.status("waiting for the modules"):
+            while not self.session.now_ns:
+                if gateway_time_ns() - begin_ns > _UNHEARD_S * 1e9 and not self._is_emulated:
+                    raise GatewayError(_NOT_ALIVE.format(_UNHEARD_S))
+                await asyncio.sleep(_REFRESH_S)
+        self._begin_ns = begin_of_script(gateway_time_ns()) - round(PERIOD_S * 1e9)
+
+    async def _do(self, step: Step, console: Console, segments: list[str] | None = None) -> None:
+        """Count down, record; the bars show at once what every module does."""
+        begin_ns, end_ns = self._times(step)
+        with Live(console=console, auto_refresh=False, transient=True) as live:
+            await self._show(live, step, begin_ns, is_recording=False)
+            self.session.begin(step.name, segments)
+            await self._show(live, step, end_ns, is_recording=True)
+            self.session.end()
+        console.print(f"[green]done[/green]  {step.name}: {step.instruction}", highlight=False)
+
+    def _times(self, step: Step) -> tuple[int, int]:
+        """Gateway times at which the step is recorded."""
+        if self._is_emulated:
+            begin_s, end_s = timetable()[step.name]
+            offset_ns = self._begin_ns
+            while offset_ns + begin_s * 1e9 < gateway_time_ns():
+                offset_ns = begin_of_script(offset_ns + 1)
+            return offset_ns + round(begin_s * 1e9), offset_ns + round(end_s * 1e9)
+        begin_ns = gateway_time_ns() + round(self._countdown * 1e9)
+        return begin_ns, begin_ns + round(step.seconds * 1e9)
+
+    async def _show(self, live: Live, step: Step, until_ns: int, *, is_recording: bool) -> None:
+        while (left_s := (until_ns - gateway_time_ns()) * 1e-9) > 0:
+            head = Text(f"{step.name}: {step.instruction}", "bold")
+            clock = Text(f"recording, {left_s:.0f} s left", "bold red")
+            if not is_recording:
+                clock = Text(f"get ready: {left_s:.0f}", "bold yellow")
+            table = live_table(self.session, step if is_recording else None, self.session.live())
+            live.update(Group(head, clock, table), refresh=True)
+            await asyncio.sleep(min(_REFRESH_S, max(left_s, 0.001)))
+
+    def _ask(self, console: Console) -> tuple[Step, list[str] | None] | None:
+        """Accept, or a step to be done again, for all modules or some. Reads the terminal."""
+        names = ", ".join(step.name for step in self._plan)
+        while True:
+            console.print(
+                f"Enter: accept. Or a step to do again ({names}), with segments to redo only these: "
+                "'n_pose left_shank'",
+                highlight=False,
+            )
+            with contextlib.suppress(EOFError):
+                words = input("> ").replace(",", " ").split()
+                if words:
+                    try:
+                        step = self.session.step(words[0])
+                        known = {segment for _, segment in modules_of(self.session)}
+                        if unknown := [word for word in words[1:] if word not in known]:
+                            raise GatewayError(f"no module sits on '{unknown[0]}'")
+                    except GatewayError as error:
+                        console.print(f"[red]{error}[/red]")
+                        continue
+                    return step, words[1:] or None
+            return None

@@ -1,0 +1,116 @@
+"""A running service is calibrated and reset by requests; its recording replays bit for bit."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+
+import numpy as np
+import pytest
+
+from devices.emulators.calibrating import calibration_motion, strapped_on, timetable
+from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.emulators.transports import PtyTransport
+from gateway.body.rig import load_rig
+from gateway.calibration.procedure import PROCEDURE
+from gateway.cli.emulated_rig import dress
+from gateway.modules.operations import RequestError
+from gateway.modules.remote import remote_suit
+from gateway.outputs.settings import MqttSettings
+from gateway.recording import open_recording
+from gateway.recording.solving import verify
+from gateway.service import Service
+from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+
+pytestmark = pytest.mark.system
+
+
+@contextlib.asynccontextmanager
+async def served(mosquitto, folder):
+    """An emulated lower body that stands in the N-pose, and a service that records from the start."""
+    suit = load_rig("suit_lower_7")
+    body = strapped_on(dress(suit), 5)
+    settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field, sampling_rate_hz=50)
+    traffic = SuitTraffic(calibration_motion(body, 5, 1.0), settings)
+    emulated = EmulatedSuit(traffic, PtyTransport(folder / "suit"))
+    playing = asyncio.create_task(emulated.run())
+    while not emulated.transport.url:
+        await asyncio.sleep(0.01)
+    mqtt = MqttSettings(port=mosquitto.port)
+    service = Service(
+        GatewaySettings(
+            gateway="lab",
+            links=[LinkSettings(name="suit", url=emulated.transport.url)],
+            rig="suit_lower_7",
+            mqtt=mqtt,
+            recording=RecordingSettings(at_start=True, folder=str(folder / "recordings")),
+        ),
+        suit,
+    )
+    serving = asyncio.create_task(service.run())
+    try:
+        async with asyncio.timeout(30):
+            while not service.requests.is_connected or not service.pipeline.skeleton_frames:
+                await asyncio.sleep(0.01)
+        yield service, mqtt
+    finally:
+        for task in (serving, playing):
+            task.cancel()
+        await asyncio.gather(serving, playing, return_exceptions=True)
+
+
+async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.chdir(tmp_path)
+    async with served(mosquitto, tmp_path) as (service, mqtt):
+        async with remote_suit(mqtt, "lab", "calibration") as ask:
+            with pytest.raises(RequestError, match="calibration/begin"):
+                await ask.perform("result", {})
+            steps = (await ask.perform("begin", {"field": True}))["steps"]
+            assert steps[0]["step"] == "n_pose"
+            await asyncio.sleep(0.3)
+            with pytest.raises(RequestError, match="there is no step 'dance'"):
+                await ask.perform("step", {"step": "dance"})
+            await ask.perform("step", {"step": "n_pose", "countdown_s": 0.2, "seconds": 1.5})
+            with pytest.raises(RequestError, match="under way"):
+                await ask.perform("step", {"step": "squat"})
+            status = await ask.perform("status", {})
+            assert len(status["modules"]) == 7
+            assert all(module["heard"] for module in status["modules"])
+            async with asyncio.timeout(20):
+                while (await ask.perform("status", {}))["phase"] != "ready":
+                    await asyncio.sleep(0.1)
+            result = await ask.perform("result", {})
+            assert {module["quality"] for module in result["modules"]} <= {"good", "fair", "poor"}
+            before = service.pipeline.suit.sensor_to_segment.copy()
+            accepted = await ask.perform("accept", {"poor": True, "save": True})
+            assert len(accepted["accepted"]) == 7
+            assert not np.allclose(service.pipeline.suit.sensor_to_segment, before)
+            worn = load_rig(str(tmp_path / accepted["file"]))
+            np.testing.assert_allclose(
+                worn.sensor_to_segment, service.pipeline.suit.sensor_to_segment, atol=1e-5
+            )
+            assert (await ask.perform("status", {}))["phase"] == "idle"
+            assert (await ask.perform("history", {}))["versions"] == []
+        async with remote_suit(mqtt, "lab", "reset") as ask:
+            await asyncio.sleep(0.3)
+            turned = await ask.perform("heading", {"facing_deg": 90})
+            assert "turned_deg" in turned
+            with pytest.raises(RequestError, match="there is no request 'reset/sideways'"):
+                await ask.perform("sideways", {})
+            await ask.perform("full", {})
+            await ask.perform("mounting", {})
+        await asyncio.sleep(0.8)
+    (path,) = (tmp_path / "recordings").glob("*.mcap")
+    recording = open_recording(path)
+    names = [event.name for event in recording.events()]
+    assert names.count("reset") == 3
+    assert names.count("calibrated") == 1
+    verified = verify(recording)
+    assert verified.is_identical, verified.difference
+    assert verified.compared > 100
+
+
+def test_the_timetable_has_every_step_of_the_procedure():
+    assert set(timetable()) == {step.name for step in PROCEDURE}
