@@ -7,11 +7,12 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test lint docs bench soak install install-dev system-tools lock clean
+.PHONY: help demo test test-socketcan lint docs bench soak install install-dev system-tools lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
 	@echo "make test    install what the tests need (mosquitto and chromium too, where apt may) and run them"
+	@echo "make test-socketcan  SocketCAN on the kernel's virtual buses, in a virtual machine if need be"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   measure, and rewrite the figures in docs/"
 	@echo "make docs    the pages in docs/ as HTML"
@@ -67,6 +68,9 @@ lint: install-dev
 
 test: install-dev system-tools lint
 	$(BIN)/python -m pytest -n 2 $(TESTS)
+
+test-socketcan: install-dev
+	@PYTHON=$(BIN)/python tests/socketcan/run.sh
 
 docs: install-dev
 	$(BIN)/python -m sphinx -q -W -b html docs docs/_build

@@ -13,6 +13,7 @@ from devices.endpoints import link_from_url
 from devices.link import Framing, Link, SentChunk
 from devices.reconnect import LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
+from gateway.accounting import Balance, balances_of
 from gateway.body.skeleton import WornSuit
 from gateway.host_sender import HostSender
 from gateway.modules.journal import Journal, default_journal_path
@@ -51,7 +52,9 @@ class Service:
         info = _describe(settings, suit)
         self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, info, self.statistics)
         self._outputs: tuple[Output, ...] = (self.mqtt,)
-        self.observer = Observer(settings, suit, info, self.pipeline, self.links, self.mqtt)
+        self.observer = Observer(
+            settings, suit, info, self.pipeline, self.links, self.mqtt, balances=self.balances
+        )
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
         suit_links = [link for link in self.links if link.framing is not Framing.GNSS]
@@ -72,10 +75,20 @@ class Service:
         """Whether every link is attended to: what the watchdog wants to know."""
         return bool(self._ingesting) and not any(task.done() for task in self._ingesting)
 
+    def balances(self) -> list[Balance]:
+        """Where every sample, pose and chunk went (see ``gateway.accounting``)."""
+        return balances_of(self.pipeline, {"mqtt": self.mqtt.counters}, self.recording.balance)
+
     def statistics(self) -> dict[str, object]:
         """Counters for the health message."""
+        accounting = {balance.name: balance.summary() for balance in self.balances()}
         timer = {} if self._triggerer is None else {"trigger_timer": self._triggerer.statistics()}
-        return {**timer, **self.pipeline.statistics(), "recording": self.recording.status()}
+        return {
+            **timer,
+            **self.pipeline.statistics(),
+            "accounting": accounting,
+            "recording": self.recording.status(),
+        }
 
     async def run(self) -> None:
         """Open everything, and pass on what comes.

@@ -92,6 +92,14 @@ class OutputCounters(Message):
     connections: int = Field(ge=0, description="Connections made to the broker since the start.")
 
 
+class AccountBalance(Message):
+    """A total and what became of it."""
+
+    total: int = Field(description="How many there were.")
+    parts: dict[str, int] = Field(description="What became of them, by reason.")
+    unaccounted: int = Field(description="Total less all parts: anything but 0 is a defect of the gateway.")
+
+
 class BridgeHealth(Message):
     """Counters of the running gateway."""
 
@@ -99,6 +107,9 @@ class BridgeHealth(Message):
     uptime_s: float = Field(ge=0, description="Time since the output was started, s.")
     mqtt: OutputCounters = Field(description="Poses sent to the broker.")
     utc: UtcAnchor | None = Field(default=None, description="Gateway time against UTC, as read last.")
+    accounting: dict[str, AccountBalance] = Field(
+        default_factory=dict, description="Where every sample, pose and chunk went: balances by name."
+    )
     statistics: dict[str, JsonValue] = Field(
         default_factory=dict, description="Counters of links, modules, clock and reconstruction."
     )

@@ -239,12 +239,16 @@ class MqttOutput:
 
     async def _publish_health(self, client: aiomqtt.Client) -> None:
         try:
-            health = BridgeHealth(
-                t_ns=gateway_time_ns(),
-                uptime_s=time.monotonic() - self._started,
-                mqtt=self.counters,
-                utc=self._utc,
-                statistics=plain_json(self._health()),
+            statistics = plain_json(self._health())
+            health = BridgeHealth.model_validate(
+                {
+                    "t_ns": gateway_time_ns(),
+                    "uptime_s": time.monotonic() - self._started,
+                    "mqtt": self.counters,
+                    "utc": self._utc,
+                    "accounting": statistics.pop("accounting", {}),
+                    "statistics": statistics,
+                }
             )
         except Exception as error:
             self._complain("statistics", f"the statistics cannot be published ({error!r})")
