@@ -17,6 +17,8 @@ from rich.console import Console
 
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
+from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faulty_suit import pull_cable
 from devices.emulators.gnss_receiver import FORMATS
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
@@ -32,6 +34,7 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
+from gateway.cli.emulated_faults import faulty, plan_of, told
 from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
 from gateway.cli.emulated_rig import dress, move, tumble
 from gateway.errors import GatewayError, nearest
@@ -96,6 +99,10 @@ def emulate(
         Path | None, typer.Option(help="A satellite receiver on the body's root too: link to its port.")
     ] = None,
     gnss_format: Annotated[str, typer.Option(help=f"What it speaks: {', '.join(FORMATS)}.")] = "nmea",
+    faults: Annotated[
+        Path | None,
+        typer.Option(help="What goes wrong and when: a YAML file such as config/faults.yaml."),
+    ] = None,
     tumbling: Annotated[
         bool,
         typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
@@ -112,6 +119,8 @@ def emulate(
     encoding = Encoding(Framing.CAN if on in {Medium.CAN, Medium.SLCAN} else Framing.BYTE_STREAM, fd)
     source: Conversation | Iterable[Transmission]
     if recording is not None:
+        if faults is not None:
+            raise GatewayError("--faults needs a suit that moves: a recording only plays")
         source = play(_read(recording, kind), encoding)
     else:
         settings = SuitSettings(
@@ -121,7 +130,8 @@ def emulate(
             has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
             encoding=encoding,
         )
-        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, tumbling, gnss is not None)
+        traffic = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, tumbling, gnss is not None)
+        source = traffic if faults is None else faulty(traffic, faults)
     receiver = None if gnss is None else companion(rig, seed, gnss, gnss_format, seconds)
     try:
         _play(source, _transport(on, link, port, channel, fd), as_json, seconds, receiver)
@@ -184,17 +194,19 @@ def _play(
     beside = None if receiver is None else receiver(start_ns)
     suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=seconds)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_run(suit, beside, as_json))
+        asyncio.run(_run(suit, beside, plan_of(source), as_json))
     if not as_json:
         counts = suit.counts
         Console().print(
             f"sent {counts.sent_bytes} bytes; {counts.dropped_bytes} dropped because nobody read them"
+            f"{told(source)}"
         )
 
 
-async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, as_json: bool) -> None:
+async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, plan: FaultPlan, as_json: bool) -> None:
     runs = [suit.run()] if beside is None else [suit.run(), beside.run()]
     task = asyncio.ensure_future(asyncio.gather(*runs))
+    cable = asyncio.create_task(pull_cable(plan, suit))
     while not (url := suit.transport.url) and not task.done():  # noqa: ASYNC110 - for a moment
         await asyncio.sleep(0.01)
     if url:
@@ -202,4 +214,7 @@ async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, as_json: bool) -
             typer.echo(json.dumps({"url": url, "start_ns": suit.start_ns}))
         else:
             Console().print(f"emulated suit on [bold]{url}[/bold]  (Ctrl-C ends it)", soft_wrap=True)
-    await task
+    try:
+        await task
+    finally:
+        cable.cancel()
