@@ -1,4 +1,4 @@
-"""``python -m benchmarks accuracy|speed|latency|clock|record|walking|joints|sensors|all``."""
+"""``python -m benchmarks accuracy|speed|latency|faults|clock|record|walking|joints|sensors|all``."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, clock, joints, latency, record, sensors, speed, walking
+from benchmarks import accuracy, clock, faults, joints, latency, record, sensors, speed, walking
 from benchmarks.figures import Report, write_docs
 
 SUITES: dict[str, Callable[[], Report]] = {
     "accuracy": accuracy.run,
     "speed": speed.run,
     "latency": latency.run,
+    "faults": faults.run,
     "clock": clock.run,
     "walking": walking.run,
     "record": record.run,

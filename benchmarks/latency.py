@@ -184,12 +184,18 @@ async def line_of(process: asyncio.subprocess.Process) -> dict[str, list[int]]:
     return json.loads(await process.stdout.readline())  # type: ignore[no-any-return]
 
 
-@contextlib.contextmanager
-def mosquitto_broker() -> Iterator[int]:
-    """A broker on a free port, which is given."""
+def mosquitto_program() -> str:
+    """Where it is installed. Raises ``SystemExit`` where it is not."""
     program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
     if program is None:
         raise SystemExit("this suite needs mosquitto: apt install mosquitto")
+    return program
+
+
+@contextlib.contextmanager
+def mosquitto_broker() -> Iterator[int]:
+    """A broker on a free port, which is given."""
+    program = mosquitto_program()
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])

@@ -29,6 +29,7 @@ from gateway.pipeline import Pipeline
 from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
+from gateway.supervision import kept_running
 from gateway.synchronisation import Synchroniser
 from gateway.triggering import Triggerer
 
@@ -72,8 +73,12 @@ class Service:
 
     @property
     def can_flow(self) -> bool:
-        """Whether every link is attended to: what the watchdog wants to know."""
-        return bool(self._ingesting) and not any(task.done() for task in self._ingesting)
+        """Whether every link is attended to, and the output lives: what the watchdog wants to know."""
+        return (
+            bool(self._ingesting)
+            and not any(task.done() for task in self._ingesting)
+            and self.mqtt.is_running
+        )
 
     def balances(self) -> list[Balance]:
         """Where every sample, pose and chunk went (see ``gateway.accounting``)."""
@@ -100,11 +105,17 @@ class Service:
             if self._records_at_start:
                 self.recording.start()
             self.requests.start(self.mqtt.port)
-            companions = [asyncio.create_task(self._report(), name="report")]
+            companions = [asyncio.create_task(kept_running("the report", self._report), name="report")]
             if self._synchroniser is not None:
-                companions.append(asyncio.create_task(self._synchroniser.run(), name="synchroniser"))
+                companions.append(
+                    asyncio.create_task(
+                        kept_running("the synchroniser", self._synchroniser.run), name="synchroniser"
+                    )
+                )
             if self._triggerer is not None:
-                companions.append(asyncio.create_task(self._triggerer.run(), name="triggerer"))
+                companions.append(
+                    asyncio.create_task(kept_running("the triggerer", self._triggerer.run), name="triggerer")
+                )
             try:
                 async with asyncio.TaskGroup() as group:
                     for link in self.links:

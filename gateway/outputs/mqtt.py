@@ -110,6 +110,11 @@ class MqttOutput:
             connections=self._connections,
         )
 
+    @property
+    def is_running(self) -> bool:
+        """Whether its task lives, broker or not."""
+        return self._task is not None and not self._task.done()
+
     def offer(self, frame: SkeletonFrame) -> None:
         """Take a frame for publishing. Never waits; the oldest queued frame gives way when full."""
         if not self._thinning.admits(frame.time_ns):
