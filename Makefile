@@ -16,7 +16,8 @@ help:
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   measure, and rewrite the figures in docs/"
 	@echo "make docs    the pages in docs/ as HTML"
-	@echo "make soak    slow tests, and ten million wire frames, damaged and good, through the decoders"
+	@echo "make soak    slow tests, and ten million wire frames, damaged and good, through the decoders;"
+	@echo "             then MINUTES=20 of random faults on a running gateway"
 	@echo "make lock    pin the dependencies anew"
 
 $(VENV)/pyvenv.cfg:
@@ -79,9 +80,11 @@ docs: install-dev
 bench: install-dev system-tools
 	$(BIN)/python -m benchmarks all --write-docs
 
-soak: install-dev
+soak: MINUTES ?= 20
+soak: install-dev system-tools
 	$(BIN)/python -m pytest -m slow
 	$(BIN)/python -m benchmarks.wire_campaign --frames 10000000
+	$(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
 
 lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv
