@@ -21,7 +21,7 @@ import psutil
 
 from benchmarks.emulated_stream import suit_17
 from benchmarks.figures import Figure, Report, table
-from benchmarks.latency import mosquitto_program
+from benchmarks.local_broker import mosquitto_program
 from devices.emulators import IDEAL, EmulatedSuit, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit, pull_cable

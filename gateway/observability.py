@@ -19,6 +19,7 @@ from gateway.outputs.messages import BridgeInfo, UtcAnchor
 from gateway.outputs.metrics import GatewayFigures, LinkFigures
 from gateway.outputs.metrics_server import MetricsServer
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.side_outputs import SideOutputs
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings
 
@@ -41,6 +42,7 @@ class Observer:
         pipeline: Pipeline,
         links: Sequence[Link],
         mqtt: MqttOutput,
+        side: SideOutputs,
         utc_ns: Clock = time.time_ns,
         balances: Callable[[], list[Balance]] = list,
     ) -> None:
@@ -52,6 +54,7 @@ class Observer:
         self._pipeline = pipeline
         self._links = links
         self._mqtt = mqtt
+        self._side = side
         self._utc_ns = utc_ns
         self._balances = balances
         self._left_over: dict[str, int] = {}
@@ -107,7 +110,7 @@ class Observer:
             modules=self._states.states(gateway_time_ns()),
             skeleton_frames=self._pipeline.skeleton_frames,
             dropped_by_assembly={reason.name.lower(): count for reason, count in lost.items()},
-            outputs={"mqtt": self._mqtt.counters},
+            outputs={"mqtt": self._mqtt.counters, **self._side.counters},
             connected={"mqtt": self._mqtt.is_connected},
             utc=self.utc,
             balances=self._balances(),

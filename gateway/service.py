@@ -25,6 +25,8 @@ from gateway.outputs.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
+from gateway.outputs.side_outputs import SideOutputs
+from gateway.own_requests import OwnRequests
 from gateway.pipeline import Pipeline
 from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
@@ -51,10 +53,13 @@ class Service:
         )
         self._records_at_start = settings.recording.at_start
         info = _describe(settings, suit)
-        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, info, self.statistics)
-        self._outputs: tuple[Output, ...] = (self.mqtt,)
+        self.side = SideOutputs(settings.outputs, suit.skeleton, settings.gateway, settings.assembly.rate_hz)
+        self.mqtt = MqttOutput(
+            settings.mqtt, suit.skeleton, info, self.statistics, lambda: self.side.counters
+        )
+        self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
         self.observer = Observer(
-            settings, suit, info, self.pipeline, self.links, self.mqtt, balances=self.balances
+            settings, suit, info, self.pipeline, self.links, self.mqtt, self.side, balances=self.balances
         )
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
@@ -68,7 +73,12 @@ class Service:
         self._announced: list[Link] = []  # to the pipeline, and with modules at the other end
         self._synchroniser = _synchroniser(settings, self._announced, sender)
         self._triggerer = _triggerer(settings, self._announced, sender, stream)
-        families = {"modules": operations.perform, "recording": self.recording.perform}
+        self.own_requests = OwnRequests(self.mqtt)
+        families = {
+            "gateway": self.own_requests.perform,
+            "modules": operations.perform,
+            "recording": self.recording.perform,
+        }
         self.requests = RequestResponder(settings.mqtt, settings.gateway, families)
 
     @property
@@ -82,7 +92,9 @@ class Service:
 
     def balances(self) -> list[Balance]:
         """Where every sample, pose and chunk went (see ``gateway.accounting``)."""
-        return balances_of(self.pipeline, {"mqtt": self.mqtt.counters}, self.recording.balance)
+        return balances_of(
+            self.pipeline, {"mqtt": self.mqtt.counters, **self.side.counters}, self.recording.balance
+        )
 
     def statistics(self) -> dict[str, object]:
         """Counters for the health message."""
@@ -101,7 +113,7 @@ class Service:
         Raises ``OutputError`` if an output cannot start, ``RecordingError`` if what it is to record cannot be
         written.
         """
-        async with self.mqtt, self.observer.watching():
+        async with self.mqtt, self.side.running(), self.observer.watching():
             if self._records_at_start:
                 self.recording.start()
             self.requests.start(self.mqtt.port)
