@@ -14,12 +14,18 @@ from pathlib import Path
 _START_S = 5.0
 
 
-@contextlib.contextmanager
-def mosquitto() -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
-    """(port, process) of a broker that listens."""
+def mosquitto_program() -> str:
+    """Where it is installed. Raises ``SystemExit`` where it is not."""
     program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
     if program is None:
         raise SystemExit("this suite needs mosquitto: apt install mosquitto")
+    return program
+
+
+@contextlib.contextmanager
+def mosquitto() -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
+    """(port, process) of a broker that listens."""
+    program = mosquitto_program()
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])

@@ -15,6 +15,7 @@ from devices.endpoints import link_from_url
 from devices.link import Framing, Link, SentChunk
 from devices.reconnect import LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
+from gateway.accounting import Balance, balances_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.errors import GatewayError
@@ -34,6 +35,7 @@ from gateway.pipeline import INPUT_EVENTS, Pipeline
 from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
+from gateway.supervision import kept_running
 from gateway.synchronisation import Synchroniser
 from gateway.triggering import Triggerer
 
@@ -60,7 +62,9 @@ class Service:
             settings.mqtt, suit.skeleton, info, self.statistics, lambda: self.side.counters
         )
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
-        self.observer = Observer(settings, suit, info, self.pipeline, self.links, self.mqtt, self.side)
+        self.observer = Observer(
+            settings, suit, info, self.pipeline, self.links, self.mqtt, self.side, balances=self.balances
+        )
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
         suit_links = [link for link in self.links if link.framing is not Framing.GNSS]
@@ -86,13 +90,29 @@ class Service:
 
     @property
     def can_flow(self) -> bool:
-        """Whether every link is attended to: what the watchdog wants to know."""
-        return bool(self._ingesting) and not any(task.done() for task in self._ingesting)
+        """Whether every link is attended to, and the output lives: what the watchdog wants to know."""
+        return (
+            bool(self._ingesting)
+            and not any(task.done() for task in self._ingesting)
+            and self.mqtt.is_running
+        )
+
+    def balances(self) -> list[Balance]:
+        """Where every sample, pose and chunk went (see ``gateway.accounting``)."""
+        return balances_of(
+            self.pipeline, {"mqtt": self.mqtt.counters, **self.side.counters}, self.recording.balance
+        )
 
     def statistics(self) -> dict[str, object]:
         """Counters for the health message."""
+        accounting = {balance.name: balance.summary() for balance in self.balances()}
         timer = {} if self._triggerer is None else {"trigger_timer": self._triggerer.statistics()}
-        return {**timer, **self.pipeline.statistics(), "recording": self.recording.status()}
+        return {
+            **timer,
+            **self.pipeline.statistics(),
+            "accounting": accounting,
+            "recording": self.recording.status(),
+        }
 
     async def run(self) -> None:
         """Open everything, and pass on what comes.
@@ -104,11 +124,17 @@ class Service:
             if self._records_at_start:
                 self.recording.start()
             self.requests.start(self.mqtt.port)
-            companions = [asyncio.create_task(self._report(), name="report")]
+            companions = [asyncio.create_task(kept_running("the report", self._report), name="report")]
             if self._synchroniser is not None:
-                companions.append(asyncio.create_task(self._synchroniser.run(), name="synchroniser"))
+                companions.append(
+                    asyncio.create_task(
+                        kept_running("the synchroniser", self._synchroniser.run), name="synchroniser"
+                    )
+                )
             if self._triggerer is not None:
-                companions.append(asyncio.create_task(self._triggerer.run(), name="triggerer"))
+                companions.append(
+                    asyncio.create_task(kept_running("the triggerer", self._triggerer.run), name="triggerer")
+                )
             try:
                 async with asyncio.TaskGroup() as group:
                     for link in self.links:

@@ -95,6 +95,14 @@ class OutputCounters(Message):
     )
 
 
+class AccountBalance(Message):
+    """A total and what became of it."""
+
+    total: int = Field(description="How many there were.")
+    parts: dict[str, int] = Field(description="What became of them, by reason.")
+    unaccounted: int = Field(description="Total less all parts: anything but 0 is a defect of the gateway.")
+
+
 class BridgeHealth(Message):
     """Counters of the running gateway."""
 
@@ -105,6 +113,9 @@ class BridgeHealth(Message):
         default_factory=dict, description="Poses sent by other outputs: vmc, udp_json, lsl."
     )
     utc: UtcAnchor | None = Field(default=None, description="Gateway time against UTC, as read last.")
+    accounting: dict[str, AccountBalance] = Field(
+        default_factory=dict, description="Where every sample, pose and chunk went: balances by name."
+    )
     statistics: dict[str, JsonValue] = Field(
         default_factory=dict, description="Counters of links, modules, clock and reconstruction."
     )

@@ -16,6 +16,7 @@ from typing import Self
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
+from pydantic import TypeAdapter
 
 from devices.link import gateway_time_ns
 from gateway.body.skeleton import Skeleton
@@ -32,6 +33,7 @@ from gateway.outputs.connection import (
 )
 from gateway.outputs.home_assistant import discovery
 from gateway.outputs.messages import (
+    AccountBalance,
     BridgeHealth,
     BridgeInfo,
     BridgeState,
@@ -117,6 +119,11 @@ class MqttOutput:
             connections=self._connections,
         )
 
+    @property
+    def is_running(self) -> bool:
+        """Whether its task lives, broker or not."""
+        return self._task is not None and not self._task.done()
+
     def offer(self, frame: SkeletonFrame) -> None:
         """Take a frame for publishing. Never waits; the oldest queued frame gives way when full."""
         if not self._thinning.admits(frame.time_ns):
@@ -146,13 +153,16 @@ class MqttOutput:
 
     def health(self) -> BridgeHealth:
         """As it would be published now."""
+        statistics = plain_json(self._health())
+        accounting = TypeAdapter(dict[str, AccountBalance]).validate_python(statistics.pop("accounting", {}))
         return BridgeHealth(
             t_ns=gateway_time_ns(),
             uptime_s=time.monotonic() - self._started,
             mqtt=self.counters,
             outputs=dict(self._others()),
             utc=self._utc,
-            statistics=plain_json(self._health()),
+            accounting=accounting,
+            statistics=statistics,
         )
 
     async def start(self) -> None:
