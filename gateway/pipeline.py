@@ -141,10 +141,14 @@ class Pipeline:
         ``reset`` (kind, facing) and ``calibrated`` (see ``mounting_event``). What came of it; raises
         ``GatewayError`` where that cannot be done, and then has changed nothing.
         """
-        if name == RESET_EVENT:
-            return self.resets.reset(str(data["kind"]), float(data.get("facing", 0.0)))
-        if name == CALIBRATED_EVENT:
-            self.suit = remounted(self.suit, data)
+        try:
+            if name == RESET_EVENT:
+                return self.resets.reset(str(data["kind"]), float(data.get("facing", 0.0)))
+            mounted = remounted(self.suit, data) if name == CALIBRATED_EVENT else None
+        except (KeyError, TypeError, ValueError) as error:  # a recorded one may be damaged, or another's
+            raise GatewayError(f"event '{name}' cannot be read: {error!r}") from error
+        if mounted is not None:
+            self.suit = mounted
             self.reconstructor = self._make(self.suit)
             self.resets = Resets(self.suit.skeleton)
         return {}

@@ -27,6 +27,7 @@ from devices.vendor_formats.xsens_text import NORTH_WEST_UP, turned
 PATH_DEVICE = 60
 """Module id under which the path of the first segment is sent, as of a local measuring device."""
 _PATH_SIGMA_M = 0.01
+_LARGEST = 4e12  # ms since 1970: the year 2096
 
 
 @dataclass
@@ -68,6 +69,8 @@ def _recording(path: Path, found: _Found, note: str | None) -> Recording:
     if (np.diff(index) <= 0).any():
         raise FormatError(f"{path}: the indices of its frames do not grow")
     times, values = spread(index, (index - index[0]) / found.rate_hz, np.array(found.orientations), path)
+    if not np.isfinite(values).all(axis=1).any():
+        raise FormatError(f"{path}: no orientation in it is a number")
     fused = tuple(
         FusedTrack(module, label, times, turned(values[:, 4 * module : 4 * module + 4]))
         for module, label in enumerate(found.labels)
@@ -100,7 +103,8 @@ def _elements(path: Path) -> Iterator[Element]:
 def _take(element: Element, found: _Found, path: Path) -> None:
     if element.tag == "subject":
         found.rate_hz = _number(element, "frameRate", path)
-        found.begun_ms = int(element.get("recDateMSecsSinceEpoch", "0") or 0)
+        has_date = bool(element.get("recDateMSecsSinceEpoch"))
+        found.begun_ms = int(_number(element, "recDateMSecsSinceEpoch", path)) if has_date else 0
     elif element.tag == "segment" and element.get("label"):
         found.labels.append(str(element.get("label")))
     elif element.tag == "frame" and element.get("type", "normal") == "normal":
@@ -138,6 +142,6 @@ def _number(element: Any, name: str, path: Path) -> float:
         value = float(text)
     except (TypeError, ValueError):
         value = -1.0
-    if not 0 <= value < 1e12:
+    if not 0 <= value < _LARGEST:
         raise FormatError(f"{path}: <{element.tag} {name}> is {text!r}; a number is wanted")
     return value

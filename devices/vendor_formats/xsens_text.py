@@ -83,8 +83,13 @@ def add_tracks(
     modules: list[ModuleTrack],
     fused: list[FusedTrack],
 ) -> None:
-    """The tracks of rows (n, 13) as in ``MtFile``: raw readings, orientations, or both."""
+    """The tracks of rows (n, 13) as in ``MtFile``: raw readings, orientations, or both.
+
+    Raises ``FormatError`` when there is neither.
+    """
     acc, gyr, mag, q = rows[:, :3], rows[:, 3:6], rows[:, 6:9], rows[:, 9:]
+    if not (np.isfinite(acc).any() or np.isfinite(q).any()):
+        raise FormatError(f"module '{label}' has neither an acceleration nor an orientation in any row")
     if np.isfinite(acc).any():
         modules.append(track_of(module, label, times, acc, gyr, mag))
     if np.isfinite(q).any():
