@@ -141,7 +141,7 @@ def _played(reconstructor, events):
     return frames
 
 
-@pytest.mark.parametrize("reconstructor", ["independent", "joint"])
+@pytest.mark.parametrize("reconstructor", ["independent", pytest.param("joint", marks=pytest.mark.slow)])
 def test_every_reconstructor_is_reset_alike_and_repeatably(reconstructor):
     events = {120: (RESET_EVENT, {"kind": "heading", "facing": 1.0})}
     first, second = _played(reconstructor, events), _played(reconstructor, events)
