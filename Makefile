@@ -7,15 +7,17 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test lint docs bench soak install install-dev system-tools lock clean
+.PHONY: help demo test test-socketcan lint docs bench soak install install-dev system-tools lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
 	@echo "make test    install what the tests need (mosquitto and chromium too, where apt may) and run them"
+	@echo "make test-socketcan  SocketCAN on the kernel's virtual buses, in a virtual machine if need be"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   measure, and rewrite the figures in docs/"
 	@echo "make docs    the pages in docs/ as HTML"
-	@echo "make soak    slow tests, and ten million wire frames, damaged and good, through the decoders"
+	@echo "make soak    slow tests, and ten million wire frames, damaged and good, through the decoders;"
+	@echo "             then MINUTES=20 of random faults on a running gateway"
 	@echo "make lock    pin the dependencies anew"
 
 $(VENV)/pyvenv.cfg:
@@ -68,6 +70,9 @@ lint: install-dev
 test: install-dev system-tools lint
 	$(BIN)/python -m pytest -n 2 $(TESTS)
 
+test-socketcan: install-dev
+	@PYTHON=$(BIN)/python tests/socketcan/run.sh
+
 docs: install-dev
 	$(BIN)/python -m sphinx -q -W -b html docs docs/_build
 	@echo "open docs/_build/index.html"
@@ -75,9 +80,11 @@ docs: install-dev
 bench: install-dev system-tools
 	$(BIN)/python -m benchmarks all --write-docs
 
-soak: install-dev
+soak: MINUTES ?= 20
+soak: install-dev system-tools
 	$(BIN)/python -m pytest -m slow
 	$(BIN)/python -m benchmarks.wire_campaign --frames 10000000
+	$(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
 
 lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv

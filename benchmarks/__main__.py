@@ -1,27 +1,36 @@
-"""``python -m benchmarks accuracy|speed|latency|clock|record|walking|joints|sensors|calibration|all``."""
+"""``python -m benchmarks SUITE``: one suite, or all."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
-from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import accuracy, calibration, clock, joints, latency, record, sensors, speed, walking
 from benchmarks.figures import Report, write_docs
 
-SUITES: dict[str, Callable[[], Report]] = {
-    "accuracy": accuracy.run,
-    "speed": speed.run,
-    "latency": latency.run,
-    "clock": clock.run,
-    "walking": walking.run,
-    "record": record.run,
-    "joints": joints.run,
-    "sensors": sensors.run,
-    "calibration": calibration.run,
-}
+SUITES = (
+    "accuracy",
+    "speed",
+    "latency",
+    "outputs",
+    "clock",
+    "walking",
+    "record",
+    "batch",
+    "joints",
+    "sensors",
+    "calibration",
+    "faults",
+)
+"""Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
+
+
+def run(name: str) -> Report:
+    """The figures of one suite."""
+    report: Report = importlib.import_module(f"benchmarks.{name}").run()
+    return report
 
 
 def main() -> None:
@@ -31,11 +40,11 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE")
     parser.add_argument("--write-docs", action="store_true", help=f"rewrite the tables in {PAGE.name}")
     arguments = parser.parse_args()
-    names = list(SUITES) if arguments.suite == "all" else [arguments.suite]
+    names = SUITES if arguments.suite == "all" else (arguments.suite,)
     reports = []
     for name in names:
         print(f"== {name}", flush=True)
-        report = SUITES[name]()
+        report = run(name)
         for table in report.tables:
             print(table, end="\n\n")
         for figure in report.figures:

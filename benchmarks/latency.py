@@ -5,12 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import shutil
-import socket
-import subprocess
 import sys
 import tempfile
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +16,7 @@ import psutil
 import yaml
 
 from benchmarks.figures import Figure, Report, table
+from benchmarks.local_broker import mosquitto
 from gateway.frames import FloatArray
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
@@ -48,7 +46,7 @@ class Run:
 
 def run() -> Report:
     """17 modules at 100 Hz, then more until the gateway no longer keeps up."""
-    with mosquitto_broker() as port:
+    with mosquitto() as (port, _):
         runs = []
         for n_modules, rate_hz in LOADS:
             runs.append(asyncio.run(_measure(port, n_modules, rate_hz)))
@@ -182,27 +180,3 @@ async def line_of(process: asyncio.subprocess.Process) -> dict[str, list[int]]:
     """The next line that it prints, JSON."""
     assert process.stdout is not None
     return json.loads(await process.stdout.readline())  # type: ignore[no-any-return]
-
-
-@contextlib.contextmanager
-def mosquitto_broker() -> Iterator[int]:
-    """A broker on a free port, which is given."""
-    program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
-    if program is None:
-        raise SystemExit("this suite needs mosquitto: apt install mosquitto")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    with tempfile.TemporaryDirectory() as folder:
-        config = Path(folder) / "mosquitto.conf"
-        config.write_text(
-            f"listener {port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\nuser root\n"
-        )
-        broker = subprocess.Popen(
-            [program, "-c", str(config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        try:
-            yield port
-        finally:
-            broker.terminate()
-            broker.wait()

@@ -22,7 +22,8 @@ import yaml
 
 from benchmarks.emulated_stream import relay_chunks, suit_17
 from benchmarks.figures import Figure, Report, table
-from benchmarks.latency import line_of, mosquitto_broker, process_of, write_config
+from benchmarks.latency import line_of, process_of, write_config
+from benchmarks.local_broker import mosquitto
 from benchmarks.paced_writer import ticks
 from devices.emulators.imperfections import TYPICAL
 from devices.link import Chunk, Framing
@@ -72,7 +73,7 @@ class Emulated:
 
 def run(seconds: float = SECONDS, kills: int = KILLS) -> Report:
     """All of it; ``seconds`` for the run of the gateway."""
-    with mosquitto_broker() as port:
+    with mosquitto() as (port, _):
         live = asyncio.run(_gateway(port, seconds))
     losses_ms = np.array([_kill(moment) for moment in _moments(kills)])
     emulated = {method: _emulated(method) for method in METHODS}

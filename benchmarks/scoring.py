@@ -25,6 +25,8 @@ class Score(NamedTuple):
 
     total: FloatArray
     tilt: FloatArray
+    covered: FloatArray
+    """Percent of the errors that lie within twice the ``sigma`` that came with them; NaN without."""
 
     def __str__(self) -> str:
         rows = zip(self.total, self.tilt, strict=True)
@@ -32,23 +34,41 @@ class Score(NamedTuple):
         return f"total/tilt RMSE in degrees by segment: {cells}"
 
 
-def score(times_s: FloatArray, q_wb: FloatArray, recording: Recording, from_s: float = 0.0) -> Score:
-    """Errors of orientations (T, S, 4) at times (T,), in the order of the recording's references."""
+def score(
+    times_s: FloatArray,
+    q_wb: FloatArray,
+    recording: Recording,
+    from_s: float = 0.0,
+    sigma: FloatArray | None = None,
+) -> Score:
+    """Errors of orientations (T, S, 4) at times (T,), in the order of the recording's references.
+
+    sigma: (T, S) rad, what the estimator says of itself.
+    """
+    claimed = np.full(q_wb.shape[:2], np.nan) if sigma is None else sigma
     errors = [
-        _segment_errors(times_s, q_wb[:, i], reference, from_s)
+        _segment_errors(times_s, q_wb[:, i], claimed[:, i], reference, from_s)
         for i, reference in enumerate(recording.references)
     ]
     return Score(*(np.array(column) for column in zip(*errors, strict=True)))
 
 
 def _segment_errors(
-    times_s: FloatArray, q_wb: FloatArray, reference: ReferenceTrack, from_s: float
-) -> tuple[float, float]:
+    times_s: FloatArray, q_wb: FloatArray, sigma: FloatArray, reference: ReferenceTrack, from_s: float
+) -> tuple[float, float, float]:
     q_ref = reference_at(times_s, reference)
     usable = np.isfinite(q_ref).all(axis=1) & np.isfinite(q_wb).all(axis=1) & (times_s >= from_s)
     aligned = align(q_wb[usable], q_ref[usable])
     errors = orientation_error(aligned, q_ref[usable])
-    return float(rmse_deg(errors.total)), float(rmse_deg(errors.inclination))
+    covered = coverage_percent(errors.total, sigma[usable])
+    return float(rmse_deg(errors.total)), float(rmse_deg(errors.inclination)), covered
+
+
+def coverage_percent(errors: FloatArray, sigma: FloatArray) -> float:
+    """Percent of errors (rad) within two sigma; NaN where nothing is claimed."""
+    if np.isnan(sigma).all():
+        return float("nan")
+    return float(100.0 * np.mean(errors < 2.0 * sigma))
 
 
 def reference_at(times_s: FloatArray, reference: ReferenceTrack) -> FloatArray:

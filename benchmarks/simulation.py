@@ -23,6 +23,17 @@ from gateway.pipeline import Pipeline
 from gateway.stream import ClockMode
 
 LINK = "simulated"
+SENSORS = Imperfections(
+    accelerometer_noise=0.03,
+    gyrometer_noise=np.radians(0.1),
+    magnetometer_noise=0.5,
+    accelerometer_bias=0.05,
+    gyrometer_bias=np.radians(0.3),
+    gyrometer_bias_walk=np.radians(0.005),
+    scale=0.002,
+    placement=0.01,
+)
+"""Consumer sensors with lever arms that are 1 cm off."""
 DIP_DEG = 25.0
 """Of the simulated field where the method itself is tried, not its weakness in steep fields."""
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy import DATA, SENSORS
+from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
 from benchmarks.foot_recording import FootResult, measure_foot, read_foot
-from benchmarks.simulation import through_the_wire
+from benchmarks.simulation import SENSORS, through_the_wire
 from devices.emulators.gait import RUN, WALK
 from devices.emulators.motions import BodyMotion, gait_motion
 from gateway.body.rig import load_rig

@@ -13,19 +13,22 @@ import os
 import socket
 import struct
 import sys
+from collections import Counter
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 from devices.arrivals import Arrivals
+from devices.can_errors import WANTED_ERRORS, BusError, errors_of
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 
-# linux/can.h and asm-generic/socket.h; Python's socket module lacks the last three.
+# linux/can.h and asm-generic/socket.h; Python's socket module lacks the last four.
 _CAN_FRAME = struct.Struct("=IB3x8s")
 _CANFD_FRAME = struct.Struct("=IBB2x64s")
 _FD_BITRATE_SWITCH = 0x01
 _EXTENDED, _REMOTE, _ERROR = 1 << 31, 1 << 30, 1 << 29
 _IDENTIFIER = (1 << 29) - 1
+_CAN_RAW_ERR_FILTER = 2
 _SO_RXQ_OVFL = 40
 _SO_RCVBUFFORCE = 33
 _INTERFACE_TYPE_CAN = "280"
@@ -50,6 +53,8 @@ class SocketCanLink:
         self.channel = channel
         self.kernel_dropped = 0
         """Frames the kernel dropped since opening because its receive buffer was full."""
+        self.bus_errors: Counter[BusError] = Counter()
+        """What the controller has reported, ever."""
         self._fd = fd
         self._bitrate = bitrate
         self._arrivals = Arrivals.never_opened(self.name)
@@ -67,6 +72,10 @@ class SocketCanLink:
             self._socket = open_can_socket(self.channel, self._fd)
         except OSError as error:
             raise self._open_error(error) from error
+        if not has_carrier(self.channel):
+            self._socket.close()
+            self._socket = None
+            raise LinkError(self._bus_off())
         set_receive_buffer(self._socket)
         self.kernel_dropped = 0
         self._arrivals = Arrivals(self.name)
@@ -85,23 +94,26 @@ class SocketCanLink:
 
     def _receive(self, bus: socket.socket) -> None:
         frames: list[CanFrame] = []
-        lost: OSError | None = None
+        lost: LinkError | None = None
         try:
-            while len(frames) < _BATCH:
+            while len(frames) < _BATCH and lost is None:
                 data, ancillary, _, _ = bus.recvmsg(_CANFD_FRAME.size, socket.CMSG_SPACE(4))
-                frames.append(frame_from_kernel(data))
+                frame = frame_from_kernel(data)
+                frames.append(frame)
+                if frame.is_error:
+                    lost = self._note_error(frame)
                 for _, kind, content in ancillary:
                     if kind == _SO_RXQ_OVFL:
                         self.kernel_dropped = int.from_bytes(content, sys.byteorder)
         except BlockingIOError:
             pass  # that was all there is for now
         except OSError as error:
-            lost = error
+            lost = self._lost_error(error)
         if frames:
             # Stamped after the last was taken: no frame seems to have come before it did.
             self._arrivals.put(pack_can_records(frames), gateway_time_ns())
         if lost is not None:
-            self._release(self._lost_error(lost))
+            self._release(lost)
 
     async def _send(self, data: bytes) -> None:
         for _ in range(_SEND_RETRIES):
@@ -127,6 +139,18 @@ class SocketCanLink:
         self._socket.close()
         self._socket = None
         self._arrivals.end(error)
+
+    def _note_error(self, frame: CanFrame) -> LinkError | None:
+        """Count what the controller reports; the loss of the link when it has left the bus."""
+        errors = errors_of(frame)
+        self.bus_errors.update(errors)
+        return LinkError(self._bus_off()) if BusError.BUS_OFF in errors else None
+
+    def _bus_off(self) -> str:
+        return (
+            f"{self.channel} is off the bus (bus-off): check wiring, termination and bit rate; then "
+            f"'sudo ip link set {self.channel} type can restart', or set it up with 'restart-ms 100'"
+        )
 
     def _up_command(self) -> str:
         return f"sudo ip link set {self.channel} up type can bitrate {self._bitrate}"
@@ -161,6 +185,7 @@ def open_can_socket(channel: str, fd: bool) -> socket.socket:
         raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
     try:
+        bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, WANTED_ERRORS)
         if fd:
             bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
         bus.bind((channel,))
@@ -177,6 +202,14 @@ def set_receive_buffer(bus: socket.socket) -> None:
     except PermissionError:
         bus.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
     bus.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+
+
+def has_carrier(channel: str) -> bool:
+    """Whether the interface takes part in its bus: a controller in bus-off does not."""
+    try:
+        return Path(f"/sys/class/net/{channel}/carrier").read_text().strip() != "0"
+    except OSError:  # down, or no such interface: reading and writing will tell
+        return True
 
 
 def can_interfaces() -> list[str]:

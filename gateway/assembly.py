@@ -57,6 +57,8 @@ class FrameAssembler:
         self.lost: Counter[Lost] = Counter()
         self.late: Counter[int] = Counter()
         """Readings that came after their frame, by module id; those of ``lost`` one by one."""
+        self.taken = 0
+        """Readings that a frame can be made from."""
         self._params = params
         self._row = {module: row for row, module in enumerate(module_ids)}
         self._times = np.full((n, _DEPTH), np.iinfo(np.int64).min, dtype=np.int64)
@@ -76,8 +78,19 @@ class FrameAssembler:
         self._local: list[LocalReading] = []
         self._interpolate(0)  # compile now, not when the first reading waits
 
+    @property
+    def frames(self) -> int:
+        """Frames given out."""
+        return self._sequence
+
+    @property
+    def instants(self) -> int:
+        """Grid points passed, with a frame or without."""
+        return self._count
+
     def add_local(self, reading: LocalReading) -> None:
         """Keep a local measurement for the frame that comes next at or after its time."""
+        self.taken += 1
         self._local.append(reading)
 
     def add(self, reading: InertialReading, arrived_ns: int) -> list[ImuFrame]:
@@ -87,6 +100,7 @@ class FrameAssembler:
             self.lost[Lost.UNKNOWN_MODULE] += 1
             return []
         if self._store(row, reading):
+            self.taken += 1
             if self._first_arrival_ns is None:
                 self._first_arrival_ns = arrived_ns
             return self._emit(arrived_ns)

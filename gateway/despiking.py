@@ -48,6 +48,11 @@ class Despiker:
         self._last[reading.module] = (clean, reading)
         return clean
 
+    @property
+    def held_back(self) -> int:
+        """Readings taken in and not given out yet: the newest of each module."""
+        return len(self._last)
+
     def summary(self) -> dict[str, int]:
         """For the health message: spikes by module."""
         return {str(module): count for module, count in sorted(self.spikes.items()) if count}

@@ -27,6 +27,8 @@ class FusedAssembler:
     def __init__(self, module_ids: tuple[int, ...], params: AssemblyParams, reference: int) -> None:
         """reference: the module whose instants count; best the slowest by the clock table."""
         self.lost: Counter[Lost] = Counter()
+        self.taken = 0
+        """Readings that a frame can be made from."""
         self.reference = reference
         self._module_ids = module_ids
         self._params = params
@@ -37,6 +39,11 @@ class FusedAssembler:
         self._last_us = -np.inf
         self._gather = self._begin()
         slerp(np.array(_AT_REST), np.array(_AT_REST), 0.5)  # compile now, not when the first reading waits
+
+    @property
+    def frames(self) -> int:
+        """Frames given out."""
+        return self._sequence
 
     def add(self, reading: FusedReading, arrived_ns: int) -> list[ImuFrame]:
         """Take a reading; the frames that it, or the time it arrived, completes."""
@@ -53,6 +60,7 @@ class FusedAssembler:
         if newest is not None and datum.time_us <= newest.time_us:
             self.lost[Lost.LATE] += 1
             return []
+        self.taken += 1
         if self._is_reference_silent(datum.time_us):
             self.reference = module
             self._gather = self._begin()

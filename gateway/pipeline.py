@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -97,6 +97,8 @@ class Pipeline:
         self.gnss_params: dict[str, GnssParams] = {}
         """By link; a receiver that is not named has the defaults."""
         self._gnss: dict[str, GnssReceiver] = {}
+        self.satellite_readings = 0
+        """Readings that satellite receivers gave, beside those of the stream."""
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
@@ -179,13 +181,20 @@ class Pipeline:
 
     def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
         imu_frames: list[ImuFrame] = []
-        receiver = self._gnss.get(chunk.link)
-        for reading in self.stream.receive(chunk) if receiver is None else receiver.receive(chunk):
+        for reading in self._readings(chunk):
             imu_frames += self._assemble(reading, chunk.arrived_ns)
         if self.on_imu_frame is not None:
             for imu_frame in imu_frames:
                 self.on_imu_frame(imu_frame)
         return imu_frames
+
+    def _readings(self, chunk: Chunk) -> Sequence[Reading]:
+        receiver = self._gnss.get(chunk.link)
+        if receiver is None:
+            return self.stream.receive(chunk)
+        readings = receiver.receive(chunk)
+        self.satellite_readings += len(readings)
+        return readings
 
     def _assemble(self, reading: Reading, arrived_ns: int) -> list[ImuFrame]:
         fused = self.fused_assembler

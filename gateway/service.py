@@ -15,6 +15,7 @@ from devices.endpoints import link_from_url
 from devices.link import Framing, Link, SentChunk
 from devices.reconnect import LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
+from gateway.accounting import Balance, balances_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.errors import GatewayError
@@ -28,10 +29,13 @@ from gateway.outputs.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
+from gateway.outputs.side_outputs import SideOutputs
+from gateway.own_requests import OwnRequests
 from gateway.pipeline import INPUT_EVENTS, Pipeline
 from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
+from gateway.supervision import kept_running
 from gateway.synchronisation import Synchroniser
 from gateway.triggering import Triggerer
 
@@ -53,9 +57,14 @@ class Service:
         )
         self._records_at_start = settings.recording.at_start
         info = _describe(settings, suit)
-        self.mqtt = MqttOutput(settings.mqtt, suit.skeleton, info, self.statistics)
-        self._outputs: tuple[Output, ...] = (self.mqtt,)
-        self.observer = Observer(settings, suit, info, self.pipeline, self.links, self.mqtt)
+        self.side = SideOutputs(settings.outputs, suit.skeleton, settings.gateway, settings.assembly.rate_hz)
+        self.mqtt = MqttOutput(
+            settings.mqtt, suit.skeleton, info, self.statistics, lambda: self.side.counters
+        )
+        self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
+        self.observer = Observer(
+            settings, suit, info, self.pipeline, self.links, self.mqtt, self.side, balances=self.balances
+        )
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
         suit_links = [link for link in self.links if link.framing is not Framing.GNSS]
@@ -68,8 +77,10 @@ class Service:
         self._announced: list[Link] = []  # to the pipeline, and with modules at the other end
         self._synchroniser = _synchroniser(settings, self._announced, sender)
         self._triggerer = _triggerer(settings, self._announced, sender, stream)
+        self.own_requests = OwnRequests(self.mqtt)
         self.calibration = CalibrationControl(self.pipeline, settings.rig, self._happened)
         families = {
+            "gateway": self.own_requests.perform,
             "modules": operations.perform,
             "recording": self.recording.perform,
             "calibration": self.calibration.perform,
@@ -79,13 +90,29 @@ class Service:
 
     @property
     def can_flow(self) -> bool:
-        """Whether every link is attended to: what the watchdog wants to know."""
-        return bool(self._ingesting) and not any(task.done() for task in self._ingesting)
+        """Whether every link is attended to, and the output lives: what the watchdog wants to know."""
+        return (
+            bool(self._ingesting)
+            and not any(task.done() for task in self._ingesting)
+            and self.mqtt.is_running
+        )
+
+    def balances(self) -> list[Balance]:
+        """Where every sample, pose and chunk went (see ``gateway.accounting``)."""
+        return balances_of(
+            self.pipeline, {"mqtt": self.mqtt.counters, **self.side.counters}, self.recording.balance
+        )
 
     def statistics(self) -> dict[str, object]:
         """Counters for the health message."""
+        accounting = {balance.name: balance.summary() for balance in self.balances()}
         timer = {} if self._triggerer is None else {"trigger_timer": self._triggerer.statistics()}
-        return {**timer, **self.pipeline.statistics(), "recording": self.recording.status()}
+        return {
+            **timer,
+            **self.pipeline.statistics(),
+            "accounting": accounting,
+            "recording": self.recording.status(),
+        }
 
     async def run(self) -> None:
         """Open everything, and pass on what comes.
@@ -93,15 +120,21 @@ class Service:
         Raises ``OutputError`` if an output cannot start, ``RecordingError`` if what it is to record cannot be
         written.
         """
-        async with self.mqtt, self.observer.watching():
+        async with self.mqtt, self.side.running(), self.observer.watching():
             if self._records_at_start:
                 self.recording.start()
             self.requests.start(self.mqtt.port)
-            companions = [asyncio.create_task(self._report(), name="report")]
+            companions = [asyncio.create_task(kept_running("the report", self._report), name="report")]
             if self._synchroniser is not None:
-                companions.append(asyncio.create_task(self._synchroniser.run(), name="synchroniser"))
+                companions.append(
+                    asyncio.create_task(
+                        kept_running("the synchroniser", self._synchroniser.run), name="synchroniser"
+                    )
+                )
             if self._triggerer is not None:
-                companions.append(asyncio.create_task(self._triggerer.run(), name="triggerer"))
+                companions.append(
+                    asyncio.create_task(kept_running("the triggerer", self._triggerer.run), name="triggerer")
+                )
             try:
                 async with asyncio.TaskGroup() as group:
                     for link in self.links:

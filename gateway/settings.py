@@ -11,6 +11,7 @@ from gateway.assembly import AssemblyParams
 from gateway.errors import nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
+from gateway.outputs.side_settings import OutputsSettings
 from gateway.reconstruction import RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
@@ -57,7 +58,8 @@ class LinkSettings(_Strict):
     def _is_on_earth(self) -> LinkSettings:
         if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):
             raise ValueError("origin: latitude within ±90 and longitude within ±180 degrees are wanted")
-        given = {"device", "latency_ms", "origin"} & self.model_fields_set
+        names = ("device", "latency_ms", "origin")  # a recorded configuration tells defaults too
+        given = [name for name in names if getattr(self, name) != LinkSettings.model_fields[name].default]
         if self.carries != "gnss" and given:
             raise ValueError(f"{', '.join(sorted(given))}: only a link with 'carries: gnss' has that")
         return self
@@ -239,6 +241,7 @@ class GatewaySettings(_Strict):
     clock: ClockSettings = ClockSettings()
     assembly: AssemblySettings = AssemblySettings()
     mqtt: MqttSettings = MqttSettings()
+    outputs: OutputsSettings = OutputsSettings()
     recording: RecordingSettings = RecordingSettings()
     modules: ModuleReportSettings = ModuleReportSettings()
     metrics: MetricsSettings = MetricsSettings()

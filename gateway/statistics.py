@@ -24,9 +24,15 @@ class SequenceCounter:
         self.gaps: Counter[int] = Counter()
         """How often so many packets were lost in a row."""
         self._newest = -1
+        self._first = 0
         self._shift = 0  # wire number minus our own: 0 until the module has restarted
         self._is_anew = True
         self._missing: deque[int] = deque(maxlen=_REMEMBERED)
+
+    @property
+    def numbered(self) -> int:
+        """Packets that were sent, by their numbers, from the first that was heard to the newest."""
+        return self._newest - self._first + 1
 
     def count(self, sequence: int) -> int | None:
         """The unwrapped sequence number; None for a packet received before."""
@@ -38,7 +44,9 @@ class SequenceCounter:
     def count_unwrapped(self, full: int) -> int | None:
         """The same for a number that somebody else has unwrapped."""
         if self._is_anew:
-            self._newest = max(self._newest, full - 1)
+            begin = max(self._newest, full - 1)
+            self._first += begin - self._newest
+            self._newest = begin
             self._is_anew = False
         return self._take(full)
 

@@ -66,6 +66,11 @@ class ClockMode(StrEnum):
     send on their own timers has an estimated clock."""
 
 
+SAMPLE_KINDS = frozenset(
+    packet.KIND for packet in (InertialSample, InertialSampleFine, FusedSample, LocalMeasurement)
+)
+"""Of packets that readings are made from."""
+
 _TRIGGERED = 1 << 8
 """Added to the kind: triggered samples are counted by themselves, by the triggers' numbers."""
 
@@ -82,6 +87,10 @@ class Stream:
         """triggers: what answers are awaited in mode TRIGGER; None in any other."""
         self.triggers = triggers
         self.modules: dict[int, ModuleRecord] = {}
+        self.readings = 0
+        """Readings given out."""
+        self.echoed = 0
+        """Packets of a host, ours or another one's, that came back over a bus."""
         self._decoders: dict[str, PacketDecoder] = {}
         self._sent_decoders: dict[str, PacketDecoder] = {}
         self._batching: dict[str, LinkBatching] = {}
@@ -114,10 +123,12 @@ class Stream:
             for listener in self._listeners.get(type(packet.packet), ()):
                 listener(packet, chunk)
             if packet.kind in FROM_HOST:
+                self.echoed += 1
                 continue  # our own, echoed by a bus; its time is that of no module
             reading = self._read(packet, chunk)
             if reading is not None:
                 readings.append(reading)
+        self.readings += len(readings)
         return readings
 
     def restarts(self) -> dict[int, int]:
@@ -141,6 +152,11 @@ class Stream:
     def dropped(self) -> dict[str, Counter[Defect]]:
         """What was dropped by link and reason."""
         return {name: decoder.dropped for name, decoder in self._decoders.items()}
+
+    @property
+    def decoded(self) -> int:
+        """Packets out of the decoders of all links."""
+        return sum(decoder.accepted for decoder in self._decoders.values())
 
     def _read(self, received: ReceivedPacket, chunk: Chunk) -> Reading | None:
         record, time_ns = self._timed(received, chunk.arrived_ns)

@@ -6,17 +6,19 @@ from collections import Counter
 
 import jsonschema
 import orjson
+import ormsgpack
 import paho.mqtt.client as paho
 from pydantic import ValidationError
 
 from gateway.outputs import topics
 from gateway.outputs.contract import json_schemas, topic_pattern
 from gateway.outputs.messages import PUBLICATIONS, Message
+from gateway.outputs.properties import JSON, MSGPACK
 from gateway.outputs.request_messages import ResponseMessage
 
 _BY_SCHEMA = 3
 """So many messages of each topic are validated by JSON Schema too, which is slower than the models."""
-_PATTERNS = [(topic_pattern(publication), publication.model) for publication in PUBLICATIONS]
+_PATTERNS = [(topic_pattern(each), each.model, each.content_type) for each in PUBLICATIONS]
 _VALIDATORS = {name: jsonschema.Draft202012Validator(schema) for name, schema in json_schemas().items()}
 
 
@@ -45,10 +47,13 @@ class ContractWatch:
         _, _, below = topic.partition("/")[2].partition("/")
         if not payload or below.startswith(f"{topics.BRIDGE_REQUEST}/"):
             return  # a retained message taken away; what tests ask for, right or wrong
-        model = _model_of(below)
-        if model is None:
+        found = _publication_of(below)
+        if found is None:
             self.problems.append(f"{topic}: not in the contract")
             return
+        model, content_type = found
+        if content_type == MSGPACK:
+            payload = orjson.dumps(ormsgpack.unpackb(payload))
         self.messages[model.__name__] += 1
         self._seen[topic] += 1
         try:
@@ -59,10 +64,11 @@ class ContractWatch:
             self.problems.append(f"{topic}: {error}")
 
 
-def _model_of(below: str) -> type[Message] | None:
+def _publication_of(below: str) -> tuple[type[Message], str] | None:
+    """What is published on a topic, and how it is encoded."""
     if below.startswith(f"{topics.BRIDGE_RESPONSE}/"):
-        return ResponseMessage
-    return next((model for pattern, model in _PATTERNS if pattern.match(below)), None)
+        return ResponseMessage, JSON
+    return next((found for pattern, *found in _PATTERNS if pattern.match(below)), None)  # type: ignore[return-value]
 
 
 def assert_kept(watch: ContractWatch) -> None:

@@ -17,13 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.ideal_sensors import POSITION
-from devices.emulators.recordings import (
-    NOMINAL_FIELD_UT,
-    LocalTrack,
-    ModuleTrack,
-    Recording,
-    ReferenceTrack,
-)
+from devices.emulators.recordings import LocalTrack, ModuleTrack, Recording, ReferenceTrack, track_of
+from devices.vendor_formats.xsens_text import read_mt_file
 
 LOCAL_DEVICE = 60
 """Module id under which optical positions are sent as those of a local measuring device."""
@@ -78,7 +73,7 @@ def read_ring_chain5(trial: Path, kind: str = "rigid", root_marker: int | None =
     for segment in range(1, 6):
         name = f"segment_{segment}"
         acc, gyr, mag = (triple(imu, f"seg{segment}_{sensor}") for sensor in ("acc", "gyr", "mag"))
-        modules.append(_track(segment, name, times, acc, gyr, mag))
+        modules.append(track_of(segment, name, times, acc, gyr, mag))
         q_wb = np.stack([optical[f"seg{segment}_quat_{axis}"] for axis in "wxyz"], axis=1)
         references.append(ReferenceTrack(name, optical_times, q_wb))
     markers = range(1, 5) if root_marker is None else [root_marker]
@@ -125,27 +120,17 @@ def read_hipose_mtw17(folder: Path) -> Recording:
     The references' world, north-west-up, is turned to east-north-up. They are orientations of the
     module (sensor axes), not of the segment.
     """
-    tables = {}
-    for path in sorted(folder.glob("*_00b45c*.csv")):
-        tables[int(path.stem[-2:], 16)] = np.genfromtxt(path, delimiter=";", skip_header=5)
-    if not tables:
+    files = [read_mt_file(path) for path in sorted(folder.glob("*_00b45c*.csv"))]
+    if not files:
         raise FileNotFoundError(f"no file of an MTw module in {folder}")
-    first = min(table[0, 0] for table in tables.values())
-    east_north_up = Rotation.from_euler("z", 90, degrees=True)
+    first = min(int(file.counter[0]) for file in files)
     modules, references = [], []
-    for module, table in tables.items():
-        name, times = MTW_SEGMENTS[module], (table[:, 0] - first) / 60.0
-        modules.append(_track(module, name, times, table[:, 1:4], table[:, 4:7], table[:, 7:10]))
-        q = east_north_up * Rotation.from_quat(table[:, 10:14], scalar_first=True)
-        references.append(ReferenceTrack(name, times, q.as_quat(scalar_first=True)))
+    for file in files:
+        module, times = int(file.path.stem[-2:], 16), (file.counter - first) / 60.0
+        name, read = MTW_SEGMENTS[module], file.readings
+        modules.append(track_of(module, name, times, read[:, :3], read[:, 3:6], read[:, 6:9]))
+        references.append(ReferenceTrack(name, times, read[:, 9:]))
     return Recording("hipose_mtw17", 60.0, tuple(modules), tuple(references))
-
-
-def _track(
-    module: int, name: str, times: FloatArray, acc: FloatArray, gyr: FloatArray, mag: FloatArray
-) -> ModuleTrack:
-    scale = NOMINAL_FIELD_UT / float(np.nanmean(np.linalg.norm(mag, axis=1)))
-    return ModuleTrack(module, name, times, acc, gyr, mag * scale, scale)
 
 
 def _named_columns(path: Path, header_row: int) -> Any:
@@ -160,7 +145,7 @@ def _read_repoimu(path: Path, module: int, name: str) -> tuple[ModuleTrack, Refe
     fresh = _changes(gyr) & (np.diff(times, prepend=-np.inf) > 0.0)
     at = times[fresh]
     acc, mag = _between_changes(times, acc, at), _between_changes(times, mag, at)
-    track = _track(module, name, at, acc, gyr[fresh], mag)
+    track = track_of(module, name, at, acc, gyr[fresh], mag)
     return track, ReferenceTrack(name, times, q_wb)
 
 

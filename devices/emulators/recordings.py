@@ -16,7 +16,7 @@ from devices.emulators.bodies import FloatArray
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.sample_encoding import SENSORS, SampleEncoder
 from devices.emulators.status_reports import device_info
-from firmware_protocol import InertialSampleFine, LocalMeasurement, WireFrame, encode_packet
+from firmware_protocol import FusedSample, InertialSampleFine, LocalMeasurement, WireFrame, encode_packet
 
 NOMINAL_FIELD_UT = 50.0
 """Mean norm that magnetic readings in arbitrary units are scaled to, module by module, µT."""
@@ -43,6 +43,16 @@ class ModuleTrack:
     def sensors(self) -> tuple[str, ...]:
         """Sensors that gave any value at all, in wire order."""
         return tuple(name for name in SENSORS if np.isfinite(getattr(self, name)).any())
+
+
+@dataclass(frozen=True)
+class FusedTrack:
+    """Orientations that a module fused itself. NaN rows were lost: not sent, yet counted."""
+
+    module: int
+    name: str
+    times: FloatArray  # (n,) s, increasing
+    q_es: FloatArray  # (n, 4) wxyz, sensor axes to a world with Z up
 
 
 @dataclass(frozen=True)
@@ -78,16 +88,30 @@ class Recording:
     modules: tuple[ModuleTrack, ...]
     references: tuple[ReferenceTrack, ...] = field(default=())
     local: tuple[LocalTrack, ...] = field(default=())
+    fused: tuple[FusedTrack, ...] = field(default=())
+    begun_utc_ns: int = 0
+    """Wall clock at time 0, ns since 1970; 0: not known."""
+    notes: tuple[str, ...] = field(default=())
+    """What the user should know of how it was read."""
 
     @property
     def module_ids(self) -> tuple[int, ...]:
-        """Inertial modules, in order."""
-        return tuple(track.module for track in self.modules)
+        """Modules, in order: those with raw readings, then those with orientations alone."""
+        return tuple(dict.fromkeys(track.module for track in self._tracks))
+
+    @property
+    def names(self) -> dict[int, str]:
+        """What each module is called."""
+        return {track.module: track.name for track in self._tracks}
+
+    @property
+    def _tracks(self) -> tuple[ModuleTrack | FusedTrack, ...]:
+        return (*self.modules, *self.fused)
 
     @property
     def duration_s(self) -> float:
         """Time of the last sample of any module, s."""
-        return max(float(track.times[-1]) for track in self.modules)
+        return max(float(track.times[-1]) for track in self._tracks)
 
     def reference(self, name: str) -> ReferenceTrack:
         """Reference of a segment by name. Raises ``KeyError`` naming those there are."""
@@ -97,14 +121,33 @@ class Recording:
         raise KeyError(f"no reference for {name!r}; there are {[track.name for track in self.references]}")
 
 
+def track_of(
+    module: int,
+    name: str,
+    times: FloatArray,
+    specific_force: FloatArray,
+    angular_rate: FloatArray | None = None,
+    magnetic_field: FloatArray | None = None,
+) -> ModuleTrack:
+    """A track in SI units, its magnetic readings, of any unit, scaled to a mean norm of
+    ``NOMINAL_FIELD_UT``. Sensors that are None were not there."""
+    absent = np.full_like(specific_force, np.nan)
+    rate = absent if angular_rate is None else angular_rate
+    if magnetic_field is None or not np.isfinite(magnetic_field).any():
+        return ModuleTrack(module, name, times, specific_force, rate, absent)
+    scale = NOMINAL_FIELD_UT / float(np.nanmean(np.linalg.norm(magnetic_field, axis=1)))
+    return ModuleTrack(module, name, times, specific_force, rate, magnetic_field * scale, scale)
+
+
 def play(recording: Recording, encoding: Encoding | None = None) -> Iterator[Transmission]:
     """What the modules would have sent, in order of time: (time in s, bytes) without any delay.
 
-    Every module introduces itself, then sends its samples as ``InertialSampleFine``. The same recording
-    always gives the same bytes.
+    Every module introduces itself, then sends its samples as ``InertialSampleFine``, and its own
+    orientations as ``FusedSample``. The same recording always gives the same bytes.
     """
     encode = (encoding or Encoding()).encode
     senders = [_module_frames(track, recording.sampling_rate_hz) for track in recording.modules]
+    senders += [_fused_frames(track) for track in recording.fused]
     senders += [_local_frames(track) for track in recording.local]
     for time_s, frame in heapq.merge(*senders, key=lambda timed: timed[0]):
         yield Transmission(time_s, encode(frame))
@@ -122,6 +165,16 @@ def _module_frames(track: ModuleTrack, sampling_rate_hz: float) -> Iterator[tupl
     yield first_s, WireFrame(info.KIND, track.module, 0, _clock_us(first_s), encode_packet(info))
     for row, time_s, body in zip(rows.tolist(), track.times[rows].tolist(), bodies, strict=True):
         yield time_s, WireFrame(encoder.kind, track.module, row % 2**16, _clock_us(time_s), body)
+
+
+def _fused_frames(track: FusedTrack) -> Iterator[tuple[float, WireFrame]]:
+    before_s = float(track.times[0])
+    for row in np.flatnonzero(np.isfinite(track.q_es).all(axis=1)).tolist():
+        time_s = float(track.times[row])
+        w, x, y, z = track.q_es[row].tolist()
+        body = encode_packet(FusedSample((w, x, y, z), (0.0, 0.0, 0.0), time_s - before_s))
+        before_s = time_s
+        yield time_s, WireFrame(FusedSample.KIND, track.module, row % 2**16, _clock_us(time_s), body)
 
 
 def _local_frames(track: LocalTrack) -> Iterator[tuple[float, WireFrame]]:

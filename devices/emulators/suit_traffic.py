@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from operator import attrgetter
 
 import numpy as np
@@ -62,6 +62,8 @@ class SuitTraffic:
         self.motion = motion
         self.counts: Counter[str] = Counter()
         """Packets sent, lost and duplicated, wire frames corrupted, by those words."""
+        self.on_sent: Callable[[int, list[Timed]], list[Timed]] | None = None
+        """May change what a device (by number) is about to send."""
         self._now_s = 0.0
         self._pending: list[tuple[float, int, bytes]] = []
         self._order = 0
@@ -185,6 +187,8 @@ class SuitTraffic:
         self._look_ahead(inertial, to_s)
         for sampling, frames in zip(inertial, self._sampler.sample(inertial), strict=True):
             sent[sampling.device] += frames
+        if self.on_sent is not None:
+            sent = {number: self.on_sent(number, frames) for number, frames in sent.items()}
         return sent
 
     def _look_ahead(self, samplings: list[Sampling], to_s: float) -> None:

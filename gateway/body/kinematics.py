@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
@@ -29,3 +30,9 @@ def joint_positions(
         else:
             p_w[i] = p_w[parent] + quaternion.rotate(q_wb[parent], offsets[i])
     return p_w
+
+
+def lowest_point(skeleton: Skeleton, q_wb: FloatArray, p_w: FloatArray) -> float:
+    """Height of the lowest joint or tip of a pose, m; q_wb (s, 4), p_w (s, 3) without NaN."""
+    tips = [p + quaternion.rotate(q, tip) for q, p, tip in zip(q_wb, p_w, skeleton.tips, strict=True)]
+    return float(min(np.min(p_w[:, 2]), np.min(np.array(tips)[:, 2])))

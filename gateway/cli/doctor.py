@@ -9,10 +9,11 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
-from gateway.doctor import Verdict, examine
-from gateway.settings import load_gateway_settings
+from gateway.doctor import Finding, Verdict, examine_file
+from gateway.errors import SettingsError
 
 _COLOURS = {Verdict.GOOD: "green", Verdict.WARNING: "yellow", Verdict.BAD: "red"}
 
@@ -25,21 +26,34 @@ def doctor(
         float | None,
         typer.Option(min=1, max=4000, help="Samples of each module a second; else assembly.rate_hz."),
     ] = None,
+    listen: Annotated[
+        float, typer.Option(min=0, max=30, help="How long the suit is listened to, s; 0: not at all.")
+    ] = 2.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
 ) -> None:
-    """Examine a set-up: rig, ports, capacity of serial lines and CAN buses, broker.
+    """Examine a set-up: configuration, ports, lines and buses, modules, broker, clocks, disk.
 
-    Ends with 1 when something will not work.
+    Changes nothing. Ends with 1 when something will not work. A gateway that runs is asked; else the suit is
+    listened to.
+
+    Example: mocap-gateway doctor -c my.yaml --module-rate 200
     """
-    settings = load_gateway_settings(config)
-    findings = list(examine(settings, config, module_rate or settings.assembly.rate_hz))
+    if not config.is_file():
+        raise SettingsError(f"no configuration file {config}: name yours with -c")
+    console = Console(stderr=as_json)
+    with console.status("examining"):
+        findings = list(examine_file(config, module_rate, listen))
     if as_json:
-        typer.echo(json.dumps([asdict(finding) for finding in findings], indent=2))
+        typer.echo(json.dumps([asdict(finding) for finding in findings], indent=2, ensure_ascii=False))
     else:
-        table = Table("what", "", "found", "remedy", title=str(config), title_justify="left")
-        for finding in findings:
-            verdict = f"[{_COLOURS[finding.verdict]}]{finding.verdict}[/]"
-            table.add_row(finding.subject, verdict, finding.found, finding.remedy)
-        Console().print(table)
+        console.print(_table(config, findings))
     if any(finding.verdict is Verdict.BAD for finding in findings):
         raise typer.Exit(1)
+
+
+def _table(config: Path, findings: list[Finding]) -> Table:
+    table = Table("what", "", "found", "remedy", title=escape(str(config)), title_justify="left")
+    for finding in findings:
+        verdict = f"[{_COLOURS[finding.verdict]}]{finding.verdict}[/]"
+        table.add_row(escape(finding.subject), verdict, escape(finding.found), escape(finding.remedy))
+    return table

@@ -19,6 +19,8 @@ from rich.console import Console
 from devices.emulators.calibrating import begin_of_script, strapped_on
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
+from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faulty_suit import pull_cable
 from devices.emulators.gnss_receiver import FORMATS
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
@@ -34,6 +36,7 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
+from gateway.cli.emulated_faults import faulty, plan_of, told
 from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
 from gateway.cli.emulated_rig import calibrate, dress, move, tumble
 from gateway.errors import GatewayError, nearest
@@ -121,6 +124,10 @@ def emulate(
         Path | None, typer.Option(help="A satellite receiver on the body's root too: link to its port.")
     ] = None,
     gnss_format: Annotated[str, typer.Option(help=f"What it speaks: {', '.join(FORMATS)}.")] = "nmea",
+    faults: Annotated[
+        Path | None,
+        typer.Option(help="What goes wrong and when: a YAML file such as config/faults.yaml."),
+    ] = None,
     tumbling: Annotated[
         bool,
         typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
@@ -148,6 +155,8 @@ def emulate(
     encoding = Encoding(Framing.CAN if on in {Medium.CAN, Medium.SLCAN} else Framing.BYTE_STREAM, fd)
     source: Conversation | Iterable[Transmission]
     if recording is not None:
+        if faults is not None:
+            raise GatewayError("--faults needs a suit that moves: a recording only plays")
         source = play(_read(recording, kind), encoding)
     else:
         settings = SuitSettings(
@@ -158,7 +167,8 @@ def emulate(
             encoding=encoding,
         )
         wearing = _Wearing(tumbling, motion, strap_on, radians(facing))
-        source = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, wearing, gnss is not None)
+        traffic = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, wearing, gnss is not None)
+        source = traffic if faults is None else faulty(traffic, faults)
     receiver = None if gnss is None else companion(rig, seed, gnss, gnss_format, seconds)
     start_ns = gateway_time_ns() + _START_DELAY_NS
     if motion is MotionKind.CALIBRATION:
@@ -230,17 +240,19 @@ def _play(
     beside = None if receiver is None else receiver(start_ns)
     suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=seconds)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_run(suit, beside, as_json))
+        asyncio.run(_run(suit, beside, plan_of(source), as_json))
     if not as_json:
         counts = suit.counts
         Console().print(
             f"sent {counts.sent_bytes} bytes; {counts.dropped_bytes} dropped because nobody read them"
+            f"{told(source)}"
         )
 
 
-async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, as_json: bool) -> None:
+async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, plan: FaultPlan, as_json: bool) -> None:
     runs = [suit.run()] if beside is None else [suit.run(), beside.run()]
     task = asyncio.ensure_future(asyncio.gather(*runs))
+    cable = asyncio.create_task(pull_cable(plan, suit))
     while not (url := suit.transport.url) and not task.done():  # noqa: ASYNC110 - for a moment
         await asyncio.sleep(0.01)
     if url:
@@ -248,4 +260,7 @@ async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, as_json: bool) -
             typer.echo(json.dumps({"url": url, "start_ns": suit.start_ns}))
         else:
             Console().print(f"emulated suit on [bold]{url}[/bold]  (Ctrl-C ends it)", soft_wrap=True)
-    await task
+    try:
+        await task
+    finally:
+        cable.cancel()

@@ -31,6 +31,11 @@ class Unit(StrEnum):
 _UNITS_PER_M = {Unit.M: 1.0, Unit.CM: 100.0, Unit.MM: 1000.0}
 
 
+def units_per_m(unit: Unit) -> float:
+    """How many of it make a metre."""
+    return _UNITS_PER_M[unit]
+
+
 def export(
     file: Annotated[Path, typer.Argument(help="Recording.")],
     to: Annotated[list[FormatName], typer.Option("--to", help="Format; several may be asked for.")],
@@ -61,7 +66,7 @@ def export(
             wanted = axes or kind.axes
             if wanted not in takes:
                 takes[wanted] = take_of(arrays, file.stem, wanted)
-            per_m = kind.units_per_m if unit is None else _UNITS_PER_M[unit]
+            per_m = kind.units_per_m if unit is None else units_per_m(unit)
             kind.write(takes[wanted], path, per_m)
             written.append(_summary(name, path, takes[wanted], per_m))
     if as_json:

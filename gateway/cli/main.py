@@ -52,6 +52,23 @@ class _Commands(LazyGroup):
             "Examples: mocap-gateway replay walk.mcap --speed 2 --embedded; "
             "mocap-gateway replay walk.mcap --verify; mocap-gateway replay walk.mcap --with my_rig.yaml",
         ),
+        "import": LazyCommand(
+            "gateway.cli.import_files:import_files",
+            "Make a recording of other makers' files: Xsens, MVNX, x-IMU3, Movella DOT, OpenSense, any CSV.",
+            "Examples: mocap-gateway import femur.csv tibia.csv -o knee.mcap; "
+            "mocap-gateway import IMUData/ --map myIMUMappings.xml --neutral 0:1 --forward z -o gait.mcap",
+        ),
+        "report": LazyCommand(
+            "gateway.cli.report:report",
+            "Write one HTML page: loss and clocks by module, status, orientations, joint angles, events.",
+            "Example: mocap-gateway report walk.mcap -o walk.html",
+        ),
+        "batch": LazyCommand(
+            "gateway.cli.batch:batch",
+            "Export, report or re-solve every recording of a folder, on all cores or on a Dask cluster.",
+            "Examples: mocap-gateway batch recordings/ --to report --to csv -o results/; "
+            "mocap-gateway batch recordings/ --to bvh --with my_rig.yaml --dask tcp://head:8786",
+        ),
         "diff": LazyCommand(
             "gateway.cli.diff:diff",
             "Compare the poses of two recordings: angle between the orientations, by segment.",
@@ -80,7 +97,7 @@ class _Commands(LazyGroup):
         ),
         "doctor": LazyCommand(
             "gateway.cli.doctor:doctor",
-            "Examine a set-up: rig, ports, capacity of serial lines and CAN buses, broker.",
+            "Examine a set-up: configuration, ports, lines and buses, modules, broker, clocks, disk.",
             "Example: mocap-gateway doctor -c config/gateway.yaml",
         ),
         "health": LazyCommand(

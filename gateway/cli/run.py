@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import signal
 from pathlib import Path
@@ -17,6 +18,9 @@ from gateway.service_manager import feed_watchdog, notify
 from gateway.settings import GatewaySettings, load_gateway_settings
 
 log = logging.getLogger(__name__)
+
+_ANSWER_TIME_S = 0.5
+"""From a request to read the configuration to the new service: the old one has to answer."""
 
 
 def run(
@@ -57,6 +61,7 @@ class _Supervisor:
         self._task: asyncio.Task[None] | None = None
         self._next: Service | None = None
         self._reloading: asyncio.Task[None] | None = None
+        service.own_requests.on_reload = self._read_anew
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
@@ -95,16 +100,26 @@ class _Supervisor:
             self._reloading = asyncio.create_task(self._load_next(), name="reload")
 
     async def _load_next(self) -> None:
-        """Data flows on while the new configuration is read and its reconstructor compiled."""
+        with contextlib.suppress(GatewayError):
+            await self._read_anew(switch_after_s=0.0)
+
+    async def _read_anew(self, switch_after_s: float = _ANSWER_TIME_S) -> None:
+        """Data flows on while the new configuration is read and its reconstructor compiled.
+
+        switch_after_s: time for whoever asked to be answered by the old service. Raises ``GatewayError``
+        for a configuration that is wrong.
+        """
         notify("RELOADING=1")
         try:
-            self._next = await asyncio.to_thread(_load, self._config)
+            service = await asyncio.to_thread(_load, self._config)
         except GatewayError as error:
             log.error("the changed configuration is not taken, the old one stays: %s", error)
             notify("READY=1")
-            return
+            raise
+        service.own_requests.on_reload = self._read_anew
+        self._next = service
         if self._task is not None:
-            self._task.cancel()
+            asyncio.get_running_loop().call_later(switch_after_s, self._task.cancel)
 
 
 async def until_signal(service: Service) -> None:

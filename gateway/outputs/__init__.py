@@ -1,8 +1,9 @@
-"""Where skeleton frames go: MQTT.
+"""Where skeleton frames go: MQTT, and beside it VMC, UDP and LSL.
 
 ``mqtt.MqttOutput`` publishes them, ``PoseSubscriber`` receives them; ``messages`` declares every payload
 and ``topics`` where it is published. Reading order: ``messages``, ``topics``, ``settings``,
-``mqtt``, ``connection``, ``pose_encoding``, ``subscriber``, ``broker_process``.
+``mqtt``, ``connection``, ``pose_encoding``, ``pose_publications``, ``subscriber``, ``broker_process``; then
+``side_outputs``, ``latest``, ``datagrams``, ``unity``, ``vmc``, ``lsl``.
 """
 
 from gateway.outputs.broker_process import BrokerProcess, EmbeddedBrokerError

@@ -23,7 +23,9 @@ from gateway.modules.verbs import REQUESTS as MODULE_REQUESTS
 from gateway.outputs import topics
 from gateway.outputs.contract_text import reference_page
 from gateway.outputs.messages import PUBLICATIONS, Message, Publication
+from gateway.outputs.properties import JSON
 from gateway.outputs.request_messages import LONGEST_TRANSACTION, ResponseMessage
+from gateway.own_requests import REQUESTS as OWN_REQUESTS
 from gateway.recording.verbs import REQUESTS as RECORDING_REQUESTS
 
 Schema = dict[str, Any]
@@ -32,6 +34,7 @@ VERSION = "1.0.0"
 """Of the contract: the first number changes when an app must be changed."""
 
 REQUEST_FAMILIES: Mapping[str, Mapping[str, type[BaseModel]]] = {
+    "gateway": OWN_REQUESTS,
     "modules": MODULE_REQUESTS,
     "recording": RECORDING_REQUESTS,
     "calibration": CALIBRATION_REQUESTS,
@@ -43,6 +46,7 @@ _ROOT = "{base_topic}/{gateway}"
 _PARAMETERS: dict[str, Schema] = {
     "base_topic": {"default": "mocap", "description": "Setting mqtt.base_topic."},
     "gateway": {"default": "gateway1", "description": "Setting gateway: the name of one gateway."},
+    "name": {"description": "Segment name, as in body."},
     "id": {"description": "Module number on the wire; 254 is the relay."},
 }
 _TRANSACTION: Schema = {
@@ -82,7 +86,7 @@ def json_schemas() -> dict[str, Schema]:
 
 def topic_pattern(publication: Publication) -> re.Pattern[str]:
     """What the topics of a publication look like below ``<base_topic>/<gateway>/``."""
-    literal = re.escape(publication.topic).replace(r"\{id\}", r"\d+")
+    literal = re.escape(publication.topic).replace(r"\{id\}", r"\d+").replace(r"\{name\}", "[^/]+")
     return re.compile(f"^{literal}$")
 
 
@@ -93,6 +97,12 @@ def asyncapi() -> Schema:
     messages: Schema = {model.__name__: _message(model.__name__) for model in published_models()}
     for publication in PUBLICATIONS:
         key, name = _key(publication.topic), publication.model.__name__
+        if publication.content_type != JSON:
+            name = f"{name}_{publication.content_type.rpartition('/')[2]}"
+            messages[name] = _message(publication.model.__name__) | {
+                "name": name,
+                "contentType": publication.content_type,
+            }
         channels[key] = _channel(publication.topic, name)
         operations[f"publish_{key}"] = _operation("send", key, name, publication.qos, publication.retain)
     for verb in request_models():
@@ -164,7 +174,7 @@ def _request_name(verb: str) -> str:
 
 
 def _key(topic: str) -> str:
-    return topic.replace("/{id}", "").replace("/", "_")
+    return re.sub(r"/\{\w+\}", "", topic).replace("/", "_")
 
 
 def _message(name: str) -> Schema:

@@ -9,6 +9,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from gateway.outputs.messages import Publication
+from gateway.outputs.properties import JSON, MSGPACK
 
 _HEAD = """# MQTT reference
 
@@ -16,8 +17,10 @@ Written by `python -m gateway.outputs.contract docs/mqtt`, never by hand. For pr
 [asyncapi.yaml](asyncapi.yaml) (AsyncAPI 3) and one JSON Schema a message in [schemas/](schemas).
 
 All topics lie below `<base_topic>/<gateway>/`, `mocap/gateway1/` unless configured otherwise. Payloads are
-JSON. Instants (`…_ns`) are nanoseconds of gateway time, which never steps; `utc` in `bridge/info` and
-`bridge/health` says what to add to get UTC.
+JSON, but for `pose/msgpack`. With `protocol: "5"` every message names its content type, and poses expire
+(`pose_expiry_s`) instead of waiting for a client that is away. `pose/msgpack` and `segment/<name>` are there
+where the configuration asks for them (`pose_formats`, `segment_rate`). Instants (`…_ns`) are nanoseconds of
+gateway time, which never steps; `utc` in `bridge/info` and `bridge/health` says what to add to get UTC.
 
 `bridge/state` is the gateway's birth and will. What `module/<id>/availability` says holds while
 `bridge/state` is `online`: a gateway that died cannot say that its modules are out of reach.
@@ -30,6 +33,7 @@ text) comes back in the answer. Errors come as
 `{"status": "error", "error": "what was found and what would do"}`,
 also for verbs that there are not. Retained requests are not carried out.
 """
+_ENCODINGS = {JSON: "JSON", MSGPACK: "MessagePack"}
 _JSON = {"JsonValue": "any JSON"}
 _WORDS = {int: "integer", float: "number", str: "text", bool: "true or false", type(None): "null"}
 
@@ -43,8 +47,7 @@ def reference_page(
     parts = [_HEAD, _topics(publications)]
     shown: list[type[BaseModel]] = []
     parts.extend(
-        f"## `{publication.topic.replace('{id}', '<id>')}`\n\n{_model(publication.model, shown)}"
-        for publication in publications
+        f"## `{_shown(publication.topic)}`\n\n{_section(publication, shown)}" for publication in publications
     )
     parts.append(_REQUESTS)
     for verb, model in requests.items():
@@ -55,13 +58,24 @@ def reference_page(
 
 
 def _topics(publications: Iterable[Publication]) -> str:
-    rows = ["| topic | QoS | retained | message |", "| --- | ---: | --- | --- |"]
+    rows = ["| topic | QoS | retained | encoding | message |", "| --- | ---: | --- | --- | --- |"]
     for each in publications:
-        topic, model = each.topic.replace("{id}", "<id>"), each.model
+        topic, model = _shown(each.topic), each.model
         retained = "yes" if each.retain else "no"
         link = f"[{model.__name__}](schemas/{model.__name__}.json)"
-        rows.append(f"| `{topic}` | {each.qos} | {retained} | {link}: {_sentence(model)} |")
+        encoding = _ENCODINGS[each.content_type]
+        rows.append(f"| `{topic}` | {each.qos} | {retained} | {encoding} | {link}: {_sentence(model)} |")
     return "\n".join(rows) + "\n"
+
+
+def _shown(topic: str) -> str:
+    return topic.replace("{", "<").replace("}", ">")
+
+
+def _section(publication: Publication, shown: list[type[BaseModel]]) -> str:
+    if publication.content_type == JSON:
+        return _model(publication.model, shown)
+    return f"The fields of `{publication.model.__name__}`, as {_ENCODINGS[publication.content_type]}.\n"
 
 
 def _model(model: type[BaseModel], shown: list[type[BaseModel]]) -> str:

@@ -19,6 +19,7 @@ from gateway.body.joints import WORLD, Joint
 from gateway.body.skeleton import Skeleton
 from gateway.frames import Status
 from gateway.outputs import topics
+from gateway.outputs.properties import JSON, MSGPACK
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
@@ -83,13 +84,23 @@ class BridgeInfo(Message):
 
 
 class OutputCounters(Message):
-    """What became of the poses offered to MQTT: every one is in exactly one of these counts."""
+    """What became of the poses offered to an output: every one is in exactly one of these counts."""
 
-    published: int = Field(ge=0, description="Poses handed to the broker connection.")
-    dropped: int = Field(ge=0, description="Poses dropped because the broker was away or too slow.")
-    thinned: int = Field(ge=0, description="Poses left out on purpose, to keep to pose_rate.")
+    published: int = Field(ge=0, description="Poses handed to the broker connection, or sent.")
+    dropped: int = Field(ge=0, description="Poses dropped because the receiver was away or too slow.")
+    thinned: int = Field(ge=0, description="Poses left out on purpose, to keep to the rate asked for.")
     queued: int = Field(ge=0, description="Poses waiting now.")
-    connections: int = Field(ge=0, description="Connections made to the broker since the start.")
+    connections: int = Field(
+        default=0, ge=0, description="Connections made to the broker since the start; 0: has none."
+    )
+
+
+class AccountBalance(Message):
+    """A total and what became of it."""
+
+    total: int = Field(description="How many there were.")
+    parts: dict[str, int] = Field(description="What became of them, by reason.")
+    unaccounted: int = Field(description="Total less all parts: anything but 0 is a defect of the gateway.")
 
 
 class BridgeHealth(Message):
@@ -98,7 +109,13 @@ class BridgeHealth(Message):
     t_ns: int = Field(description="Gateway time of this message, ns.")
     uptime_s: float = Field(ge=0, description="Time since the output was started, s.")
     mqtt: OutputCounters = Field(description="Poses sent to the broker.")
+    outputs: dict[str, OutputCounters] = Field(
+        default_factory=dict, description="Poses sent by other outputs: vmc, udp_json, lsl."
+    )
     utc: UtcAnchor | None = Field(default=None, description="Gateway time against UTC, as read last.")
+    accounting: dict[str, AccountBalance] = Field(
+        default_factory=dict, description="Where every sample, pose and chunk went: balances by name."
+    )
     statistics: dict[str, JsonValue] = Field(
         default_factory=dict, description="Counters of links, modules, clock and reconstruction."
     )
@@ -221,6 +238,23 @@ class PoseMessage(Message):
     )
 
 
+class SegmentMessage(Message):
+    """One segment at one instant: a row of the pose for clients that want no more."""
+
+    t_ns: int = Field(description="Gateway time of the pose, ns.")
+    seq: int = Field(description="Frame number, that of the pose.")
+    frame: Literal["ENU"] = Field(description="World axes: east, north, up.")
+    order: Literal["wxyz"] = Field(description="Order of quaternion components.")
+    orientation: Quaternion | None = Field(description="Segment to world; null: not defined.")
+    status: StatusName = Field(description="Where the orientation came from.")
+    position: Vector | None = Field(default=None, description="Proximal joint in the world, m.")
+    acceleration: Vector | None = Field(
+        default=None, description="Of the proximal joint in the world, without gravity, m/s²."
+    )
+    angular_rate: Vector | None = Field(default=None, description="In segment axes, rad/s.")
+    sigma: Number | None = Field(default=None, description="Standard deviation of the orientation, rad.")
+
+
 @dataclass(frozen=True)
 class Publication:
     """How a message is published."""
@@ -230,6 +264,7 @@ class Publication:
     model: type[Message]
     qos: Literal[0, 1]
     retain: bool
+    content_type: str = JSON
 
 
 PUBLICATIONS: tuple[Publication, ...] = (
@@ -238,6 +273,8 @@ PUBLICATIONS: tuple[Publication, ...] = (
     Publication(topics.BRIDGE_HEALTH, BridgeHealth, qos=0, retain=False),
     Publication(topics.BODY, BodyMessage, qos=1, retain=True),
     Publication(topics.POSE, PoseMessage, qos=0, retain=False),
+    Publication(topics.POSE_MSGPACK, PoseMessage, qos=0, retain=False, content_type=MSGPACK),
+    Publication(topics.SEGMENT, SegmentMessage, qos=0, retain=False),
     Publication(topics.MODULE_STATE, ModuleState, qos=1, retain=True),
     Publication(topics.MODULE_AVAILABILITY, ModuleAvailability, qos=1, retain=True),
 )

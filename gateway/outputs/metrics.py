@@ -14,6 +14,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoM
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
+from gateway.accounting import Balance
 from gateway.outputs.messages import BridgeInfo, ModuleState, OutputCounters, UtcAnchor
 
 _MODULE = ("module", "segment")
@@ -63,6 +64,7 @@ class GatewayFigures:
     connected: Mapping[str, bool]
     """Outputs that hold a connection: whether they do."""
     utc: UtcAnchor | None
+    balances: Sequence[Balance] = ()
 
 
 def registry_of(figures: GatewayFigures) -> CollectorRegistry:
@@ -83,6 +85,7 @@ class _Figures(Collector):
         yield from _links(figures.links)
         yield from _outputs(figures)
         yield from _modules(figures.modules)
+        yield from _balances(figures.balances)
 
 
 def _gateway(figures: GatewayFigures) -> Iterator[Metric]:
@@ -163,6 +166,20 @@ def _gauge(
         if value is not None:
             gauge.add_metric(_labels(module), value * factor)
     return gauge
+
+
+def _balances(balances: Sequence[Balance]) -> Iterator[Metric]:
+    total = GaugeMetricFamily("mocap_balance_total", "What there was to account for.", labels=("balance",))
+    parts = GaugeMetricFamily("mocap_balance", "What became of it.", labels=("balance", "part"))
+    rest = GaugeMetricFamily(
+        "mocap_unaccounted", "Anything but 0 is a defect of the gateway.", labels=("balance",)
+    )
+    for balance in balances:
+        total.add_metric((balance.name,), balance.total)
+        rest.add_metric((balance.name,), balance.unaccounted)
+        for part, count in balance.parts.items():
+            parts.add_metric((balance.name, part), count)
+    yield from (total, parts, rest)
 
 
 def _labels(module: ModuleState) -> tuple[str, str]:

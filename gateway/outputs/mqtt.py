@@ -16,9 +16,9 @@ from typing import Self
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
+from pydantic import TypeAdapter
 
 from devices.link import gateway_time_ns
-from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
@@ -31,7 +31,9 @@ from gateway.outputs.connection import (
     unique_identifier,
     until_lost,
 )
+from gateway.outputs.home_assistant import discovery
 from gateway.outputs.messages import (
+    AccountBalance,
     BridgeHealth,
     BridgeInfo,
     BridgeState,
@@ -41,9 +43,10 @@ from gateway.outputs.messages import (
     describe_body,
     plain_json,
 )
-from gateway.outputs.pose_encoding import PoseEncoder
+from gateway.outputs.pose_publications import PosePublications
+from gateway.outputs.properties import JSON, properties_of
 from gateway.outputs.retained import RetainedMessages
-from gateway.outputs.settings import MqttSettings, PoseMap
+from gateway.outputs.settings import MqttSettings
 from gateway.outputs.thinning import Thinning
 from gateway.outputs.topics import BRIDGE_INFO, Topics
 
@@ -62,6 +65,7 @@ class MqttOutput:
     """Publishes frames of one skeleton; an ``Output``. Belongs to one event loop.
 
     info: published on ``bridge/info``; its gateway name is the second level of the topics.
+    others: counters of other outputs, to go with them.
     health: called for every ``bridge/health`` message, for the statistics to go with it.
     Raises ``ValueError`` for a gateway name that cannot stand in a topic.
     """
@@ -72,6 +76,7 @@ class MqttOutput:
         skeleton: Skeleton,
         info: BridgeInfo,
         health: Callable[[], Mapping[str, object]] = dict,
+        others: Callable[[], Mapping[str, OutputCounters]] = dict,
     ) -> None:
         self.topics = Topics(settings.base_topic, info.gateway)
         self.is_connected = False
@@ -79,15 +84,19 @@ class MqttOutput:
         """Port of the broker; with port 0 in the settings, the one that was found free."""
         self._settings = settings
         self._identifier = settings.client_id or unique_identifier(info.gateway)
-        joint_angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
-        self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include, joint_angles)
+        self._publications = PosePublications(settings, skeleton, self.topics)
+        self._properties = properties_of(settings.spoken_protocol, JSON)
         self._info = info
         self._utc: UtcAnchor | None = None
-        self._retained = RetainedMessages()
+        self._retained = RetainedMessages(self._properties)
         self._retained.keep(self.topics.bridge_info, info.payload())
         self._retained.keep(self.topics.body, describe_body(skeleton).payload())
         self._retained.keep(self.topics.bridge_state, _ONLINE)
+        if settings.home_assistant is not None:
+            for topic, payload in discovery(settings.home_assistant, self.topics, info):
+                self._retained.keep(topic, payload)
         self._health = health
+        self._others = others
         self._health_due = 0.0
         self._thinning = Thinning(settings.pose_rate)
         self._queue: deque[SkeletonFrame] = deque()
@@ -110,6 +119,11 @@ class MqttOutput:
             connections=self._connections,
         )
 
+    @property
+    def is_running(self) -> bool:
+        """Whether its task lives, broker or not."""
+        return self._task is not None and not self._task.done()
+
     def offer(self, frame: SkeletonFrame) -> None:
         """Take a frame for publishing. Never waits; the oldest queued frame gives way when full."""
         if not self._thinning.admits(frame.time_ns):
@@ -131,6 +145,25 @@ class MqttOutput:
         if is_step or self._info.utc is None:
             self._info = self._info.model_copy(update={"utc": utc})
             self.keep(BRIDGE_INFO, self._info)
+
+    @property
+    def info(self) -> BridgeInfo:
+        """As it stands on ``bridge/info``."""
+        return self._info
+
+    def health(self) -> BridgeHealth:
+        """As it would be published now."""
+        statistics = plain_json(self._health())
+        accounting = TypeAdapter(dict[str, AccountBalance]).validate_python(statistics.pop("accounting", {}))
+        return BridgeHealth(
+            t_ns=gateway_time_ns(),
+            uptime_s=time.monotonic() - self._started,
+            mqtt=self.counters,
+            outputs=dict(self._others()),
+            utc=self._utc,
+            accounting=accounting,
+            statistics=statistics,
+        )
 
     async def start(self) -> None:
         """Begin to publish; returns before the broker is reached.
@@ -229,27 +262,22 @@ class MqttOutput:
     async def _publish_pose(self, client: aiomqtt.Client, frame: SkeletonFrame) -> None:
         self._dropped += 1  # until it is out
         try:
-            payload = self._encoder.encode(frame)
+            outgoing = list(self._publications.of(frame))
         except Exception as error:
             self._complain("pose", f"a pose cannot be encoded ({error!r}): it is dropped")
             return
-        await client.publish(self.topics.pose, payload)
+        for topic, payload, properties in outgoing:
+            await client.publish(topic, payload, properties=properties)
         self._dropped -= 1
         self._published += 1
 
     async def _publish_health(self, client: aiomqtt.Client) -> None:
         try:
-            health = BridgeHealth(
-                t_ns=gateway_time_ns(),
-                uptime_s=time.monotonic() - self._started,
-                mqtt=self.counters,
-                utc=self._utc,
-                statistics=plain_json(self._health()),
-            )
+            health = self.health()
         except Exception as error:
             self._complain("statistics", f"the statistics cannot be published ({error!r})")
             return
-        await client.publish(self.topics.bridge_health, health.payload())
+        await client.publish(self.topics.bridge_health, health.payload(), properties=self._properties)
 
     async def _farewell(self, client: aiomqtt.Client) -> None:
         try:

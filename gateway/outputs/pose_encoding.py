@@ -1,15 +1,17 @@
 """A skeleton frame as the bytes of a pose message.
 
 Runs for every published frame, so it goes round the ``PoseMessage`` model: whole arrays are rounded
-and turned into lists at once, and what seldom changes (the status of the segments) is kept encoded.
+and turned into lists at once, and what seldom changes (the status of the segments) is kept.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from typing import Any
 
 import numpy as np
 import orjson
+import ormsgpack
 
 from gateway.body.joint_angles import JointAngles
 from gateway.frames import FloatArray, SkeletonFrame, StatusArray
@@ -24,6 +26,28 @@ _ATTRIBUTES: dict[PoseMap, str] = {
 }
 _ANGLE_DECIMALS = 3
 _WARNINGS = ("near_gimbal_lock", "beyond_limits")
+
+Plain = dict[str, Any]
+"""JSON values."""
+
+
+def as_json(message: Plain) -> bytes:
+    """A message as JSON."""
+    return orjson.dumps(message)
+
+
+def as_msgpack(message: Plain) -> bytes:
+    """The same fields as MessagePack."""
+    return ormsgpack.packb(message)
+
+
+def segment_messages(pose: Plain) -> Iterator[tuple[str, Plain]]:
+    """The fields of a ``SegmentMessage`` for every segment of a pose, by name."""
+    head = {key: pose[key] for key in ("t_ns", "seq", "frame", "order")}
+    maps: list[str] = [name.value for name in _ATTRIBUTES if name.value in pose]
+    for name, orientation in pose["segments"].items():
+        rest = {key: pose[key][name] for key in maps}
+        yield name, {**head, "orientation": orientation, "status": pose["status"][name], **rest}
 
 
 class PoseEncoder:
@@ -48,25 +72,29 @@ class PoseEncoder:
         self._maps = tuple((name.value, _ATTRIBUTES[name]) for name in _ATTRIBUTES if name in include)
         self._joint_angles = joint_angles if PoseMap.JOINT_ANGLES in include else None
         self._status_key = b""
-        self._status = orjson.Fragment(b"{}")
+        self._status: dict[str, str] = {}
 
     def encode(self, frame: SkeletonFrame) -> bytes:
         """JSON bytes of a ``PoseMessage``."""
-        message: dict[str, object] = {
+        return as_json(self.message(frame))
+
+    def message(self, frame: SkeletonFrame) -> Plain:
+        """The fields of a ``PoseMessage``. Raises ``ValueError`` for a frame of another skeleton."""
+        message: Plain = {
             "t_ns": frame.time_ns,
             "seq": frame.sequence,
             "frame": "ENU",
             "order": "wxyz",
             "root": self._names[frame.root],
             "segments": dict(zip(self._names, self._rows(frame.q_wb), strict=True)),
-            "status": self._encoded_status(frame.status),
+            "status": self._status_names(frame.status),
         }
         for key, attribute in self._maps:
             values = self._rows(getattr(frame, attribute))
             message[key] = dict(zip(self._names, values, strict=True))
         if self._joint_angles is not None:
             message |= self._joints(self._joint_angles, frame.q_wb)
-        return orjson.dumps(message)
+        return message
 
     def _rows(self, values: FloatArray) -> list[object]:
         """Rows as JSON values; a row that is not finite throughout is None."""
@@ -101,9 +129,9 @@ class PoseEncoder:
             },
         }
 
-    def _encoded_status(self, status: StatusArray) -> orjson.Fragment:
+    def _status_names(self, status: StatusArray) -> dict[str, str]:
         key = status.tobytes()
         if key != self._status_key:
-            names = dict(zip(self._names, (STATUS_NAMES[value] for value in key), strict=True))
-            self._status_key, self._status = key, orjson.Fragment(orjson.dumps(names))
+            names = (STATUS_NAMES[value] for value in key)
+            self._status_key, self._status = key, dict(zip(self._names, names, strict=True))
         return self._status

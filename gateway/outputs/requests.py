@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import aiomqtt
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
 from pydantic import JsonValue
 
 from devices.device_errors import DeviceError
@@ -28,6 +26,7 @@ from gateway.outputs.connection import (
     explain,
     unique_identifier,
 )
+from gateway.outputs.properties import JSON, properties_of
 from gateway.outputs.request_messages import (
     RequestProblem,
     ResponseMessage,
@@ -146,11 +145,9 @@ class RequestResponder:
     async def _answer(self, asked: _Asked, response: ResponseMessage) -> None:
         if self._client is None:
             return
-        properties = None
-        if self._settings.spoken_protocol == "5":
-            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
-            if asked.correlation is not None:
-                properties.CorrelationData = asked.correlation
+        properties = properties_of(self._settings.spoken_protocol, JSON)
+        if properties is not None and asked.correlation is not None:
+            properties.CorrelationData = asked.correlation
         try:
             await self._client.publish(asked.answer_to, response.payload(), qos=1, properties=properties)
             self.answered += 1

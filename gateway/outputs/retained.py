@@ -6,6 +6,7 @@ import asyncio
 import itertools
 
 import aiomqtt
+from paho.mqtt.properties import Properties
 
 _TOGETHER = 10
 """Messages whose acknowledgements are waited for at once, so that a distant broker does not take long."""
@@ -18,7 +19,9 @@ class RetainedMessages:
     has all of them sent anew, for a broker that may have forgotten.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, properties: Properties | None = None) -> None:
+        """properties: of every message (MQTT 5)."""
+        self._properties = properties
         self._newest: dict[str, bytes] = {}
         self._unsent: dict[str, None] = {}  # in order of keeping
         self._wake = asyncio.Event()
@@ -41,7 +44,7 @@ class RetainedMessages:
 
     async def _send(self, client: aiomqtt.Client, topic: str) -> None:
         payload = self._newest[topic]
-        await client.publish(topic, payload, qos=1, retain=True)
+        await client.publish(topic, payload, qos=1, retain=True, properties=self._properties)
         if self._newest[topic] is payload:
             self._unsent.pop(topic, None)
 

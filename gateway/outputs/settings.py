@@ -31,6 +31,13 @@ class PoseMap(StrEnum):
     JOINT_ANGLES = "joint_angles"
 
 
+class PoseFormat(StrEnum):
+    """How poses are encoded: the same fields, each on a topic of its own."""
+
+    JSON = "json"
+    MSGPACK = "msgpack"
+
+
 class TlsSettings(BaseModel):
     """Files of a TLS connection."""
 
@@ -119,6 +126,32 @@ class MqttSettings(BaseModel):
         gt=0,
         allow_inf_nan=False,
         description="Most poses published a second, Hz; none: every one.",
+    )
+    pose_formats: frozenset[PoseFormat] = Field(
+        default=frozenset({PoseFormat.JSON}),
+        min_length=1,
+        description="json: on topic pose; msgpack: the same fields as MessagePack on topic pose/msgpack.",
+    )
+    segment_rate: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        allow_inf_nan=False,
+        description="Most messages a second on each segment/<name>, Hz; none: no such topics. A message of "
+        "its own for every segment costs far more than one for all.",
+    )
+    pose_expiry_s: int = Field(
+        default=2,
+        ge=1,
+        le=3600,
+        description="With MQTT 5: how long a broker may keep a pose that it cannot deliver, s.",
+    )
+    home_assistant: str | None = Field(
+        default=None,
+        min_length=1,
+        pattern=r"^[^+#\s/][^+#\s]*[^+#\s/]$",
+        description="Discovery prefix of Home Assistant, usually homeassistant: modules appear there with "
+        "battery, loss and clock rate; never poses. None: off.",
     )
     include: frozenset[PoseMap] = Field(
         default=frozenset(), description="What a pose carries beside orientations and status."

@@ -11,6 +11,8 @@ BRIDGE_REQUEST = "bridge/request"
 BRIDGE_RESPONSE = "bridge/response"
 BODY = "body"
 POSE = "pose"
+POSE_MSGPACK = "pose/msgpack"
+SEGMENT = "segment/{name}"
 MODULE_STATE = "module/{id}/state"
 MODULE_AVAILABILITY = "module/{id}/availability"
 
@@ -59,6 +61,15 @@ class Topics:
     def pose(self) -> str:
         """One message a skeleton frame."""
         return f"{self.root}/{POSE}"
+
+    @property
+    def pose_msgpack(self) -> str:
+        """The same in MessagePack, where configured."""
+        return f"{self.root}/{POSE_MSGPACK}"
+
+    def segment(self, name: str) -> str:
+        """One segment of the poses, where configured."""
+        return f"{self.root}/{SEGMENT.format(name=name)}"
 
     def module_state(self, module: int) -> str:
         """Figures of one module; retained."""

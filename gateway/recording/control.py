@@ -15,7 +15,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError, nearest
 from gateway.frames import SkeletonFrame
 from gateway.recording.files import Contents, SessionFiles
-from gateway.recording.recorder import Recorder, Sink
+from gateway.recording.recorder import Recorder, RecorderBalance, Sink
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
 
@@ -152,6 +152,11 @@ class RecordingControl:
         if files.warning is not None:
             status["warning"] = files.warning
         return status
+
+    @property
+    def balance(self) -> RecorderBalance | None:
+        """What became of the chunks of the recording under way, or of the last one; None before the first."""
+        return None if self._recorder is None else self._recorder.balance
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
         """Requests ``recording/start`` (optional ``name``), ``recording/stop``, ``recording/status``."""

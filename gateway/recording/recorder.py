@@ -62,6 +62,16 @@ class Counts:
     longest_flush_s: float = 0.0
 
 
+class RecorderBalance(NamedTuple):
+    """What became of the chunks that were handed over."""
+
+    handed: int
+    written: int
+    lost: int
+    waiting: int
+    """In the queue, or in the file and not flushed."""
+
+
 class Recorder:
     """Takes everything from the event loop, never waiting, and hands it to a sink in a thread."""
 
@@ -76,6 +86,8 @@ class Recorder:
         self._queue: deque[tuple[str, int, bytes | SkeletonFrame, Mapping[str, str]]] = deque()
         self._queue_bytes = 0
         self._lock = threading.Lock()
+        self._handed = 0  # chunks
+        self._unflushed: Counter[str] = Counter()  # taken from the queue and not yet safe
         self._wake = threading.Event()
         self._closing: str | None = None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
@@ -85,6 +97,7 @@ class Recorder:
 
     def chunk(self, chunk: Chunk, framing: Framing) -> None:
         """Take what a link gave."""
+        self._handed += 1
         metadata = {"link": chunk.link, "framing": framing.value}
         self._put(fmt.CHUNKS + chunk.link, chunk.arrived_ns, chunk.data, metadata)
 
@@ -105,6 +118,15 @@ class Recorder:
     def statistics(self, values: Mapping[str, object], time_ns: int) -> None:
         """Take counters."""
         self._put(fmt.STATISTICS, time_ns, json.dumps(plain_json(values)).encode(), {})
+
+    @property
+    def balance(self) -> RecorderBalance:
+        """Of chunks, at one moment."""
+        with self._lock:
+            waiting = self._unflushed["chunks"] + sum(_kind(topic) == "chunks" for topic, *_ in self._queue)
+            return RecorderBalance(
+                self._handed, self.counts.written["chunks"], self.counts.lost["chunks"], waiting
+            )
 
     @property
     def is_behind(self) -> bool:
@@ -143,26 +165,25 @@ class Recorder:
         self, topic: str, time_ns: int, data: bytes | SkeletonFrame, metadata: Mapping[str, str]
     ) -> None:
         kind = _kind(topic)
-        if self.ended is not None or self._closing is not None:
-            self.counts.lost[kind] += 1
-            return
-        self.counts.queued[kind] += 1
-        with self._lock:
+        with self._lock:  # or the thread might end between the question and the answer
+            if self.ended is not None or self._closing is not None:
+                self.counts.lost[kind] += 1
+                return
+            self.counts.queued[kind] += 1
             self._queue.append((topic, time_ns, data, metadata))
             self._queue_bytes += len(data) if isinstance(data, bytes) else _FRAME_BYTES
 
     # What the thread does.
 
     def _run(self) -> None:
-        unflushed: Counter[str] = Counter()
         reason = None
         try:
             while reason is None:
                 self._wake.wait(self._interval_s)
                 self._wake.clear()
                 closing = self._closing
-                reason = self._write_queued(unflushed) or closing
-            self._write_queued(unflushed)
+                reason = self._write_queued() or closing
+            self._write_queued()
             self._write_end(reason)
             self._sink.close()
         except OSError as error:
@@ -172,24 +193,24 @@ class Recorder:
             log.exception("the recorder failed")
             reason = f"this should not have happened ({error!r})"
             self._sink.abandon()
-        self._conclude(reason, unflushed)
+        self._conclude(reason)
 
-    def _write_queued(self, unflushed: Counter[str]) -> str | None:
+    def _write_queued(self) -> str | None:
         """Everything in the queue to the file. Why the recording must end, or None."""
         begun = time.monotonic()
         with self._lock:
             items, self._queue = self._queue, deque()
+            self._unflushed.update(_kind(topic) for topic, *_ in items)
         written = 0
         for topic, time_ns, data, metadata in items:
-            unflushed[_kind(topic)] += 1
             self._sink.write(
                 topic, time_ns, data if isinstance(data, bytes) else encode_skeleton_frame(data), metadata
             )
             written += len(data) if isinstance(data, bytes) else _FRAME_BYTES
         reason = self._sink.flush()
-        self.counts.written.update(unflushed)
-        unflushed.clear()
         with self._lock:
+            self.counts.written.update(self._unflushed)
+            self._unflushed.clear()
             self._queue_bytes -= written
         self.counts.longest_flush_s = max(self.counts.longest_flush_s, time.monotonic() - begun)
         return reason
@@ -200,12 +221,13 @@ class Recorder:
         self._sink.write(fmt.EVENTS, time_ns, json.dumps(event).encode(), {})
         self.counts.written["events"] += 1
 
-    def _conclude(self, reason: str, unflushed: Counter[str]) -> None:
+    def _conclude(self, reason: str) -> None:
         with self._lock:
             self.ended = reason
             left, self._queue, self._queue_bytes = self._queue, deque(), 0
-        self.counts.lost.update(unflushed)
-        self.counts.lost.update(_kind(topic) for topic, *_ in left)
+            self.counts.lost.update(self._unflushed)
+            self.counts.lost.update(_kind(topic) for topic, *_ in left)
+            self._unflushed.clear()
         if self._on_end is not None:
             self._on_end(reason)
 

@@ -6,7 +6,7 @@ import contextlib
 import tempfile
 import uuid
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -116,9 +116,11 @@ def write_solved(
     """
     pipeline = recording_pipeline(recording, source)
     meta, frames = recording.meta, 0
+    with with_recorded_table(recording, source.settings) as settings:
+        attachments = attachments_of(settings, source.suit)
     session = session_record(
         meta.links,
-        session=uuid.uuid4().hex,
+        session=_solved_session(meta.session, attachments),
         software=gateway.__version__,
         begun_ns=str(meta.begun_ns),
         begun_utc_ns=str(meta.begun_utc_ns),
@@ -126,8 +128,6 @@ def write_solved(
         name=target.stem,
         solved_from=f"{meta.path.name} {meta.session}",
     )
-    with with_recorded_table(recording, source.settings) as settings:
-        attachments = attachments_of(settings, source.suit)
     with RecordingWriter(target, session, attachments, meta.begun_ns) as writer:
         for count, message in enumerate(_told(recording, progress)):
             if message.topic != fmt.SKELETON:
@@ -138,6 +138,12 @@ def write_solved(
             if count % _MESSAGES_A_TELLING == 0:
                 writer.flush()
     return frames
+
+
+def _solved_session(solved_from: str, attachments: Mapping[str, bytes]) -> str:
+    """The same for the same session, suit, configuration and host: solving twice gives the same file."""
+    contents = b"".join(attachments[name] for name in sorted(attachments))
+    return uuid.uuid5(uuid.NAMESPACE_OID, f"{solved_from} {contents!r}").hex
 
 
 def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray
-from gateway.geometry import quaternion
 
 BONE_VERTICES: FloatArray = np.array(
     [[0, 0, 0], [0.2, 1, 0], [0.2, 0, 1], [0.2, -1, 0], [0.2, 0, -1], [1, 0, 0]], dtype=np.float64
@@ -57,12 +56,6 @@ def bones_of(skeleton: Skeleton) -> Bones:
         q_segment_from_bone=np.array([_from_x_axis(v) for v in vectors / lengths[:, None]]),
         scale=np.column_stack([lengths, widths, widths]),
     )
-
-
-def lowest_point(skeleton: Skeleton, q_wb: FloatArray, p_w: FloatArray) -> float:
-    """Height of the lowest joint or tip of a pose, m; q_wb (s, 4), p_w (s, 3) without NaN."""
-    tips = [p + quaternion.rotate(q, tip) for q, p, tip in zip(q_wb, p_w, skeleton.tips, strict=True)]
-    return float(min(np.min(p_w[:, 2]), np.min(np.array(tips)[:, 2])))
 
 
 def _length(v: FloatArray) -> float:

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.body.kinematics import joint_positions
+from gateway.body.kinematics import joint_positions, lowest_point
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.outputs.messages import BodyMessage, PoseMessage
-from gateway.viewer.bones import lowest_point
 
 
 @dataclass(frozen=True)

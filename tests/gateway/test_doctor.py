@@ -54,7 +54,7 @@ def test_everything_absent_is_named(tmp_path, unused_port):
     for subject, found in (
         ("suit: port", "no such port"),
         ("suit: capacity", "115,200 baud"),
-        ("broker", f"nobody answers at 127.0.0.1:{unused_port}"),
+        ("broker", f"no MQTT broker at 127.0.0.1:{unused_port}"),
     ):
         assert findings[subject].verdict is Verdict.BAD
         assert found in findings[subject].found

@@ -13,13 +13,16 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 import aiomqtt
+import orjson
+import ormsgpack
 import pytest
 
 from gateway.outputs import BrokerUnreachableError, MqttSettings, PoseMap, PoseSubscriber, TlsSettings
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.messages import PUBLICATIONS, ModuleAvailability, ModuleState
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.settings import PASSWORD_VARIABLE
+from gateway.outputs.properties import MSGPACK
+from gateway.outputs.settings import PASSWORD_VARIABLE, PoseFormat
 
 if TYPE_CHECKING:
     from tests.conftest import Mosquitto, PoseSource
@@ -57,9 +60,14 @@ async def test_every_message_is_what_its_model_says(
     mosquitto: Mosquitto, pose_source: PoseSource, protocol: str, until: Until
 ) -> None:
     settings = MqttSettings(
-        port=mosquitto.port, protocol=protocol, include=frozenset(PoseMap), health_interval=0.1
+        port=mosquitto.port,
+        protocol=protocol,
+        include=frozenset(PoseMap),
+        health_interval=0.1,
+        pose_formats=frozenset(PoseFormat),
+        segment_rate=10,
     )
-    models = {f"mocap/lab/{p.topic.format(id=7)}": p.model for p in PUBLICATIONS}
+    published = {f"mocap/lab/{p.topic.format(id=7, name='segment_3')}": p for p in PUBLICATIONS}
     async with broker_connection(settings, mosquitto.port, "reader") as reader:
         await reader.subscribe("#", qos=1)
         statistics = {"links": {"left": {"dropped": 0}}, "residual_us": float("nan")}
@@ -73,11 +81,21 @@ async def test_every_message_is_what_its_model_says(
             seen: dict[str, object] = {}
             async with asyncio.timeout(5):
                 async for topic, payload in messages_of(reader):
-                    seen[topic] = models[topic].model_validate_json(payload)
-                    if len(seen) == len(models):
+                    if topic not in published:
+                        assert topic.startswith("mocap/lab/segment/")
+                        continue
+                    is_packed = published[topic].content_type == MSGPACK
+                    json = orjson.dumps(ormsgpack.unpackb(payload)) if is_packed else payload
+                    seen[topic] = published[topic].model.model_validate_json(json)
+                    if len(seen) == len(published):
                         break
     assert seen["mocap/lab/bridge/health"].statistics == statistics | {"residual_us": None}
     pose = seen["mocap/lab/pose"]
+    assert seen["mocap/lab/pose/msgpack"] == pose
+    segment = seen["mocap/lab/segment/segment_3"]
+    assert segment.orientation == pose.segments["segment_3"]
+    assert segment.position == pose.position["segment_3"]
+    assert segment.sigma == pose.sigma["segment_3"]
     assert (pose.seq, pose.root, set(pose.position)) == (
         1,
         "segment_0",

@@ -23,9 +23,14 @@ from gateway.reconstruction.inertial.tree_filter import Evidence, add_edge, add_
 DIP_TOLERANCE = 0.1
 """rad: a field steeper or flatter than it should be by that much is half disturbed."""
 NORM_TOLERANCE = 0.1
+FIELD_MEMORY_S = 20.0
+FIELD_CHANGE_S = 3.0
+FIELD_CHANGE = 0.14
+"""Of norm (relative) and dip (rad), before any has been seen."""
+LEAST_HORIZONTAL = 0.1
 FIRST_LOOK_S = 0.5
 """A heading that nothing else can show is taken from the field within that time."""
-REST_RATE_SIGMA = 0.005
+REST_RATE_SIGMA = 0.002
 """rad/s: of a mean rate at rest against the bias."""
 
 
@@ -46,7 +51,7 @@ def joint_row(
     if state.is_open[s]:
         # heading against the parent unknown: the horizontal parts are only equally long
         H, H_p = skew(u), -skew(u_p)
-        wide = variance + dot(u, u) + dot(u_p, u_p)
+        wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
         for i in range(3):
             H[i, 2], H_p[i, 2] = 0.0, 0.0
             add_edge(evidence, s, H[i], H_p[i], residual[i], wide if i < 2 else variance)
@@ -71,13 +76,19 @@ def known_row(
     residual = u - y
     if is_open:
         H = skew(0.5 * (u + y))
-        wide = variance + dot(u, u) + dot(y, y)
+        wide = variance + _horizontal_square(u) + _horizontal_square(y)
         for i in range(3):
             H[i, 2] = 0.0
             add_own(evidence, s, H[i], residual[i], wide if i < 2 else variance)
         return
     variance *= _huber(spread(y, state.P[s, :3, :3]), residual, variance, noise.huber)
     add_known(evidence, s, y, residual, variance)
+
+
+@compiled
+def _horizontal_square(v: FloatArray) -> float:
+    square: float = v[0] * v[0] + v[1] * v[1]
+    return square
 
 
 @compiled
@@ -104,16 +115,42 @@ def field_error(body: ChainBody, state: FilterState, s: int, m: FloatArray) -> t
 
 
 @compiled
+def watch_field(body: ChainBody, state: FilterState, s: int, m: FloatArray, dt: float) -> None:
+    """How much the field's norm and dip change while segment s moves: ``state.field_seen[s]``."""
+    seen = rotation_matrix.rotate(state.R[s], m)
+    length, dip = math.sqrt(dot(m, m)), math.atan2(seen[2], math.hypot(seen[0], seen[1]))
+    mean = state.field_seen[s]
+    if mean[3] == 0.0:
+        mean[0], mean[1], mean[2] = length, dip, FIELD_CHANGE**2
+    mean[3] += dt
+    gain = max(1.0 - math.exp(-dt / FIELD_MEMORY_S), dt / mean[3])
+    mean[0] += gain * (length - mean[0])
+    mean[1] += gain * (dip - mean[1])
+    change = (length / mean[0] - 1.0) ** 2 + (dip - mean[1]) ** 2
+    mean[2] += (1.0 - math.exp(-dt / FIELD_CHANGE_S)) * (change - mean[2])
+
+
+@compiled
+def _heading_variance(body: ChainBody, state: FilterState, noise: Noise, s: int) -> float:
+    """rad², of the field's heading: what bends the dip bends it too, the more the steeper the field."""
+    h = body.field
+    horizontal = max((h[0] * h[0] + h[1] * h[1]) / dot(h, h), LEAST_HORIZONTAL**2)
+    variance: float = noise.heading**2 + state.field_seen[s, 2] / horizontal
+    return variance
+
+
+@compiled
 def field_row(
     evidence: Evidence, body: ChainBody, state: FilterState, noise: Noise, s: int, m: FloatArray, dt: float
 ) -> None:
     """Heading by the field, weak: it is off to the same side for ``heading_memory_s``."""
     off, disturbance = field_error(body, state, s, m)
-    sigma = math.sqrt(noise.heading**2 + min(state.P[s, 2, 2], OPEN_SIGMA**2))
+    straying = _heading_variance(body, state, noise, s)
+    sigma = math.sqrt(straying + min(state.P[s, 2, 2], OPEN_SIGMA**2))
     weight = max(1.0, abs(off) / sigma / noise.huber) * disturbance
-    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > noise.start_heading**2
+    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > straying
     memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
-    variance = noise.heading**2 * memory_s / dt * weight
+    variance = straying * memory_s / dt * weight
     row = np.zeros(3)
     row[2] = 1.0
     add_own(evidence, s, row, -off, variance)
@@ -121,10 +158,17 @@ def field_row(
 
 @compiled
 def unaided_row(
-    evidence: Evidence, state: FilterState, noise: Noise, s: int, gravity: FloatArray, dt: float
+    evidence: Evidence,
+    state: FilterState,
+    noise: Noise,
+    s: int,
+    gravity: FloatArray,
+    sharing: float,
+    dt: float,
 ) -> None:
-    """Mean acceleration over a window is small, where nothing tells what it is."""
-    variance = (noise.unaided_speed / noise.unaided_window_s) ** 2 * noise.unaided_window_s / dt
+    """Mean acceleration over a window is small, where nothing tells what it is; sharing: segments that move
+    together and have such a row each."""
+    variance = (noise.unaided_speed / noise.unaided_window_s) ** 2 * noise.unaided_window_s / dt * sharing
     known_row(evidence, state, noise, s, state.long_force[s], -gravity, variance, False)
 
 

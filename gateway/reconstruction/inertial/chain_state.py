@@ -46,10 +46,11 @@ class Noise(NamedTuple):
     start_tilt: float = 0.3
     """rad: of a first orientation from one specific force."""
     heading: float = 0.1
-    """rad: how far the field's heading strays where it passes all tests."""
+    """rad: how far the field's heading strays where it passes all tests and does not change from place to
+    place; where its norm and dip change, that is added."""
     heading_memory_s: float = 10.0
     """For how long it stays off to the same side."""
-    start_heading: float = 0.3
+    start_heading: float = 0.5
     """rad: how far it may be off throughout: what a first heading by the field counts against the motion."""
     unaided_speed: float = 0.3
     """m/s: how fast a body moves whose acceleration nothing tells."""
@@ -61,7 +62,7 @@ class Noise(NamedTuple):
     """Concentration (von Mises) from which an open heading is taken as shown."""
     heading_coherence: float = 0.6
     """Least agreement of the two sides' horizontal accelerations for that."""
-    rest_rate: float = 0.1
+    rest_rate: float = 0.035
     """rad/s: less change of the rate than this, for ``REST_S``, is rest."""
     dead_rate: float = 2.0
     """rad/s: how a segment turns while its module is silent."""
@@ -81,6 +82,7 @@ class ChainBody(NamedTuple):
     device_segment: IntArray  # (d,)
     device_kind: IntArray  # (d,) Quantity
     device_arm: FloatArray  # (d, 3) module to device, segment axes, m
+    carries: IntArray  # (n,) 1 for segments that stand on the ground
     gravity: FloatArray  # (3,)
     field: FloatArray  # (3,)
     uses_field: bool
@@ -106,6 +108,7 @@ class FilterState(NamedTuple):
     arm: FloatArray  # (n, 6) found errors of to_joint and from_parent, m
     arm_covariance: FloatArray  # (n, 6, 6) their covariance
     compass_s: FloatArray  # (n,) for how long an undisturbed field has been seen
+    field_seen: FloatArray  # (n, 4) field's mean norm µT and dip rad, mean square of their changes, seconds
     heading: FloatArray  # (n, 3) cosine and sine sums of an open heading, and their possible length
     rest: FloatArray  # (n, 9) average rate, force, their variances, and seconds at rest
     device_shift: FloatArray  # (d, 3) found error of a fixed point's arm, m
@@ -125,7 +128,7 @@ def initial_state(n: int, d: int) -> FilterState:
     return FilterState(
         np.full(2, -1, np.int64), np.zeros(n, np.int64), np.ones(n, np.int64), z(n), z(n),
         z(n, 3, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
-        z(n, 6), z(n, 6, 6), z(n), z(n, 3), z(n, 9), z(d, 3), z(d, 3, 3), np.full(d, np.inf),
+        z(n, 6), z(n, 6, 6), z(n), z(n, 4), z(n, 3), z(n, 9), z(d, 3), z(d, 3, 3), np.full(d, np.inf),
         z(d, N_READINGS, 5),
         np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, 7), -np.inf),
@@ -144,6 +147,8 @@ def chain_body(suit: WornSuit, uses_field: bool) -> ChainBody:
     for device in devices:
         if device.quantity is not Quantity.FIXED_POINT:
             opens[device.segment] = 1
+    carries = np.zeros(skeleton.n_segments, np.int64)
+    carries[[segment for segment, _ in skeleton.contacts]] = 1
     arms = [np.asarray(device.position, np.float64) - lever_arms[device.segment] for device in devices]
     return ChainBody(
         parents=np.where(joined, parents, -1),
@@ -153,6 +158,7 @@ def chain_body(suit: WornSuit, uses_field: bool) -> ChainBody:
         device_segment=np.array([device.segment for device in devices], np.int64),
         device_kind=np.array([int(device.quantity) for device in devices], np.int64),
         device_arm=np.array(arms, np.float64).reshape(len(devices), 3),
+        carries=carries,
         gravity=np.array(suit.gravity, np.float64),
         field=np.array(suit.magnetic_field, np.float64),
         uses_field=uses_field,

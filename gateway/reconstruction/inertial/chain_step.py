@@ -22,6 +22,7 @@ from gateway.reconstruction.inertial.heading_start import (
     compass_turn,
     gather_heading,
     shown_heading,
+    tilt_spread,
     turn_evidence,
 )
 from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
@@ -111,6 +112,7 @@ def _follow_field(
     for s in range(len(body.parents)):
         if is_valid[s] == 0.0 or not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
             continue
+        chain_rows.watch_field(body, state, s, field[s], dt)
         if state.is_open[s] == 0:
             chain_rows.field_row(evidence, body, state, noise, s, field[s], dt)
             continue
@@ -159,7 +161,7 @@ def _device_rows(
             variance += noise.specific_force**2 + (noise.lever_arm * motion[s]) ** 2
             variance *= max(1.0, span / interval)
             if body.parents[s] < 0 and state.is_open[s]:
-                gather_heading(state, s, u, y, variance, interval)
+                gather_heading(state, s, u, y, variance + tilt_spread(state, s, interval), interval)
                 _open_root(evidence, body, state, noise, s, turns)
             chain_rows.known_row(
                 evidence, state, noise, s, u, y, variance, state.is_open[s] == 1 or turns[s, 2] != 0.0
@@ -231,7 +233,7 @@ def _joint_rows(
     anchored: FloatArray,
     turns: FloatArray,
 ) -> FloatArray:
-    """Rows of all joints; chains that no device holds up get the unaided row at their first segment.
+    """Rows of all joints; chains that no device holds up get an unaided row.
 
     Returns the specific force at the proximal joints as their own segments see it, (n, 3), world.
     """
@@ -247,10 +249,29 @@ def _joint_rows(
         chain[s] = chain[p]
         anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
         _joint_row(evidence, body, state, noise, s, p, U[s], K, motion, dt, turns)
-    for s in range(n):
-        if chain[s] == s and anchored[s] == 0.0 and is_valid[s] == 2.0:
-            chain_rows.unaided_row(evidence, state, noise, s, body.gravity, dt)
+    _unaided_rows(evidence, body, state, noise, is_valid, chain, anchored, dt)
     return U
+
+
+@compiled
+def _unaided_rows(
+    evidence: Evidence,
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    is_valid: FloatArray,
+    chain: IntArray,
+    anchored: FloatArray,
+    dt: float,
+) -> None:
+    """All segments of a chain that nothing holds up share one: that averages their accelerometers' errors."""
+    sharing = np.zeros(len(chain))
+    for s in range(len(chain)):
+        if is_valid[s] == 2.0:
+            sharing[chain[s]] += 1.0
+    for s in range(len(chain)):
+        if anchored[chain[s]] == 0.0 and is_valid[s] == 2.0:
+            chain_rows.unaided_row(evidence, state, noise, s, body.gravity, sharing[chain[s]], dt)
 
 
 @compiled
@@ -271,7 +292,8 @@ def _joint_row(
     u_p = felt_at(state.force[p], K[p], body.from_parent[s], state.arm[s, 3:])
     variance = chain_rows.row_variance(noise, math.hypot(motion[s], motion[p]), dt)
     if state.is_open[s]:
-        gather_heading(state, s, u, u_p, variance, dt)
+        uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
+        gather_heading(state, s, u, u_p, uncertain, dt)
         shown, angle = shown_heading(state, noise, s)
         if shown > 0.0:
             state.is_open[s] = 0

@@ -21,8 +21,22 @@ COMPASS_S = 10.0
 """The field leads an open heading with its mean over at most that long."""
 COMPASS_TRUSTED_S = 0.3
 """Having seen an undisturbed field for so long, its heading counts beside the motion."""
+GRAVITY = 9.81
+TILT_MEMORY_S = 1.0
 DENSE = 5.0
 """Rows share errors: the angle found is less sure than the evidence says by this factor."""
+
+
+@compiled
+def tilt_spread(state: FilterState, s: int, interval_s: float) -> float:
+    """Variance ((m/s²)²) that an uncertain tilt of segment s gives to the horizontal part of a row.
+
+    It stays for ``TILT_MEMORY_S``, so rows every ``interval_s`` do not average it out. At the start it is all
+    there is: two segments at rest that are tilted alike would otherwise seem to show their headings.
+    """
+    tilt = 0.5 * (state.P[s, 0, 0] + state.P[s, 1, 1])
+    variance: float = GRAVITY**2 * tilt * max(1.0, TILT_MEMORY_S / interval_s)
+    return variance
 
 
 @compiled

@@ -114,7 +114,21 @@ def test_topic_patterns_tell_publications_apart():
         "module/254/availability",
         "pose",
         "pose/other",
+        "pose/msgpack",
+        "segment/left_hand",
+        "segment/left/hand",
         "module/x/state",
     ]
+    assert {p.topic for p in PUBLICATIONS if topic_pattern(p).match("pose/msgpack")} == {"pose/msgpack"}
     found = [[p.model.__name__ for p in PUBLICATIONS if topic_pattern(p).match(topic)] for topic in topics]
-    assert found == [["BridgeState"], ["ModuleState"], ["ModuleAvailability"], ["PoseMessage"], [], []]
+    assert found == [
+        ["BridgeState"],
+        ["ModuleState"],
+        ["ModuleAvailability"],
+        ["PoseMessage"],
+        [],
+        ["PoseMessage"],
+        ["SegmentMessage"],
+        [],
+        [],
+    ]

@@ -20,7 +20,9 @@ def test_topics_are_those_of_the_contract() -> None:
     }
     named |= {topics.module_state(7), topics.module_availability(7)}
     assert {"mocap/lab/module/7/state", "mocap/lab/module/7/availability"} <= named
-    assert named == {f"{topics.root}/{publication.topic.format(id=7)}" for publication in PUBLICATIONS}
+    named |= {topics.pose_msgpack, topics.segment("left_hand")}
+    assert {"mocap/lab/pose/msgpack", "mocap/lab/segment/left_hand"} <= named
+    assert named == {f"{topics.root}/{each.topic.format(id=7, name='left_hand')}" for each in PUBLICATIONS}
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "a+", "#", "a\0"])

@@ -87,7 +87,7 @@ def test_a_fault_of_one_module_stays_finite_and_the_neighbours_recover(kind, fau
         if fault in ("dead", "held") and k == 210:
             assert list(seen.status) == [Status.MEASURED, Status.PREDICTED, Status.MEASURED, Status.MEASURED]
     errors = angular_error_deg(seen.q_wb, truth.R[-1])
-    assert errors[[0, 2, 3]].max() < 20.0
+    assert errors[[0, 2, 3]].max() < 3.0
     assert seen.status.max() == Status.MEASURED
 
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from devices.emulators import SuitSettings, SuitTraffic
 from devices.emulators.imperfections import TYPICAL
 from devices.link import Chunk, Framing, SentChunk
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_rig import dress, move
+from gateway.cli.main import app
 from gateway.pipeline import Pipeline
 from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.recorder import Recorder, Sink
@@ -70,3 +74,16 @@ def record(tmp_path: Path, arm_chunks: list[Chunk]) -> Callable[..., Path]:
         return path
 
     return make
+
+
+@pytest.fixture
+def typed() -> Callable[..., tuple[int, Any]]:
+    """``typed("export", path, …)``: exit code and what it printed; with ``--json`` that, decoded."""
+
+    def run(*arguments: object) -> tuple[int, Any]:
+        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        return result.exit_code, json.loads(result.stdout) if "--json" in arguments else result.stdout
+
+    return run

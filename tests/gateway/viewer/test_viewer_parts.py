@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gateway.body.kinematics import joint_positions
+from gateway.body.kinematics import joint_positions, lowest_point
 from gateway.body.rig import load_rig
 from gateway.geometry import quaternion
 from gateway.outputs.messages import (
@@ -19,7 +19,7 @@ from gateway.outputs.messages import (
     describe_body,
 )
 from gateway.viewer.appearance import COLOURS, STALE, UNSURE, legend, segment_colours
-from gateway.viewer.bones import BONE_FACES, BONE_VERTICES, bones_of, lowest_point
+from gateway.viewer.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.viewer.history import History
 from gateway.viewer.module_table import module_rows, module_table
 from gateway.viewer.posture import PostureKeeper, skeleton_of

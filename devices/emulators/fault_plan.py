@@ -1,0 +1,196 @@
+"""What is to go wrong with an emulated suit, and when: the schema of ``emulate --faults FILE``.
+
+    seed: 1
+    faults:
+      - {kind: loss, at: 5, lasts: 2, share: 0.3}
+      - {kind: reset, at: 10, module: 4, lasts: 0.5, every: 30}
+
+Times are seconds of motion time. A fault with ``every`` comes again for ever.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1, description="of what is sent")]
+Module = Annotated[int, Field(ge=0, le=63, description="number of the module, as the rig names it")]
+Sensor = Literal["specific_force", "angular_rate", "magnetic_field"]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Fault(_Strict):
+    """Anything that goes wrong, for a while."""
+
+    at: Seconds = Field(description="when it begins, s")
+    lasts: Seconds = Field(default=0.0, description="for how long, s")
+    every: float | None = Field(default=None, gt=0, le=1e6, description="it comes again after so long, s")
+
+    @model_validator(mode="after")
+    def _ends_before_it_comes_again(self) -> Fault:
+        if self.every is not None and self.every <= self.lasts:
+            raise ValueError(f"every {self.every:g} s, but it lasts {self.lasts:g} s: it would never end")
+        return self
+
+    def starts(self, from_s: float, to_s: float) -> Iterator[float]:
+        """When it begins, within [from_s, to_s)."""
+        if self.every is None:
+            if from_s <= self.at < to_s:
+                yield self.at
+            return
+        count = max(0, math.ceil((from_s - self.at) / self.every))
+        while (start := self.at + count * self.every) < to_s:
+            yield start
+            count += 1
+
+    def is_on(self, at_s: float) -> bool:
+        """Whether it lasts at a time, s."""
+        since = at_s - self.at
+        if self.every is not None and since >= 0:
+            since %= self.every
+        return 0 <= since < self.lasts
+
+
+class BitErrors(Fault):
+    """Bytes arrive with one bit turned over."""
+
+    kind: Literal["bit_errors"]
+    share: Share
+
+
+class Loss(Fault):
+    """Transmissions do not arrive."""
+
+    kind: Literal["loss"]
+    share: Share
+
+
+class Duplication(Fault):
+    """Transmissions arrive twice."""
+
+    kind: Literal["duplication"]
+    share: Share
+
+
+class Reordering(Fault):
+    """Transmissions are overtaken by what is sent after them."""
+
+    kind: Literal["reordering"]
+    share: Share
+    delay: float = Field(default=0.03, gt=0, le=10, description="how much later they arrive, s")
+
+
+class Burst(Fault):
+    """Nothing arrives, and then all of it at once."""
+
+    kind: Literal["burst"]
+
+
+class Stall(Fault):
+    """Nothing arrives, and what is sent meanwhile is lost, in both directions."""
+
+    kind: Literal["stall"]
+
+
+class SlowDrip(Fault):
+    """The link passes bytes on one by one, slower than they are sent; at the end the rest comes at once."""
+
+    kind: Literal["slow_drip"]
+    bytes_per_s: float = Field(default=500.0, gt=0, le=1e7)
+
+
+class Noise(Fault):
+    """A babbling node: bytes that nobody of the suit has sent (frames of others on CAN)."""
+
+    kind: Literal["noise"]
+    bytes_per_s: float = Field(default=1000.0, gt=0, le=1e6)
+
+
+class Reset(Fault):
+    """A module loses its power for ``lasts`` seconds; its clock and its numbers begin anew."""
+
+    kind: Literal["reset"]
+    module: Module
+
+
+class ClockJump(Fault):
+    """A module's counter jumps."""
+
+    kind: Literal["clock_jump"]
+    module: Module
+    by: float = Field(ge=-1000, le=1000, description="by how much, s; backwards if negative")
+
+
+class Stuck(Fault):
+    """A sensor says the same again and again."""
+
+    kind: Literal["stuck"]
+    module: Module
+    sensor: Sensor = "angular_rate"
+
+
+class Saturated(Fault):
+    """A sensor is at the end of its range on all axes."""
+
+    kind: Literal["saturated"]
+    module: Module
+    sensor: Sensor = "angular_rate"
+
+
+class NotFinite(Fault):
+    """A local measuring device says NaN (samples of inertial modules are whole numbers: they cannot)."""
+
+    kind: Literal["not_finite"]
+    module: Module
+
+
+class IdConflict(Fault):
+    """A module sends under the id of another one, too."""
+
+    kind: Literal["id_conflict"]
+    module: Module
+    takes: Module
+
+
+class Unplug(Fault):
+    """The cable is pulled; plugged in again the port has another name (its link, if it has one, stays)."""
+
+    kind: Literal["unplug"]
+
+
+AnyFault = Annotated[
+    BitErrors
+    | Loss
+    | Duplication
+    | Reordering
+    | Burst
+    | Stall
+    | SlowDrip
+    | Noise
+    | Reset
+    | ClockJump
+    | Stuck
+    | Saturated
+    | NotFinite
+    | IdConflict
+    | Unplug,
+    Field(discriminator="kind"),
+]
+
+
+class FaultPlan(_Strict):
+    """All that goes wrong."""
+
+    seed: int = Field(default=1, ge=0, le=2**32 - 1, description="of everything random in it")
+    faults: tuple[AnyFault, ...] = ()
+
+    def windows(self, *kinds: type[Fault]) -> list[Fault]:
+        """The faults of some kinds."""
+        return [fault for fault in self.faults if isinstance(fault, kinds)]

@@ -1,0 +1,100 @@
+"""An emulated suit with faults: what ``FaultPlan`` says befalls its modules, its sensors and its link.
+
+suit = EmulatedSuit(FaultySuit(traffic, plan), PtyTransport("/tmp/suit"))
+cable = asyncio.create_task(pull_cable(plan, suit))
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from dataclasses import replace
+
+from devices.emulators.delivery import Transmission
+from devices.emulators.emulated_device import EmulatedDevice
+from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.fault_plan import ClockJump, Fault, FaultPlan, IdConflict, Reset, Unplug
+from devices.emulators.link_faults import LinkFaults, hears_nothing
+from devices.emulators.sensor_faults import SensorFaults
+from devices.emulators.suit_traffic import SuitTraffic
+from devices.link import gateway_time_ns
+
+_LOOK_S = 0.002
+
+
+class FaultySuit:
+    """A ``Conversation``: the traffic of a suit, as its faults leave it."""
+
+    def __init__(self, traffic: SuitTraffic, plan: FaultPlan) -> None:
+        """Raises ``KeyError``, naming what there is, for a module that the suit does not have."""
+        self.traffic = traffic
+        self.plan = plan
+        self.link = LinkFaults(plan, traffic.framing)
+        self.sensors = SensorFaults(plan)
+        traffic.on_sent = self.sensors.spoil
+        self._happened: Counter[str] = Counter()
+        self._module_faults = [f for f in plan.faults if isinstance(f, Reset | ClockJump | IdConflict)]
+        for fault in plan.faults:
+            if (module := getattr(fault, "module", None)) is not None:
+                traffic.device(module)
+        self._now_s = 0.0
+
+    @property
+    def counts(self) -> Counter[str]:
+        """What befell the suit, by kind of fault."""
+        return self._happened + self.link.counts + self.sensors.counts
+
+    def receive(self, data: bytes, at_s: float) -> None:
+        """As ``SuitTraffic.receive``."""
+        if not hears_nothing(self.plan, at_s):
+            self.traffic.receive(data, at_s)
+
+    def advance(self, to_s: float) -> list[Transmission]:
+        """As ``SuitTraffic.advance``."""
+        for fault in self._module_faults:
+            for start_s in fault.starts(self._now_s, to_s):
+                self._begin(fault, start_s)
+        self._now_s = to_s
+        return self.link.pass_on(self.traffic.advance(to_s), to_s)
+
+    def rest(self) -> list[Transmission]:
+        """As ``SuitTraffic.rest``."""
+        return self.link.rest(self.traffic.rest())
+
+    def _begin(self, fault: Reset | ClockJump | IdConflict, at_s: float) -> None:
+        self._happened[fault.kind] += 1
+        device = self.traffic.device(fault.module)
+        match fault:
+            case Reset():
+                self.traffic.cut_power(fault.module, at_s, fault.lasts)
+            case ClockJump():
+                device.happen(at_s, lambda: _jump(device, fault.by))
+            case IdConflict():
+                own = device.module_id
+                device.happen(at_s, lambda: _call(device, fault.takes))
+                device.happen(at_s + fault.lasts, lambda: _call(device, own))
+
+
+def _jump(device: EmulatedDevice, by_s: float) -> None:
+    clock = device.sender.clock
+    device.sender.clock = replace(clock, start_us=(clock.start_us + round(by_s * 1e6)) % 2**32)
+
+
+def _call(device: EmulatedDevice, module: int) -> None:
+    device.sender.module = module
+
+
+async def pull_cable(plan: FaultPlan, suit: EmulatedSuit) -> None:
+    """Pull and plug in the cable of a running suit as the plan says; ends after the last time."""
+    pulls: list[Fault] = plan.windows(Unplug)
+    looked_s = 0.0
+    while any(fault.every is not None or fault.at >= looked_s for fault in pulls):
+        now_s = 0.0 if suit.start_ns is None else suit.motion_time_s(gateway_time_ns())
+        for fault in pulls:
+            for start_s in fault.starts(looked_s, max(now_s, looked_s)):
+                await suit.transport.close()
+                away_s = start_s + fault.lasts - suit.motion_time_s(gateway_time_ns())
+                await asyncio.sleep(max(0.0, away_s))
+                await suit.transport.open()
+        looked_s = max(now_s, looked_s)
+        await asyncio.sleep(_LOOK_S)

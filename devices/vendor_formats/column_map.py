@@ -1,0 +1,162 @@
+"""CSV of any kind, its columns named in a map: which are what, in which unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from devices.emulators.bodies import FloatArray
+from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
+from devices.vendor_formats.gaps import index_of_times, spread
+from devices.vendor_formats.labels import refuse_repeats
+from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
+from devices.vendor_formats.xsens_text import NORTH_WEST_UP, add_tracks, turned
+
+Three = Annotated[list[str], Field(min_length=3, max_length=3)]
+Four = Annotated[list[str], Field(min_length=4, max_length=4)]
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_SCALES = {"m/s²": 1.0, "m/s^2": 1.0, "g": 9.80665, "rad/s": 1.0, "deg/s": np.pi / 180}
+_WORLDS = {"enu": Rotation.identity(), "nwu": NORTH_WEST_UP}
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TimeColumn(_Strict):
+    """Where the time stands."""
+
+    column: str
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+
+
+class Acceleration(_Strict):
+    """Of the accelerometer; at rest it reads gravity, upwards."""
+
+    columns: Three
+    unit: Literal["m/s²", "m/s^2", "g"] = "m/s²"
+
+
+class AngularRate(_Strict):
+    """Of the gyrometer."""
+
+    columns: Three
+    unit: Literal["rad/s", "deg/s"] = "rad/s"
+
+
+class Field3(_Strict):
+    """Of the magnetometer, in any unit."""
+
+    columns: Three
+
+
+class Orientation(_Strict):
+    """Fused by somebody else, sensor axes to a world with Z up."""
+
+    columns: Four
+    order: Literal["wxyz", "xyzw"] = "wxyz"
+    world: Literal["enu", "nwu"] = Field(default="enu", description="east-north-up or north-west-up")
+    inverse: bool = Field(default=False, description="the file has world axes to sensor axes")
+
+
+class MappedModule(_Strict):
+    """One module's columns."""
+
+    name: str = Field(min_length=1, description="what it is called; best the segment's name")
+    file: str | None = Field(default=None, description="its file beside the map; none: the one imported")
+    specific_force: Acceleration | None = None
+    angular_rate: AngularRate | None = None
+    magnetic_field: Field3 | None = None
+    orientation: Orientation | None = None
+
+    @model_validator(mode="after")
+    def _has_something(self) -> MappedModule:
+        if self.specific_force is None and self.orientation is None:
+            raise ValueError("a module needs 'specific_force' or 'orientation'")
+        return self
+
+
+class ColumnMap(_Strict):
+    """A map file."""
+
+    rate_hz: float | None = Field(default=None, gt=0, le=10_000, description="for files without a time")
+    time: TimeColumn | None = None
+    modules: list[MappedModule] = Field(min_length=1, max_length=60)
+
+    @model_validator(mode="after")
+    def _has_time(self) -> ColumnMap:
+        if (self.time is None) == (self.rate_hz is None):
+            raise ValueError("either 'time' (a column) or 'rate_hz' is needed")
+        return self
+
+
+def read_mapped_csv(
+    path: Path | None, columns: ColumnMap, folder: Path, *, partial: bool = False
+) -> Recording:
+    """path: the file of modules that name none; folder: where the named ones are. Raises ``FormatError``."""
+    refuse_repeats([module.name for module in columns.modules])
+    sheets: dict[Path, Sheet] = {}
+    modules: list[ModuleTrack] = []
+    fused: list[FusedTrack] = []
+    read = []
+    for mapped in columns.modules:
+        file = path if mapped.file is None else folder / mapped.file
+        if file is None:
+            raise FormatError(f"module '{mapped.name}' of the map names no file, and none was given")
+        if file not in sheets:
+            sheets[file] = _sheet(file, mapped, columns, partial)
+        read.append(_module(sheets[file], mapped, columns))
+    zero = min(times[0] for times, _ in read)
+    for number, (mapped, (times, rows)) in enumerate(zip(columns.modules, read, strict=True)):
+        add_tracks(number, mapped.name, times - zero, rows, modules, fused)
+    rate_hz = columns.rate_hz or round(1.0 / float(np.median(np.diff(read[0][0]))), 2)
+    notes = tuple(sheet.note for sheet in sheets.values() if sheet.note)
+    return Recording("csv", rate_hz, tuple(modules), fused=tuple(fused), notes=notes)
+
+
+def _wanted(mapped: MappedModule) -> list[str]:
+    parts = (mapped.specific_force, mapped.angular_rate, mapped.magnetic_field, mapped.orientation)
+    return [name for part in parts if part is not None for name in part.columns]
+
+
+def _sheet(file: Path, mapped: MappedModule, columns: ColumnMap, partial: bool) -> Sheet:
+    wanted = [*([columns.time.column] if columns.time else []), *_wanted(mapped)]
+    return open_sheet(
+        file,
+        lambda names: wanted[0] in names,
+        f"a line with '{wanted[0]}', as the map says",
+        is_partial=partial,
+    )
+
+
+def _module(sheet: Sheet, mapped: MappedModule, columns: ColumnMap) -> tuple[FloatArray, FloatArray]:
+    """Times (n,) s and readings (n, 13): specific force, angular rate, field, orientation."""
+    names = _wanted(mapped)
+    table = sheet.columns([*([columns.time.column] if columns.time else []), *names])
+    values = table[:, -len(names) :]
+    if len(table) < 2:
+        raise FormatError(f"{sheet.path} has {len(table)} sample(s): two at least are needed")
+    readings = np.full((len(table), 13), np.nan)
+    for part, first in ((mapped.specific_force, 0), (mapped.angular_rate, 3), (mapped.magnetic_field, 6)):
+        if part is not None:
+            at = [names.index(name) for name in part.columns]
+            readings[:, first : first + 3] = values[:, at] * _SCALES.get(getattr(part, "unit", ""), 1.0)
+    if mapped.orientation is not None:
+        readings[:, 9:] = _orientations(values, names, mapped.orientation)
+    if columns.time is None:
+        return np.arange(len(table)) / (columns.rate_hz or 1.0), readings
+    times = table[:, 0] * _SECONDS[columns.time.unit]
+    return spread(index_of_times(times, sheet.path), times, readings, sheet.path)
+
+
+def _orientations(values: FloatArray, names: list[str], kind: Orientation) -> FloatArray:
+    q = values[:, [names.index(name) for name in kind.columns]]
+    if kind.order == "xyzw":
+        q = q[:, [3, 0, 1, 2]]
+    if kind.inverse:
+        q = q * [1, -1, -1, -1]
+    return turned(q, _WORLDS[kind.world])

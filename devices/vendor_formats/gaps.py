@@ -1,0 +1,60 @@
+"""What was lost, as rows of NaN: from counters, or from time stamps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.emulators.bodies import FloatArray
+from devices.vendor_formats.sheets import FormatError
+
+IntArray = NDArray[np.int64]
+
+_MOST_GAPS = 20
+"""Times as many rows lost as there are: no loss, but counters that mean nothing."""
+
+
+def unwrapped(counter: FloatArray, bits: int, path: Path, column: str) -> IntArray:
+    """(n,) counter that goes on where it wrapped. Raises ``FormatError`` where it stands still."""
+    if not np.isfinite(counter).all():
+        raise FormatError(f"{path}: row {_first(~np.isfinite(counter))} has no '{column}'")
+    whole = counter.astype(np.int64)
+    size = 1 << bits
+    steps = np.diff(whole) % size
+    if (steps == 0).any():
+        raise FormatError(f"{path}: row {_first(steps == 0) + 1} has the same '{column}' as the one before")
+    if (steps > size // 2).any():
+        raise FormatError(f"{path}: row {_first(steps > size // 2) + 1}: '{column}' goes back")
+    return np.concatenate([whole[:1], whole[0] + np.cumsum(steps)])
+
+
+def index_of_times(times: FloatArray, path: Path) -> IntArray:
+    """(n,) number of each row at the usual interval, gaps counted. Raises ``FormatError``."""
+    steps = np.diff(times)
+    if not np.isfinite(times).all() or (steps <= 0).any():
+        bad = ~np.isfinite(times)
+        bad[1:] |= ~(steps > 0)
+        raise FormatError(f"{path}: row {_first(bad)}: the time does not grow")
+    if not len(steps):
+        return np.zeros(1, np.int64)
+    return np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1))]).astype(np.int64)
+
+
+def spread(
+    index: IntArray, times: FloatArray, values: FloatArray, path: Path
+) -> tuple[FloatArray, FloatArray]:
+    """Times (m,) and values (m, k) with a row of NaN for every number that ``index`` (n,) leaves out."""
+    at = index - index[0]
+    length = int(at[-1]) + 1
+    if length > _MOST_GAPS * len(at) + 1000:
+        raise FormatError(f"{path}: {len(at)} rows counted up to {length}: its counter or its times jump")
+    whole = np.full((length, values.shape[1]), np.nan)
+    whole[at] = values
+    return np.interp(np.arange(length), at, times), whole
+
+
+def _first(mask: NDArray[np.bool_]) -> int:
+    """Number of the first such row, counted from 1."""
+    return int(np.flatnonzero(mask)[0]) + 1

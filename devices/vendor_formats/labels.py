@@ -1,0 +1,33 @@
+"""What the modules of several files are called, by what their names do not share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from devices.vendor_formats.sheets import FormatError
+
+MOST_MODULES = 60
+"""Ids from 60 on are left to local measuring devices."""
+
+
+def labels_of(paths: Sequence[Path]) -> list[str]:
+    """A name for each file: its stem without what all have in common, cut between words."""
+    stems = [path.stem for path in paths]
+    words = [re.split(r"(?<=[_\- ])", stem) for stem in stems]
+    shared = 0
+    while len(stems) > 1 and all(len(each) > shared + 1 for each in words):
+        if len({each[shared] for each in words}) > 1:
+            break
+        shared += 1
+    return ["".join(each[shared:]) for each in words]
+
+
+def refuse_repeats(labels: Sequence[str]) -> None:
+    """Raises ``FormatError`` for two modules of one name, or for more than there can be."""
+    for label in labels:
+        if labels.count(label) > 1:
+            raise FormatError(f"two modules are called '{label}': name each once")
+    if len(labels) > MOST_MODULES:
+        raise FormatError(f"{len(labels)} modules: {MOST_MODULES} at most can be in one recording")

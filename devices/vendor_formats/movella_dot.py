@@ -1,0 +1,85 @@
+"""Movella DOT: CSV exports of its app and of its memory, one file a module.
+
+Some lines ``Name:,value``, then the names of the columns. Acceleration m/s², angular rate °/s, field in
+arbitrary units, time stamps in µs; orientations, where exported, from sensor axes to east-north-up.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from devices.emulators.bodies import FloatArray
+from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
+from devices.vendor_formats.gaps import spread, unwrapped
+from devices.vendor_formats.labels import labels_of, refuse_repeats
+from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
+from devices.vendor_formats.xsens_text import add_tracks, orientation_columns, turned
+
+_STAMP = "SampleTimeFine"
+_STAMP_BITS = 32
+_COUNTER_BITS = 32
+_SENSORS = [f"{sensor}_{axis}" for sensor in ("Acc", "Gyr", "Mag") for axis in "XYZ"]
+
+
+def read_movella_dot(paths: Sequence[Path], *, align: str = "stamps", partial: bool = False) -> Recording:
+    """Modules numbered from 0 in the order of the files.
+
+    align: ``stamps`` for modules that were synchronised, ``start`` lets all begin together. Raises
+    ``FormatError``, also when stamps of several modules do not overlap.
+    """
+    sheets = [
+        open_sheet(path, lambda names: _STAMP in names, f"a line with '{_STAMP}'", is_partial=partial)
+        for path in paths
+    ]
+    labels = [tag or label for tag, label in zip(map(_tag, sheets), labels_of(paths), strict=True)]
+    refuse_repeats(labels)
+    tables = [_module(sheet) for sheet in sheets]
+    zero = min(times[0] for times, _ in tables)
+    end = min(times[-1] for times, _ in tables)
+    if align == "stamps" and any(times[0] >= end for times, _ in tables):
+        raise FormatError(
+            "the modules' time stamps do not overlap: they were not synchronised; --align start lets "
+            "all begin together"
+        )
+    modules: list[ModuleTrack] = []
+    fused: list[FusedTrack] = []
+    for module, (label, (times, rows)) in enumerate(zip(labels, tables, strict=True)):
+        begin = times[0] if align == "start" else zero
+        add_tracks(module, label, times - begin, rows, modules, fused)
+    rate_hz = round(1.0 / float(np.median(np.diff(tables[0][0]))), 1)
+    notes = tuple(sheet.note for sheet in sheets if sheet.note)
+    return Recording("movella_dot", rate_hz, tuple(modules), fused=tuple(fused), notes=notes)
+
+
+def _module(sheet: Sheet) -> tuple[FloatArray, FloatArray]:
+    """Times (n,) s, by the module's clock, and readings (n, 13) as in ``MtFile``."""
+    sensors = [name for name in _SENSORS if name in sheet.names]
+    turn_names = orientation_columns(sheet)
+    if not turn_names and not sheet.has(*_SENSORS[:3]):
+        raise FormatError(
+            f"{sheet.path}: has neither Acc_X, Acc_Y, Acc_Z nor Quat_W …; choose a measurement mode with "
+            f"either; its columns are {', '.join(sheet.names)}"
+        )
+    table = sheet.columns(["PacketCounter", _STAMP, *sensors, *turn_names])
+    if len(table) < 2:
+        raise FormatError(f"{sheet.path} has {len(table)} sample(s): two at least are needed")
+    counter = unwrapped(table[:, 0], _COUNTER_BITS, sheet.path, "PacketCounter")
+    stamps = unwrapped(table[:, 1], _STAMP_BITS, sheet.path, _STAMP).astype(np.float64) * np.float64(1e-6)
+    readings = np.full((len(table), 13), np.nan)
+    for column, name in enumerate(sensors, start=2):
+        scale = np.pi / 180 if name.startswith("Gyr") else 1.0
+        readings[:, _SENSORS.index(name)] = table[:, column] * scale
+    if turn_names:
+        readings[:, 9:] = turned(table[:, -len(turn_names) :], Rotation.identity())
+    return spread(counter, stamps, readings, sheet.path)
+
+
+def _tag(sheet: Sheet) -> str:
+    """What the user called the module in the app."""
+    found = (re.match(r"DeviceTag:\s*,\s*(.+)", line) for line in sheet.preamble)
+    return next((match.group(1).strip() for match in found if match), "")

@@ -1,0 +1,132 @@
+"""Tables of numbers in text files, with errors that say where they are wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from devices.emulators.bodies import FloatArray
+from devices.recording_file import RecordingError
+
+_DELIMITERS = "\t;,"
+_HEADER_LINES = 200
+"""Within which the names of the columns must come."""
+_SHOWN = 40
+
+
+class FormatError(RecordingError):
+    """A file that is not what its format promises; ``str(error)`` says where, what, and the remedy."""
+
+
+@dataclass
+class Sheet:
+    """A text file with a line of column names and rows of numbers below it."""
+
+    path: Path
+    preamble: tuple[str, ...]
+    """Lines above the names."""
+    names: tuple[str, ...]
+    rows: list[str]
+    delimiter: str
+    is_partial: bool
+    """Whether to end at the first bad row, instead of refusing the file."""
+    note: str | None = None
+    """What was left out, after ``columns``."""
+
+    def columns(self, wanted: Sequence[str]) -> FloatArray:
+        """(n, len(wanted)); an empty cell is NaN. Raises ``FormatError``."""
+        absent = [name for name in wanted if name not in self.names]
+        if absent:
+            raise FormatError(
+                f"{self.path}, line {len(self.preamble) + 1}: no column '{absent[0]}'; "
+                f"there are {', '.join(self.names)}"
+            )
+        at = [self.names.index(name) for name in wanted]
+        if not self.rows:
+            raise FormatError(f"{self.path} has no row of numbers below line {len(self.preamble) + 1}")
+        try:
+            table: FloatArray = np.loadtxt(
+                self.rows, delimiter=self.delimiter, usecols=at, ndmin=2, comments=None
+            )
+        except ValueError:
+            table = self._one_by_one(at)
+        if not len(table):
+            raise FormatError(f"{self.path} has no row of numbers below line {len(self.preamble) + 1}")
+        return table
+
+    def has(self, *names: str) -> bool:
+        """Whether all these columns are there."""
+        return all(name in self.names for name in names)
+
+    def _one_by_one(self, at: list[int]) -> FloatArray:
+        """As slow as it is exact about what is wrong."""
+        table = []
+        for row, line in enumerate(self.rows):
+            try:
+                table.append(self._row(line, at, len(self.preamble) + 2 + row))
+            except FormatError as error:
+                if not self.is_partial:
+                    raise FormatError(f"{error}; --partial imports the rows before it") from None
+                self.note = f"{error}: this row and {len(self.rows) - row - 1} after it were left out"
+                del self.rows[row:]
+                break
+        return np.array(table, dtype=np.float64).reshape(-1, len(at))
+
+    def _row(self, line: str, at: list[int], number: int) -> list[float]:
+        cells = line.split(self.delimiter)
+        if len(cells) <= max(at):
+            raise FormatError(
+                f"{self.path}, line {number}: ends after {len(cells)} of {len(self.names)} columns, "
+                "as a file does that was cut off"
+            )
+        return [self._number(cells[i].strip(), number, self.names[i]) for i in at]
+
+    def _number(self, text: str, line: int, column: str) -> float:
+        try:
+            return float(text.replace(",", ".")) if text else float("nan")
+        except ValueError:
+            raise FormatError(
+                f"{self.path}, line {line}, column '{column}': a number is wanted, not {text[:_SHOWN]!r}"
+            ) from None
+
+
+def read_lines(path: Path) -> list[str]:
+    """Lines of a text file. Raises ``FormatError`` when it cannot be read, is empty or no text."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read: {error.strerror}") from error
+    if not data.strip():
+        raise FormatError(f"{path} is empty")
+    zero = data.find(0)
+    if zero >= 0:
+        raise FormatError(
+            f"{path} is no text file: byte {zero} is 0 (a binary file, or one never written out)"
+        )
+    return data.decode("utf-8-sig", errors="replace").splitlines()
+
+
+def open_sheet(
+    path: Path, is_header: Callable[[list[str]], bool], wanted: str, *, is_partial: bool = False
+) -> Sheet:
+    """The table of a file whose line of names is the first that ``is_header`` says yes to.
+
+    wanted: what that line should have, for the error. Raises ``FormatError``.
+    """
+    lines = read_lines(path)
+    for index, line in enumerate(lines[:_HEADER_LINES]):
+        delimiter = max(_DELIMITERS, key=line.count)
+        names = [name.strip() for name in line.split(delimiter)]
+        if is_header(names):
+            rows = lines[index + 1 :]
+            while rows and not rows[-1].strip():
+                rows.pop()
+            while names and not names[-1]:
+                names.pop()
+            return Sheet(path, tuple(lines[:index]), tuple(names), rows, delimiter, is_partial)
+    raise FormatError(
+        f"{path}: none of the first {_HEADER_LINES} lines names the columns; {wanted} is wanted"
+    )

@@ -1,0 +1,148 @@
+"""Xsens text exports: MT Manager and MTw, one file a module; also what OpenSense reads.
+
+Lines of ``// Name: value``, then the names of the columns, then a row a sample: tabs, ``;`` or commas.
+Acceleration m/s², angular rate rad/s, field in arbitrary units, orientation as quaternion or matrix from
+sensor axes to north-west-up.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from devices.emulators.bodies import FloatArray
+from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording, track_of
+from devices.vendor_formats.gaps import IntArray, spread, unwrapped
+from devices.vendor_formats.labels import labels_of, refuse_repeats
+from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
+
+NORTH_WEST_UP = Rotation.from_euler("z", 90, degrees=True)
+"""Takes north-west-up, the world of Xsens and x-io, to east-north-up."""
+
+COUNTERS = ("PacketCounter", "Counter")
+_COUNTER_BITS = 16
+_RATE = re.compile(r"//\s*(?:Update|Sample) rate:\s*([\d.]+)", re.IGNORECASE)
+_ACC, _GYR, _MAG = ([f"{sensor}_{axis}" for axis in "XYZ"] for sensor in ("Acc", "Gyr", "Mag"))
+_MATRIX = [f"Mat[{row}][{column}]" for row in (1, 2, 3) for column in (1, 2, 3)]
+_QUATERNIONS = (
+    [f"Quat_q{i}" for i in range(4)],
+    [f"Quat_{axis}" for axis in "wxyz"],
+    [f"Quat_{axis}" for axis in "WXYZ"],
+)
+
+
+@dataclass(frozen=True)
+class MtFile:
+    """One module's file."""
+
+    path: Path
+    rate_hz: float | None
+    counter: IntArray  # (n,)
+    readings: FloatArray  # (n, 13) specific force, angular rate, field, orientation w x y z; NaN: not there
+    note: str | None
+
+
+def read_xsens_text(
+    paths: Sequence[Path], rate_hz: float | None = None, *, partial: bool = False
+) -> Recording:
+    """Modules numbered from 0 in the order of the files, on one time by their packet counters.
+
+    rate_hz: for files that do not tell theirs. partial: take the rows before a bad one. Raises
+    ``FormatError``.
+    """
+    files = [read_mt_file(path, partial=partial) for path in paths]
+    labels = labels_of(paths)
+    refuse_repeats(labels)
+    rate = rate_hz or next((file.rate_hz for file in files if file.rate_hz), None)
+    if rate is None:
+        raise FormatError(f"{paths[0]} does not tell its rate ('// Update Rate: …'): give it with --rate")
+    odd = next((file for file in files if file.rate_hz and abs(file.rate_hz - rate) > 1e-6), None)
+    if odd is not None and rate_hz is None:
+        raise FormatError(f"{odd.path} has {odd.rate_hz:g} Hz, {paths[0]} {rate:g} Hz: import them apart")
+    starts = _starts([file.counter[0] for file in files])
+    modules: list[ModuleTrack] = []
+    fused: list[FusedTrack] = []
+    for module, (file, label, start) in enumerate(zip(files, labels, starts, strict=True)):
+        index = file.counter - file.counter[0]
+        times, rows = spread(index, (start + index) / rate, file.readings, file.path)
+        add_tracks(module, label, times, rows, modules, fused)
+    notes = tuple(file.note for file in files if file.note)
+    return Recording("xsens", rate, tuple(modules), fused=tuple(fused), notes=notes)
+
+
+def add_tracks(
+    module: int,
+    label: str,
+    times: FloatArray,
+    rows: FloatArray,
+    modules: list[ModuleTrack],
+    fused: list[FusedTrack],
+) -> None:
+    """The tracks of rows (n, 13) as in ``MtFile``: raw readings, orientations, or both."""
+    acc, gyr, mag, q = rows[:, :3], rows[:, 3:6], rows[:, 6:9], rows[:, 9:]
+    if np.isfinite(acc).any():
+        modules.append(track_of(module, label, times, acc, gyr, mag))
+    if np.isfinite(q).any():
+        fused.append(FusedTrack(module, label, times, q))
+
+
+def read_mt_file(path: Path, *, partial: bool = False) -> MtFile:
+    """One module's file, its orientations turned to east-north-up. Raises ``FormatError``."""
+    sheet = open_sheet(
+        path,
+        lambda names: any(name in names for name in COUNTERS),
+        "a line with 'PacketCounter' (MT Manager, MTw, OpenSense)",
+        is_partial=partial,
+    )
+    counter_name = next(name for name in COUNTERS if name in sheet.names)
+    present = [names for names in (_ACC, _GYR, _MAG) if sheet.has(*names)]
+    turn_names = orientation_columns(sheet)
+    if not present and not turn_names:
+        raise FormatError(
+            f"{path}: has neither Acc_X, Acc_Y, Acc_Z nor an orientation (Quat_… or Mat[1][1] …); "
+            f"its columns are {', '.join(sheet.names)}"
+        )
+    wanted = [counter_name, *(name for names in present for name in names), *turn_names]
+    table = sheet.columns(wanted)
+    readings = np.full((len(table), 13), np.nan)
+    for first, names in zip((0, 3, 6), (_ACC, _GYR, _MAG), strict=True):
+        if names in present:
+            start = wanted.index(names[0])
+            readings[:, first : first + 3] = table[:, start : start + 3]
+    if turn_names:
+        readings[:, 9:] = turned(table[:, -len(turn_names) :])
+    rates = [float(found.group(1)) for line in sheet.preamble if (found := _RATE.match(line))]
+    counter = unwrapped(table[:, 0], _COUNTER_BITS, path, counter_name)
+    return MtFile(path, rates[0] if rates else None, counter, readings, sheet.note)
+
+
+def orientation_columns(sheet: Sheet) -> list[str]:
+    """The columns of the orientation, quaternion (4) or matrix (9, row by row); empty: there is none."""
+    return next((names for names in (*_QUATERNIONS, _MATRIX) if sheet.has(*names)), [])
+
+
+def turned(values: FloatArray, world: Rotation = NORTH_WEST_UP) -> FloatArray:
+    """(n, 4) to east-north-up from quaternions (n, 4) or matrices (n, 9) to another world; NaN for what is
+    no rotation."""
+    q = np.full((len(values), 4), np.nan)
+    if values.shape[1] == 9:
+        known = np.isfinite(values).all(axis=1) & (np.abs(np.linalg.det(values.reshape(-1, 3, 3)) - 1) < 0.1)
+        rotation = Rotation.from_matrix(values[known].reshape(-1, 3, 3))
+    else:
+        known = np.abs(np.linalg.norm(values, axis=1) - 1) < 0.1
+        rotation = Rotation.from_quat(values[known], scalar_first=True)
+    if known.any():
+        q[known] = (world * rotation).as_quat(canonical=True, scalar_first=True)
+    return q
+
+
+def _starts(first: list[np.int64]) -> list[int]:
+    """When each module began, in samples after the earliest; a counter may have wrapped in between."""
+    size = 1 << _COUNTER_BITS
+    after = [int((count - first[0] + size // 2) % size - size // 2) for count in first]
+    return [count - min(after) for count in after]

@@ -1,0 +1,22 @@
+// Print poses in Node.js. Once, in this folder: npm install mqtt
+//
+//     node subscribe.mjs mqtt://127.0.0.1:1883 10
+
+import mqtt from "mqtt";
+
+const [url = "mqtt://127.0.0.1:1883", count = "0"] = process.argv.slice(2);
+const client = mqtt.connect(url, { protocolVersion: 5 });
+let left = Number(count) || Infinity;
+
+client.on("connect", () => client.subscribe("mocap/+/pose"));
+client.on("error", (error) => {
+  console.error(`${url}: ${error.message}`);
+  process.exit(1);
+});
+client.on("message", (topic, payload, packet) => {
+  const pose = JSON.parse(payload);
+  const type = packet.properties?.contentType ?? "no content type";
+  console.log(topic, type, pose.seq, pose.root, JSON.stringify(pose.segments[pose.root]));
+  left -= 1;
+  if (left === 0) client.end();
+});

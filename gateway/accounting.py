@@ -1,0 +1,113 @@
+"""Where everything went: balances that must come out even, from counters that know nothing of each other.
+
+    sent by the modules (their numbers)  =  received + lost on the way
+    packets out of the decoders          =  new ones + repeated + our own echoed + answers nobody awaited
+    readings out of the stream           =  taken for frames + each kind of drop + held back by the despiker
+    instants of the grid                 =  frames + instants left out in silence
+    frames assembled                     =  poses reconstructed
+    poses offered to an output           =  published + dropped + thinned + queued
+    chunks handed to the recorder        =  written + lost + waiting for the disk
+
+All of it belongs to one event loop: between two chunks every balance is even. What is left over is a defect
+of the gateway, never of the suit. What a module sent after its last packet that was heard and before it lost
+its power nobody can know; nor what it sent before its first one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from gateway.assembly import FrameAssembler, Lost
+from gateway.outputs.messages import OutputCounters
+from gateway.pipeline import Pipeline
+from gateway.recording.recorder import RecorderBalance
+from gateway.stream import SAMPLE_KINDS
+
+__all__ = ["Balance", "balances_of", "unaccounted"]
+
+
+@dataclass(frozen=True)
+class Balance:
+    """One total, and what became of it."""
+
+    name: str
+    total: int
+    parts: Mapping[str, int]
+
+    @property
+    def unaccounted(self) -> int:
+        """Total less all parts: 0, or the gateway has a defect."""
+        return self.total - sum(self.parts.values())
+
+    def summary(self) -> dict[str, object]:
+        """For the health message."""
+        return {"total": self.total, "parts": dict(self.parts), "unaccounted": self.unaccounted}
+
+
+def balances_of(
+    pipeline: Pipeline,
+    outputs: Mapping[str, OutputCounters] | None = None,
+    recording: RecorderBalance | None = None,
+) -> list[Balance]:
+    """All balances of a pipeline, its outputs (by name) and the recording, if there is one."""
+    balances = [*_stream(pipeline), _readings(pipeline), *_frames(pipeline)]
+    for name, counters in (outputs or {}).items():
+        parts = {part: getattr(counters, part) for part in ("published", "dropped", "thinned", "queued")}
+        balances.append(Balance(f"output_{name}", pipeline.skeleton_frames, parts))
+    if recording is not None:
+        parts = {"written": recording.written, "lost": recording.lost, "waiting": recording.waiting}
+        balances.append(Balance("recorded_chunks", recording.handed, parts))
+    return balances
+
+
+def unaccounted(balances: Sequence[Balance]) -> dict[str, int]:
+    """By name: what is left over, where that is anything but 0."""
+    return {balance.name: balance.unaccounted for balance in balances if balance.unaccounted}
+
+
+def _stream(pipeline: Pipeline) -> Iterator[Balance]:
+    stream = pipeline.stream
+    of_samples = [
+        counter
+        for record in stream.modules.values()
+        for kind, counter in record.sequences.items()
+        if kind & 0xFF in SAMPLE_KINDS
+    ]
+    yield Balance(
+        "samples_sent",
+        sum(counter.numbered for counter in of_samples),
+        {
+            "received": sum(counter.received for counter in of_samples),
+            "lost": sum(counter.lost for counter in of_samples),
+        },
+    )
+    parts = {
+        "received": sum(record.received for record in stream.modules.values()),
+        "repeated": sum(record.duplicates for record in stream.modules.values()),
+        "from_host": stream.echoed,
+    }
+    if stream.triggers is not None:
+        parts["unexpected"] = stream.triggers.figures.unexpected
+    yield Balance("packets_decoded", stream.decoded, parts)
+
+
+def _readings(pipeline: Pipeline) -> Balance:
+    assembler = pipeline.fused_assembler or pipeline.assembler
+    parts = {"taken": assembler.taken}
+    parts |= {reason.name.lower(): n for reason, n in assembler.lost.items() if reason in _OF_READINGS}
+    parts |= {f"unused_{kind}": n for kind, n in pipeline.unused.items()}
+    if pipeline.despiker is not None:
+        parts["held_back"] = pipeline.despiker.held_back
+    return Balance("readings", pipeline.stream.readings + pipeline.satellite_readings, parts)
+
+
+def _frames(pipeline: Pipeline) -> Iterator[Balance]:
+    assembler = pipeline.fused_assembler or pipeline.assembler
+    if isinstance(assembler, FrameAssembler):
+        skipped = assembler.lost[Lost.SKIPPED_INSTANT]
+        yield Balance("instants", assembler.instants, {"frames": assembler.frames, "skipped": skipped})
+    yield Balance("frames", assembler.frames, {"reconstructed": pipeline.skeleton_frames})
+
+
+_OF_READINGS = frozenset(Lost) - {Lost.SKIPPED_INSTANT}

@@ -1,0 +1,134 @@
+"""One recording of a batch: what is wanted of it, and the doing of it. Runs in a process of its own."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import gateway
+from devices.link import LinkError
+from gateway.errors import GatewayError
+from gateway.outputs.exporters import FORMATS, Axes, take_of
+from gateway.recording import Recording, open_recording
+from gateway.recording.solving import Source, recorded_source, write_solved
+from gateway.recording.suit_snapshot import decode_suit
+from gateway.report import gather, write_report
+
+REPORT = "report"
+SOLVED = "mcap"
+KINDS = (*FORMATS, REPORT, SOLVED)
+"""What can be made of a recording: exports, the page, and the recording solved anew."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is wanted of every recording. Plain values: it travels to other machines."""
+
+    to: tuple[str, ...]
+    """Of ``KINDS``."""
+    axes: str | None = None
+    units_per_m: float | None = None
+    suit: bytes | None = None
+    """Solve with this suit (``suit_snapshot``) instead of the recorded one."""
+    reconstructor: str | None = None
+    """Solve by this method instead of the recorded one."""
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether poses are made anew."""
+        return self.suit is not None or self.reconstructor is not None or SOLVED in self.to
+
+    @property
+    def key(self) -> str:
+        """The same for the same results: wishes and version."""
+        plain = asdict(self) | {
+            "suit": self.suit.decode() if self.suit else None,
+            "version": gateway.__version__,
+        }
+        return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording and where its results go."""
+
+    name: str
+    """Path below the folder of the batch, for people and for the manifest."""
+    source: Path
+    folder: Path
+    task: Task
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job."""
+
+    name: str
+    outputs: dict[str, int] = field(default_factory=dict)
+    """File name to bytes."""
+    seconds: float = 0.0
+    error: str | None = None
+    note: str | None = None
+    """What was wrong with the recording, where something could be made of it all the same."""
+
+
+def perform(job: Job) -> Outcome:
+    """Do it. Never raises for what is wrong with one recording: that is its outcome."""
+    begun = time.perf_counter()
+    partial = job.folder / f".partial-{os.getpid()}-{job.source.stem}"
+    try:
+        partial.mkdir(parents=True, exist_ok=True)
+        note = _make(job, partial)
+        outputs = {}
+        for path in sorted(partial.iterdir()):
+            outputs[path.name] = path.stat().st_size
+            os.replace(path, job.folder / path.name)
+        return Outcome(job.name, outputs, time.perf_counter() - begun, note=note)
+    except (GatewayError, LinkError, OSError, ValueError, MemoryError) as error:
+        what = str(error).splitlines()[0] if str(error) else type(error).__name__
+        return Outcome(job.name, seconds=time.perf_counter() - begun, error=what)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _make(job: Job, folder: Path) -> str | None:
+    """All results into ``folder``; says what was wrong with the recording."""
+    task, recording = job.task, open_recording(job.source)
+    name = job.source.stem
+    if task.is_solved:
+        solved = folder / f"{name}.mcap"
+        write_solved(recording, solved, _source(recording, task))
+        note, recording = recording.defect, open_recording(solved)
+    else:
+        note = None
+    _export(recording, task, folder, name)
+    if REPORT in task.to:
+        write_report(gather(recording), folder / f"{name}.html")
+    if task.is_solved and SOLVED not in task.to:
+        (folder / f"{name}.mcap").unlink()
+    return note or recording.defect
+
+
+def _export(recording: Recording, task: Task, folder: Path, name: str) -> None:
+    wanted = [kind for kind in task.to if kind in FORMATS]
+    if not wanted:
+        return
+    arrays = recording.skeleton_arrays()
+    for kind in wanted:
+        exported = FORMATS[kind]
+        take = take_of(arrays, name, Axes(task.axes) if task.axes else exported.axes)
+        exported.write(take, folder / f"{name}{exported.suffix}", task.units_per_m or exported.units_per_m)
+
+
+def _source(recording: Recording, task: Task) -> Source:
+    recorded = recorded_source(recording)
+    suit = recorded.suit if task.suit is None else decode_suit(task.suit)
+    settings = recorded.settings
+    if task.reconstructor is not None:
+        settings = settings.model_copy(update={"reconstructor": task.reconstructor})
+    return Source(suit, settings)

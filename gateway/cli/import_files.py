@@ -1,0 +1,167 @@
+"""``mocap-gateway import``: other people's recordings as ours."""
+
+from __future__ import annotations
+
+import json
+import re
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from devices.emulators.recordings import Recording
+from gateway.body.rig import load_body, load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.cli.progress import progress_bar
+from gateway.errors import GatewayError, nearest
+from gateway.imports import (
+    FORMATS,
+    ReadOptions,
+    Worn,
+    detected,
+    dressed,
+    mapped_segments,
+    read,
+    write_imported,
+)
+from gateway.imports.map_files import read_maps
+from gateway.imports.suits import BODY, aligned
+from gateway.imports.writing import is_fused, settings_of, solved
+from gateway.reconstruction import RECONSTRUCTORS
+from gateway.settings import GatewaySettings
+
+FormatName = StrEnum("FormatName", {name: name for name in ("auto", *FORMATS)})  # type: ignore[misc]
+
+
+def import_files(
+    files: Annotated[
+        list[Path], typer.Argument(help="Files, one a module where the maker has it so; or folders.")
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The recording; else NAME.mcap in this folder.")
+    ] = None,
+    format_name: Annotated[
+        FormatName, typer.Option("--format", help="What they are; auto looks into them.")
+    ] = FormatName("auto"),
+    maps: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map", help="NAME=SEGMENT, a YAML file of such lines, or OpenSense's XML. Repeatable."
+        ),
+    ] = None,
+    columns: Annotated[Path | None, typer.Option(help="For csv: map of its columns (YAML).")] = None,
+    body: Annotated[
+        str | None, typer.Option(help=f"Body, name or file; else what is worn of {BODY}.")
+    ] = None,
+    rig: Annotated[str | None, typer.Option(help="Rig, name or file, instead of any map.")] = None,
+    reconstructor: Annotated[
+        str | None, typer.Option(help="Method; else independent, or fused where only orientations came.")
+    ] = None,
+    neutral: Annotated[
+        str | None,
+        typer.Option(metavar="FROM:TO", help="Seconds in which the wearer stood upright, arms down."),
+    ] = None,
+    forward: Annotated[
+        Literal["x", "y", "z", "-x", "-y", "-z"] | None,
+        typer.Option(help="With --neutral: axis of the root's module that points forward."),
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.1, help="Samples a second, where files do not tell.")
+    ] = None,
+    align: Annotated[
+        Literal["stamps", "start"], typer.Option(help="Modules by their time stamps, or all begin together.")
+    ] = "stamps",
+    partial: Annotated[
+        bool, typer.Option("--partial", help="Take what comes before the first damage.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:
+    """Make a recording of other makers' files: Xsens, MVNX, x-IMU3, Movella DOT, OpenSense, any CSV.
+
+    The samples become packets of our own modules, so all that works with a recording works with it: replay,
+    re-solving, export, report. docs/imports.md has every format.
+    """
+    options = ReadOptions(rate, align, partial, columns)
+    name = detected(files, options) if format_name == "auto" else str(format_name)
+    target = output or Path(f"{files[0].stem}.mcap")
+    with progress_bar(f"reading {name}", is_shown=not as_json):
+        recording = read(files, name, options)
+    if reconstructor is not None and reconstructor not in RECONSTRUCTORS:
+        raise GatewayError(f"no reconstructor '{reconstructor}'{nearest(reconstructor, RECONSTRUCTORS)}")
+    suit, notes = _suit(recording, name, read_maps(maps or []), body, rig)
+    settings = settings_of(recording, rig or suit.skeleton.name, reconstructor)
+    if is_fused(settings) and not recording.fused:
+        raise GatewayError(f"--reconstructor {reconstructor}: the files hold no orientations")
+    if neutral is not None:
+        suit = _aligned(recording, suit, settings, neutral, forward)
+    elif rig is None and name != "mvnx":
+        notes.append("modules are taken to lie along their segments; --neutral FROM:TO finds how they sit")
+    with progress_bar(f"importing {recording.name}", is_shown=not as_json) as tell:
+        try:
+            done = write_imported(recording, suit, settings, files, target, tell)
+        except OSError as error:
+            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+    outcome = {
+        "file": str(done.path), "format": name, "modules": done.modules, "seconds": round(done.seconds, 3),
+        "rate_hz": recording.sampling_rate_hz, "poses": done.poses, "reconstructor": settings.reconstructor,
+        "segments": {label: _place(suit, module) for module, label in recording.names.items()},
+        "notes": [*recording.notes, *notes],
+    }  # fmt: skip
+    _tell(outcome, as_json)
+
+
+def _suit(
+    recording: Recording, name: str, given: dict[str, str], body: str | None, rig: str | None
+) -> tuple[WornSuit, list[str]]:
+    """The suit, and what the user should know of it."""
+    if rig is not None:
+        return load_rig(rig), []
+    segments = load_body(body or BODY).segment_names
+    found = mapped_segments(recording.names, given, segments)
+    if not found.segments:
+        raise GatewayError(
+            f"no module says by its name where it sits ({', '.join(recording.names.values())}): tell with "
+            f"--map '{next(iter(recording.names.values()))}=right_thigh' (segments: {', '.join(segments)})"
+        )
+    worn = Worn(found.segments, recording.local)
+    notes = list(found.notes)
+    if found.unknown:
+        notes.append(f"on no segment of the body, so kept but not used: {', '.join(found.unknown)}")
+    return dressed(worn, body, mvn_axes=name == "mvnx"), notes
+
+
+def _aligned(
+    recording: Recording, suit: WornSuit, settings: GatewaySettings, neutral: str, forward: str | None
+) -> WornSuit:
+    span = re.fullmatch(r"(\d+\.?\d*):(\d+\.?\d*)", neutral)
+    if span is None or float(span[1]) >= float(span[2]):
+        raise GatewayError(f"--neutral {neutral}: seconds FROM:TO are wanted, such as 0.5:3")
+    seen = solved(recording, suit, settings)
+    if seen is None:
+        raise GatewayError("--neutral: the files give not one pose")
+    return aligned(suit, seen, float(span[1]), float(span[2]), forward)
+
+
+def _place(suit: WornSuit, module: int) -> str | None:
+    if module not in suit.module_ids:
+        return None
+    segment = suit.module_of_segment.tolist().index(suit.module_ids.index(module))
+    return str(suit.skeleton.segment_names[segment])
+
+
+def _tell(outcome: dict[str, object], as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(outcome, indent=2, ensure_ascii=False))
+        return
+    segments, notes = outcome["segments"], outcome["notes"]
+    assert isinstance(segments, dict)
+    assert isinstance(notes, list)
+    places = ", ".join(f"{label} → {place or '–'}" for label, place in segments.items())
+    typer.echo(
+        f"{outcome['file']}: {outcome['format']}, {outcome['seconds']} s at {outcome['rate_hz']:g} Hz, "
+        f"{outcome['modules']} modules, {outcome['poses']} poses ({outcome['reconstructor']})"
+    )
+    typer.echo(f"  {places}")
+    for note in notes:
+        typer.echo(f"note: {note}", err=True)

@@ -1,0 +1,115 @@
+"""The MQTT broker: there, lets us in, and quick."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+import time
+from collections.abc import Iterator
+
+import aiomqtt
+import numpy as np
+
+from gateway.doctor.findings import Finding, Surroundings, bad, good, warning
+from gateway.outputs.connection import broker_connection, explain, unique_identifier
+from gateway.outputs.request_messages import ResponseMessage
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.topics import Topics
+
+ROUNDS = 5
+PINGS_A_ROUND = 20
+PINGS = ROUNDS * PINGS_A_ROUND
+_INTERVAL_S = 0.005
+_PATIENCE_S = 2.0
+_SLOW_MS = 8.0
+_STALL_MS = (25.0, 80.0)
+"""A system acknowledges after 40 ms what it has nothing to answer to; who waits for that stalls so long."""
+
+
+async def broker(settings: MqttSettings, gateway: str, surroundings: Surroundings) -> list[Finding]:
+    """Whether the broker takes us, and how long a message is on its way through it."""
+    if settings.broker == "embedded":
+        return [good("broker", f"embedded, on port {settings.port}: started with the gateway")]
+    try:
+        delays_ms = await _travel_times_ms(settings, Topics(settings.base_topic, gateway))
+    except Exception as error:
+        found, _, remedy = explain(error, settings, settings.port).partition(": ")
+        elsewhere = await _brokers_elsewhere(settings, surroundings)
+        if elsewhere:
+            remedy = f"an MQTT broker answers on port {elsewhere[0]}: write port: {elsewhere[0]} below mqtt"
+        return [bad("broker", found, remedy or "start mosquitto, or correct mqtt.host and mqtt.port")]
+    return list(_judge(settings, delays_ms))
+
+
+def _judge(settings: MqttSettings, delays_ms: list[float]) -> Iterator[Finding]:
+    where = f"{settings.host}:{settings.port}"
+    if len(delays_ms) < PINGS:
+        yield bad(
+            "broker",
+            f"{where} relayed {len(delays_ms)} of {PINGS} messages",
+            f"let user '{settings.username}' read and write {settings.base_topic}/# (acl_file of mosquitto)",
+        )
+        return
+    p50, p99 = (float(np.percentile(delays_ms, q)) for q in (50, 99))
+    found = f"{where} passes messages on in {p50:.1f} ms (99 %: {p99:.1f} ms)"
+    stall_ms = float(np.median(np.reshape(delays_ms, (ROUNDS, PINGS_A_ROUND)).max(axis=1)))
+    if _STALL_MS[0] < stall_ms < _STALL_MS[1] and stall_ms > 3 * p50:
+        found += f", but stalls for {stall_ms:.0f} ms when a client has sent something"
+        yield warning("broker", found, "set_tcp_nodelay true in mosquitto.conf")
+    elif p50 > _SLOW_MS:
+        yield warning("broker", found, "a broker nearer by, or a less busy network")
+    else:
+        yield good("broker", found)
+
+
+async def _travel_times_ms(settings: MqttSettings, topics: Topics) -> list[float]:
+    """Publishing to receiving, by a connection each, so that nothing carries acknowledgements along.
+
+    Each round begins with something that the reader sends: then its system puts acknowledgements off, and a
+    broker that waits for them (Nagle's algorithm) shows.
+    """
+    verb = f"doctor/{secrets.token_hex(4)}"
+    topic = topics.response(verb)
+    sent_at: dict[int, float] = {}
+    delays_ms: list[float] = []
+
+    async def receive(reader: aiomqtt.Client) -> None:
+        async for message in reader.messages:
+            if message.topic.value != topic:
+                continue
+            number = ResponseMessage.model_validate_json(message.payload).transaction
+            if isinstance(number, int):
+                delays_ms.append((time.perf_counter() - sent_at[number]) * 1e3)
+            if len(delays_ms) == PINGS:
+                return
+
+    port = settings.port
+    async with (
+        broker_connection(settings, port, unique_identifier("doctor")) as reader,
+        broker_connection(settings, port, unique_identifier("doctor")) as writer,
+    ):
+        receiving = asyncio.create_task(receive(reader))
+        for number in range(PINGS):
+            if number % PINGS_A_ROUND == 0:
+                await reader.subscribe(topic)
+            sent_at[number] = time.perf_counter()
+            payload = ResponseMessage(status="ok", data={"padding": "x" * 1000}, transaction=number).payload()
+            await writer.publish(topic, payload)
+            await asyncio.sleep(_INTERVAL_S)
+        await asyncio.wait({receiving}, timeout=_PATIENCE_S)
+        receiving.cancel()
+        await asyncio.gather(receiving, return_exceptions=True)
+    return delays_ms
+
+
+async def _brokers_elsewhere(settings: MqttSettings, surroundings: Surroundings) -> list[int]:
+    """Ports of the same host on which a broker does answer, with or without letting us in."""
+    found = []
+    for port in surroundings.usual_broker_ports:
+        if port == settings.port:
+            continue
+        with contextlib.suppress(Exception):
+            async with broker_connection(settings, port, unique_identifier("doctor")):
+                found.append(port)
+    return found

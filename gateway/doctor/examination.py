@@ -1,0 +1,83 @@
+"""What is looked at, in which order."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+
+from devices.endpoints import link_from_url
+from devices.link import LinkError
+from devices.replay_link import ReplayLink
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.doctor import can, listening, ports, running
+from gateway.doctor.broker import broker
+from gateway.doctor.findings import Finding, Surroundings, Verdict, bad, good
+from gateway.doctor.host import disk, metrics_port
+from gateway.doctor.lines import capacity
+from gateway.errors import SettingsError
+from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
+
+LISTEN_S = 2.0
+
+
+def examine_file(
+    config: Path, rate_hz: float | None = None, listen_s: float = LISTEN_S, here: Surroundings | None = None
+) -> Iterator[Finding]:
+    """The file itself, then all that it names. rate_hz: of each module; none: as assembled."""
+    try:
+        settings = load_gateway_settings(config)
+        load_rig(settings.rig, config)
+    except SettingsError as error:
+        for line in str(error).splitlines():
+            yield bad("configuration", line, "correct it; what may stand there: mocap-gateway config schema")
+        return
+    yield good("configuration", f"{config} is well-formed")
+    yield from examine(settings, config, rate_hz or settings.assembly.rate_hz, listen_s, here)
+
+
+def examine(
+    settings: GatewaySettings,
+    config: Path,
+    rate_hz: float,
+    listen_s: float = LISTEN_S,
+    here: Surroundings | None = None,
+) -> Iterator[Finding]:
+    """Look at everything a configuration names. rate_hz: samples of each module a second.
+
+    Opens each port, reads it for ``listen_s`` seconds (0: not at all) and asks modules who they are; connects
+    to the broker; changes nothing. Raises ``SettingsError`` for a rig that is wrong.
+    """
+    here = here or Surroundings()
+    suit = load_rig(settings.rig, config)
+    yield good("rig", f"{len(suit.module_ids)} modules on body '{suit.skeleton.name}'")
+    states = asyncio.run(running.module_states(settings.mqtt, settings.gateway))
+    readable = []
+    for link in settings.links:
+        opening = asyncio.run(ports.opening(link, gateway_runs=states is not None))
+        yield opening
+        yield from ports.naming(link, here)
+        yield from ports.latency(link, here)
+        yield from can.can_interface(link, here)
+        yield from capacity(link.name, link.url, len(suit.module_ids), rate_hz)
+        if opening.verdict is Verdict.GOOD and not _is_recording(link):
+            readable.append(link)
+    yield from asyncio.run(broker(settings.mqtt, settings.gateway, here))
+    if states is not None:
+        yield from running.judge(settings.gateway, states)
+    else:
+        yield from _listen(readable, suit, listen_s)
+    yield disk(settings.recording, here)
+    yield from metrics_port(settings.metrics, gateway_runs=states is not None)
+
+
+def _listen(links: list[LinkSettings], suit: WornSuit, seconds: float) -> list[Finding]:
+    return asyncio.run(listening.listen(links, suit, seconds)) if links and seconds else []
+
+
+def _is_recording(link: LinkSettings) -> bool:
+    try:
+        return isinstance(link_from_url(link.url), ReplayLink)
+    except LinkError:
+        return False

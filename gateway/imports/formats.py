@@ -1,0 +1,130 @@
+"""The list of formats, and which one a file has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from devices.emulators.recordings import Recording
+from devices.vendor_formats import (
+    ColumnMap,
+    FormatError,
+    read_mapped_csv,
+    read_movella_dot,
+    read_mvnx,
+    read_ximu3,
+    read_xsens_text,
+)
+from devices.vendor_formats.ximu3 import folders_of
+from gateway.errors import GatewayError
+from gateway.settings_files import load_settings
+
+_HEAD_BYTES = 8192
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What the files do not tell."""
+
+    rate_hz: float | None = None
+    align: str = "stamps"
+    partial: bool = False
+    columns: Path | None = None
+    """Map file of ``csv``."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """How files of a format become a recording."""
+
+    meaning: str
+    read: Callable[[Sequence[Path], ReadOptions], Recording]
+
+
+def _read_mvnx(paths: Sequence[Path], options: ReadOptions) -> Recording:
+    if len(paths) > 1:
+        raise GatewayError(f"an MVNX file holds a whole body: import {len(paths)} files one by one")
+    return read_mvnx(paths[0], partial=options.partial)
+
+
+def _read_csv(paths: Sequence[Path], options: ReadOptions) -> Recording:
+    if options.columns is None:
+        raise GatewayError(
+            "a CSV file of no known maker: name its columns with --columns MAP.yaml (see docs/imports.md)"
+        )
+    if len(paths) > 1:
+        raise GatewayError("name the files of several modules in the map ('file:'), and import one")
+    columns = load_settings(options.columns, ColumnMap)
+    return read_mapped_csv(paths[0], columns, options.columns.parent, partial=options.partial)
+
+
+FORMATS: dict[str, Format] = {
+    "xsens": Format(
+        "MT Manager and MTw text, also for OpenSense: one .txt or .csv a module",
+        lambda paths, o: read_xsens_text(_files_in(paths), o.rate_hz, partial=o.partial),
+    ),
+    "mvnx": Format("Xsens MVN: orientations and path of a whole body", _read_mvnx),
+    "ximu3": Format(
+        "x-IMU3: a folder a module, or the folder of all",
+        lambda paths, o: read_ximu3(paths, align=o.align, partial=o.partial),
+    ),
+    "movella-dot": Format(
+        "Movella DOT: one .csv a module",
+        lambda paths, o: read_movella_dot(_files_in(paths), align=o.align, partial=o.partial),
+    ),
+    "csv": Format("any CSV, with a map of its columns", _read_csv),
+}
+"""By name on the command line."""
+
+
+def read(paths: Sequence[Path], name: str, options: ReadOptions) -> Recording:
+    """The recording in files of a format. Raises ``FormatError`` and ``GatewayError``."""
+    return FORMATS[name].read(paths, options)
+
+
+def detected(paths: Sequence[Path], options: ReadOptions) -> str:
+    """The name of the format that files have, by what is in the first of them. Raises ``FormatError``."""
+    if options.columns is not None:
+        return "csv"
+    path = paths[0]
+    if path.is_dir():
+        if folders_of(path):
+            return "ximu3"
+        path = _files_in(paths)[0]
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read: {error.strerror}") from error
+    if not head.strip():
+        raise FormatError(f"{path} is empty")
+    for name, marks in _MARKS.items():
+        if any(mark in head for mark in marks):
+            return name
+    if b"\0" not in head and b"," in head:
+        return "csv"
+    raise FormatError(
+        f"{path} has no format that is known (it begins with {head[:24]!r}): name one with --format, of "
+        + ", ".join(FORMATS)
+    )
+
+
+_MARKS = {
+    "mvnx": (b"<mvnx",),
+    "movella-dot": (b"Movella", b"SyncStatus:", b"DeviceTag:"),
+    "xsens": (b"PacketCounter", b"Counter\tAcc_X"),
+}
+"""In this order: a Movella DOT file has a packet counter too."""
+
+
+def _files_in(paths: Sequence[Path]) -> list[Path]:
+    """The files themselves; of a folder, those with numbers in them."""
+    files = []
+    for path in paths:
+        within = sorted(each for each in path.glob("*") if each.suffix.lower() in {".txt", ".csv"})
+        found = within if path.is_dir() else [path]
+        if not found:
+            raise FormatError(f"{path} has no .txt or .csv file in it")
+        files += [each for each in found if each.stem.lower() not in {"license", "readme"}]
+    return files

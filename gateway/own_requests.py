@@ -1,0 +1,66 @@
+"""Requests about the gateway itself: ``gateway/info``, ``gateway/health``, ``gateway/reload``."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+from gateway.errors import GatewayError, nearest
+from gateway.outputs.mqtt import MqttOutput
+
+Reload = Callable[[], Awaitable[None]]
+
+
+class _Request(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class InfoRequest(_Request):
+    """What the gateway is and runs: as on ``bridge/info``."""
+
+
+class HealthRequest(_Request):
+    """Its counters, now: as on ``bridge/health``."""
+
+
+class ReloadRequest(_Request):
+    """Read the configuration anew. A wrong one is told, and the old one stays."""
+
+
+REQUESTS: dict[str, type[BaseModel]] = {
+    "info": InfoRequest,
+    "health": HealthRequest,
+    "reload": ReloadRequest,
+}
+"""Verb to the data it takes."""
+
+
+class OwnRequests:
+    """Answers them; belongs to one running service."""
+
+    def __init__(self, mqtt: MqttOutput) -> None:
+        self.on_reload: Reload | None = None
+        """Reads the configuration; raises ``GatewayError`` for a wrong one. None: there is no file of it."""
+        self._mqtt = mqtt
+
+    async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Raises ``GatewayError`` with what would do."""
+        if verb not in REQUESTS:
+            raise GatewayError(f"there is no request 'gateway/{verb}'{nearest(verb, REQUESTS)}")
+        if data:
+            raise GatewayError(f"gateway/{verb} takes no data, not '{next(iter(data))}'")
+        if verb == "reload":
+            return await self._reload()
+        told = self._mqtt.info if verb == "info" else self._mqtt.health()
+        return told.model_dump(mode="json")
+
+    async def _reload(self) -> dict[str, Any]:
+        if self.on_reload is None:
+            raise GatewayError(
+                "this gateway has no configuration file to read anew: "
+                "start it with `mocap-gateway run -c FILE`"
+            )
+        await self.on_reload()
+        return {"reloaded": True}

@@ -1,0 +1,236 @@
+"""The examples, run as their readers run them: against a broker or a datagram of the gateway's own."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import http.server
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gateway.body.rig import load_rig
+from gateway.frames import SkeletonFrame
+from gateway.outputs import BridgeInfo, MqttSettings
+from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.side_outputs import SideOutputs
+from gateway.outputs.side_settings import OutputsSettings
+from gateway.outputs.unity import AvatarPoses, t_pose
+
+pytestmark = pytest.mark.system
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SKELETON = load_rig("suit_17").skeleton
+INFO = BridgeInfo(version="0", gateway="lab", reconstructor="independent", frame_rate=100.0)
+
+
+def frame(sequence, q_wb=None):
+    n = SKELETON.n_segments
+    return SkeletonFrame(
+        sequence=sequence, time_ns=20_000_000 * sequence, q_wb=np.tile(SKELETON.neutral, (n, 1))
+        if q_wb is None else q_wb, angular_rate=np.zeros((n, 3)), joint_acceleration=np.zeros((n, 3)),
+        p_w=np.zeros((n, 3)), sigma=np.zeros(n), status=np.zeros(n, np.uint8), root=0,
+    )  # fmt: skip
+
+
+async def lines_while_publishing(output, *command, cwd=None, timeout_s=30):
+    """What a program prints until it ends, while poses are offered."""
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(*command, cwd=cwd, stdout=pipe, stderr=pipe)
+    reading = asyncio.create_task(process.communicate())
+    sequence = 0
+    try:
+        async with asyncio.timeout(timeout_s):
+            while not reading.done():
+                output.offer(frame(sequence))
+                sequence += 1
+                await asyncio.sleep(0.02)
+    finally:
+        if process.returncode is None:
+            process.kill()
+    out, error = await reading
+    assert process.returncode == 0, error.decode()
+    return out.decode().splitlines()
+
+
+@pytest.fixture(scope="session")
+def mqtt_js(tmp_path_factory):
+    """A folder into which mqtt.js was installed as the examples say."""
+    if shutil.which("npm") is None or shutil.which("node") is None:
+        pytest.skip("node and npm are not installed")
+    folder = tmp_path_factory.mktemp("node")
+    command = [
+        "npm",
+        "install",
+        "--prefix",
+        str(folder),
+        "--no-audit",
+        "--no-fund",
+        "--ignore-scripts",
+        "mqtt@5",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+    if done.returncode:
+        pytest.skip(f"mqtt.js cannot be installed here: {done.stderr.strip().splitlines()[-1:]}")
+    return folder
+
+
+async def test_python_subscriber(mosquitto, until):
+    async with MqttOutput(MqttSettings(port=mosquitto.port), SKELETON, INFO) as output:
+        await until(lambda: output.is_connected)
+        script = str(EXAMPLES / "python" / "subscribe.py")
+        command = [sys.executable, script, "--port", str(mosquitto.port), "--count", "3"]
+        lines = await lines_while_publishing(output, *command)
+    assert lines[0] == "lab is online"
+    assert len(lines) == 4
+    assert "pelvis +0°" in lines[1]
+
+
+def test_python_subscriber_without_a_broker(unused_port):
+    command = [sys.executable, str(EXAMPLES / "python" / "subscribe.py"), "--port", str(unused_port)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"no broker at 127.0.0.1:{unused_port}")
+
+
+async def test_node_subscriber(mosquitto, mqtt_js, until):
+    settings = MqttSettings(port=mosquitto.port, protocol="5")
+    shutil.copy(EXAMPLES / "node" / "subscribe.mjs", mqtt_js)
+    async with MqttOutput(settings, SKELETON, INFO) as output:
+        await until(lambda: output.is_connected)
+        command = ["node", "subscribe.mjs", f"mqtt://127.0.0.1:{mosquitto.port}", "3"]
+        lines = await lines_while_publishing(output, *command, cwd=mqtt_js)
+    assert len(lines) == 3
+    topic, content_type, _, root, q = lines[0].split(" ", 4)
+    assert (topic, content_type, root) == ("mocap/lab/pose", "application/json", "pelvis")
+    np.testing.assert_allclose(json.loads(q), SKELETON.neutral, atol=1e-6)
+
+
+async def test_browser_page(mosquitto, mqtt_js, unused_port, until):
+    playwright = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no chromium on this machine (apt install chromium)")
+    mosquitto.configure(f"listener {unused_port} 127.0.0.1\nprotocol websockets")
+    mosquitto.restart()
+    for name in ("index.html", "poses.js"):
+        shutil.copy(EXAMPLES / "browser" / name, mqtt_js)
+    handler = functools.partial(_Quiet, directory=str(mqtt_js))
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    page_url = f"http://127.0.0.1:{server.server_address[1]}/?broker=ws://127.0.0.1:{unused_port}"
+    async with (
+        MqttOutput(MqttSettings(port=mosquitto.port), SKELETON, INFO) as output,
+        playwright.async_playwright() as play,
+    ):
+        await until(lambda: output.is_connected)
+        browser = await play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = await browser.new_page()
+        outside = []
+        page.on("request", lambda request: outside.append(request.url))
+        await page.goto(page_url)
+        offering = asyncio.create_task(_offer_for_ever(output))
+        await page.get_by_text("lab: online").wait_for(timeout=20_000)
+        await page.get_by_role("row", name="left_hand").get_by_text("0.707, 0.707, 0.000, 0.000").wait_for()
+        assert await page.get_by_text("measured").count() == SKELETON.n_segments
+        offering.cancel()
+        await page.locator("body.stale").wait_for(timeout=5000)
+        await browser.close()
+    server.shutdown()
+    assert all("127.0.0.1" in url for url in outside)
+
+
+async def _offer_for_ever(output):
+    sequence = 0
+    while True:
+        output.offer(frame(sequence))
+        sequence += 1
+        await asyncio.sleep(0.02)
+
+
+class _Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        """Nothing."""
+
+
+def test_node_red_flow_is_wired_and_its_function_bends():
+    flow = json.loads((EXAMPLES / "node_red" / "flow.json").read_text())
+    nodes = {node["id"]: node for node in flow}
+    assert len(nodes) == len(flow)
+    for node in flow:
+        assert all(target in nodes for wires in node.get("wires", []) for target in wires)
+        assert node.get("broker", "mocap_broker") in nodes or node["type"] == "mqtt-broker"
+        assert node.get("z", "mocap_tab") in nodes
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not installed")
+    function = nodes["mocap_bow"]["func"]
+    poses = {"upright": SKELETON.neutral, "lying": [1.0, 0, 0, 0], "missing": None}
+    payloads = {
+        k: {"segments": {"thorax": None if q is None else list(map(float, q))}} for k, q in poses.items()
+    }
+    program = f"""const f = new Function("msg", {json.dumps(function)});
+    const poses = {json.dumps(payloads)};
+    const out = {{}};
+    for (const [name, payload] of Object.entries(poses)) out[name] = f({{payload}})?.payload ?? null;
+    console.log(JSON.stringify(out));"""
+    done = subprocess.run([node, "-e", program], capture_output=True, text=True, timeout=30, check=True)
+    assert json.loads(done.stdout) == {"upright": 0, "lying": 90, "missing": None}
+
+
+async def test_vmc_receiver(unused_port):
+    side = SideOutputs(OutputsSettings(vmc={"port": unused_port}), SKELETON, "lab", 100.0)
+    script = str(EXAMPLES / "vmc" / "receive_vmc.py")
+    command = [sys.executable, script, "--port", str(unused_port), "--count", "3"]
+    async with side.running():
+        lines = await lines_while_publishing(side, *command)
+    assert lines[0] == f"listening on {unused_port}"
+    assert lines[1].startswith("17 bones, hips at +0.00 +0.9")
+
+
+def blender_example():
+    spec = importlib.util.spec_from_file_location("blender_vmc", EXAMPLES / "vmc" / "blender_vmc.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+async def test_blender_reads_what_the_gateway_sends(unused_port):
+    blender = blender_example()
+    receiver = blender.listen(unused_port)
+    side = SideOutputs(OutputsSettings(vmc={"port": unused_port}), SKELETON, "lab", 100.0)
+    q_wb = t_pose(SKELETON)
+    async with side.running():
+        side.offer(frame(0, q_wb))
+        await asyncio.sleep(0.05)
+    seen = {}
+    blender.apply = lambda armature, name, values: seen.update({name: values})
+    assert blender.step(receiver, None) == blender.INTERVAL_S
+    receiver.close()
+    positions, rotations = AvatarPoses(SKELETON).update(frame(0, q_wb))
+    assert len(seen) == 17
+    np.testing.assert_allclose(seen["Hips"], [*positions[0], *rotations[0]], atol=1e-6)
+
+
+def test_blender_axes_are_a_turn_away_from_ours():
+    """An avatar that faces north here faces -y there: ENU turned by half a turn about the vertical."""
+    from gateway.outputs.unity import unity_rotation, unity_vector  # noqa: PLC0415
+
+    blender = blender_example()
+    v, q = np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.1, -0.7, 0.4])
+    np.testing.assert_allclose(blender.blender_vector(*unity_vector(v)), [-1, -2, 3])
+    np.testing.assert_allclose(blender.blender_rotation(*unity_rotation(q)), [0.5, -0.1, 0.7, 0.4])
+
+
+def test_every_example_is_in_the_guide():
+    guide = (EXAMPLES / "README.md").read_text()
+    for folder in filter(os.path.isdir, EXAMPLES.iterdir()):
+        for file in filter(Path.is_file, folder.rglob("*")):
+            assert file.name in guide, file

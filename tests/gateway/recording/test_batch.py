@@ -1,0 +1,159 @@
+"""Many recordings at once: the same results as one by one, whatever fails, stops or is repeated."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+
+import pytest
+
+from gateway.batch import Job, Manifest, Outcome, Task, jobs_in, perform, run_jobs
+from gateway.errors import GatewayError
+
+
+@pytest.fixture
+def sessions(record, tmp_path):
+    """A folder with three recordings, one below it, one of them cut off, and one file that is none."""
+    folder = tmp_path / "sessions"
+    (folder / "monday").mkdir(parents=True)
+    path = record()
+    for name in ("a.mcap", "monday/b.mcap"):
+        shutil.copy(path, folder / name)
+    (folder / "cut.mcap").write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    (folder / "bad.mcap").write_text("nothing of the kind")
+    return folder
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Jobs in this process: what is tested is not the pool."""
+
+    def run(jobs, done, _workers=None, _dask=None):
+        for job in jobs:
+            done(job, perform(job))
+
+    monkeypatch.setattr("gateway.cli.batch.run_jobs", run)
+
+
+def test_results_are_those_of_the_single_commands(sessions, typed, tmp_path, here):
+    """By the byte, also for poses solved anew."""
+    out = tmp_path / "out"
+    kinds = ("--to", "csv", "--to", "report", "--to", "mcap")
+    code, told = typed("batch", sessions, *kinds, "-o", out, "--json")
+    assert (code, told["done"], list(told["failed"])) == (3, 3, ["bad.mcap"])
+    assert "is no recording" in told["failed"]["bad.mcap"]
+    assert "was not closed" in told["notes"]["cut.mcap"]
+    single = tmp_path / "single"
+    single.mkdir()
+    for name in ("a", "monday/b"):
+        stem = name.rpartition("/")[2]
+        solved = single / f"{stem}.mcap"
+        typed("replay", sessions / f"{name}.mcap", "--output", solved)
+        typed("export", solved, "--to", "csv")
+        typed("report", solved)
+        for suffix in (".mcap", ".csv", ".html"):
+            assert (out / f"{name}{suffix}").read_bytes() == (single / f"{stem}{suffix}").read_bytes(), suffix
+    assert not list(out.rglob(".partial*"))
+
+
+def test_it_goes_on_where_it_was(sessions, typed, tmp_path, here):
+    out = tmp_path / "out"
+    (sessions / "bad.mcap").unlink()
+    arguments = ("batch", sessions, "--to", "csv", "-o", out, "--json")
+    assert (typed(*arguments)[1]["done"], typed(*arguments)[1]["skipped"]) == (3, 3)
+    (out / "a.csv").unlink()
+    os.utime(sessions / "monday/b.mcap")  # a copy: newer, same content
+    with (sessions / "cut.mcap").open("r+b") as file:
+        file.truncate((sessions / "cut.mcap").stat().st_size - 100)
+    told = typed(*arguments)[1]
+    assert (told["done"], told["skipped"]) == (2, 1)
+    assert (out / "a.csv").exists()
+    assert typed(*arguments, "--unit", "mm")[1]["done"] == 3, "other wishes, other results"
+    assert typed(*arguments, "--unit", "mm", "--again")[1]["done"] == 3
+
+
+def test_a_manifest_cut_off_in_a_line_loses_that_line_only(sessions, typed, tmp_path, here):
+    out = tmp_path / "out"
+    arguments = ("batch", sessions, "--to", "sto", "-o", out, "--json")
+    typed(*arguments)
+    lines = (out / "manifest.jsonl").read_text().splitlines(keepends=True)
+    good = [line for line in lines if json.loads(line)["error"] is None]
+    (out / "manifest.jsonl").write_text("".join(good)[:-40])
+    told = typed(*arguments)[1]
+    assert (told["done"], told["skipped"]) == (1, 2)
+    assert typed(*arguments)[1]["skipped"] == 3
+
+
+def test_other_rigs_and_methods(sessions, typed, tmp_path, here):
+    told = typed("batch", sessions / "monday", "--to", "csv", "--to", "mcap", "--with", "robot_arm_4",
+                 "--reconstructor", "articulated", "-o", tmp_path / "out", "--json")[1]  # fmt: skip
+    assert told["done"] == 1
+    info = typed("info", tmp_path / "out/b.mcap")[1]
+    assert "articulated" in info
+
+
+def test_later_parts_and_results_are_no_recordings_of_their_own(tmp_path):
+    for name in ("a.mcap", "a_part2.mcap", "b_part2.mcap", "out/a.mcap"):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    jobs = jobs_in(tmp_path, tmp_path / "out", Task(("csv",)))
+    assert [job.name for job in jobs] == ["a.mcap", "b_part2.mcap"]
+    with pytest.raises(GatewayError, match="has no recording"):
+        jobs_in(tmp_path / "out", tmp_path, Task(("csv",)))
+    with pytest.raises(GatewayError, match="is no folder"):
+        jobs_in(tmp_path / "absent", tmp_path, Task(("csv",)))
+
+
+class _Deadly(Job):
+    """A job that ends the process that unpacks it, as the kernel does when memory runs out."""
+
+    def __reduce__(self):
+        return os._exit, (9,)
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_costs_its_own_recording_only(sessions, tmp_path):
+    task = Task(("sto",))
+    jobs = jobs_in(sessions, tmp_path / "out", task)
+    deadly = _Deadly("deadly.mcap", sessions / "deadly.mcap", tmp_path / "out", task)
+    outcomes: dict[str, Outcome] = {}
+    run_jobs([deadly, *jobs], lambda job, outcome: outcomes.update({job.name: outcome}), workers=1)
+    assert outcomes["deadly.mcap"].error == "the process that worked on it died (out of memory?)"
+    assert sorted(name for name, outcome in outcomes.items() if not outcome.error) == [
+        "a.mcap", "cut.mcap", "monday/b.mcap",
+    ]  # fmt: skip
+
+
+def test_no_cluster_is_one_clear_line(monkeypatch):
+    monkeypatch.setattr("gateway.batch.running._CONNECT_S", 0.5)
+    job = Job("a", None, None, Task(("csv",)))
+    with pytest.raises(GatewayError, match=r"no Dask scheduler with a worker at tcp://127\.0\.0\.1:9"):
+        run_jobs([job], lambda *_: None, dask="tcp://127.0.0.1:9")
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_gives_the_same_bytes(sessions, typed, tmp_path):
+    from distributed import LocalCluster  # noqa: PLC0415 - an extra
+
+    kinds = ("--to", "csv", "--to", "mcap")
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        code, told = typed("batch", sessions, *kinds, "-o", tmp_path / "dask", "--dask", address, "--json")
+    assert (code, told["done"]) == (3, 3)
+    typed(
+        "batch", sessions, "--to", "csv", "--to", "mcap", "-o", tmp_path / "local", "--workers", 1, "--json"
+    )
+    files = sorted(path.relative_to(tmp_path / "local") for path in (tmp_path / "local").rglob("*.[cm]*[vp]"))
+    assert len(files) == 6
+    for name in files:
+        assert (tmp_path / "dask" / name).read_bytes() == (tmp_path / "local" / name).read_bytes()
+
+
+def test_a_failed_outcome_is_tried_again(sessions, tmp_path):
+    job = jobs_in(sessions, tmp_path / "out", Task(("csv",)))[0]
+    manifest = Manifest(tmp_path / "out")
+    manifest.add(job, Outcome(job.name, error="disk full"))
+    assert not manifest.is_done(job)
+    manifest.close()
