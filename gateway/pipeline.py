@@ -142,7 +142,10 @@ class Pipeline:
         ``GatewayError`` where that cannot be done, and then has changed nothing.
         """
         if name == RESET_EVENT:
-            return self.resets.reset(str(data["kind"]), float(data.get("facing", 0.0)))
+            facing = data.get("facing", 0.0)
+            if not isinstance(facing, int | float):
+                raise GatewayError(f"a reset to face {facing!r}: a number of radians is wanted")
+            return self.resets.reset(str(data.get("kind")), float(facing))
         if name == CALIBRATED_EVENT:
             self.suit = remounted(self.suit, data)
             self.reconstructor = self._make(self.suit)
