@@ -205,16 +205,16 @@ def _arms(rows: dict[str, int], span: tuple[float, float], faults: WearerFaults)
 
 
 _FREE: dict[str, tuple[float, float, float]] = {
-    "pelvis": (12, 20, 15),
+    "pelvis": (22, 35, 25),
     "thorax": (15, 25, 15),
     "head": (20, 30, 20),
     "shoulder_girdle": (15, 15, 8),
     "upper_arm": (35, 20, 40),
     "forearm": (4, 50, 40),
     "hand": (25, 4, 30),
-    "thigh": (18, 15, 25),
-    "shank": (2, 4, 25),
-    "foot": (15, 5, 20),
+    "thigh": (25, 20, 40),
+    "shank": (2, 4, 40),
+    "foot": (20, 8, 25),
 }
 """Amplitudes about x, y, z in the free movement, degrees."""
 

@@ -36,11 +36,14 @@ def mounting_event(modules: Collection[ModuleResult]) -> dict[str, Any]:
 def remounted(suit: WornSuit, event: Mapping[str, Any]) -> WornSuit:
     """The suit with its modules as a ``calibrated`` event says. Raises ``GatewayError``."""
     rotations, places = suit.sensor_to_segment.copy(), suit.lever_arms.copy()
-    for name, mounting in event["modules"].items():
-        if name not in suit.skeleton.segment_names:
-            raise GatewayError(f"the calibration is of another body: this one has no segment '{name}'")
-        segment = suit.skeleton.index(name)
-        rotations[segment], places[segment] = mounting["sensor_to_segment"], mounting["position"]
+    try:
+        for name, mounting in event["modules"].items():
+            if name not in suit.skeleton.segment_names:
+                raise GatewayError(f"the calibration is of another body: this one has no segment '{name}'")
+            segment = suit.skeleton.index(name)
+            rotations[segment], places[segment] = mounting["sensor_to_segment"], mounting["position"]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise GatewayError(f"the event of a calibration cannot be read: {error!r}") from error
     return replace(suit, sensor_to_segment=rotations, lever_arms=places)
 
 

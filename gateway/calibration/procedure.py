@@ -95,7 +95,7 @@ PROCEDURE: tuple[Step, ...] = (
         "free",
         Kind.FREE,
         _SECONDS["free"],
-        "everything at once: circle shoulders and arms, bend elbows, wrists, trunk and head, swing the legs",
+        "everything, briskly: circle hips, shoulders, arms; bend elbows, wrists, trunk, head; swing the legs",
     ),
 )
 """In the order in which they are done; any can be left out or done again."""

@@ -141,7 +141,7 @@ def _played(reconstructor, events):
     return frames
 
 
-@pytest.mark.parametrize("reconstructor", ["independent", "joint"])
+@pytest.mark.parametrize("reconstructor", ["independent", pytest.param("joint", marks=pytest.mark.slow)])
 def test_every_reconstructor_is_reset_alike_and_repeatably(reconstructor):
     events = {120: (RESET_EVENT, {"kind": "heading", "facing": 1.0})}
     first, second = _played(reconstructor, events), _played(reconstructor, events)
@@ -165,3 +165,19 @@ def test_a_calibration_is_an_input_like_any_other():
         plain[-1].q_wb[1], scalar_first=True
     )
     assert off.magnitude() == pytest.approx(0.3, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        (RESET_EVENT, {}),
+        (RESET_EVENT, {"kind": "heading", "facing": "east"}),
+        (CALIBRATED_EVENT, {}),
+        (CALIBRATED_EVENT, {"modules": {"tail": {}}}),
+        (CALIBRATED_EVENT, {"modules": {"pelvis": {"sensor_to_segment": [1]}}}),
+    ],
+)
+def test_events_that_mean_nothing_are_refused_in_one_line(name, data):
+    pipeline = Pipeline(load_rig("suit_lower_7"), AssemblyParams(1e7, 10**7, 10**8, 10**8))
+    with pytest.raises(GatewayError):
+        pipeline.event(name, data)

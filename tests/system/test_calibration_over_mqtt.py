@@ -69,15 +69,15 @@ async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypat
                 await ask.perform("result", {})
             steps = (await ask.perform("begin", {"field": True}))["steps"]
             assert steps[0]["step"] == "n_pose"
-            await asyncio.sleep(0.3)
+            async with asyncio.timeout(30):
+                while not all(one["heard"] for one in (await ask.perform("status", {}))["modules"]):
+                    await asyncio.sleep(0.05)
             with pytest.raises(RequestError, match="there is no step 'dance'"):
                 await ask.perform("step", {"step": "dance"})
-            await ask.perform("step", {"step": "n_pose", "countdown_s": 0.2, "seconds": 1.5})
+            await ask.perform("step", {"step": "n_pose", "countdown_s": 0.2, "seconds": 3.0})
             with pytest.raises(RequestError, match="under way"):
                 await ask.perform("step", {"step": "squat"})
-            status = await ask.perform("status", {})
-            assert len(status["modules"]) == 7
-            assert all(module["heard"] for module in status["modules"])
+            assert len((await ask.perform("status", {}))["modules"]) == 7
             async with asyncio.timeout(20):
                 while (await ask.perform("status", {}))["phase"] != "ready":
                     await asyncio.sleep(0.1)
@@ -94,7 +94,9 @@ async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypat
             assert (await ask.perform("status", {}))["phase"] == "idle"
             assert (await ask.perform("history", {}))["versions"] == []
         async with remote_suit(mqtt, "lab", "reset") as ask:
-            await asyncio.sleep(0.3)
+            frames = service.pipeline.skeleton_frames
+            while service.pipeline.skeleton_frames < frames + 10:
+                await asyncio.sleep(0.05)
             turned = await ask.perform("heading", {"facing_deg": 90})
             assert "turned_deg" in turned
             with pytest.raises(RequestError, match="there is no request 'reset/sideways'"):
