@@ -60,7 +60,8 @@ class _Commands(LazyGroup):
         ),
         "report": LazyCommand(
             "gateway.cli.report:report",
-            "Write one HTML page: loss and clocks by module, status, orientations, joint angles, events.",
+            "Write one HTML page: loss and clocks by module, status, orientations, joint angles, events, "
+            "settings.",
             "Example: mocap-gateway report walk.mcap -o walk.html",
         ),
         "batch": LazyCommand(
