@@ -25,6 +25,7 @@ SUITES = (
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
+SUMMARY = Path(__file__).parent.parent / "README.md"
 
 
 def run(name: str) -> Report:
@@ -50,7 +51,7 @@ def main() -> None:
         for figure in report.figures:
             print(figure.line(), flush=True)
         if arguments.write_docs:
-            write_docs(report, PAGE)
+            write_docs(report, PAGE, SUMMARY)
         reports.append(report.as_json())
     if arguments.json:
         arguments.json.write_text(json.dumps(reports if len(reports) > 1 else reports[0], indent=2))

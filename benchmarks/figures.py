@@ -55,13 +55,17 @@ class Report:
 
     def markdown(self) -> str:
         """The suite's page section."""
+        head = f"Machine: {machine()}. Command: `python -m benchmarks {self.suite}`."
+        return "\n\n".join([head, self.figures_table(), *self.tables]) + "\n"
+
+    def figures_table(self) -> str:
+        """The figures alone."""
         heads = ["figure", "value", "unit", "target", "verdict", "what"]
         rows = [
             [f"`{f.name}`", f"{f.value:.4g}", f.unit, f.target or "–", f.verdict, f.note]
             for f in self.figures
         ]
-        head = f"Machine: {machine()}. Command: `python -m benchmarks {self.suite}`."
-        return "\n\n".join([head, table(heads, rows), *self.tables]) + "\n"
+        return table(heads, rows)
 
 
 def table(heads: list[str], rows: list[list[str]]) -> str:
@@ -90,12 +94,22 @@ def machine() -> str:
     return f"{cores}{model or platform.machine()}, Python {platform.python_version()}, shared virtual machine"
 
 
-def write_docs(report: Report, page: Path) -> None:
-    """Replace the suite's section of a page, between its markers; everything else stays."""
-    begin, end = f"<!-- begin {report.suite} -->", f"<!-- end {report.suite} -->"
+def write_docs(report: Report, page: Path, summary: Path) -> None:
+    """Replace the suite's section of a page, between its markers; everything else stays.
+
+    summary: a page that has the suite's figures alone, if it has markers for them.
+    """
+    if not _replace(page, report.suite, report.markdown()):
+        raise SystemExit(f"{page}: the markers of '{report.suite}' are missing or out of order")
+    _replace(summary, f"{report.suite} figures", f"{report.figures_table()}\n\nMachine: {machine()}.\n")
+
+
+def _replace(page: Path, name: str, section: str) -> bool:
+    """Put a section between the markers of that name; False where they are not."""
+    begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
     text = page.read_text(encoding="utf-8")
-    if begin not in text or end not in text:
-        raise SystemExit(f"{page}: the markers '{begin}' and '{end}' are missing")
-    before, rest = text.split(begin, 1)
-    after = rest.split(end, 1)[1]
-    page.write_text(f"{before}{begin}\n{report.markdown()}{end}{after}", encoding="utf-8")
+    before, begun, rest = text.partition(begin)
+    _, ended, after = rest.partition(end)
+    if begun and ended:
+        page.write_text(f"{before}{begin}\n{section}{end}{after}", encoding="utf-8")
+    return bool(begun and ended)
