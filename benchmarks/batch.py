@@ -96,7 +96,11 @@ def _offline_speed(path: Path) -> list[Figure]:
         spent.append(time.process_time() - begun)
     return [
         Figure(
-            "batch_offline_x_realtime", SECONDS / min(spent), "×", ">=1", f"17 modules, one core, {frames} poses"
+            "batch_offline_x_realtime",
+            SECONDS / min(spent),
+            "×",
+            ">=1",
+            f"17 modules, {frames} poses",
         ),
     ]
 
