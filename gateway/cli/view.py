@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from pydantic import ValidationError
 
+from gateway.cli.broker_options import broker_settings
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
@@ -51,18 +51,14 @@ def view(
     The page loads nothing from elsewhere and works on a phone. It only subscribes: it cannot slow the
     gateway down, and may run on another machine.
     """
-    try:
-        settings = MqttSettings(
-            host=host,
-            port=port,
-            username=username,
-            password_file=password_file,
-            protocol=protocol,
-            base_topic=base_topic,
-        )
-    except ValidationError as error:
-        typer.echo("; ".join(problem["msg"] for problem in error.errors()), err=True)
-        raise typer.Exit(2) from None
+    settings = broker_settings(
+        host=host,
+        port=port,
+        username=username,
+        password_file=password_file,
+        protocol=protocol,
+        base_topic=base_topic,
+    )
     refuse_busy_port(page_host, page_port)
     with contextlib.suppress(KeyboardInterrupt):
         if recording is None:

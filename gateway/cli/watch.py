@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from pydantic import ValidationError
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
 from devices.link import gateway_time_ns
+from gateway.cli.broker_options import broker_settings
 from gateway.cli.pose_table import PoseView, joint_table
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
@@ -167,17 +167,13 @@ def watch(
     count = 1 if once else count
     if timeout is None and count is not None:
         timeout = 10.0
-    try:
-        settings = MqttSettings(
-            host=host,
-            port=port,
-            username=username,
-            password_file=password_file,
-            protocol=protocol,
-            base_topic=base_topic,
-        )
-    except ValidationError as error:
-        typer.echo("; ".join(problem["msg"] for problem in error.errors()), err=True)
-        raise typer.Exit(2) from None
+    settings = broker_settings(
+        host=host,
+        port=port,
+        username=username,
+        password_file=password_file,
+        protocol=protocol,
+        base_topic=base_topic,
+    )
     wanted = Watch(gateway, count, json, quaternions, joints, timeout)
     raise typer.Exit(run_watch(settings, wanted))
