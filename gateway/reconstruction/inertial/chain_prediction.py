@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray, StatusArray
+from gateway.frames import FloatArray, Quantity, StatusArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite, norm
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.tree_filter import propagate
 
+AIR_VELOCITY = Quantity.AIR_VELOCITY.value
 LONGEST_COAST_S = 0.1
 """A silent segment keeps its rate for about that long."""
 LONGEST_SILENCE_S = 1.0
@@ -124,6 +125,9 @@ def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray) -> Non
     for d in range(len(body.device_segment)):
         s = body.device_segment[d]
         if _is_turn(turns[s]):
+            if body.device_kind[d] == AIR_VELOCITY:
+                for j in range(state.n_readings[d, 0]):
+                    rotation_matrix.turn(E[s], state.readings[d, j, 1:4])
             for j in range(state.history.shape[1]):
                 if state.history[d, j, 0] > -np.inf:
                     rotation_matrix.turn(E[s], state.history[d, j, 1:4])
