@@ -1,8 +1,9 @@
 """From the readings of several photoelectric cells to the direction of the light. Sans-I/O.
 
 A cell of normal n reads ``max(0, n · v) + a``: v points to the sun and is as long as its direct light is
-strong, a is the diffuse light around. Which cells are lit depends on v, so the least squares over them is
-repeated until the set stands. An unlit cell says that its side has no part of v.
+strong, a is the diffuse light around. Lit cells read more than unlit ones, so the lit are the brightest, however
+many they are: least squares for each number, and the one that explains all cells best is right. An unlit cell
+says what a is, and that its side has no part of v.
 """
 
 from __future__ import annotations
@@ -10,10 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.frames import FloatArray
-
-_MOST_ROUNDS = 6
 
 
 class CellSolution(NamedTuple):
@@ -37,27 +37,28 @@ class CellArray:
         if np.linalg.matrix_rank(normals) < 3 or not (lengths > 0.0).all():
             raise ValueError("normals of photoelectric cells must span all three directions")
         self._normals: FloatArray = normals / lengths[:, None]
-        self._inverses: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+        self._inverses: dict[bytes, FloatArray] = {}
 
     def solve(self, readings: FloatArray) -> CellSolution:
         """readings: (k,) share of full scale."""
-        is_lit = np.ones(len(readings), bool)  # of opposite cells the difference is right at once
-        for _ in range(_MOST_ROUNDS):
-            design, inverse = self._fit(is_lit)
-            found = inverse @ readings
-            now_lit = self._normals @ found[:3] > 0.0
-            if (now_lit == is_lit).all():
-                break
-            is_lit = now_lit
-        residual = float(np.sqrt(np.mean((readings - design @ found) ** 2)))
+        order, least, found = np.argsort(readings), np.inf, np.zeros(4)
+        is_lit = np.ones(len(readings), bool)
+        for darkest in order:
+            candidate = self._inverse(is_lit) @ readings
+            explained = np.maximum(self._normals @ candidate[:3], 0.0) + candidate[3]
+            square = float(np.mean((readings - explained) ** 2))
+            if square < least:
+                least, found = square, candidate
+            is_lit[darkest] = False
+        residual = float(np.sqrt(least))
         direct = float(np.linalg.norm(found[:3]))
         direction = found[:3] / direct if direct > 0.0 else np.full(3, np.nan)
         return CellSolution(direction, direct, float(found[3]), residual)
 
-    def _fit(self, is_lit: np.ndarray) -> tuple[FloatArray, FloatArray]:
-        """Rows of the model and their pseudo-inverse: the side without lit cells gets no part of v."""
+    def _inverse(self, is_lit: NDArray[np.bool_]) -> FloatArray:
+        """(4, k) readings to v and a: the pseudo-inverse, so that a side without lit cells gets no part of v."""
         key = is_lit.tobytes()
         if key not in self._inverses:
             design = np.hstack([self._normals * is_lit[:, None], np.ones((len(is_lit), 1))])
-            self._inverses[key] = design, np.linalg.pinv(design)
+            self._inverses[key] = np.linalg.pinv(design)
         return self._inverses[key]

@@ -1,6 +1,7 @@
 """Light readings to directions of the sun by frame; cloud, shadow and reflections turned away. Sans-I/O.
 
-A direction serves until a newer one comes, turned along by the module's gyrometer, for ``CARRIED_S`` at most.
+A direction serves until a newer one comes, turned along by the module's gyrometers, for ``CARRIED_S`` at most;
+for longer it is remembered to tell what jumps.
 """
 
 from __future__ import annotations
@@ -24,15 +25,18 @@ STEP_NS = 10_000_000_000
 """The sun moves 0.04° in that time: it is placed once in it, at the middle."""
 
 FULL_SCALE = 0.999
-LEAST_DIRECT = 0.02
+LEAST_LIGHT = 0.02
 """Share of full scale."""
 LEAST_DIRECT_SHARE = 0.7
 """Direct light in all of it: 0.9 in a clear sky, 0.5 under thin cloud, less in shadow."""
-LEAST_OF_BRIGHTEST = 0.6
+LEAST_OF_BRIGHTEST = 0.8
 BRIGHTEST_MEMORY_S = 1800.0
 """The sun sinks: what it was hours ago is no measure."""
 LARGEST_RESIDUAL = 0.12
 """Of the direct light. Sky and ground that differ leave 0.05."""
+LARGEST_JUMP = math.radians(10.0)
+JUMP_MEMORY_S = 10.0
+"""For so long the gyrometers tell where the sun must be; a direction that then still stands is believed."""
 LARGEST_MISPLACEMENT = math.radians(15.0)
 """Height above the horizon, where the module's specific force tells it."""
 STILL = 0.5
@@ -51,10 +55,11 @@ class Rejected(Enum):
     SUN_LOW = "the sun is below 5° or set"
     SUN_HIGH = "the sun is above 75°: no heading in it"
     SATURATED = "a cell at the end of its range"
-    DARK = "no direct light: night, or covered"
+    DARK = "hardly any light: covered"
     DIFFUSE = "little direct light: cloud, or shadow"
     DIMMED = "direct light weaker than before: thin cloud, or part in shadow"
     INCONSISTENT = "cells contradict each other: part in shadow, or a second light"
+    JUMPED = "not where it was, carried along by the gyrometers: a shadow's edge, or another light"
     MISPLACED = "not at the sun's height: a reflection, or a lamp"
 
 
@@ -94,14 +99,14 @@ class SunCompass:
         self._time_ns = frame.time_ns
         for row, module in enumerate(self._modules):
             _turn_along(module, frame.angular_rate[row], dt)
-            if frame.time_ns - module.sighted_ns > CARRIED_S * 1e9:
-                module.direction, module.sigma = np.full(3, np.nan), math.nan
         for reading in frame.light:
             self._take(reading, frame)
+        oldest_ns = frame.time_ns - CARRIED_S * 1e9
+        is_seen = np.array([module.sighted_ns >= oldest_ns for module in self._modules])
+        directions = np.array([module.direction for module in self._modules])
+        sigmas = np.array([module.sigma for module in self._modules])
         sight = SunSight(
-            self._world,
-            np.array([module.direction for module in self._modules]),
-            np.array([module.sigma for module in self._modules]),
+            self._world, np.where(is_seen[:, None], directions, np.nan), np.where(is_seen, sigmas, np.nan)
         )
         if self._sun.beside_magnetometer:
             return replace(frame, sun=sight)
@@ -118,6 +123,10 @@ class SunCompass:
             "sun_elevation_deg": None if elevation is None else round(elevation, 2),
             "modules": modules,
         }
+
+    def totals(self) -> Counter[str]:
+        """Readings of all modules by what they told: ``sun``, or why nothing."""
+        return sum((module.counts for module in self._modules), Counter[str]())
 
     def _state(self, module: _Module) -> str:
         is_silent = self._time_ns - module.heard_ns > SILENT_S * 1e9
@@ -157,10 +166,11 @@ class SunCompass:
             Rejected.SUN_LOW: elevation < LOWEST,
             Rejected.SUN_HIGH: elevation > HIGHEST,
             Rejected.SATURATED: float(np.max(reading.intensity)) >= FULL_SCALE,
-            Rejected.DARK: direct < LEAST_DIRECT,
-            Rejected.DIFFUSE: direct < LEAST_DIRECT_SHARE * all_light,
+            Rejected.DARK: float(np.max(reading.intensity)) < LEAST_LIGHT,
+            Rejected.DIFFUSE: direct < max(LEAST_DIRECT_SHARE * all_light, LEAST_LIGHT),
             Rejected.DIMMED: direct < LEAST_OF_BRIGHTEST * module.brightest,
             Rejected.INCONSISTENT: solution.residual > LARGEST_RESIDUAL * direct,
+            Rejected.JUMPED: _has_jumped(module, reading.time_ns, solution.direction),
             Rejected.MISPLACED: self._is_misplaced(solution.direction, force, elevation),
         }
         return next((reason for reason, failed in tests.items() if failed), None)
@@ -171,6 +181,11 @@ class SunCompass:
             return False
         seen = math.asin(min(1.0, max(-1.0, float(direction @ force) / length)))
         return abs(seen - elevation) > LARGEST_MISPLACEMENT
+
+
+def _has_jumped(module: _Module, time_ns: int, direction: FloatArray) -> bool:
+    is_remembered = time_ns - module.sighted_ns < JUMP_MEMORY_S * 1e9
+    return is_remembered and float(direction @ module.direction) < math.cos(LARGEST_JUMP)
 
 
 def _turn_along(module: _Module, rate: FloatArray, dt: float) -> None:
