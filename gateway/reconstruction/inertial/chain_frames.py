@@ -16,15 +16,15 @@ from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
+from gateway.reconstruction.inertial.chain_prediction import exceeds
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.chain_step import mark_unaided, orientation_sigma, step
-from gateway.reconstruction.inertial.held_arguments import Held
 from gateway.reconstruction.inertial.local_rows import take_reading
 from gateway.reconstruction.inertial.observations import by_segment, sensor_to_segment_matrices
 from gateway.reconstruction.inertial.sun_rows import sun_by_segment
 
 SHORTEST_STEP_S = 1e-5
-MISSING, PREDICTED = Status.MISSING.value, Status.PREDICTED.value
+MISSING, PREDICTED, UNAIDED = Status.MISSING.value, Status.PREDICTED.value, Status.UNAIDED.value
 AIR_VELOCITY = Quantity.AIR_VELOCITY.value
 
 
@@ -85,7 +85,7 @@ def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval
 
 @compiled
 def advance(
-    held: Held,
+    held: Constants,
     time_ns: IntArray,
     specific_force: FloatArray,
     angular_rate: FloatArray,
@@ -97,10 +97,9 @@ def advance(
     sun: FloatArray,
     resting: FloatArray,
 ) -> Outputs:
-    """All instants in turn; arguments after the first: the fields of ``Inputs``, and (T, n) for how long each
-    segment has stood still, s."""
-    constants = held.all
-    wearing, state, noise = constants.wearing, constants.state, constants.noise
+    """All instants in turn. held: see ``held_arguments``; then the fields of ``Inputs``, and (T, n) for how
+    long each segment has stood still, s."""
+    wearing, state, noise = held.wearing, held.state, held.noise
     n_frames, n = len(time_ns), len(wearing.parents)
     q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
     acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
@@ -114,16 +113,18 @@ def advance(
         is_valid, dt = none_valid, _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
         if dt > SHORTEST_STEP_S:
             before_s = (time_ns[t] - state.time_ns[1]) * 1e-9 - dt
-            _take(constants.body, state, noise, before_s, readings[taken : readings_end[t]])
+            _take(held.body, state, noise, before_s, readings[taken : readings_end[t]])
             acceleration[t], is_valid = step(
-                constants.body, state, noise, constants.fixed, constants.is_joint, dt,
+                held.body, state, noise, held.fixed, held.is_joint, dt,
                 (time_ns[t] - state.time_ns[1]) * 1e-9, observed, resting[t],
                 sun_by_segment(wearing.module_of_segment, wearing.R_bs, sun[t]),
             )  # fmt: skip
         taken = readings_end[t]
-        _outputs(wearing, state, is_valid, observed.status, q_wb[t], rate[t], status_out[t])
+        _outputs(
+            wearing, state, is_valid, observed.status, noise.largest_rate, q_wb[t], rate[t], status_out[t]
+        )
         mark_unaided(
-            constants.body, state, constants.fixed, (time_ns[t] - state.time_ns[1]) * 1e-9, status_out[t]
+            held.body, state, held.fixed, (time_ns[t] - state.time_ns[1]) * 1e-9, status_out[t]
         )
         sigma[t] = orientation_sigma(state)
         p_w[t] = _positions(wearing, q_wb[t], root_position[t])
@@ -176,11 +177,13 @@ def _outputs(
     state: FilterState,
     is_valid: FloatArray,
     measured_status: StatusArray,
+    largest_rate: float,
     q_wb: FloatArray,
     rate: FloatArray,
     status: StatusArray,
 ) -> None:
-    """Segments without module go with their parent; the others as the filter has them."""
+    """Segments without module go with their parent; the others as the filter has them. A saturated gyrometer
+    is none; with its accelerometer saturated, or off, a segment turns by its gyrometer alone."""
     for s in range(len(wearing.parents)):
         p = wearing.parents[s]
         status[s] = measured_status[s]
@@ -194,5 +197,7 @@ def _outputs(
             q_wb[s] = quaternion.from_matrix(state.R[s])
             for i in range(3):
                 rate[s, i] = state.rate[s, i] - state.bias[s, i]
-            if is_valid[s] == 0.0:
+            if is_valid[s] == 0.0 or exceeds(state.rate[s], largest_rate):
                 status[s] = PREDICTED
+            elif is_valid[s] == 1.0:
+                status[s] = UNAIDED

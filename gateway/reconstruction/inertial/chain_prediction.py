@@ -38,7 +38,7 @@ def predict(
                 w[i] = 0.5 * (rate[s, i] + state.rate[s, i]) - state.bias[s, i]
             speed = norm(w)
             density = noise.gyrometer**2 + (noise.gyrometer_scale * speed) ** 2 * noise.scale_memory_s
-            if _exceeds(rate[s], noise.largest_rate):
+            if exceeds(rate[s], noise.largest_rate):
                 density += SATURATED_NOISE**2
                 state.silent_s[s] += dt
             else:
@@ -64,7 +64,8 @@ def predict(
 
 
 @compiled
-def _exceeds(v: FloatArray, limit: float) -> bool:
+def exceeds(v: FloatArray, limit: float) -> bool:
+    """Whether a component of v (3,) is that large."""
     return bool(abs(v[0]) >= limit or abs(v[1]) >= limit or abs(v[2]) >= limit)
 
 
@@ -76,8 +77,8 @@ def valid_rows(noise: Noise, force: FloatArray, rate: FloatArray, status: Status
     for s in range(n):
         if status[s] <= 1 and is_finite(rate[s]):
             is_valid[s] = 1.0
-            usable = is_finite(force[s]) and not _exceeds(force[s], noise.largest_force)
-            if usable and not _exceeds(rate[s], noise.largest_rate):
+            usable = is_finite(force[s]) and not exceeds(force[s], noise.largest_force)
+            if usable and not exceeds(rate[s], noise.largest_rate):
                 is_valid[s] = 2.0
     return is_valid
 
