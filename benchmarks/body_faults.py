@@ -214,9 +214,9 @@ def _module_table(report: Report, suit: WornSuit, calm: Run) -> None:
     head += ["neighbours' worst, °", "over after, s", "others' worst, °", "over after, s"]
     report.tables.append(
         f"### A module fails: `joint` on the 17-module suit, walking; the module of the {name}\n\n"
-        "Excess over the run without fault. *Joint agreement*: 0 agrees with its neighbours, 1 has nothing to do with "
-        "them (in `bridge/health`); without fault "
-        f"{calm.agreement.get(name, np.nan):.2f}. *Over after*: from the end of the fault until the excess stays "
+        "Excess over the run without fault. *Joint agreement*: 0 agrees with its neighbours, 1 has nothing "
+        f"to do with them (in `bridge/health`); without fault {calm.agreement.get(name, np.nan):.2f}. "
+        "*Over after*: from the end of the fault until the excess stays "
         f"below {RECOVERED_DEG:g}°; –: the fault lasts.\n\n" + table(head, rows)
     )
     report.figures.append(
@@ -239,7 +239,8 @@ def _ml_table(report: Report, suit: WornSuit, calm: Run) -> None:
         worst_step = max(worst_step, step)
         rows.append([
             case.name, _seconds(told_after_s(found, everyone)), f"{before:.1f}",
-            f"{_mean_sigma(found, end_s - 0.3, end_s):.1f}", f"{whole.worst_deg:.1f}", _seconds(whole.recovery_s),
+            f"{_mean_sigma(found, end_s - 0.3, end_s):.1f}",
+            f"{whole.worst_deg:.1f}", _seconds(whole.recovery_s),
             f"{step:.2f}", f"{_place_off(found, end_s - 0.05):.2f}", f"{_place_step(found, end_s):.3f}",
             _seconds(_measured_again_s(found, end_s)),
         ])  # fmt: skip
@@ -247,8 +248,8 @@ def _ml_table(report: Report, suit: WornSuit, calm: Run) -> None:
     head += ["over after, s", "largest step after, °", "place off at the end, m", "step of place, m"]
     report.tables.append(
         "### The local device falls silent: the same, position of the pelvis at 100 Hz\n\n"
-        f"*Largest step after*: of any segment's tilt error from one frame to the next within 5 s after its return; "
-        f"without fault {calm_step:.2f}°. The place stands still meanwhile and glides back.\n\n"
+        "*Largest step after*: of any segment's tilt error from one frame to the next within 5 s after its "
+        f"return; without fault {calm_step:.2f}°. The place stands still meanwhile and glides back.\n\n"
         + table([*head, "`measured` again after, s"], rows)
     )
     report.figures.append(Figure("ml_loss_finite", float(finite), "", ">=1", "as above, local device silent"))

@@ -70,7 +70,9 @@ def _refuse_unreadable(name: str, suit: WornSuit) -> None:
                 f"reconstructor '{name}' cannot use the rig's 'second_field: {word}'; these can: {known}"
             )
     if name == "articulated" and any(d.quantity is Quantity.AIR_VELOCITY for d in suit.local_devices[:1]):
-        raise SettingsError("reconstructor 'articulated' cannot use pressure tubes; these can: joint, outward")
+        raise SettingsError(
+            "reconstructor 'articulated' cannot use pressure tubes; these can: joint, outward"
+        )
 
 
 def create_reconstructor(

@@ -123,9 +123,7 @@ def advance(
         _outputs(
             wearing, state, is_valid, observed.status, noise.largest_rate, q_wb[t], rate[t], status_out[t]
         )
-        mark_unaided(
-            held.body, state, held.fixed, (time_ns[t] - state.time_ns[1]) * 1e-9, status_out[t]
-        )
+        mark_unaided(held.body, state, held.fixed, (time_ns[t] - state.time_ns[1]) * 1e-9, status_out[t])
         sigma[t] = orientation_sigma(state)
         p_w[t] = _positions(wearing, q_wb[t], root_position[t])
     return q_wb, rate, acceleration, p_w, sigma, status_out
@@ -153,9 +151,7 @@ def _positions(wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) ->
 
 
 @compiled
-def _take(
-    body: ChainBody, state: FilterState, noise: Noise, before_s: float, readings: FloatArray
-) -> None:
+def _take(body: ChainBody, state: FilterState, noise: Noise, before_s: float, readings: FloatArray) -> None:
     """before_s: of the frame that the orientations are of."""
     for reading in readings:
         value, sigma, s = reading[2:5].copy(), 0.0, body.device_segment[int(reading[0])]
