@@ -38,9 +38,10 @@ def seen():
     return frames, true
 
 
-@pytest.mark.parametrize(
-    ("method", "limit_deg"), [("joint", 1.0), ("independent", 2.0), ("articulated", 6.0)]
-)
+LIMITS_DEG = {"joint": 1.0, "independent": 2.0, "articulated": 6.0}
+
+
+@pytest.mark.parametrize("method", LIMITS_DEG)
 def test_the_sun_shows_the_heading(seen, method):
     frames, true = seen
     found = update_many(create_reconstructor(method, ARM, 1.0 / RATE_HZ), frames)
