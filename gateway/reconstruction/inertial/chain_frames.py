@@ -92,9 +92,11 @@ def advance(
     readings_end: IntArray,
     readings: FloatArray,
     resting: FloatArray,
+    covariance: FloatArray,
 ) -> Outputs:
     """All instants in turn; arguments after the first: the fields of ``Inputs``, and (T, n) for how long each
-    segment has stood still, s."""
+    segment has stood still, s. covariance: (T, n, 3, 3) is filled with that of the orientation errors, world
+    axes, rad²; empty: not wanted."""
     constants = held.all
     wearing, state, noise = constants.wearing, constants.state, constants.noise
     n_frames, n = len(time_ns), len(wearing.parents)
@@ -117,6 +119,8 @@ def advance(
         taken = readings_end[t]
         _outputs(wearing, state, is_valid, observed.status, q_wb[t], rate[t], status_out[t])
         sigma[t] = orientation_sigma(state)
+        if len(covariance) > 0:
+            covariance[t] = state.P[:, :3, :3]
         p_w[t] = _positions(wearing, q_wb[t], root_position[t])
     return q_wb, rate, acceleration, p_w, sigma, status_out
 
