@@ -18,7 +18,6 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.chain_step import orientation_sigma, step
-from gateway.reconstruction.inertial.held_arguments import Held
 from gateway.reconstruction.inertial.local_rows import take_reading
 from gateway.reconstruction.inertial.observations import by_segment, sensor_to_segment_matrices
 
@@ -82,7 +81,7 @@ def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval
 
 @compiled
 def advance(
-    held: Held,
+    held: Constants,
     time_ns: IntArray,
     specific_force: FloatArray,
     angular_rate: FloatArray,
@@ -94,11 +93,10 @@ def advance(
     resting: FloatArray,
     covariance: FloatArray,
 ) -> Outputs:
-    """All instants in turn; arguments after the first: the fields of ``Inputs``, and (T, n) for how long each
-    segment has stood still, s. covariance: (T, n, 3, 3) is filled with that of the orientation errors, world
-    axes, rad²; empty: not wanted."""
-    constants = held.all
-    wearing, state, noise = constants.wearing, constants.state, constants.noise
+    """All instants in turn. held: see ``held_arguments``; then the fields of ``Inputs``, and (T, n) for how
+    long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that of the orientation
+    errors, world axes, rad²; empty: not wanted."""
+    wearing, state, noise = held.wearing, held.state, held.noise
     n_frames, n = len(time_ns), len(wearing.parents)
     q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
     acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
@@ -113,7 +111,7 @@ def advance(
         if dt > SHORTEST_STEP_S:
             _take(state, noise, readings[taken : readings_end[t]])
             acceleration[t], is_valid = step(
-                constants.body, state, noise, constants.fixed, constants.is_joint, dt,
+                held.body, state, noise, held.fixed, held.is_joint, dt,
                 (time_ns[t] - state.time_ns[1]) * 1e-9, observed, resting[t],
             )  # fmt: skip
         taken = readings_end[t]
