@@ -19,7 +19,8 @@ import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.reasoncodes import ReasonCode
 
-from gateway.outputs.settings import PASSWORD_VARIABLE, CredentialError, MqttSettings, TlsSettings
+from gateway.credentials import CredentialError
+from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, TlsSettings
 
 TIMEOUT_S = 2.0
 """Longest wait for the broker to take a connection, or a message, before it counts as lost."""
