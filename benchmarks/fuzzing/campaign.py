@@ -16,6 +16,7 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from benchmarks.fuzzing.targets import CORPORA, TARGETS, Target
 
@@ -27,7 +28,8 @@ LARGEST_CORPUS = 64 * 1024
 INPUT_TIMEOUT_S = 10
 LARGEST_MEMORY_MB = 2048
 _GRACE_S = 120
-_RUNS = re.compile(r"Done (\d+) runs|stat::number_of_executed_units: (\d+)|^#(\d+)\s", re.MULTILINE)
+_SURVEY_S = 900
+_RUNS = re.compile(r"stat::number_of_executed_units: (\d+)")
 
 
 @dataclass
@@ -77,26 +79,28 @@ def _run(target: Target, arguments: list[str], timeout_s: float) -> str:
 
 
 def _executions(output: str) -> int:
-    counts = [int(next(filter(None, found.groups()))) for found in _RUNS.finditer(output)]
-    return max(counts, default=0)
+    found = _RUNS.search(output)
+    return int(found.group(1)) if found else 0
+
+
+def surveyed(target: Target, *folder: str) -> dict[str, Any]:
+    """``coverage`` in a process of its own, since modules must not be imported yet."""
+    command = [sys.executable, "-m", "benchmarks.fuzzing.coverage", target.name, *folder]
+    done = subprocess.run(["nice", *command], stdout=subprocess.PIPE, timeout=_SURVEY_S, check=True)
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
 
 
 def _keep(target: Target, found: Path) -> None:
-    """Of what was found, the inputs that reach what the corpus does not, shortest first."""
+    """Of what was found, what reaches more than the corpus does, shortest first, while there is room."""
     kept = CORPORA / target.name
-    with tempfile.TemporaryDirectory(prefix="mocap-merge-") as folder:
-        merged = Path(folder)
-        for path in kept.iterdir():
-            (merged / path.name).write_bytes(path.read_bytes())
-        before = set(merged.iterdir())
-        _run(target, ["-merge=1", folder, str(found)], 600)
-        new = sorted(set(merged.iterdir()) - before, key=lambda path: path.stat().st_size)
-        room = LARGEST_CORPUS - sum(p.stat().st_size for p in kept.iterdir() if "seed" not in p.name)
-        for path in new:
-            room -= path.stat().st_size
-            if room < 0:
-                break
-            (kept / path.name).write_bytes(path.read_bytes())
+    room = LARGEST_CORPUS - sum(path.stat().st_size for path in target.corpus if "seed" not in path.name)
+    for name in surveyed(target, str(found))["adding"]:
+        data = (found / name).read_bytes()
+        room -= len(data)
+        if room < 0:
+            break
+        (kept / name).write_bytes(data)
 
 
 def read_ledger() -> dict[str, Account]:
