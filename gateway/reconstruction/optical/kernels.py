@@ -84,12 +84,12 @@ def add_marker(
 @compiled
 def add_joint(
     H: FloatArray, g: FloatArray, R_p: FloatArray, R_d: FloatArray, distal: int, axes: IntArray,
-    signs: FloatArray, middle: FloatArray, stiffness: FloatArray, limits: FloatArray, limit_stiffness: float,
+    signs: FloatArray, stiffness: FloatArray, limits: FloatArray, limit_stiffness: float,
 ) -> float:  # fmt: skip
-    """Add what a joint is allowed: pulled to the middle of its angles, and back inside its limits.
+    """Add what a joint is allowed: pulled to the neutral posture, and back inside its limits.
 
     Angles are Cardan angles about ``axes`` (3,) of the moving segment; ``stiffness`` (3,) 1/rad² draws each to
-    ``middle``, ``limit_stiffness`` beyond ``limits`` (3, 2) rad. Near the singularity only a turn as a
+    zero, ``limit_stiffness`` beyond ``limits`` (3, 2) rad. Near the singularity only a turn as a
     whole is drawn to zero. Returns the cost, ½ Σ k e².
     """
     found, E, is_regular = cardan(R_p, R_d, axes)
@@ -104,9 +104,9 @@ def add_joint(
         return 0.5 * weakest * dot(turn, turn)
     for k in range(3):
         angle = found[k] * signs[k]
-        pull = stiffness[k] * (angle - middle[k])
+        pull = stiffness[k] * angle
         stiff = stiffness[k]
-        cost += 0.5 * stiffness[k] * (angle - middle[k]) ** 2
+        cost += 0.5 * stiffness[k] * angle**2
         beyond = min(0.0, angle - limits[k, 0]) + max(0.0, angle - limits[k, 1])
         if beyond != 0.0:
             pull += limit_stiffness * beyond

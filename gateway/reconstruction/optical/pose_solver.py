@@ -41,9 +41,8 @@ class BodyModel(NamedTuple):
     distals: IntArray  # (J,) segment that a joint turns against its parent
     axes: IntArray  # (J, 3)
     signs: FloatArray  # (J, 3)
-    middles: FloatArray  # (J, 3) rad
     stiffness: FloatArray  # (J, 3) 1/rad²
-    limits: FloatArray  # (J, 2, 3) → (J, 3, 2) rad
+    limits: FloatArray  # (J, 3, 2) rad
     limit_stiffness: float  # 1/rad²
 
 
@@ -83,7 +82,7 @@ def body_model(skeleton: Skeleton, markers: BodyMarkers) -> BodyModel:
                 stiffness[row, k] = FIXED_SIGMA**-2
     return BodyModel(
         skeleton.parents, skeleton.offsets, markers.segments, markers.positions, markers.sigmas, distals,
-        axes, signs, np.zeros((n, 3)), stiffness, limits, LIMIT_SIGMA**-2,
+        axes, signs, stiffness, limits, LIMIT_SIGMA**-2,
     )  # fmt: skip
 
 
@@ -106,7 +105,7 @@ def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray
 
 
 @compiled
-def _normal_equations(
+def normal_equations(
     model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """H (upper triangle), g, and the cost of the joints."""
@@ -123,7 +122,7 @@ def _normal_equations(
     for j in range(len(model.distals)):
         d = model.distals[j]
         cost += kernels.add_joint(
-            H, g, R[model.parents[d]], R[d], d, model.axes[j], model.signs[j], model.middles[j],
+            H, g, R[model.parents[d]], R[d], d, model.axes[j], model.signs[j],
             model.stiffness[j], model.limits[j], model.limit_stiffness,
         )  # fmt: skip
     return H, g, cost
@@ -163,7 +162,7 @@ def solve_pose(
     p = kernels.places(model.parents, model.offsets, R, root)
     y = kernels.marker_places(model.segments, model.positions, R, p)
     say = _say(model, observed, trust, y, scale)
-    H, g, joints = _normal_equations(model, observed, say, R, p)
+    H, g, joints = normal_equations(model, observed, say, R, p)
     damping = _FIRST_DAMPING
     steps = 0
     while steps < longest and damping < _WORST_DAMPING:
@@ -179,7 +178,7 @@ def solve_pose(
         R_new, root_new = kernels.moved(model.parents, R, root, delta)
         p_new = kernels.places(model.parents, model.offsets, R_new, root_new)
         before = _cost(model, observed, say, R, p) + joints
-        H_new, g_new, joints_new = _normal_equations(model, observed, say, R_new, p_new)
+        H_new, g_new, joints_new = normal_equations(model, observed, say, R_new, p_new)
         after = _cost(model, observed, say, R_new, p_new) + joints_new
         if after > before * (1.0 + 1e-12):
             damping = max(10.0 * damping, 1e-4)
@@ -188,7 +187,7 @@ def solve_pose(
         damping = max(_FIRST_DAMPING, 0.1 * damping)
         y = kernels.marker_places(model.segments, model.positions, R, p)
         say = _say(model, observed, trust, y, scale)
-        H, g, joints = _normal_equations(model, observed, say, R, p)
+        H, g, joints = normal_equations(model, observed, say, R, p)
         if np.max(np.abs(delta)) < _SMALLEST_STEP:
             break
     return _finished(model, observed, say, R, root, y, H, steps)
