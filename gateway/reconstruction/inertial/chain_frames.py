@@ -96,9 +96,11 @@ def advance(
     readings: FloatArray,
     sun: FloatArray,
     resting: FloatArray,
+    covariance: FloatArray,
 ) -> Outputs:
     """All instants in turn. held: see ``held_arguments``; then the fields of ``Inputs``, and (T, n) for how
-    long each segment has stood still, s."""
+    long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that of the orientation
+    errors, world axes, rad²; empty: not wanted."""
     wearing, state, noise = held.wearing, held.state, held.noise
     n_frames, n = len(time_ns), len(wearing.parents)
     q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
@@ -125,6 +127,8 @@ def advance(
         )
         mark_unaided(held.body, state, held.fixed, (time_ns[t] - state.time_ns[1]) * 1e-9, status_out[t])
         sigma[t] = orientation_sigma(state)
+        if len(covariance) > 0:
+            covariance[t] = state.P[:, :3, :3]
         p_w[t] = _positions(wearing, q_wb[t], root_position[t])
     return q_wb, rate, acceleration, p_w, sigma, status_out
 

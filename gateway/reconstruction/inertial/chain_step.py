@@ -28,7 +28,7 @@ from gateway.reconstruction.inertial.heading_start import (
 from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
 from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
 from gateway.reconstruction.inertial.observations import SegmentObservations
-from gateway.reconstruction.inertial.rest_rows import rest_rows
+from gateway.reconstruction.inertial.rest_rows import rest_rows, rolling
 from gateway.reconstruction.inertial.sun_rows import follow_sun
 from gateway.reconstruction.inertial.tree_filter import (
     Evidence,
@@ -69,6 +69,7 @@ def step(
     n = len(body.parents)
     force, rate, field = observed.specific_force, observed.angular_rate, observed.magnetic_field
     is_valid = valid_rows(noise, force, rate, observed.status)
+    turning = rolling(state, rate, resting, dt)
     predict(body, state, noise, rate, is_valid, dt)
     for s in range(n):
         if state.is_started[s] != 1:
@@ -86,7 +87,7 @@ def step(
     anchored = _device_rows(
         evidence, body, state, noise, fixed, is_valid, force, rate, K, motion, dt, time_s, turns
     )
-    rest_rows(evidence, body, state, noise, is_valid, force, resting, dt, anchored)
+    rest_rows(evidence, body, state, noise, is_valid, force, resting, turning, dt, anchored)
     U = _joint_rows(evidence, body, state, noise, is_valid, K, motion, dt, anchored, turns)
     for s in range(n):
         if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):
@@ -320,7 +321,11 @@ def _joint_row(
 ) -> None:
     """Of segment s and its parent p; u (3,), which corrected lever arms change."""
     u_p = felt_at(state.force[p], K[p], body.from_parent[s], state.arm[s, 3:])
-    variance = chain_rows.row_variance(noise, math.hypot(motion[s], motion[p]), dt)
+    moved = math.hypot(motion[s], motion[p])
+    variance = chain_rows.row_variance(noise, moved, dt)
+    if body.is_bridged[s]:
+        u = felt_at(state.force[s], K[s], body.to_joint[s] - body.beyond[s], state.arm[s, :3])
+        variance += (body.slack[s] * moved) ** 2 * noise.row_memory_s / dt
     if state.is_open[s]:
         uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
         gather_heading(state, s, u, u_p, uncertain, dt)
