@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.frames import FloatArray, ImuFrame, IntArray
+from gateway.frames import FloatArray, ImuFrame, IntArray, SunSight
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
@@ -43,6 +43,11 @@ def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
             rows[:m, :3], rows[:m, 3] = observation.sun.direction, observation.sun.sigma
             rows[m, :3] = observation.sun.world
     return stacked
+
+
+def sight_of(rows: FloatArray) -> SunSight | None:
+    """What one frame's rows, (m + 1, 4) or (0, 4), were stacked from."""
+    return SunSight(rows[-1, :3], rows[:-1, :3], rows[:-1, 3]) if len(rows) else None
 
 
 @compiled
