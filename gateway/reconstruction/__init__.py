@@ -34,6 +34,7 @@ __all__ = [
     "RootSettings",
     "WholeBodyReconstructor",
     "create_reconstructor",
+    "refuse_unreadable",
     "update_many",
 ]
 
@@ -60,7 +61,8 @@ SEES_SUN = frozenset({"articulated", "independent", "joint", "outward"})
 CHAINS = frozenset({"joint", "outward"})
 
 
-def _refuse_unreadable(name: str, suit: WornSuit) -> None:
+def refuse_unreadable(name: str, suit: WornSuit) -> None:
+    """Raises ``SettingsError`` where the suit has a sensor that the reconstructor of that name cannot use."""
     if suit.sun is not None:
         can = CHAINS if suit.sun.beside_magnetometer else SEES_SUN
         word = "both" if suit.sun.beside_magnetometer else "sun"
@@ -85,6 +87,6 @@ def create_reconstructor(
     if name not in RECONSTRUCTORS:
         known = ", ".join(sorted(RECONSTRUCTORS))
         raise ValueError(f"no reconstructor is called {name!r}; there are: {known}")
-    _refuse_unreadable(name, suit)
+    refuse_unreadable(name, suit)
     finder = RECONSTRUCTORS[name](suit, nominal_interval_s)
     return finder if name in FUSED else WholeBodyReconstructor(suit, finder, root)
