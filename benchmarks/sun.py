@@ -25,9 +25,9 @@ from gateway.light import sun_direction
 from gateway.pipeline import Pipeline
 
 MORNING_NS = round(datetime(2026, 6, 21, 7, 0, tzinfo=UTC).timestamp()) * 1_000_000_000
-SECONDS, SETTLED_S, FROM_S, TO_S = 40.0, 5.0, 15.0, 25.0
+SECONDS, SETTLED_S, FROM_S, TO_S = 30.0, 5.0, 12.0, 22.0
 STEP_S = 0.05
-SEEDS = (1, 2, 3)
+SEEDS = (1, 2)
 MODULE = 2
 LINK = "arm"
 
