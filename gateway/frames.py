@@ -39,8 +39,8 @@ class Status(IntEnum):
     MISSING = 5
     """No sample to stand on."""
     UNAIDED = 6
-    """Measured by its gyrometers, but what told inclination is gone: all local devices of its chain are silent,
-    or its own accelerometer is saturated. (Numbers never change, hence the last.)"""
+    """Measured by its gyrometers, but what told inclination is gone: all local devices of its chain are
+    silent, or its own accelerometer is saturated. (Numbers never change, hence the last.)"""
 
 
 @dataclass(frozen=True, slots=True)

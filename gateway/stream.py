@@ -33,6 +33,7 @@ from firmware_protocol import (
     SyncResponse,
 )
 from firmware_protocol.kinds import FROM_HOST
+from gateway.air_velocity import air_velocity
 from gateway.clocks import (
     ClockTable,
     EstimatedClock,
@@ -44,7 +45,6 @@ from gateway.clocks import (
     TriggerAnswers,
     warm_up,
 )
-from gateway.air_velocity import air_velocity
 from gateway.exchanges import TimeExchanges
 from gateway.frames import FusedReading, InertialReading, LightReading, LocalReading, Quantity
 from gateway.statistics import ModuleRecord
@@ -71,7 +71,14 @@ class ClockMode(StrEnum):
 
 SAMPLE_KINDS = frozenset(
     packet.KIND
-    for packet in (InertialSample, InertialSampleFine, FusedSample, LocalMeasurement, LightSample, PressureSample)
+    for packet in (
+        InertialSample,
+        InertialSampleFine,
+        FusedSample,
+        LocalMeasurement,
+        LightSample,
+        PressureSample,
+    )
 )
 """Of packets that readings are made from."""
 

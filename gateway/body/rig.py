@@ -26,7 +26,14 @@ Vector = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 ModuleId = Annotated[int, Field(ge=0, le=63)]
 
-FACES: tuple[Vector, ...] = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+FACES: tuple[Vector, Vector, Vector, Vector, Vector, Vector] = (
+    (1, 0, 0),
+    (-1, 0, 0),
+    (0, 1, 0),
+    (0, -1, 0),
+    (0, 0, 1),
+    (0, 0, -1),
+)
 """Where the cells of a ``LightSample`` look, unless the rig says otherwise."""
 
 
@@ -82,7 +89,7 @@ class WornModule(_Strict):
     )
     cells: tuple[Vector, Vector, Vector, Vector, Vector, Vector] = Field(
         default=FACES,
-        description="where its six photoelectric cells look, sensor axes; faces +x −x +y −y +z −z if left out",
+        description="where its six photoelectric cells look, sensor axes; left out: +x −x +y −y +z −z",
     )
 
     @field_validator("sensor_to_segment")
@@ -159,7 +166,8 @@ class WorldSettings(_Strict):
     def _knows_where_the_sun_is(self) -> WorldSettings:
         if (self.second_field == "magnetometer") != (self.place is None):
             raise ValueError(
-                "second_field: sun (or both) needs 'place: {latitude_deg: …, longitude_deg: …}', and no other does"
+                "second_field: sun (or both) needs 'place: {latitude_deg: …, longitude_deg: …}', "
+                "and no other does"
             )
         return self
 

@@ -25,6 +25,7 @@ from gateway.frames import (
     StatusArray,
 )
 from gateway.reconstruction.inertial.joint import ChainReconstructor
+from gateway.reconstruction.inertial.sun_rows import sight_of, stacked_sights
 from gateway.reconstruction.inertial.two_ways import put_together, seen_backward
 from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.whole_body import Prepared, WholeBodyReconstructor
@@ -51,6 +52,7 @@ class _Block:
     step_s: FloatArray  # (T,)
     reading_of: IntArray  # (k, 4) frame, device, time ns, quantity
     readings: FloatArray  # (k, 2, 3) value and standard deviation
+    sun: FloatArray  # (T, m + 1, 4), or (T, 0, 4): see ``sun_rows.stacked_sights``
     q_wb: FloatArray  # (T, n, 4)
     angular_rate: FloatArray  # (T, n, 3)
     joint_acceleration: FloatArray  # (T, n, 3)
@@ -72,6 +74,7 @@ class _Block:
             ImuFrame(
                 int(self.sequence[t]), int(self.time_ns[t]), self.specific_force[t], self.observed_rate[t],
                 self.magnetic_field[t], self.observed_status[t], nothing, tuple(local[t]),
+                sun=sight_of(self.sun[t]),
             )
             for t in range(len(self.time_ns))
         ]  # fmt: skip
@@ -142,6 +145,7 @@ class Smoother:
                 [(t, r.device, r.time_ns, int(r.quantity)) for t, r in readings], np.int64
             ).reshape(-1, 4),
             readings=np.array([(r.value, r.sigma) for _, r in readings], np.float64).reshape(-1, 2, 3),
+            sun=stacked_sights(clean),
             q_wb=np.stack([frame.q_wb for frame in found]),
             angular_rate=np.stack([frame.angular_rate for frame in found]),
             joint_acceleration=np.stack([frame.joint_acceleration for frame in found]),

@@ -125,9 +125,7 @@ def advance(
         _outputs(
             wearing, state, is_valid, observed.status, noise.largest_rate, q_wb[t], rate[t], status_out[t]
         )
-        mark_unaided(
-            held.body, state, held.fixed, (time_ns[t] - state.time_ns[1]) * 1e-9, status_out[t]
-        )
+        mark_unaided(held.body, state, held.fixed, (time_ns[t] - state.time_ns[1]) * 1e-9, status_out[t])
         sigma[t] = orientation_sigma(state)
         if len(covariance) > 0:
             covariance[t] = state.P[:, :3, :3]
@@ -157,9 +155,7 @@ def _positions(wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) ->
 
 
 @compiled
-def _take(
-    body: ChainBody, state: FilterState, noise: Noise, before_s: float, readings: FloatArray
-) -> None:
+def _take(body: ChainBody, state: FilterState, noise: Noise, before_s: float, readings: FloatArray) -> None:
     """before_s: of the frame that the orientations are of."""
     for reading in readings:
         value, sigma, s = reading[2:5].copy(), 0.0, body.device_segment[int(reading[0])]

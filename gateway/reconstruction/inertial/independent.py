@@ -75,9 +75,10 @@ class IndependentReconstructor:
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant."""
-        if observation.sun is not None:
-            observation = with_sun_as_field(observation, observation.sun)
-            self._q_world = _facing(observation.sun.world)
+        sun = observation.sun
+        if sun is not None:
+            observation = with_sun_as_field(observation, sun)
+            self._q_world = _facing(sun.world)
         status = self._step_filters(observation)
         observed = self._observer.observe(observation)
         dt = (observation.time_ns - self._time_ns) * 1e-9

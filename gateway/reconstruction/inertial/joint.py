@@ -54,7 +54,8 @@ class ChainReconstructor:
 
     Every segment's orientation is defined from its module's first sample on. status: the module's, PREDICTED
     while it is silent (the orientation coasts, then stays) and for segments without module (as the
-    parent), UNAIDED where all local devices of the chain have fallen silent, MISSING before the first sample. sigma: root of the expected square of the error's angle, rad;
+    parent), UNAIDED where all local devices of the chain have fallen silent or the accelerometer is
+    saturated, MISSING before the first sample. sigma: root of the expected square of the error's angle, rad;
     above 1.6 while the heading is not known. angular_rate: bias taken off. joint_acceleration: after the
     low-pass of the rows; NaN where the module is silent or saturated. A module needs its gyrometers.
     A frame that is not later than the one before changes nothing.

@@ -64,7 +64,8 @@ def seen_backward(
 
 
 def _turned_reading(reading: LocalReading, end_ns: int) -> LocalReading:
-    value = -reading.value if reading.quantity is Quantity.VELOCITY else reading.value
+    is_velocity = reading.quantity in {Quantity.VELOCITY, Quantity.AIR_VELOCITY}
+    value = -reading.value if is_velocity else reading.value
     return replace(reading, time_ns=end_ns - reading.time_ns, value=value)
 
 
