@@ -16,7 +16,6 @@ import numpy as np
 from gateway.body.skeleton import Interpolation, WornSuit
 from gateway.frames import FloatArray, IntArray
 
-
 RULED_SLACK = 0.5
 """Of the length of a segment without module: standard deviation of where it bends."""
 UNRULED_SLACK = 1.0

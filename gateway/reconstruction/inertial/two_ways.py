@@ -31,7 +31,17 @@ def turned_back(state: FilterState) -> FilterState:
     headings are kept; averages and clocks begin anew."""
     back = initial_state(len(state.is_started), len(state.device_age_s))
     sign = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
-    kept = ("R", "is_started", "is_open", "silent_s", "arm", "arm_covariance", "compass_s", "field_seen")
+    kept = (
+        "R",
+        "is_started",
+        "is_open",
+        "silent_s",
+        "arm",
+        "arm_covariance",
+        "compass_s",
+        "field_seen",
+        "sun",
+    )
     for name in (*kept, "device_shift", "device_covariance"):
         getattr(back, name)[...] = getattr(state, name)
     back.bias[...], back.rate[...] = -state.bias, -state.rate
@@ -64,7 +74,8 @@ def seen_backward(
 
 
 def _turned_reading(reading: LocalReading, end_ns: int) -> LocalReading:
-    value = -reading.value if reading.quantity is Quantity.VELOCITY else reading.value
+    is_velocity = reading.quantity in {Quantity.VELOCITY, Quantity.AIR_VELOCITY}
+    value = -reading.value if is_velocity else reading.value
     return replace(reading, time_ns=end_ns - reading.time_ns, value=value)
 
 
