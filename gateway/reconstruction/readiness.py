@@ -8,7 +8,6 @@ compiles in a process of its own: numba holds the interpreter while it does, and
 from __future__ import annotations
 
 import contextlib
-import logging
 import sys
 from pathlib import Path
 
@@ -23,8 +22,6 @@ FALLBACK = "independent"
 LONG_COMPILED = frozenset({"joint", "outward"})
 _RIG = "suit_17"
 
-log = logging.getLogger(__name__)
-
 
 def is_ready(name: str) -> bool:
     """Whether a method starts within seconds."""
@@ -35,7 +32,6 @@ def make_ready(name: str) -> None:
     """Compile it, if that is still to be done; takes up to a minute then."""
     if is_ready(name):
         return
-    log.info("compiling the method '%s': once after an installation, about a minute", name)
     create_reconstructor(name, load_rig(_RIG), 0.01)
     with contextlib.suppress(OSError):  # then it will be looked up again, which does no harm
         _mark(name).touch()
