@@ -32,7 +32,7 @@ def test_two_orientations_are_put_together_by_their_covariances():
     full = Rotation.from_quat(q_back[0, 0], scalar_first=True) * Rotation.from_rotvec([0.2, 0, 0]).inv()
     # twice as sure: two thirds of the way, about the one axis that is uncertain
     np.testing.assert_allclose(difference.as_rotvec(), full.as_rotvec() * 2.0 / 3.0, atol=1e-12)
-    assert sigma[0, 0] == pytest.approx(np.sqrt(np.trace(wide) / 3.0))
+    assert sigma[0, 0] == pytest.approx(np.sqrt(np.trace(wide) / 2.0))
 
 
 @pytest.mark.parametrize("known", ["forward", "backward"])
