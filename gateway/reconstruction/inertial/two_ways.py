@@ -86,8 +86,8 @@ def put_together(
     (T, n) says how sure both are together. P, P_back: (T, n, 3, 3) rad², world axes.
 
     With the rotation ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ``. Where only one
-    of them knows anything, that one counts. The backward filter starts from the forward one's end, so they are
-    not independent: sigma claims no more than the surer of the two.
+    of them knows anything, that one counts. The backward filter starts from the forward one's end, so the two
+    are not independent: sigma claims no more than the surer one.
     """
     both, known = np.empty((3, 3)), np.empty((3, 3))
     for t in range(q_wb.shape[0]):
