@@ -251,7 +251,7 @@ class GatewaySettings(_Strict):
     links: list[LinkSettings] = Field(min_length=1, description="where bytes come from")
     rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")
     reconstructor: str = Field(
-        default="independent", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
+        default="joint", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
     )
     root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()

@@ -46,8 +46,10 @@ def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
 
 
 def sight_of(rows: FloatArray) -> SunSight | None:
-    """What one frame's rows, (m + 1, 4) or (0, 4), were stacked from."""
-    return SunSight(rows[-1, :3], rows[:-1, :3], rows[:-1, 3]) if len(rows) else None
+    """What one frame's rows, (m + 1, 4) or (0, 4), were stacked from; None: it had none."""
+    if len(rows) == 0 or np.isnan(rows[-1, 0]):
+        return None
+    return SunSight(rows[-1, :3], rows[:-1, :3], rows[:-1, 3])
 
 
 @compiled
