@@ -10,16 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.body.kinematics import joint_positions
+from gateway.body.kinematics import joint_positions_into
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import FloatArray, IntArray, Status, StatusArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
+from gateway.reconstruction.inertial.chain_scratch import Scratch
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.chain_step import orientation_sigma, step
+from gateway.reconstruction.inertial.chain_step import note_sigma, step
 from gateway.reconstruction.inertial.local_rows import take_reading
-from gateway.reconstruction.inertial.observations import by_segment, sensor_to_segment_matrices
+from gateway.reconstruction.inertial.observations import by_segment_into, sensor_to_segment_matrices
 
 SHORTEST_STEP_S = 1e-5
 MISSING, PREDICTED = Status.MISSING.value, Status.PREDICTED.value
@@ -46,6 +47,7 @@ class Constants(NamedTuple):
     fixed: IntArray  # (d,) see ``chain_state.fixed_points``
     is_joint: bool
     state: FilterState
+    scratch: Scratch
 
 
 class Inputs(NamedTuple):
@@ -94,28 +96,30 @@ def advance(
 ) -> Outputs:
     """All instants in turn. held: see ``held_arguments``; then the fields of ``Inputs``, and (T, n) for how
     long each segment has stood still, s."""
-    wearing, state, noise = held.wearing, held.state, held.noise
-    n_frames, n = len(time_ns), len(wearing.parents)
+    wearing, state, scratch = held.wearing, held.state, held.scratch
+    n_frames, n, taken = len(time_ns), len(wearing.parents), 0
     q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
     acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
-    sigma, status_out = np.empty((n_frames, n)), np.empty((n_frames, n), np.uint8)
-    taken, none_valid = 0, np.zeros(n)
+    sigma, status_out = np.full((n_frames, n), np.nan), np.empty((n_frames, n), np.uint8)
     for t in range(n_frames):
-        observed = by_segment(
-            wearing.module_of_segment, wearing.R_bs, specific_force[t], angular_rate[t], magnetic_field[t],
-            status[t],
+        by_segment_into(
+            scratch.observed, wearing.module_of_segment, wearing.R_bs, specific_force[t], angular_rate[t],
+            magnetic_field[t], status[t],
         )  # fmt: skip
-        is_valid, dt = none_valid, _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
+        dt = _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
         if dt > SHORTEST_STEP_S:
-            _take(state, noise, readings[taken : readings_end[t]])
-            acceleration[t], is_valid = step(
-                held.body, state, noise, held.fixed, held.is_joint, dt,
-                (time_ns[t] - state.time_ns[1]) * 1e-9, observed, resting[t],
+            _take(state, held.noise, readings[taken : readings_end[t]])
+            step(
+                held.body, state, held.noise, scratch, held.fixed, held.is_joint, dt,
+                (time_ns[t] - state.time_ns[1]) * 1e-9, resting[t], acceleration[t],
             )  # fmt: skip
+        else:
+            for s in range(n):
+                scratch.is_valid[s] = 0.0
         taken = readings_end[t]
-        _outputs(wearing, state, is_valid, observed.status, q_wb[t], rate[t], status_out[t])
-        sigma[t] = orientation_sigma(state)
-        p_w[t] = _positions(wearing, q_wb[t], root_position[t])
+        _outputs(wearing, state, scratch, q_wb[t], rate[t], status_out[t])
+        note_sigma(sigma[t], state)
+        _place(p_w[t], wearing, q_wb[t], root_position[t])
     return q_wb, rate, acceleration, p_w, sigma, status_out
 
 
@@ -131,20 +135,21 @@ def _tick(clock: IntArray, time_ns: int, nominal_interval_ns: int) -> float:
 
 
 @compiled
-def _positions(wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> FloatArray:
-    """(n, 3) of the proximal joints: from the device on the skeleton's root, else from the origin."""
+def _place(p_w: FloatArray, wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> None:
+    """p_w (n, 3) ← proximal joints: from the device on the skeleton's root, else from the origin."""
     root, origin = wearing.root_device[0], np.zeros(3)
     if root >= 0:
-        arm = quaternion.rotate(q_wb[root], wearing.root_arm)
+        quaternion.rotate_into(origin, q_wb[root], wearing.root_arm)
         for i in range(3):
-            origin[i] = root_position[i] - arm[i]
-    return joint_positions(wearing.parents, wearing.offsets, q_wb, origin)
+            origin[i] = root_position[i] - origin[i]
+    joint_positions_into(p_w, wearing.parents, wearing.offsets, q_wb, origin)
 
 
 @compiled
 def _take(state: FilterState, noise: Noise, readings: FloatArray) -> None:
-    for reading in readings:
-        value, sigma = reading[2:5].copy(), 0.0
+    for k in range(len(readings)):
+        reading, sigma = readings[k], 0.0
+        value = reading[2:5]
         if is_finite(value):
             for i in range(5, 8):
                 if not math.isnan(reading[i]):
@@ -156,8 +161,7 @@ def _take(state: FilterState, noise: Noise, readings: FloatArray) -> None:
 def _outputs(
     wearing: Wearing,
     state: FilterState,
-    is_valid: FloatArray,
-    measured_status: StatusArray,
+    scratch: Scratch,
     q_wb: FloatArray,
     rate: FloatArray,
     status: StatusArray,
@@ -165,16 +169,20 @@ def _outputs(
     """Segments without module go with their parent; the others as the filter has them."""
     for s in range(len(wearing.parents)):
         p = wearing.parents[s]
-        status[s] = measured_status[s]
+        status[s] = scratch.observed.status[s]
         if wearing.module_of_segment[s] < 0:
             status[s] = MISSING
             if p >= 0 and status[p] != MISSING:
-                q_wb[s], rate[s], status[s] = q_wb[p], rate[p], PREDICTED
+                status[s] = PREDICTED
+                for i in range(4):
+                    q_wb[s, i] = q_wb[p, i]
+                for i in range(3):
+                    rate[s, i] = rate[p, i]
         elif state.is_started[s] == 0:
             status[s] = MISSING
         else:
-            q_wb[s] = quaternion.from_matrix(state.R[s])
+            quaternion.from_matrix_into(q_wb[s], state.R[s])
             for i in range(3):
                 rate[s, i] = state.rate[s, i] - state.bias[s, i]
-            if is_valid[s] == 0.0:
+            if scratch.is_valid[s] == 0.0:
                 status[s] = PREDICTED
