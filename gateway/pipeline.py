@@ -156,7 +156,7 @@ class Pipeline:
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
         skeleton_frames = [
-            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self._imu_frames(chunk)
+            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self.imu_frames(chunk)
         ]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
@@ -167,7 +167,7 @@ class Pipeline:
         block: list[ImuFrame] = []
         for item in items:
             if isinstance(item, Chunk):
-                block += self._imu_frames(item)
+                block += self.imu_frames(item)
             elif isinstance(item, SentChunk):
                 self.sent(item)
             if isinstance(item, InputEvent) or len(block) >= FRAMES_AT_A_TIME:
@@ -183,7 +183,8 @@ class Pipeline:
         if block:
             yield from map(self.resets.apply, update_many(self.reconstructor, block))
 
-    def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+    def imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+        """The frames of all modules that a chunk completes, not yet reconstructed."""
         imu_frames: list[ImuFrame] = []
         for reading in self._readings(chunk):
             imu_frames += self._assemble(reading, chunk.arrived_ns)

@@ -54,26 +54,38 @@ def times_vector_into(y: FloatArray, A: FloatArray, x: FloatArray) -> None:
 
 @compiled
 def inverse_into(M: FloatArray, A: FloatArray) -> None:
-    """M ← A⁻¹ of a symmetric positive definite block, symmetric to the last bit; shapes (6, 6).
+    """M ← A⁻¹ of a symmetric positive definite block, symmetric to the last bit; shapes (6, 6)."""
+    _inverse_into(M, A, 6)
 
-    By Cholesky. Below the diagonal M holds L (its diagonal inverted), then L⁻¹, then L⁻ᵀ L⁻¹.
+
+@compiled
+def inverse_3_into(M: FloatArray, A: FloatArray) -> None:
+    """The same for (3, 3)."""
+    _inverse_into(M, A, 3)
+
+
+@compiled
+def _inverse_into(M: FloatArray, A: FloatArray, n: int) -> None:
+    """By Cholesky. Below the diagonal M holds L (its diagonal inverted), then L⁻¹, then L⁻ᵀ L⁻¹.
+
+    n is a constant of each caller, so that the loops unroll: twice as fast.
     """
-    for i in range(6):
+    for i in range(n):
         for j in range(i + 1):
             total = A[i, j]
             for k in range(j):
                 total -= M[i, k] * M[j, k]
             M[i, j] = 1.0 / math.sqrt(max(total, LEAST_PIVOT)) if i == j else total * M[j, j]
-    for i in range(6):
+    for i in range(n):
         for j in range(i):
             total = 0.0
             for k in range(j, i):
                 total -= M[i, k] * M[k, j]
             M[i, j] = total * M[i, i]
-    for i in range(6):
+    for i in range(n):
         for j in range(i + 1):
             total = 0.0
-            for k in range(i, 6):
+            for k in range(i, n):
                 total += M[k, i] * M[k, j]
             M[i, j] = total
             M[j, i] = total

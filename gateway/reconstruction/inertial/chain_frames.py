@@ -13,7 +13,7 @@ import numpy as np
 from gateway.body.kinematics import joint_positions_into
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import FloatArray, IntArray, Status, StatusArray
-from gateway.geometry import quaternion
+from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.inertial.chain_scratch import Scratch
@@ -93,9 +93,11 @@ def advance(
     readings_end: IntArray,
     readings: FloatArray,
     resting: FloatArray,
+    covariance: FloatArray,
 ) -> Outputs:
     """All instants in turn. held: see ``held_arguments``; then the fields of ``Inputs``, and (T, n) for how
-    long each segment has stood still, s."""
+    long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that of the orientation
+    errors, world axes, rad²; empty: not wanted."""
     wearing, state, scratch = held.wearing, held.state, held.scratch
     n_frames, n, taken = len(time_ns), len(wearing.parents), 0
     q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
@@ -119,6 +121,9 @@ def advance(
         taken = readings_end[t]
         _outputs(wearing, state, scratch, q_wb[t], rate[t], status_out[t])
         note_sigma(sigma[t], state)
+        if len(covariance) > 0:
+            for s in range(n):
+                rotation_matrix.copy_into(covariance[t, s], state.P[s])
         _place(p_w[t], wearing, q_wb[t], root_position[t])
     return q_wb, rate, acceleration, p_w, sigma, status_out
 

@@ -21,10 +21,12 @@ class Scratch(NamedTuple):
     motion: FloatArray  # (n,) ‖[ω̇, ω]‖, 1/s²
     turns: FloatArray  # (n, 3) world rotations that headings are given, rad
     rotations: FloatArray  # (n, 3, 3) those of a correction
+    rolling: FloatArray  # (n,) rad/s²; see ``rest_rows``
     anchored: FloatArray  # (n,) 1: a device or the ground holds the chain up here
     chain: IntArray  # (n,) first segment of the chain that the segment belongs to
     sharing: FloatArray  # (n,) by first segment: how many of its chain have a sample
     U: FloatArray  # (n, 3) specific force at the proximal joint as the segment sees it, world
+    U_beyond: FloatArray  # (n, 3) and, of a bridged one, at the joint beyond; see ``chain_bridges``
     U_parent: FloatArray  # (n, 3) there as its parent sees it
     evidence: Evidence
     tree: Workspace
@@ -34,6 +36,6 @@ def scratch(n: int) -> Scratch:
     """For a body of n segments."""
     return Scratch(
         no_observations(n), np.zeros(n), np.zeros((n, 3, 3)), np.zeros((n, 3, 3)), np.zeros(n),
-        np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros(n), np.zeros(n, np.int64), np.zeros(n),
-        np.zeros((n, 3)), np.zeros((n, 3)), no_evidence(n), workspace(n),
+        np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n),
+        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), no_evidence(n), workspace(n),
     )  # fmt: skip

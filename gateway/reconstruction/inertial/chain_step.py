@@ -28,7 +28,7 @@ from gateway.reconstruction.inertial.heading_start import (
 )
 from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
 from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
-from gateway.reconstruction.inertial.rest_rows import rest_rows
+from gateway.reconstruction.inertial.rest_rows import note_rolling, rest_rows
 from gateway.reconstruction.inertial.tree_filter import (
     Evidence,
     add_edge,
@@ -65,6 +65,7 @@ def step(
     evidence, turns = scratch.evidence, scratch.turns
     force, rate, field = observed.specific_force, observed.angular_rate, observed.magnetic_field
     note_valid_rows(is_valid, noise, force, rate, observed.status)
+    note_rolling(scratch.rolling, state, rate, resting, dt)
     predict(body, state, noise, rate, is_valid, dt, scratch.before)
     _start_segments(body, state, noise, scratch)
     average(body, state, noise, force, rate, is_valid, dt, K, motion)
@@ -72,7 +73,7 @@ def step(
     if body.uses_field:
         _follow_field(evidence, body, state, noise, is_valid, field, dt, turns)
     _device_rows(body, state, noise, scratch, fixed, dt, time_s)
-    rest_rows(evidence, body, state, noise, is_valid, force, resting, dt, scratch.anchored)
+    rest_rows(evidence, body, state, noise, is_valid, force, resting, scratch.rolling, dt, scratch.anchored)
     _joint_rows(body, state, noise, scratch, dt)
     for s in range(len(is_valid)):
         if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):
@@ -272,7 +273,15 @@ def _joint_row(
     K, motion, evidence, turns = scratch.K, scratch.motion, scratch.evidence, scratch.turns
     u, u_p = scratch.U[s], scratch.U_parent[s]
     felt_into(u_p, state.force[p], K[p], body.from_parent[s], state.arm[s], 3)
-    variance = chain_rows.row_variance(noise, math.hypot(motion[s], motion[p]), dt)
+    moved = math.hypot(motion[s], motion[p])
+    variance = chain_rows.row_variance(noise, moved, dt)
+    if body.is_bridged[s]:
+        u = scratch.U_beyond[s]
+        for i in range(3):
+            u[i] = scratch.U[s, i]
+            for j in range(3):
+                u[i] -= K[s, i, j] * body.beyond[s, j]
+        variance += (body.slack[s] * moved) ** 2 * noise.row_memory_s / dt
     if state.is_open[s]:
         uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
         gather_heading(state, s, u, u_p, uncertain, dt)

@@ -34,6 +34,7 @@ from gateway.reconstruction.inertial.chain_state import (
 )
 from gateway.reconstruction.inertial.held_arguments import hold
 from gateway.reconstruction.inertial.local_device import RootMotion
+from gateway.reconstruction.inertial.two_ways import turned_back
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +65,7 @@ class ChainReconstructor:
         self, suit: WornSuit, nominal_interval_s: float, settings: ChainSettings | None = None
     ) -> None:
         self._settings = settings = settings or ChainSettings()
+        self._suit, self._nominal_interval_s = suit, nominal_interval_s
         self._n = suit.skeleton.n_segments
         self._body = chain_body(suit, settings.uses_field)
         self._fixed = fixed_points(self._body)
@@ -79,6 +81,7 @@ class ChainReconstructor:
         )
         self._wearing = wearing_of(suit, device if self._measures_root else None, nominal_interval_s)
         self._no_readings = np.zeros((0, 8))
+        self._no_covariance = np.zeros((0, self._n, 3, 3))
         self._compile(len(suit.module_ids))
         self.reset()
 
@@ -101,6 +104,12 @@ class ChainReconstructor:
             array[...] = state[name]
         self._use(FilterState(**fresh))
 
+    def turned_back(self) -> ChainReconstructor:
+        """The same estimator, to go backward from where this one is; see ``two_ways``."""
+        back = type(self)(self._suit, self._nominal_interval_s, self._settings)
+        back._use(turned_back(self._state))
+        return back
+
     def _use(self, state: FilterState) -> None:
         self._state = state
         noise = self._settings.noise
@@ -117,16 +126,21 @@ class ChainReconstructor:
         return self.update_many((observation,), None if resting is None else resting[None])[0]
 
     def update_many(
-        self, observations: Sequence[ImuFrame], resting: FloatArray | None = None
+        self,
+        observations: Sequence[ImuFrame],
+        resting: FloatArray | None = None,
+        covariance: FloatArray | None = None,
     ) -> list[SkeletonFrame]:
         """Instants in time order, in one call: the same as ``update`` of each, bit for bit, and faster.
 
-        resting: (T, n_segments) as there.
+        resting: (T, n_segments) as there. covariance: (T, n_segments, 3, 3) is filled with that of the
+        orientation errors, world axes, rad².
         """
         if not observations:
             return []
         rest = np.zeros((len(observations), self._n)) if resting is None else resting
-        arrays = advance(self._held, *self._inputs(observations), rest)
+        wanted = self._no_covariance if covariance is None else covariance
+        arrays = advance(self._held, *self._inputs(observations), rest, wanted)
         return [
             SkeletonFrame(o.sequence, o.time_ns, q_wb, rate, acceleration, p_w, sigma, status, self._root)
             for o, q_wb, rate, acceleration, p_w, sigma, status in zip(observations, *arrays, strict=True)

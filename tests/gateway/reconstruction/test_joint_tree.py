@@ -101,16 +101,17 @@ def test_a_vector_row_is_its_three_scalar_rows(seed):
         np.testing.assert_allclose(getattr(whole, name), array, atol=1e-14, err_msg=name)
 
 
-def test_inverse_of_ill_conditioned_blocks():
+@pytest.mark.parametrize("size", [3, 6])
+def test_inverse_of_ill_conditioned_blocks(size):
     """A heading unknown to 1.6 rad beside tilts known to a milliradian and biases to 1e-4 rad/s."""
     rng = np.random.default_rng(5)
-    scale = np.diag([1e-3, 1e-3, 1.6, 1e-4, 1e-4, 1e-3])
-    A = scale @ (np.eye(6) + 0.3 * (B := rng.standard_normal((6, 6))) @ B.T) @ scale
+    scale = np.diag([1e-3, 1e-3, 1.6, 1e-4, 1e-4, 1e-3][:size])
+    A = scale @ (np.eye(size) + 0.3 * (B := rng.standard_normal((size, size))) @ B.T) @ scale
     M = np.empty_like(A)
-    blocks_module.inverse_into(M, A)
+    (blocks_module.inverse_into if size == 6 else blocks_module.inverse_3_into)(M, A)
     np.testing.assert_array_equal(M, M.T)
     unscaled = np.linalg.inv(scale)
-    np.testing.assert_allclose(scale @ M @ scale @ unscaled @ A @ unscaled, np.eye(6), atol=1e-12)
+    np.testing.assert_allclose(scale @ M @ scale @ unscaled @ A @ unscaled, np.eye(size), atol=1e-12)
 
 
 def test_evidence_of_three_states_is_taken_as_by_inverting_the_whole_block():
