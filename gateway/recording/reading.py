@@ -262,7 +262,7 @@ def decode_message(message: RecordedMessage) -> RecordedItem | None:
     try:
         decode = _DECODERS.get(topic)
         return None if decode is None else decode(message)
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 
 

@@ -15,6 +15,7 @@ class Scratch(NamedTuple):
     """Nothing in it outlives the instant."""
 
     observed: SegmentObservations
+    sun: FloatArray  # (n + 1, 4) see ``follow_sun``
     is_valid: FloatArray  # (n,) 0: no sample; 1: turns by its gyrometer; 2: its specific force counts too
     before: FloatArray  # (n, 3, 3) orientations of the frame before
     K: FloatArray  # (n, 3, 3) swing, 1/s², world
@@ -34,8 +35,11 @@ class Scratch(NamedTuple):
 
 def scratch(n: int) -> Scratch:
     """For a body of n segments."""
+
+    def z(*shape: int) -> FloatArray:
+        return np.zeros((n, *shape))
+
     return Scratch(
-        no_observations(n), np.zeros(n), np.zeros((n, 3, 3)), np.zeros((n, 3, 3)), np.zeros(n),
-        np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n),
-        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), no_evidence(n), workspace(n),
+        no_observations(n), np.full((n + 1, 4), np.nan), z(), z(3, 3), z(3, 3), z(), z(3), z(3, 3), z(), z(),
+        np.zeros(n, np.int64), z(), z(3), z(3), z(3), no_evidence(n), workspace(n),
     )  # fmt: skip

@@ -121,6 +121,7 @@ class FilterState(NamedTuple):
     readings: FloatArray  # (d, N_READINGS, 5) seconds of frame time, value, standard deviation
     n_readings: IntArray  # (d, 2) how many; 1 while the last one waits for its frames
     history: FloatArray  # (d, N_HISTORY, 7) time, R f, R r or R (ω × r) towards the device
+    sun: FloatArray  # (n, 3) cosine and sine sums of the headings that the sun showed, their length; seconds
 
 
 def initial_state(n: int, d: int) -> FilterState:
@@ -136,6 +137,7 @@ def initial_state(n: int, d: int) -> FilterState:
         z(d, N_READINGS, 5),
         np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, 7), -np.inf),
+        z(n, 3),
     )  # fmt: skip
 
 
@@ -149,7 +151,7 @@ def chain_body(suit: WornSuit, uses_field: bool) -> ChainBody:
     lever_arms = np.asarray(suit.lever_arms, np.float64)
     opens = joined.astype(np.int64)
     for device in devices:
-        if device.quantity is not Quantity.FIXED_POINT:
+        if device.quantity not in {Quantity.FIXED_POINT, Quantity.AIR_VELOCITY}:  # these turn with the body
             opens[device.segment] = 1
     carries = np.zeros(skeleton.n_segments, np.int64)
     carries[[segment for segment, _ in skeleton.contacts]] = 1

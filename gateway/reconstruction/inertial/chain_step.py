@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray, IntArray
+from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial import chain_rows
 from gateway.reconstruction.inertial.chain_averages import (
@@ -29,6 +29,7 @@ from gateway.reconstruction.inertial.heading_start import (
 from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
 from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
 from gateway.reconstruction.inertial.rest_rows import note_rolling, rest_rows
+from gateway.reconstruction.inertial.sun_rows import follow_sun
 from gateway.reconstruction.inertial.tree_filter import (
     Evidence,
     add_edge,
@@ -38,6 +39,10 @@ from gateway.reconstruction.inertial.tree_filter import (
     update_tree,
 )
 
+AIR_VELOCITY = Quantity.AIR_VELOCITY.value
+INTERPOLATED, UNAIDED = Status.INTERPOLATED.value, Status.UNAIDED.value
+STARTING_S = 2.0
+"""So long a device may take to say its first."""
 AIDED_S = 0.5
 """A local device that has been silent for longer no longer holds up its chain."""
 
@@ -50,6 +55,7 @@ def step(
     scratch: Scratch,
     fixed: IntArray,
     is_joint: bool,
+    sees_sun: bool,
     dt: float,
     time_s: float,
     resting: FloatArray,
@@ -72,6 +78,8 @@ def step(
     _forget(scratch)
     if body.uses_field:
         _follow_field(evidence, body, state, noise, is_valid, field, dt, turns)
+    if sees_sun:
+        follow_sun(evidence, body, state, noise, is_valid, scratch.sun, dt, turns)
     _device_rows(body, state, noise, scratch, fixed, dt, time_s)
     rest_rows(evidence, body, state, noise, is_valid, force, resting, scratch.rolling, dt, scratch.anchored)
     _joint_rows(body, state, noise, scratch, dt)
@@ -173,6 +181,9 @@ def _device_rows(
             # overlapping windows share their readings, and frames with their errors
             variance += noise.specific_force**2 + (noise.lever_arm * motion[s]) ** 2
             variance *= max(1.0, span / interval)
+            if body.device_kind[d] == AIR_VELOCITY:
+                # both sides turn with the segment: all that the row shows is where down is
+                u, y = u - y - body.gravity, -body.gravity
             if body.parents[s] < 0 and state.is_open[s]:
                 gather_heading(state, s, u, y, variance + tilt_spread(state, s, interval), interval)
                 _open_root(evidence, body, state, noise, s, turns)
@@ -181,6 +192,25 @@ def _device_rows(
             )
         if state.device_age_s[d] < AIDED_S:
             anchored[s] = 1.0
+
+
+@compiled
+def mark_unaided(
+    body: ChainBody, state: FilterState, scratch: Scratch, fixed: IntArray, time_s: float, status: StatusArray
+) -> None:
+    """Tells in ``status`` (n,), in place, which chains have lost all their local devices."""
+    n, chain, held_up = len(body.parents), scratch.chain, scratch.sharing
+    for s in range(n):
+        chain[s], held_up[s] = s, 0.0  # 1: by nothing any more, 2: by a device
+        if body.parents[s] >= 0:
+            chain[s] = chain[body.parents[s]]
+    for d in range(len(fixed)):
+        c, age_s = chain[body.device_segment[d]], state.device_age_s[d]
+        is_heard = age_s < AIDED_S or (age_s == np.inf and time_s < STARTING_S)
+        held_up[c] = max(held_up[c], 2.0 if is_heard or fixed[d] else 1.0)
+    for s in range(n):
+        if held_up[chain[s]] == 1.0 and status[s] <= INTERPOLATED:
+            status[s] = UNAIDED
 
 
 @compiled
