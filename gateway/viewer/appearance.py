@@ -53,6 +53,8 @@ def _colour(status: str, sigma_rad: float | None) -> Colour:
 def status_summary(statuses: Mapping[str, str]) -> str:
     """How many segments have which status, missing ones by their names: ``16 measured, 1 missing (head)``."""
     counts = Counter(statuses.values())
+    if counts["measured"] == len(statuses):
+        return f"all {len(statuses)} segments measured"
     missing = [segment for segment, status in statuses.items() if status == "missing"]
     named = (
         f" ({', '.join(missing[:MOST_NAMED])}{', …' if len(missing) > MOST_NAMED else ''})" if missing else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import Any
 
 import viser
@@ -19,13 +20,15 @@ from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, R
 from gateway.outputs.topics import ANY_GATEWAY
 from gateway.viewer.appearance import status_summary
 from gateway.viewer.module_table import module_rows, module_table
+from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper, skeleton_of
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.stage import Stage
 
-PICTURES_HZ = 30.0
 RETRY_S = 0.5
+RECORDED_AFTER_S = 10.0
+"""Older poses are told by their instant: they come from a recording."""
 TEXTS_EVERY = 10
 """Texts and plots are brought up to date with every so manyeth picture."""
 
@@ -82,14 +85,13 @@ class LiveViewer:
 
     async def _draw_for_ever(self, poses: PoseSubscriber) -> None:
         picture = 0
-        while True:
+        async for _ in pictures():
             if picture % TEXTS_EVERY == 0:
                 self._take_choices()
                 self._show_texts(poses)
             self._take_body(poses.bodies.get(self._gateway))
             self._draw()
             picture += 1
-            await asyncio.sleep(1.0 / PICTURES_HZ)
 
     def _take_body(self, body: BodyMessage | None) -> None:
         """The body as the gateway has it now; another one is built anew."""
@@ -140,9 +142,11 @@ class LiveViewer:
 
     def _pose_texts(self) -> tuple[str, ...]:
         """Lines about poses that come."""
+        latest = self._latest
         rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
-        pace = f"{rate:.0f} poses/s, latency {latency * 1e3:.1f} ms"
-        return (pace,) if self._latest is None else (pace, status_summary(self._latest.pose.status))
+        when = f"latency {latency * 1e3:.1f} ms" if latency < RECORDED_AFTER_S else _instant(latest)
+        pace = f"{rate:.0f} poses/s, {when}"
+        return (pace,) if latest is None else (pace, status_summary(latest.pose.status))
 
     def _is_stale(self) -> bool:
         age = self._view.age_s(gateway_time_ns())
@@ -165,3 +169,11 @@ class LiveViewer:
             return
         told = ", ".join(f"{name} {value}" for name, value in answer.items())
         self._panel.show_answer(f"{wish}: done{'; ' + told if told else ''}")
+
+
+def _instant(received: ReceivedPose | None) -> str:
+    """When a pose was taken, for one that comes from a recording."""
+    if received is None:
+        return ""
+    taken = datetime.fromtimestamp(received.pose.t_ns * 1e-9, UTC)
+    return f"taken {taken:%Y-%m-%d %H:%M:%S} UTC"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import bisect
-import time
 
 import viser
 
@@ -15,12 +13,12 @@ from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import status_summary
+from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.stage import Stage
 
-PICTURES_HZ = 30.0
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 TIME_LINE_STEP_S = 0.01
 
@@ -47,12 +45,8 @@ class Playback:
 
     async def run(self) -> None:
         """For ever; begins anew at the end."""
-        before = time.monotonic()
-        while True:
-            await asyncio.sleep(1.0 / PICTURES_HZ)
-            now = time.monotonic()
-            self.advance(now - before)
-            before = now
+        async for elapsed_s in pictures():
+            self.advance(elapsed_s)
 
     def advance(self, elapsed_s: float) -> None:
         """Go on by so much real time, and draw."""

@@ -21,6 +21,10 @@ FOLLOWED_SHARE = 0.12
 FIRST_CAMERA: tuple[float, float, float] = (2.1, -2.3, 1.5)
 FIRST_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, 0.85)
 FIELD_OF_VIEW_DEG = 45.0
+NARROW = 0.8
+"""Width by height of a page below which it is held upright, with the panel over its lower half."""
+NARROW_CAMERA: tuple[float, float, float] = (3.0, -3.2, 1.0)
+NARROW_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, 0.05)
 FLOOR_M, SECTION_M = 24.0, 1.0
 
 
@@ -33,6 +37,7 @@ class Stage:
         camera = server.initial_camera
         camera.position, camera.look_at = FIRST_CAMERA, FIRST_LOOK_AT
         camera.fov = math.radians(FIELD_OF_VIEW_DEG)
+        server.on_client_connect(_look_narrow)
         self._world = server.scene.add_frame(WORLD, axes_length=0.25, axes_radius=0.006)
         self._floor = _floor(server.scene)
         self._middle: FloatArray = np.zeros(3)
@@ -48,6 +53,12 @@ class Stage:
         self._has_followed = True
         self._world.position = -self._middle
         self._floor.position = -(self._middle % SECTION_M)
+
+
+def _look_narrow(client: viser.ClientHandle) -> None:
+    """On a phone the body stands in the upper half, above the panel."""
+    if client.camera.aspect < NARROW:
+        client.camera.position, client.camera.look_at = NARROW_CAMERA, NARROW_LOOK_AT
 
 
 def _light(scene: viser.SceneApi) -> None:
