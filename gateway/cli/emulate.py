@@ -38,7 +38,7 @@ from gateway.cli import emulate_options as options
 from gateway.cli.emulate_options import Medium, MotionKind, SamplingMode, StrapOn
 from gateway.cli.emulated_faults import faulty, plan_of, told
 from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
-from gateway.cli.emulated_rig import calibrate, dress, move, tumble
+from gateway.cli.emulated_rig import calibrate, dress, move, sunlight, tumble
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
@@ -143,6 +143,7 @@ def _traffic(
         settings,
         gravity=suit.gravity,
         magnetic_field=suit.magnetic_field,
+        sunlight=sunlight(suit, gateway_time_ns()),
         fresh=frozenset(ids[:fresh]),
         stored_ids={ids[-1]: ids[-2]} if id_conflict and len(ids) > 1 else {},
     )

@@ -18,6 +18,7 @@ COLOURS: dict[str, Colour] = {
     "predicted": (165, 80, 195),
     "warming_up": (80, 100, 215),
     "missing": (210, 35, 30),
+    "unaided": (150, 160, 70),
 }
 """By status. A measured segment turns towards ``UNSURE`` as its sigma grows."""
 UNSURE: Colour = (235, 120, 15)
