@@ -18,7 +18,7 @@ from gateway.outputs.messages import BodyMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
 from gateway.outputs.topics import ANY_GATEWAY
-from gateway.viewer.appearance import status_summary
+from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.module_table import module_rows, module_table
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
@@ -48,6 +48,7 @@ class LiveViewer:
         self._body: BodyMessage | None = None
         self._scene: BodyScene | None = None
         self._keeper: PostureKeeper | None = None
+        self._worn: frozenset[str] = frozenset()
         self._requests: set[concurrent.futures.Future[None]] = set()
         self._stage = Stage(server)
         self._panel = Panel(
@@ -112,7 +113,7 @@ class LiveViewer:
             return
         self._drawn, self._was_stale = latest, is_stale
         posture = self._keeper.take(latest.pose)
-        self._scene.draw(posture, is_stale)
+        self._scene.draw(posture, is_stale, silent_segments(latest.pose.status, self._worn))
         if self._panel.follow.value:
             self._stage.follow(posture.place)
 
@@ -136,7 +137,9 @@ class LiveViewer:
             )
         else:
             self._panel.show_status(name, *self._pose_texts(), is_alarm=False)
-        rows = module_rows(poses.healths.get(self._gateway), poses.infos.get(self._gateway))
+        info = poses.infos.get(self._gateway)
+        self._worn = frozenset() if info is None else frozenset(module.segment for module in info.modules)
+        rows = module_rows(poses.healths.get(self._gateway), info)
         self._panel.show_modules(module_table(rows))
         self._panel.draw_plot()
 
@@ -146,7 +149,11 @@ class LiveViewer:
         rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
         when = f"latency {latency * 1e3:.1f} ms" if latency < RECORDED_AFTER_S else _instant(latest)
         pace = f"{rate:.0f} poses/s, {when}"
-        return (pace,) if latest is None else (pace, status_summary(latest.pose.status))
+        return (
+            (pace,)
+            if latest is None
+            else (pace, status_summary(latest.pose.status, silent_segments(latest.pose.status, self._worn)))
+        )
 
     def _is_stale(self) -> bool:
         age = self._view.age_s(gateway_time_ns())

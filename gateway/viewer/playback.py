@@ -7,12 +7,12 @@ import bisect
 import viser
 
 from gateway.body.joint_angles import JointAngles
-from gateway.frames import SkeletonFrame
+from gateway.frames import SkeletonFrame, Status
 from gateway.outputs.messages import PoseMessage
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
-from gateway.viewer.appearance import status_summary
+from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
@@ -32,6 +32,8 @@ class Playback:
         self._position_s = 0.0
         self._is_playing = True
         self._name = name
+        measured = (arrays.status == Status.MEASURED).any(axis=0)
+        self._worn = {segment for segment, was in zip(arrays.segment_names, measured, strict=True) if was}
         skeleton = arrays.skeleton
         self._encoder = PoseEncoder(skeleton.segment_names, None, frozenset(PoseMap), JointAngles(skeleton))
         self._stage = Stage(server)
@@ -74,13 +76,14 @@ class Playback:
         self._drawn = index
         pose = PoseMessage.model_validate_json(self._encoder.encode(self._frame(index)))
         posture = self._keeper.take(pose)
-        self._scene.draw(posture, is_stale=False)
+        silent = silent_segments(pose.status, self._worn)
+        self._scene.draw(posture, is_stale=False, silent=silent)
         if self._panel.follow.value:
             self._stage.follow(posture.place)
         self._panel.add_pose(pose)
         self._panel.draw_plot()
         where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"
-        self._panel.show_status(self._name, where, status_summary(pose.status), is_alarm=False)
+        self._panel.show_status(self._name, where, status_summary(pose.status, silent), is_alarm=False)
 
     def _take_choices(self) -> None:
         self._scene.show_axes(self._panel.axes.value)

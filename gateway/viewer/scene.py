@@ -1,6 +1,8 @@
-"""The body on the page: bones, axes, and names of segments, of missing ones always."""
+"""The body on the page: bones, axes, and names of segments, of silent ones always."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
 
 import numpy as np
 import viser
@@ -63,8 +65,8 @@ class BodyScene:
         """Segment axes, or none."""
         self._axes.visible = is_wanted
 
-    def draw(self, posture: Posture, is_stale: bool) -> None:
-        """Bring the page to a posture."""
+    def draw(self, posture: Posture, is_stale: bool, silent: Collection[str] = ()) -> None:
+        """Bring the page to a posture; the silent segments are named."""
         segment = self._bones.segment
         wxyz = [
             quaternion.multiply(posture.q_wb[s], q)
@@ -79,14 +81,13 @@ class BodyScene:
             if self._axes.visible:
                 self._axes.batched_wxyzs = posture.q_wb.astype(np.float32)
                 self._axes.batched_positions = posture.p_w.astype(np.float32)
-            self._name_segments(posture)
+            self._name_segments(posture, silent)
 
-    def _name_segments(self, posture: Posture) -> None:
+    def _name_segments(self, posture: Posture, silent: Collection[str]) -> None:
         for s, label in enumerate(self._labels):
-            status, name = posture.status[s], self._skeleton.segment_names[s]
-            is_missing = status == "missing"
-            text = f"{name}: {status}" if is_missing else name
-            is_visible = self.shows_names or is_missing
+            name = self._skeleton.segment_names[s]
+            text = f"{name}: no data" if name in silent else name
+            is_visible = self.shows_names or name in silent
             if label.visible != is_visible:
                 label.visible = is_visible
             if is_visible:
