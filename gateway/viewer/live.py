@@ -102,7 +102,7 @@ class LiveViewer:
             self._scene.remove()
         skeleton = skeleton_of(body)
         self._body, self._drawn = body, None
-        self._scene, self._keeper = BodyScene(self._server, skeleton), PostureKeeper(skeleton)
+        self._scene, self._keeper = BodyScene(self._server, self._stage, skeleton), PostureKeeper(skeleton)
 
     def _draw(self) -> None:
         latest = self._latest
@@ -113,9 +113,9 @@ class LiveViewer:
             return
         self._drawn, self._was_stale = latest, is_stale
         posture = self._keeper.take(latest.pose)
-        self._scene.draw(posture, is_stale, silent_segments(latest.pose.status, self._worn))
         if self._panel.follow.value:
             self._stage.follow(posture.place)
+        self._scene.draw(posture, is_stale, self._silent())
 
     def _take_choices(self) -> None:
         if self._scene is None:
@@ -139,7 +139,7 @@ class LiveViewer:
             self._panel.show_status(name, *self._pose_texts(), is_alarm=False)
         info = poses.infos.get(self._gateway)
         self._worn = frozenset() if info is None else frozenset(module.segment for module in info.modules)
-        rows = module_rows(poses.healths.get(self._gateway), info)
+        rows = module_rows(poses.healths.get(self._gateway), info, self._silent())
         self._panel.show_modules(module_table(rows))
         self._panel.draw_plot()
 
@@ -149,11 +149,10 @@ class LiveViewer:
         rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
         when = f"latency {latency * 1e3:.1f} ms" if latency < RECORDED_AFTER_S else _instant(latest)
         pace = f"{rate:.0f} poses/s, {when}"
-        return (
-            (pace,)
-            if latest is None
-            else (pace, status_summary(latest.pose.status, silent_segments(latest.pose.status, self._worn)))
-        )
+        return (pace,) if latest is None else (pace, status_summary(latest.pose.status, self._silent()))
+
+    def _silent(self) -> tuple[str, ...]:
+        return () if self._latest is None else silent_segments(self._latest.pose.status, self._worn)
 
     def _is_stale(self) -> bool:
         age = self._view.age_s(gateway_time_ns())

@@ -37,7 +37,7 @@ class Playback:
         skeleton = arrays.skeleton
         self._encoder = PoseEncoder(skeleton.segment_names, None, frozenset(PoseMap), JointAngles(skeleton))
         self._stage = Stage(server)
-        self._scene, self._keeper = BodyScene(server, skeleton), PostureKeeper(skeleton)
+        self._scene, self._keeper = BodyScene(server, self._stage, skeleton), PostureKeeper(skeleton)
         self._panel = Panel(server, (ButtonRow("Playback", ("play", "pause", "begin"), self._press),))
         self._speed = server.gui.add_dropdown("Speed ×", SPEEDS, initial_value="1")
         end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
@@ -77,9 +77,9 @@ class Playback:
         pose = PoseMessage.model_validate_json(self._encoder.encode(self._frame(index)))
         posture = self._keeper.take(pose)
         silent = silent_segments(pose.status, self._worn)
-        self._scene.draw(posture, is_stale=False, silent=silent)
         if self._panel.follow.value:
             self._stage.follow(posture.place)
+        self._scene.draw(posture, is_stale=False, silent=silent)
         self._panel.add_pose(pose)
         self._panel.draw_plot()
         where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"

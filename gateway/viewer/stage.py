@@ -1,4 +1,4 @@
-"""What a body stands on: light, a floor, the first look, and a world that moves so that it stays in view.
+"""What a body stands on: light, a floor, the first look, and a world that is shifted so that it stays in view.
 
 What a picture costs a browser without a graphics processor is measured (``benchmarks/viewer.py``): shadows
 and an environment map took nearly all of it, so there are neither. Two lights and flat faces give a body
@@ -14,8 +14,6 @@ import viser
 
 from gateway.frames import FloatArray
 
-WORLD = "/world"
-"""Whatever stands in world coordinates hangs below this node."""
 FOLLOWED_SHARE = 0.12
 """Of the way to the body that the view goes with every picture: a walk is followed, its sway is not."""
 FIRST_CAMERA: tuple[float, float, float] = (2.1, -2.3, 1.5)
@@ -38,9 +36,13 @@ class Stage:
         camera.position, camera.look_at = FIRST_CAMERA, FIRST_LOOK_AT
         camera.fov = math.radians(FIELD_OF_VIEW_DEG)
         server.on_client_connect(_look_narrow)
-        self._world = server.scene.add_frame(WORLD, axes_length=0.25, axes_radius=0.006)
+        self._world = server.scene.add_frame("/world", axes_length=0.25, axes_radius=0.006)
         self._floor = _floor(server.scene)
-        self._middle: FloatArray = np.zeros(3)
+        self.middle: FloatArray = np.zeros(3)
+        """(3,) m: the place of the world that is shown in the middle; to be taken off whatever is drawn.
+
+        Nodes that hung below one that moves would lag behind it where few pictures are drawn.
+        """
         self._has_followed = False
 
     def follow(self, place: FloatArray) -> None:
@@ -48,11 +50,11 @@ class Stage:
 
         The floor is shifted by parts of a section only, so it never ends.
         """
-        way = np.array([place[0], place[1], 0.0]) - self._middle
-        self._middle = self._middle + (FOLLOWED_SHARE if self._has_followed else 1.0) * way
+        way = np.array([place[0], place[1], 0.0]) - self.middle
+        self.middle = self.middle + (FOLLOWED_SHARE if self._has_followed else 1.0) * way
         self._has_followed = True
-        self._world.position = -self._middle
-        self._floor.position = -(self._middle % SECTION_M)
+        self._world.position = -self.middle
+        self._floor.position = -(self.middle % SECTION_M)
 
 
 def _look_narrow(client: viser.ClientHandle) -> None:
