@@ -45,7 +45,7 @@ install: $(VENV)/.runtime
 install-dev: $(VENV)/.dev
 
 # What tests need from the system: a broker and a browser. NAME=PACKAGE
-SYSTEM_TOOLS := mosquitto=mosquitto chromium=chromium
+SYSTEM_TOOLS := mosquitto=mosquitto mosquitto_sub=mosquitto-clients chromium=chromium
 
 system-tools:
 	@for tool in $(SYSTEM_TOOLS); do \

@@ -14,6 +14,7 @@ SUITES = (
     "speed",
     "latency",
     "outputs",
+    "viewer",
     "clock",
     "walking",
     "record",

@@ -45,6 +45,7 @@ class UdpLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Listen on the address. Raises ``LinkError``: taken, or none of this machine's."""
         if self._receiver is not None:
             raise LinkError(f"{self.name} is already open")
         arrivals = Arrivals(self.name)
@@ -67,6 +68,7 @@ class UdpLink:
         receiver.transport.sendto(data, receiver.latest_sender)
 
     async def close(self) -> None:
+        """Stop listening; iterating ends."""
         if self._receiver is not None:
             self._receiver.transport.close()
             self._receiver = None
