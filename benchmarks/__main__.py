@@ -25,6 +25,7 @@ SUITES = (
     "faults",
     "body_faults",
     "sun",
+    "soak",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

@@ -12,14 +12,17 @@ from typing import Any
 import gateway
 from devices.command_client import CommandClient
 from devices.endpoints import link_from_url
-from devices.link import Framing, Link, SentChunk
-from devices.reconnect import LinkStatus, ReconnectingLink
+from devices.link import Chunk, Framing, Link, SentChunk
+from devices.link_counts import LinkCounts
+from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
 from gateway.accounting import Balance, balances_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.errors import GatewayError
+from gateway.frames import SkeletonFrame
 from gateway.host_sender import HostSender
+from gateway.losses import Cause
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
@@ -42,6 +45,8 @@ from gateway.triggering import Triggerer
 log = logging.getLogger(__name__)
 
 REPORT_INTERVAL_S = 10.0
+_TOLD_FAILURES = frozenset(10**power for power in range(7))
+"""The first, the tenth … one is logged."""
 
 
 class Service:
@@ -65,6 +70,8 @@ class Service:
         self.observer = Observer(
             settings, suit, info, self.pipeline, self.links, self.mqtt, self.side, balances=self.balances
         )
+        self.failed_chunks = 0
+        """Chunks that a defect of ours kept from being handled."""
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
         suit_links = [link for link in self.links if link.framing is not Framing.GNSS]
@@ -99,9 +106,12 @@ class Service:
 
     def balances(self) -> list[Balance]:
         """Where every sample, pose and chunk went (see ``gateway.accounting``)."""
-        return balances_of(
-            self.pipeline, {"mqtt": self.mqtt.counters, **self.side.counters}, self.recording.balance
-        )
+        outputs = {"mqtt": self.mqtt.counters, **self.side.counters}
+        return balances_of(self.pipeline, outputs, self.recording.balance, self._link_counts)
+
+    @property
+    def _link_counts(self) -> dict[str, LinkCounts]:
+        return {link.name: link.counts for link in self.links if isinstance(link, ReconnectingLink)}
 
     def statistics(self) -> dict[str, object]:
         """Counters for the health message."""
@@ -111,6 +121,8 @@ class Service:
             **timer,
             **self.pipeline.statistics(),
             "accounting": accounting,
+            "links": {name: counts.summary() for name, counts in self._link_counts.items()},
+            "failed_chunks": self.failed_chunks,
             "recording": self.recording.status(),
             "requests": self.requests.statistics(),
         }
@@ -159,11 +171,15 @@ class Service:
             self.pipeline.add_link(name, framing)
         if not isinstance(link, ReplayLink) and link.framing is not Framing.GNSS:
             self._announced.append(link)
+        losses = 0
         try:
             async for chunk in link:
                 await self.recording.keep_pace()
+                if isinstance(link, ReconnectingLink) and link.counts.losses != losses:
+                    losses = link.counts.losses
+                    self.pipeline.stream.notice(link.name, Cause.OVERRUN)
                 self.recording.chunk(chunk, carried[chunk.link])
-                skeleton_frames = self.pipeline.feed(chunk)
+                skeleton_frames = self._fed(chunk)
                 for frame in skeleton_frames:
                     self.recording.skeleton(frame, chunk.arrived_ns)
                     for output in self._outputs:
@@ -172,6 +188,23 @@ class Service:
                     await asyncio.sleep(0)  # a link that is never empty must not starve the outputs
         finally:
             await link.close()
+
+    def _fed(self, chunk: Chunk) -> list[SkeletonFrame]:
+        """The pipeline must not raise; should it all the same, one chunk is lost and not the session."""
+        try:
+            return self.pipeline.feed(chunk)
+        except Exception:
+            self.failed_chunks += 1
+            if self.failed_chunks in _TOLD_FAILURES:
+                log.exception(
+                    "chunk %d that could not be handled (%d bytes of %s at %d ns): the gateway goes on; "
+                    "please report this with the recording",
+                    self.failed_chunks,
+                    len(chunk.data),
+                    chunk.link,
+                    chunk.arrived_ns,
+                )
+            return []
 
     def _note_sent(self, sent: SentChunk) -> None:
         """An input of the pipeline like what comes, and recorded in its place among it."""
@@ -192,6 +225,8 @@ class Service:
                 self._happened(name, data)
 
     def _note_link(self, name: str, status: LinkStatus) -> None:
+        if status.state is LinkState.DOWN:
+            self.pipeline.stream.notice(name, Cause.LINK_DOWN)
         self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
 
     async def _report(self) -> None:
