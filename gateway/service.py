@@ -12,7 +12,7 @@ from typing import Any
 import gateway
 from devices.command_client import CommandClient
 from devices.endpoints import link_from_url
-from devices.link import Chunk, Framing, Link, SentChunk
+from devices.link import Chunk, Framing, Link, SentChunk, gateway_time_ns
 from devices.link_counts import LinkCounts
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
@@ -33,8 +33,9 @@ from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
 from gateway.outputs.side_outputs import SideOutputs
+from gateway.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWatch
 from gateway.own_requests import OwnRequests
-from gateway.pipeline import INPUT_EVENTS, Pipeline
+from gateway.pipeline import INPUT_EVENTS, LOAD_EVENT, Pipeline
 from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
@@ -67,8 +68,17 @@ class Service:
             settings.mqtt, suit.skeleton, info, self.statistics, lambda: self.side.counters
         )
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
+        self.load = LoadWatch()
         self.observer = Observer(
-            settings, suit, info, self.pipeline, self.links, self.mqtt, self.side, balances=self.balances
+            settings,
+            suit,
+            info,
+            self.pipeline,
+            self.links,
+            self.mqtt,
+            self.side,
+            balances=self.balances,
+            load=self.load,
         )
         self.failed_chunks = 0
         """Chunks that a defect of ours kept from being handled."""
@@ -124,6 +134,7 @@ class Service:
             "links": {name: counts.summary() for name, counts in self._link_counts.items()},
             "failed_chunks": self.failed_chunks,
             "recording": self.recording.status(),
+            "load": self.load.statistics(),
             "requests": self.requests.statistics(),
         }
 
@@ -137,7 +148,10 @@ class Service:
             if self._records_at_start:
                 self.recording.start()
             self.requests.start(self.mqtt.port)
-            companions = [asyncio.create_task(kept_running("the report", self._report), name="report")]
+            companions = [
+                asyncio.create_task(kept_running("the report", self._report), name="report"),
+                asyncio.create_task(kept_running("the load", self._watch_load), name="load"),
+            ]
             if self._synchroniser is not None:
                 companions.append(
                     asyncio.create_task(
@@ -163,13 +177,14 @@ class Service:
     async def _ingest(self, link: Link) -> None:
         """link → pipeline → outputs, for one link."""
         await link.open()
+        is_live = not isinstance(link, ReplayLink)
         carried = carried_links(link)
         if isinstance(link, ReplayLink):
             link.on_sent = self._note_sent
             link.on_event = self._happened_then
         for name, framing in carried.items():
             self.pipeline.add_link(name, framing)
-        if not isinstance(link, ReplayLink) and link.framing is not Framing.GNSS:
+        if is_live and link.framing is not Framing.GNSS:
             self._announced.append(link)
         losses = 0
         try:
@@ -180,6 +195,8 @@ class Service:
                     self.pipeline.stream.notice(link.name, Cause.OVERRUN)
                 self.recording.chunk(chunk, carried[chunk.link])
                 skeleton_frames = self._fed(chunk)
+                if is_live and self.load.observe(link.name, *_lag_s(chunk)):
+                    self._shed()
                 for frame in skeleton_frames:
                     self.recording.skeleton(frame, chunk.arrived_ns)
                     for output in self._outputs:
@@ -205,6 +222,27 @@ class Service:
                     chunk.arrived_ns,
                 )
             return []
+
+    def _shed(self) -> None:
+        """Do what the stage of the load says, and tell it."""
+        holds = self.load.holds
+        self.side.pause(self.load.stage >= SIDE_OUTPUTS)
+        self.mqtt.relieve(holds.poses_hz, has_segments=self.load.stage < SEGMENT_TOPICS)
+        self._happened(LOAD_EVENT, {"stage": holds.name, "solve_every": holds.solve_every})
+        log.warning(
+            "load stage %d of %d: %s (%.0f ms behind)",
+            self.load.stage,
+            len(SHED) - 1,
+            holds.meaning,
+            self.load.lag_s * 1e3,
+        )
+
+    async def _watch_load(self) -> None:
+        """What was given up comes back also when nothing arrives any more."""
+        while True:
+            await asyncio.sleep(TICK_S)
+            if self.load.look(gateway_time_ns() * 1e-9):
+                self._shed()
 
     def _note_sent(self, sent: SentChunk) -> None:
         """An input of the pipeline like what comes, and recorded in its place among it."""
@@ -246,6 +284,12 @@ class Service:
                 self.mqtt.counters.dropped,
             )
             frames_before = frames
+
+
+def _lag_s(chunk: Chunk) -> tuple[float, float]:
+    """How long ago a chunk arrived, and now, s."""
+    now_ns = gateway_time_ns()
+    return (now_ns - chunk.arrived_ns) * 1e-9, now_ns * 1e-9
 
 
 def _links_of(settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None]) -> list[Link]:
