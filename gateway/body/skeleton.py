@@ -13,6 +13,7 @@ import numpy as np
 
 from devices.calibration import SensorCalibration
 from gateway.body.joints import Joint
+from gateway.body.markers import BodyMarkers
 from gateway.frames import FloatArray, IntArray, Quantity
 
 
@@ -93,6 +94,8 @@ class WornSuit:
     """(3,) world, µT: ``h`` of the source."""
     calibrations: Mapping[int, SensorCalibration] = field(default_factory=dict)
     """By module id: corrections of its readings, for those that have one here."""
+    markers: BodyMarkers | None = None
+    """For an optical system: where its markers sit; then there may be no modules."""
 
 
 def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:

@@ -14,6 +14,7 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.bundle import adjusted, with_sigmas
+from gateway.reconstruction.optical.joint_ranges import shown_joints
 from gateway.reconstruction.optical.landmarks import (
     SegmentPlaces,
     landmarks_of,
@@ -98,8 +99,9 @@ def fit_body(
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
         progress(3, 3)
+    sized = resized(marker_set, final.offsets, skeleton.tips)
     return Fit(
-        skeleton=resized(marker_set, final.offsets, skeleton.tips),
+        skeleton=replace(sized, joints=shown_joints(sized, final, done.poses)),
         markers=replace(markers, positions=final.positions, sigmas=final.sigmas),
         marker_set=marker_set.file.name,
         lengths=measured.lengths,
