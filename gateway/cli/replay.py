@@ -63,7 +63,7 @@ def replay(
     elif offline:
         _solve(recording, source, None, as_json)
     else:
-        replay_live(recording, source, _speed(speed), embedded=embedded, as_json=as_json)
+        replay_live(recording, source, speed_of(speed), embedded=embedded, as_json=as_json)
     if recording.defect is not None:
         typer.echo(f"note: {recording.defect}", err=True)
 
@@ -97,7 +97,8 @@ def _target(file: Path, with_rig: str | None, reconstructor: str | None) -> Path
     return file.with_name(f"{file.stem}_{'_'.join(marks)}.mcap")
 
 
-def _speed(text: str) -> float | None:
+def speed_of(text: str) -> float | None:
+    """A factor; None for as fast as it goes. Raises ``GatewayError``."""
     if text == "max":
         return None
     try:
