@@ -94,6 +94,7 @@ class Pipeline:
             if suit.markers is None:
                 raise SettingsError(NO_MARKERS)
             reconstructor = "independent"  # for modules that may be worn beside the markers
+            root = RootSettings(RootMode.FIXED)
         self._make = partial(create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root)
         self.suit = suit
         """As worn now: a calibration may have changed it."""
