@@ -14,6 +14,7 @@ from devices.command_client import CommandClient
 from devices.endpoints import link_from_url
 from devices.link import Chunk, Framing, Link, SentChunk, gateway_time_ns
 from devices.link_counts import LinkCounts
+from devices.marker_file_link import MarkerFileLink
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
 from gateway.accounting import Balance, balances_of
@@ -48,6 +49,9 @@ log = logging.getLogger(__name__)
 REPORT_INTERVAL_S = 10.0
 _TOLD_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
+_LISTENED_TO = frozenset({Framing.GNSS, Framing.MARKERS})
+"""Links with no module at the other end."""
+_OTHERS = {"gnss": Framing.GNSS, "markers": Framing.MARKERS}
 
 
 class Service:
@@ -84,7 +88,7 @@ class Service:
         """Chunks that a defect of ours kept from being handled."""
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
-        suit_links = [link for link in self.links if link.framing is not Framing.GNSS]
+        suit_links = [link for link in self.links if link.framing not in _LISTENED_TO]
         self.commands = CommandClient(suit_links, allow_writes=settings.allow_device_writes)
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
@@ -184,7 +188,7 @@ class Service:
             link.on_event = self._happened_then
         for name, framing in carried.items():
             self.pipeline.add_link(name, framing)
-        if is_live and link.framing is not Framing.GNSS:
+        if is_live and link.framing not in _LISTENED_TO:
             self._announced.append(link)
         losses = 0
         try:
@@ -295,11 +299,11 @@ def _lag_s(chunk: Chunk) -> tuple[float, float]:
 def _links_of(settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None]) -> list[Link]:
     links = [link_from_url(link.url, name=link.name) for link in settings.links]
     for link, wanted in zip(links, settings.links, strict=True):
-        if wanted.carries == "gnss" and not isinstance(link, ReplayLink):
-            link.framing = Framing.GNSS
+        if wanted.carries in _OTHERS and not isinstance(link, ReplayLink):
+            link.framing = _OTHERS[wanted.carries]
     return [
         link
-        if isinstance(link, ReplayLink)
+        if isinstance(link, ReplayLink | MarkerFileLink)
         else ReconnectingLink(link, on_change=functools.partial(on_change, link.name))
         for link in links
     ]

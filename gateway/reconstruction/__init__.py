@@ -28,6 +28,7 @@ from gateway.reconstruction.whole_body import (
 __all__ = [
     "FUSED",
     "NO_CONTACTS",
+    "OPTICAL",
     "RECONSTRUCTORS",
     "Reconstructor",
     "RootMode",
@@ -50,6 +51,9 @@ RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {
 }
 """Name to constructor; its arguments: the suit, and the nominal interval of the frames in s."""
 
+
+OPTICAL = "optical"
+"""Of markers and no modules: ``optical.reconstructor``; it needs a suit with markers."""
 
 FUSED = frozenset({"fused", "fused_neutral"})
 """Those that want orientations fused on the modules, and no raw values."""
