@@ -21,6 +21,7 @@ from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, F
 from gateway.reconstruction.inertial.heading_start import (
     compass_turn,
     gather_heading,
+    reopen_headings,
     shown_heading,
     tilt_spread,
     turn_evidence,
@@ -70,6 +71,7 @@ def step(
                 start(body, state, noise, s, force[s], rate[s], field[s])
             if state.is_started[s] != 1:
                 is_valid[s] = 0.0
+    reopen_headings(body, state)
     K, motion = average(body, state, noise, force, rate, is_valid, dt)
     evidence = no_evidence(n)
     turns = np.zeros((n, 3))
@@ -152,7 +154,7 @@ def _device_rows(
                 _fixed_row(evidence, body, state, noise, d, s, K[s], motion[s], dt)
                 anchored[s] = 1.0
             continue
-        note_frame(body, state, noise, d, time_s, force[s], rate[s] - state.bias[s])
+        note_frame(body, state, noise, d, time_s, force[s] - state.force_bias[s], rate[s] - state.bias[s])
         is_new, u, y, variance, span = local_pair(body, state, noise, d, time_s)
         if is_new:
             interval = min(state.device_age_s[d], span)
@@ -187,6 +189,7 @@ def _fixed_row(
     if state.device_covariance[d, 0, 0] == 0.0:
         for i in range(3):
             state.device_covariance[d, i, i] = noise.lever_arm_offset**2
+            state.device_covariance[d, 3 + i, 3 + i] = noise.force_bias**2
     u = felt_at(state.force[s], K, body.device_arm[d], state.device_shift[d])
     variance = chain_rows.row_variance(noise, motion, dt)
     at_once = variance * dt / noise.row_memory_s
