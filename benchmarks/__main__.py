@@ -22,6 +22,8 @@ SUITES = (
     "sensors",
     "calibration",
     "faults",
+    "body_faults",
+    "sun",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

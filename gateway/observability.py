@@ -68,7 +68,11 @@ class Observer:
         )
         if settings.metrics.port is not None:
             self.metrics = MetricsServer(
-                settings.metrics.host, settings.metrics.port, self.figures, self.health
+                settings.metrics.host,
+                settings.metrics.port,
+                self.figures,
+                self.health,
+                settings.metrics.token(),
             )
 
     @contextlib.asynccontextmanager

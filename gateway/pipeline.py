@@ -26,9 +26,10 @@ from gateway.calibration.mounting import remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
 from gateway.errors import GatewayError, SettingsError
-from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
+from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
+from gateway.light import SunCompass
 from gateway.reconstruction import (
     FUSED,
     NO_CONTACTS,
@@ -91,6 +92,7 @@ class Pipeline:
         """As worn now: a calibration may have changed it."""
         self.reconstructor = self._make(suit)
         self.resets = Resets(suit.skeleton)
+        self.sun = None if suit.sun is None else SunCompass(suit)
         self.skeleton_frames = 0
         self.on_imu_frame: Callable[[ImuFrame], None] | None = None
         """Told every frame before it is reconstructed: for calibrations."""
@@ -156,7 +158,7 @@ class Pipeline:
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
         skeleton_frames = [
-            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self._imu_frames(chunk)
+            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self.imu_frames(chunk)
         ]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
@@ -167,7 +169,7 @@ class Pipeline:
         block: list[ImuFrame] = []
         for item in items:
             if isinstance(item, Chunk):
-                block += self._imu_frames(item)
+                block += self.imu_frames(item)
             elif isinstance(item, SentChunk):
                 self.sent(item)
             if isinstance(item, InputEvent) or len(block) >= FRAMES_AT_A_TIME:
@@ -183,10 +185,13 @@ class Pipeline:
         if block:
             yield from map(self.resets.apply, update_many(self.reconstructor, block))
 
-    def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+    def imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+        """The frames of all modules that a chunk completes, not yet reconstructed."""
         imu_frames: list[ImuFrame] = []
         for reading in self._readings(chunk):
             imu_frames += self._assemble(reading, chunk.arrived_ns)
+        if self.sun is not None:
+            imu_frames = [self.sun.sighted(imu_frame) for imu_frame in imu_frames]
         if self.on_imu_frame is not None:
             for imu_frame in imu_frames:
                 self.on_imu_frame(imu_frame)
@@ -204,6 +209,12 @@ class Pipeline:
         fused = self.fused_assembler
         if isinstance(reading, LocalReading) and fused is None:
             self.assembler.add_local(reading)
+            return []
+        if isinstance(reading, LightReading):
+            if self.sun is not None and fused is None:
+                self.assembler.add_light(reading)
+            else:
+                self.unused["light"] += 1
             return []
         if isinstance(reading, FusedReading):
             if fused is not None:
@@ -227,6 +238,7 @@ class Pipeline:
         return {
             **({} if triggers is None else {"triggers": triggers.figures.summary()}),
             **({"gnss": {name: r.statistics() for name, r in self._gnss.items()}} if self._gnss else {}),
+            **({} if self.sun is None else {"light": self.sun.statistics()}),
             "skeleton_frames": self.skeleton_frames,
             "dropped_by_link": dropped,
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},

@@ -112,6 +112,7 @@ class Service:
             **self.pipeline.statistics(),
             "accounting": accounting,
             "recording": self.recording.status(),
+            "requests": self.requests.statistics(),
         }
 
     async def run(self) -> None:

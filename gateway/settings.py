@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway.assembly import AssemblyParams
+from gateway.credentials import AccessToken, token_for
 from gateway.errors import nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
@@ -19,6 +20,9 @@ from gateway.stream import ClockMode
 RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 """Nothing that could mean another folder."""
 
+
+METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
+"""Environment variable that may hold the token of metrics and health."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -177,8 +181,20 @@ class MetricsSettings(_Strict):
     host: str = Field(
         default="127.0.0.1",
         min_length=1,
-        description="address to listen at: loopback, unless others are to read them (0.0.0.0: all)",
+        description="address to listen at: loopback, unless others are to read them (0.0.0.0: all), who then "
+        "need a token",
     )
+    token_file: Path | None = Field(
+        default=None,
+        description="file whose first line is the token that readers must show (Authorization: Bearer …); "
+        f"without it the environment variable {METRICS_TOKEN_VARIABLE} is taken",
+    )
+
+    def token(self) -> AccessToken | None:
+        """What readers must show. Raises ``CredentialError`` where others could read and need none."""
+        return token_for(
+            "the metrics", self.host, self.token_file, METRICS_TOKEN_VARIABLE, "metrics.token_file"
+        )
 
 
 class RecordingSettings(_Strict):

@@ -22,9 +22,11 @@ from firmware_protocol import (
     Health,
     InertialSample,
     InertialSampleFine,
+    LightSample,
     LocalMeasurement,
     Packet,
     PacketDecoder,
+    PressureSample,
     ReceivedPacket,
     SamplingTrigger,
     SyncRequest,
@@ -42,11 +44,12 @@ from gateway.clocks import (
     TriggerAnswers,
     warm_up,
 )
+from gateway.air_velocity import air_velocity
 from gateway.exchanges import TimeExchanges
-from gateway.frames import FusedReading, InertialReading, LocalReading, Quantity
+from gateway.frames import FusedReading, InertialReading, LightReading, LocalReading, Quantity
 from gateway.statistics import ModuleRecord
 
-Reading = InertialReading | FusedReading | LocalReading
+Reading = InertialReading | FusedReading | LocalReading | LightReading
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
 """Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
@@ -67,7 +70,8 @@ class ClockMode(StrEnum):
 
 
 SAMPLE_KINDS = frozenset(
-    packet.KIND for packet in (InertialSample, InertialSampleFine, FusedSample, LocalMeasurement)
+    packet.KIND
+    for packet in (InertialSample, InertialSampleFine, FusedSample, LocalMeasurement, LightSample, PressureSample)
 )
 """Of packets that readings are made from."""
 
@@ -233,6 +237,15 @@ def _local(record: ModuleRecord, packet: LocalMeasurement, _sequence: int, time_
     )
 
 
+def _light(record: ModuleRecord, packet: LightSample, _sequence: int, time_ns: int) -> Reading:
+    return LightReading(record.module, time_ns, np.array(packet.intensity))
+
+
+def _pressure(record: ModuleRecord, packet: PressureSample, _sequence: int, time_ns: int) -> Reading:
+    found = air_velocity(packet.differential_pressure, packet.static_pressure, packet.temperature_celsius)
+    return LocalReading(record.module, time_ns, Quantity.AIR_VELOCITY, *found)
+
+
 def _info(record: ModuleRecord, packet: DeviceInfo, _sequence: int, _time_ns: int) -> None:
     record.info = packet
 
@@ -252,6 +265,8 @@ _HANDLERS: dict[type, Callable[..., Reading | None]] = {
     InertialSampleFine: _inertial,
     FusedSample: _fused,
     LocalMeasurement: _local,
+    LightSample: _light,
+    PressureSample: _pressure,
     DeviceInfo: _info,
     Health: _health,
 }

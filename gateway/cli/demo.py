@@ -94,6 +94,8 @@ def demo(
     broker, subscribes like an app would, and prints orientations and their error against the
     emulator's truth.
     """
+    # Whoever ends it, the emulated suit and the page end with it.
+    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     console = Console()
     suit = load_rig(rig)
     truth = Truth(suit)

@@ -2,33 +2,45 @@
 
 A sensor's noise changes its last bits all the time. A module whose specific force and rate have not changed
 in any bit for a while, though other modules' have, is stuck. (If none changes, they may be noise-free
-simulations at rest: nothing is said.)
+simulations at rest: nothing is said.) A single sensor is stuck when it repeats itself while it turns, or while
+the other one says that the module moves: sooner than in rest, where coarse sensors may repeat themselves.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from gateway.frames import FloatArray, StatusArray
 from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import norm
 
 STUCK_S = 0.5
 """Sensors of 16 bits at rest repeat a whole reading a few times in a row at most."""
 LIVELY_S = 0.1
+STUCK_IN_MOTION_S = 0.15
+"""In motion no reading of 16 bits comes twice on all three axes, but by rare chance."""
+TURNING = 0.05
+"""rad/s: a rate that stays exactly this large is no rest."""
+SWINGING = 1.0
+"""m/s²: change of specific force over that time that no rest has."""
 
 
 class RepeatState(NamedTuple):
     """By module, changed in place."""
 
     last: FloatArray  # (m, 6) specific force and rate
-    unchanged_s: FloatArray  # (m,)
+    unchanged_s: FloatArray  # (m,) all of it
+    rate_unchanged_s: FloatArray  # (m,)
+    force_unchanged_s: FloatArray  # (m,)
+    force_before: FloatArray  # (m, 3) when the rate changed last
 
 
 def initial_repeats(m: int) -> RepeatState:
     """Of m modules."""
-    return RepeatState(np.full((m, 6), np.nan), np.zeros(m))
+    return RepeatState(np.full((m, 6), np.nan), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((m, 3)))
 
 
 @compiled
@@ -42,15 +54,32 @@ def stuck_modules(
     for i in range(m):
         if status[i] > 1:  # held by the gateway, or missing: the assembler's matter
             continue
-        changed = False
+        force_changed, rate_changed = False, False
         for k in range(3):
             # NaN differs from itself: a sensor that is not there repeats nothing
-            changed = changed or (force[i, k] != state.last[i, k])
-            changed = changed or (rate[i, k] != state.last[i, 3 + k] and rate[i, k] == rate[i, k])
+            force_changed = force_changed or (force[i, k] != state.last[i, k])
+            rate_changed = rate_changed or (rate[i, k] != state.last[i, 3 + k] and rate[i, k] == rate[i, k])
             state.last[i, k], state.last[i, 3 + k] = force[i, k], rate[i, k]
-        state.unchanged_s[i] = 0.0 if changed else state.unchanged_s[i] + dt
+        state.unchanged_s[i] = 0.0 if force_changed or rate_changed else state.unchanged_s[i] + dt
+        state.force_unchanged_s[i] = 0.0 if force_changed else state.force_unchanged_s[i] + dt
+        state.rate_unchanged_s[i] = 0.0 if rate_changed else state.rate_unchanged_s[i] + dt
+        if rate_changed:
+            state.force_before[i] = force[i]
+        stuck[i] = _is_stuck_in_motion(state, i, force[i], rate[i])
         lively += state.unchanged_s[i] < LIVELY_S
     if lively:
         for i in range(m):
-            stuck[i] = state.unchanged_s[i] >= STUCK_S and status[i] <= 1
+            stuck[i] |= state.unchanged_s[i] >= STUCK_S and status[i] <= 1
     return stuck
+
+
+@compiled
+def _is_stuck_in_motion(state: RepeatState, i: int, force: FloatArray, rate: FloatArray) -> bool:
+    """Whether one of module i's two sensors repeats itself while the module moves."""
+    turning, swing = norm(rate), norm(force - state.force_before[i])
+    if not math.isfinite(turning):  # it has no gyrometers
+        return False
+    if state.force_unchanged_s[i] == 0.0 and state.rate_unchanged_s[i] >= STUCK_IN_MOTION_S:
+        return bool(turning > TURNING or swing > SWINGING)
+    is_lively = state.rate_unchanged_s[i] == 0.0 and turning > TURNING
+    return bool(is_lively and state.force_unchanged_s[i] >= STUCK_IN_MOTION_S)

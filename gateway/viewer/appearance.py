@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,13 @@ COLOURS: dict[str, Colour] = {
     "predicted": (165, 80, 195),
     "warming_up": (80, 100, 215),
     "missing": (210, 35, 30),
+    "unaided": (150, 160, 70),
 }
 """By status. A measured segment turns towards ``UNSURE`` as its sigma grows."""
 UNSURE: Colour = (235, 120, 15)
 STALE: Colour = (140, 140, 140)
+MOST_NAMED = 3
+"""More missing segments are only counted."""
 SURE_DEG, UNSURE_DEG = 2.0, 15.0
 """Up to the first a measured segment counts as sure, from the second on as unsure."""
 
@@ -45,6 +49,17 @@ def _colour(status: str, sigma_rad: float | None) -> Colour:
         round(sure + part * (unsure - sure)) for sure, unsure in zip(colour, UNSURE, strict=True)
     )
     return red, green, blue
+
+
+def status_summary(statuses: Mapping[str, str]) -> str:
+    """How many segments have which status, missing ones by their names: ``16 measured, 1 missing (head)``."""
+    counts = Counter(statuses.values())
+    missing = [segment for segment, status in statuses.items() if status == "missing"]
+    named = (
+        f" ({', '.join(missing[:MOST_NAMED])}{', …' if len(missing) > MOST_NAMED else ''})" if missing else ""
+    )
+    parts = (f"{counts[status]} {status.replace('_', ' ')}" for status in COLOURS if counts[status])
+    return ", ".join(parts) + named
 
 
 def legend() -> str:

@@ -17,10 +17,12 @@ from gateway.outputs.messages import BodyMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
 from gateway.outputs.topics import ANY_GATEWAY
+from gateway.viewer.appearance import status_summary
 from gateway.viewer.module_table import module_rows, module_table
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper, skeleton_of
-from gateway.viewer.scene import BodyScene, prepare
+from gateway.viewer.scene import BodyScene
+from gateway.viewer.stage import Stage
 
 PICTURES_HZ = 30.0
 RETRY_S = 0.5
@@ -44,7 +46,7 @@ class LiveViewer:
         self._scene: BodyScene | None = None
         self._keeper: PostureKeeper | None = None
         self._requests: set[concurrent.futures.Future[None]] = set()
-        prepare(server)
+        self._stage = Stage(server)
         self._panel = Panel(
             server,
             (
@@ -107,14 +109,16 @@ class LiveViewer:
         if latest is self._drawn and is_stale == self._was_stale:
             return
         self._drawn, self._was_stale = latest, is_stale
-        self._scene.draw(self._keeper.take(latest.pose), is_stale)
+        posture = self._keeper.take(latest.pose)
+        self._scene.draw(posture, is_stale)
+        if self._panel.follow.value:
+            self._stage.follow(posture.place)
 
     def _take_choices(self) -> None:
         if self._scene is None:
             return
         self._scene.show_axes(self._panel.axes.value)
         self._scene.shows_names = self._panel.names.value
-        self._scene.follows = self._panel.follow.value
 
     def _show_texts(self, poses: PoseSubscriber) -> None:
         state = poses.states.get(self._gateway, "state unknown")
@@ -129,13 +133,16 @@ class LiveViewer:
                 f"NO DATA for {age:.0f} s", f"{name}; this is the last pose", is_alarm=True
             )
         else:
-            rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
-            self._panel.show_status(
-                name, f"{rate:.0f} poses/s, latency {latency * 1e3:.1f} ms", is_alarm=False
-            )
+            self._panel.show_status(name, *self._pose_texts(), is_alarm=False)
         rows = module_rows(poses.healths.get(self._gateway), poses.infos.get(self._gateway))
         self._panel.show_modules(module_table(rows))
         self._panel.draw_plot()
+
+    def _pose_texts(self) -> tuple[str, ...]:
+        """Lines about poses that come."""
+        rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
+        pace = f"{rate:.0f} poses/s, latency {latency * 1e3:.1f} ms"
+        return (pace,) if self._latest is None else (pace, status_summary(self._latest.pose.status))
 
     def _is_stale(self) -> bool:
         age = self._view.age_s(gateway_time_ns())

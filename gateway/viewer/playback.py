@@ -14,9 +14,11 @@ from gateway.outputs.messages import PoseMessage
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
+from gateway.viewer.appearance import status_summary
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
-from gateway.viewer.scene import BodyScene, prepare
+from gateway.viewer.scene import BodyScene
+from gateway.viewer.stage import Stage
 
 PICTURES_HZ = 30.0
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
@@ -34,7 +36,7 @@ class Playback:
         self._name = name
         skeleton = arrays.skeleton
         self._encoder = PoseEncoder(skeleton.segment_names, None, frozenset(PoseMap), JointAngles(skeleton))
-        prepare(server)
+        self._stage = Stage(server)
         self._scene, self._keeper = BodyScene(server, skeleton), PostureKeeper(skeleton)
         self._panel = Panel(server, (ButtonRow("Playback", ("play", "pause", "begin"), self._press),))
         self._speed = server.gui.add_dropdown("Speed ×", SPEEDS, initial_value="1")
@@ -77,16 +79,18 @@ class Playback:
             return
         self._drawn = index
         pose = PoseMessage.model_validate_json(self._encoder.encode(self._frame(index)))
-        self._scene.draw(self._keeper.take(pose), is_stale=False)
+        posture = self._keeper.take(pose)
+        self._scene.draw(posture, is_stale=False)
+        if self._panel.follow.value:
+            self._stage.follow(posture.place)
         self._panel.add_pose(pose)
         self._panel.draw_plot()
-        frames = f"frame {index + 1} of {len(self._times_s)}"
-        self._panel.show_status(self._name, f"{self._times_s[index]:.2f} s, {frames}", is_alarm=False)
+        where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"
+        self._panel.show_status(self._name, where, status_summary(pose.status), is_alarm=False)
 
     def _take_choices(self) -> None:
         self._scene.show_axes(self._panel.axes.value)
         self._scene.shows_names = self._panel.names.value
-        self._scene.follows = self._panel.follow.value
 
     def _press(self, what: str) -> None:
         self._is_playing = what != "pause"

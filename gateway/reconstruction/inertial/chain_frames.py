@@ -12,18 +12,20 @@ import numpy as np
 
 from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import LocalDevice, WornSuit
-from gateway.frames import FloatArray, IntArray, Status, StatusArray
-from gateway.geometry import quaternion
+from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
+from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
+from gateway.reconstruction.inertial.chain_prediction import exceeds
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.chain_step import orientation_sigma, step
-from gateway.reconstruction.inertial.held_arguments import Held
+from gateway.reconstruction.inertial.chain_step import mark_unaided, orientation_sigma, step
 from gateway.reconstruction.inertial.local_rows import take_reading
 from gateway.reconstruction.inertial.observations import by_segment, sensor_to_segment_matrices
+from gateway.reconstruction.inertial.sun_rows import sun_by_segment
 
 SHORTEST_STEP_S = 1e-5
-MISSING, PREDICTED = Status.MISSING.value, Status.PREDICTED.value
+MISSING, PREDICTED, UNAIDED = Status.MISSING.value, Status.PREDICTED.value, Status.UNAIDED.value
+AIR_VELOCITY = Quantity.AIR_VELOCITY.value
 
 
 class Wearing(NamedTuple):
@@ -33,7 +35,7 @@ class Wearing(NamedTuple):
     R_bs: FloatArray  # (n_segments, 3, 3) sensor to segment
     parents: IntArray  # (n_segments,) of the skeleton
     offsets: FloatArray  # (n_segments, 3) of the skeleton, m
-    root_device: IntArray  # (1,) segment whose device measures where the root is; −1: nothing does
+    root_device: IntArray  # (1,) segment whose device measures where it is; −1: nothing does
     root_arm: FloatArray  # (3,) that device on it, segment axes, m
     nominal_interval_ns: IntArray  # (1,)
 
@@ -60,6 +62,7 @@ class Inputs(NamedTuple):
     root_position: FloatArray  # (T, 3) measured, m; of no meaning without a device for it
     readings_end: IntArray  # (T,) how many of the readings have come with this instant
     readings: FloatArray  # (k, 8) device of the filter, s since the first frame, value, standard deviation
+    sun: FloatArray  # (T, m + 1, 4) direction and standard deviation, last row: in the world; (T, 0, 4): none
 
 
 Outputs = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, StatusArray]
@@ -68,7 +71,7 @@ Outputs = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, Stat
 
 
 def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval_s: float) -> Wearing:
-    """root_device: what measures where the skeleton's root is, if anything does."""
+    """root_device: what measures where a segment is, if anything does."""
     return Wearing(
         suit.module_of_segment.astype(np.int64),
         sensor_to_segment_matrices(suit),
@@ -82,7 +85,7 @@ def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval
 
 @compiled
 def advance(
-    held: Held,
+    held: Constants,
     time_ns: IntArray,
     specific_force: FloatArray,
     angular_rate: FloatArray,
@@ -91,12 +94,14 @@ def advance(
     root_position: FloatArray,
     readings_end: IntArray,
     readings: FloatArray,
+    sun: FloatArray,
     resting: FloatArray,
+    covariance: FloatArray,
 ) -> Outputs:
-    """All instants in turn; arguments after the first: the fields of ``Inputs``, and (T, n) for how long each
-    segment has stood still, s."""
-    constants = held.all
-    wearing, state, noise = constants.wearing, constants.state, constants.noise
+    """All instants in turn. held: see ``held_arguments``; then the fields of ``Inputs``, and (T, n) for how
+    long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that of the orientation
+    errors, world axes, rad²; empty: not wanted."""
+    wearing, state, noise = held.wearing, held.state, held.noise
     n_frames, n = len(time_ns), len(wearing.parents)
     q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
     acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
@@ -109,14 +114,23 @@ def advance(
         )  # fmt: skip
         is_valid, dt = none_valid, _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
         if dt > SHORTEST_STEP_S:
-            _take(state, noise, readings[taken : readings_end[t]])
+            before_s = (time_ns[t] - state.time_ns[1]) * 1e-9 - dt
+            _take(held.body, state, noise, before_s, readings[taken : readings_end[t]])
             acceleration[t], is_valid = step(
-                constants.body, state, noise, constants.fixed, constants.is_joint, dt,
+                held.body, state, noise, held.fixed, held.is_joint, dt,
                 (time_ns[t] - state.time_ns[1]) * 1e-9, observed, resting[t],
+                sun_by_segment(wearing.module_of_segment, wearing.R_bs, sun[t]),
             )  # fmt: skip
         taken = readings_end[t]
-        _outputs(wearing, state, is_valid, observed.status, q_wb[t], rate[t], status_out[t])
+        _outputs(
+            wearing, state, is_valid, observed.status, noise.largest_rate, q_wb[t], rate[t], status_out[t]
+        )
+        mark_unaided(
+            held.body, state, held.fixed, (time_ns[t] - state.time_ns[1]) * 1e-9, status_out[t]
+        )
         sigma[t] = orientation_sigma(state)
+        if len(covariance) > 0:
+            covariance[t] = state.P[:, :3, :3]
         p_w[t] = _positions(wearing, q_wb[t], root_position[t])
     return q_wb, rate, acceleration, p_w, sigma, status_out
 
@@ -134,20 +148,27 @@ def _tick(clock: IntArray, time_ns: int, nominal_interval_ns: int) -> float:
 
 @compiled
 def _positions(wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> FloatArray:
-    """(n, 3) of the proximal joints: from the device on the skeleton's root, else from the origin."""
-    root, origin = wearing.root_device[0], np.zeros(3)
-    if root >= 0:
-        arm = quaternion.rotate(q_wb[root], wearing.root_arm)
-        for i in range(3):
-            origin[i] = root_position[i] - arm[i]
-    return joint_positions(wearing.parents, wearing.offsets, q_wb, origin)
+    """(n, 3) of the proximal joints: from the device that measures a place, else from the origin."""
+    carrier = wearing.root_device[0]
+    p_w = joint_positions(wearing.parents, wearing.offsets, q_wb, np.zeros(3))
+    if carrier >= 0:
+        p_w += root_position - p_w[carrier] - quaternion.rotate(q_wb[carrier], wearing.root_arm)
+    return p_w
 
 
 @compiled
-def _take(state: FilterState, noise: Noise, readings: FloatArray) -> None:
+def _take(
+    body: ChainBody, state: FilterState, noise: Noise, before_s: float, readings: FloatArray
+) -> None:
+    """before_s: of the frame that the orientations are of."""
     for reading in readings:
-        value, sigma = reading[2:5].copy(), 0.0
-        if is_finite(value):
+        value, sigma, s = reading[2:5].copy(), 0.0, body.device_segment[int(reading[0])]
+        is_own = body.device_kind[int(reading[0])] == AIR_VELOCITY
+        if is_own:
+            w, since = state.rate[s] - state.bias[s], reading[1] - before_s
+            rotation_matrix.turn(rotation_matrix.from_rotation_vector(w * since), value)
+            rotation_matrix.turn(state.R[s], value)
+        if is_finite(value) and not (is_own and state.is_started[s] != 1):
             for i in range(5, 8):
                 if not math.isnan(reading[i]):
                     sigma = max(sigma, min(reading[i], np.finfo(np.float64).max))
@@ -160,11 +181,13 @@ def _outputs(
     state: FilterState,
     is_valid: FloatArray,
     measured_status: StatusArray,
+    largest_rate: float,
     q_wb: FloatArray,
     rate: FloatArray,
     status: StatusArray,
 ) -> None:
-    """Segments without module go with their parent; the others as the filter has them."""
+    """Segments without module go with their parent; the others as the filter has them. A saturated gyrometer
+    is none; with its accelerometer saturated, or off, a segment turns by its gyrometer alone."""
     for s in range(len(wearing.parents)):
         p = wearing.parents[s]
         status[s] = measured_status[s]
@@ -178,5 +201,7 @@ def _outputs(
             q_wb[s] = quaternion.from_matrix(state.R[s])
             for i in range(3):
                 rate[s, i] = state.rate[s, i] - state.bias[s, i]
-            if is_valid[s] == 0.0:
+            if is_valid[s] == 0.0 or exceeds(state.rate[s], largest_rate):
                 status[s] = PREDICTED
+            elif is_valid[s] == 1.0:
+                status[s] = UNAIDED

@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray, StatusArray
+from gateway.frames import FloatArray, Quantity, StatusArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite, norm
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.tree_filter import propagate
 
+AIR_VELOCITY = Quantity.AIR_VELOCITY.value
 LONGEST_COAST_S = 0.1
 """A silent segment keeps its rate for about that long."""
 LONGEST_SILENCE_S = 1.0
@@ -36,7 +37,7 @@ def predict(
             _mean_rate(w, state, s, rate[s], dt)
             speed = norm(w)
             density = noise.gyrometer**2 + (noise.gyrometer_scale * speed) ** 2 * noise.scale_memory_s
-            if _exceeds(rate[s], noise.largest_rate):
+            if exceeds(rate[s], noise.largest_rate):
                 density += SATURATED_NOISE**2
                 state.silent_s[s] += dt
             else:
@@ -84,7 +85,8 @@ def _mean_rate(w: FloatArray, state: FilterState, s: int, rate: FloatArray, dt: 
 
 
 @compiled
-def _exceeds(v: FloatArray, limit: float) -> bool:
+def exceeds(v: FloatArray, limit: float) -> bool:
+    """Whether a component of v (3,) is that large."""
     return bool(abs(v[0]) >= limit or abs(v[1]) >= limit or abs(v[2]) >= limit)
 
 
@@ -96,8 +98,8 @@ def valid_rows(noise: Noise, force: FloatArray, rate: FloatArray, status: Status
     for s in range(n):
         if status[s] <= 1 and is_finite(rate[s]):
             is_valid[s] = 1.0
-            usable = is_finite(force[s]) and not _exceeds(force[s], noise.largest_force)
-            if usable and not _exceeds(rate[s], noise.largest_rate):
+            usable = is_finite(force[s]) and not exceeds(force[s], noise.largest_force)
+            if usable and not exceeds(rate[s], noise.largest_rate):
                 is_valid[s] = 2.0
     return is_valid
 
@@ -145,6 +147,9 @@ def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray) -> Non
     for d in range(len(body.device_segment)):
         s = body.device_segment[d]
         if _is_turn(turns[s]):
+            if body.device_kind[d] == AIR_VELOCITY:
+                for j in range(state.n_readings[d, 0]):
+                    rotation_matrix.turn(E[s], state.readings[d, j, 1:4])
             for j in range(state.history.shape[1]):
                 if state.history[d, j, 0] > -np.inf:
                     rotation_matrix.turn(E[s], state.history[d, j, 1:4])

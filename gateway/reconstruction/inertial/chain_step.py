@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray, IntArray
+from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial import chain_rows
 from gateway.reconstruction.inertial.chain_averages import (
@@ -29,7 +29,8 @@ from gateway.reconstruction.inertial.heading_start import (
 from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
 from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
 from gateway.reconstruction.inertial.observations import SegmentObservations
-from gateway.reconstruction.inertial.rest_rows import rest_rows
+from gateway.reconstruction.inertial.rest_rows import rest_rows, rolling
+from gateway.reconstruction.inertial.sun_rows import follow_sun
 from gateway.reconstruction.inertial.tree_filter import (
     Evidence,
     add_edge,
@@ -39,6 +40,10 @@ from gateway.reconstruction.inertial.tree_filter import (
     update_tree,
 )
 
+AIR_VELOCITY = Quantity.AIR_VELOCITY.value
+INTERPOLATED, UNAIDED = Status.INTERPOLATED.value, Status.UNAIDED.value
+STARTING_S = 2.0
+"""So long a device may take to say its first."""
 AIDED_S = 0.5
 """A local device that has been silent for longer no longer holds up its chain."""
 
@@ -54,9 +59,10 @@ def step(
     time_s: float,
     observed: SegmentObservations,
     resting: FloatArray,
+    sun: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """dt: since the frame before, s (> 0); time_s: of the frame since the first. resting: (n,) s for how
-    long each segment has stood still, 0: not. ``state`` changes in place.
+    long each segment has stood still, 0: not. sun: as ``follow_sun`` takes it. ``state`` changes in place.
 
     Returns the accelerations of all proximal joints (n, 3), world, NaN where not known; and (n,) whether the
     segment's module counted: 0 no, 1 its gyrometer, 2 all of it.
@@ -64,6 +70,7 @@ def step(
     n = len(body.parents)
     force, rate, field = observed.specific_force, observed.angular_rate, observed.magnetic_field
     is_valid = valid_rows(noise, force, rate, observed.status)
+    turning = rolling(state, rate, resting, dt)
     predict(body, state, noise, rate, is_valid, dt)
     for s in range(n):
         if state.is_started[s] != 1:
@@ -77,10 +84,12 @@ def step(
     turns = np.zeros((n, 3))
     if body.uses_field:
         _follow_field(evidence, body, state, noise, is_valid, field, dt, turns)
+    if len(sun) > 0:
+        follow_sun(evidence, body, state, noise, is_valid, sun, dt, turns)
     anchored = _device_rows(
         evidence, body, state, noise, fixed, is_valid, force, rate, K, motion, dt, time_s, turns
     )
-    rest_rows(evidence, body, state, noise, is_valid, force, resting, dt, anchored)
+    rest_rows(evidence, body, state, noise, is_valid, force, resting, turning, dt, anchored)
     U = _joint_rows(evidence, body, state, noise, is_valid, K, motion, dt, anchored, turns)
     for s in range(n):
         if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):
@@ -162,6 +171,9 @@ def _device_rows(
             # overlapping windows share their readings, and frames with their errors
             variance += noise.specific_force**2 + (noise.lever_arm * motion[s]) ** 2
             variance *= max(1.0, span / interval)
+            if body.device_kind[d] == AIR_VELOCITY:
+                # both sides turn with the segment: all that the row shows is where down is
+                u, y = u - y - body.gravity, -body.gravity
             if body.parents[s] < 0 and state.is_open[s]:
                 gather_heading(state, s, u, y, variance + tilt_spread(state, s, interval), interval)
                 _open_root(evidence, body, state, noise, s, turns)
@@ -171,6 +183,25 @@ def _device_rows(
         if state.device_age_s[d] < AIDED_S:
             anchored[s] = 1.0
     return anchored
+
+
+@compiled
+def mark_unaided(
+    body: ChainBody, state: FilterState, fixed: IntArray, time_s: float, status: StatusArray
+) -> None:
+    """Tells in ``status`` (n,), in place, which chains have lost all their local devices."""
+    n = len(body.parents)
+    chain, held_up = np.arange(n), np.zeros(n)  # 1: by nothing any more, 2: by a device
+    for s in range(n):
+        if body.parents[s] >= 0:
+            chain[s] = chain[body.parents[s]]
+    for d in range(len(fixed)):
+        c, age_s = chain[body.device_segment[d]], state.device_age_s[d]
+        is_heard = age_s < AIDED_S or (age_s == np.inf and time_s < STARTING_S)
+        held_up[c] = max(held_up[c], 2.0 if is_heard or fixed[d] else 1.0)
+    for s in range(n):
+        if held_up[chain[s]] == 1.0 and status[s] <= INTERPOLATED:
+            status[s] = UNAIDED
 
 
 @compiled
@@ -293,7 +324,11 @@ def _joint_row(
 ) -> None:
     """Of segment s and its parent p; u (3,), which corrected lever arms change."""
     u_p = felt_at(state.force[p], K[p], body.from_parent[s], state.arm[s, 3:])
-    variance = chain_rows.row_variance(noise, math.hypot(motion[s], motion[p]), dt)
+    moved = math.hypot(motion[s], motion[p])
+    variance = chain_rows.row_variance(noise, moved, dt)
+    if body.is_bridged[s]:
+        u = felt_at(state.force[s], K[s], body.to_joint[s] - body.beyond[s], state.arm[s, :3])
+        variance += (body.slack[s] * moved) ** 2 * noise.row_memory_s / dt
     if state.is_open[s]:
         uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
         gather_heading(state, s, u, u_p, uncertain, dt)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, ImuFrame, IntArray, Status, StatusArray
+from gateway.frames import FloatArray, ImuFrame, IntArray, Status, StatusArray, SunSight
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
@@ -36,6 +37,11 @@ class SegmentObserver:
         f, w, x = (np.array(row, np.float64, order="C") for row in rows)
         status = np.array(imu_frame.status, np.uint8)
         return by_segment(self._module_of_segment, self._R_bs, f, w, x, status)
+
+
+def with_sun_as_field(imu_frame: ImuFrame, sun: SunSight) -> ImuFrame:
+    """The direction of the sun in the place of the magnetic field; its world vector is then ``sun.world``."""
+    return replace(imu_frame, magnetic_field=np.array(sun.direction, np.float64))
 
 
 def sensor_to_segment_matrices(suit: WornSuit) -> FloatArray:

@@ -1,0 +1,148 @@
+"""Pictures of the live page for docs/viewer.md: ``python -m benchmarks.viewer_pictures``.
+
+An emulated person walks and one module loses its power; the recording of it is played to a broker, and the
+page is looked at in Chromium, all by the commands that a user types. Needs playwright, chromium, the extra
+``viewer``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import sys
+import tempfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from playwright.async_api import Page, async_playwright
+
+from benchmarks.emulated_recording import LINK, record_walk
+from benchmarks.viewer_browser import browser_page
+from devices.emulators.fault_plan import FaultPlan
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import PoseSubscriber
+from gateway.settings import GatewaySettings, LinkSettings
+
+FOLDER = Path(__file__).parent.parent / "docs" / "pictures"
+SECONDS = 60.0
+UNPLUGGED_S = (20.0, 50.0)
+MODULE = 5
+"""On the left forearm."""
+SEED = 1
+GATEWAY = "demo"
+DESKTOP, PHONE = (1100, 700), (390, 780)
+
+
+async def main() -> None:
+    """Make all pictures."""
+    FOLDER.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        broker_port, page_port = _free_port(), _free_port()
+        recording = _record(Path(folder), broker_port)
+        page = ("view", "--port", str(broker_port), "--page-port", str(page_port))
+        url = f"http://127.0.0.1:{page_port}"
+        async with _command("replay", str(recording), "--embedded", "--json"), _command(*page, "--wait"):
+            await _listening(broker_port)
+            await _live(url, broker_port)
+        async with _command("view", str(recording), "--page-port", str(page_port)):
+            await _playback(url)
+
+
+def _record(folder: Path, broker_port: int) -> Path:
+    settings = GatewaySettings(
+        gateway=GATEWAY,
+        links=[LinkSettings(name=LINK, url="/dev/null")],
+        rig="suit_17",
+        mqtt=MqttSettings(port=broker_port, include=["position", "joint_angles", "sigma"]),
+    )
+    begin_s, end_s = UNPLUGGED_S
+    fault = {"kind": "reset", "module": MODULE, "at": begin_s, "lasts": end_s - begin_s}
+    plan = FaultPlan.model_validate({"seed": SEED, "faults": [fault]})
+    return record_walk(folder, SECONDS, settings, plan, SEED)
+
+
+async def _live(url: str, broker_port: int) -> None:
+    async with (
+        PoseSubscriber(MqttSettings(port=broker_port), GATEWAY) as poses,
+        async_playwright() as play,
+    ):
+        async with browser_page(play, url, DESKTOP) as page:
+            await _come_to(poses, 8.0)
+            await _shot(page, "viewer_walking")
+            await page.get_by_role("tab", name="Plot").click()
+            await _choose(page, "angles of left_knee")
+            await _come_to(poses, UNPLUGGED_S[0] - 2)
+            await _shot(page, "viewer_plot")
+            await page.get_by_role("tab", name="View").click()
+            await _come_to(poses, UNPLUGGED_S[0] + 8)
+            await _shot(page, "viewer_unplugged")
+            await page.get_by_role("tab", name="Modules").click()
+            await _shot(page, "viewer_modules")
+        async with browser_page(play, url, PHONE) as page:
+            await asyncio.sleep(4)
+            await _shot(page, "viewer_phone")
+            await _come_to(poses, SECONDS - 0.1)
+            await page.get_by_text("NO DATA for").wait_for()
+            await _shot(page, "viewer_no_data")
+
+
+async def _playback(url: str) -> None:
+    async with async_playwright() as play, browser_page(play, url, DESKTOP) as page:
+        await asyncio.sleep(6)
+        await page.get_by_text("pause", exact=True).click()
+        await _shot(page, "viewer_playback")
+
+
+async def _come_to(poses: PoseSubscriber, seconds: float) -> None:
+    """Wait until what is played has come so far."""
+    first_ns = None
+    async for received in poses:
+        first_ns = first_ns or received.pose.t_ns - received.pose.seq * 10_000_000
+        if received.pose.t_ns - first_ns >= seconds * 1e9:
+            return
+
+
+async def _choose(page: Page, series: str) -> None:
+    await page.get_by_role("textbox").last.click()
+    await page.get_by_text(series, exact=True).click()
+
+
+async def _shot(page: Page, name: str) -> None:
+    target = FOLDER / f"{name}.png"
+    await asyncio.sleep(1.5)
+    await page.screenshot(path=target)
+    sys.stdout.write(f"written to {target}\n")
+
+
+@contextlib.asynccontextmanager
+async def _command(*arguments: str) -> AsyncIterator[None]:
+    """``mocap-gateway`` with these arguments, ended with the block."""
+    process = await asyncio.create_subprocess_exec(sys.executable, "-m", "gateway", *arguments)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.terminate()
+        await process.wait()
+
+
+async def _listening(port: int) -> None:
+    """Wait for somebody at that port of this machine."""
+    async with asyncio.timeout(120):
+        while True:
+            with contextlib.suppress(OSError):
+                _, writer = await asyncio.open_connection("127.0.0.1", port)
+                writer.close()
+                return
+            await asyncio.sleep(0.1)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+if __name__ == "__main__":
+    asyncio.run(main())
