@@ -15,7 +15,7 @@ from gateway.frames import ImuFrame, LocalReading, Quantity
 from gateway.reconstruction.inertial.chain_state import FilterState, initial_state
 
 KEPT = (
-    "R", "is_started", "is_open", "silent_s", "force_bias", "arm", "arm_covariance", "compass_s", 
+    "R", "is_started", "is_open", "silent_s", "force_bias", "arm", "arm_covariance", "compass_s",
     "field_seen", "sun", "device_shift", "device_covariance",
 )  # fmt: skip
 """Of the state, what is the same seen backward."""
