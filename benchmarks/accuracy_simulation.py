@@ -19,9 +19,9 @@ from benchmarks.fast_arm import (
     sampled,
 )
 from benchmarks.figures import Figure, Report, table
-from benchmarks.peers import solved
+from benchmarks.peers import SMOOTHED, solved
 from benchmarks.scoring import coverage_percent
-from benchmarks.simulation import PLACEMENTS, SMOOTHED, arm, errors_deg, ideal_frames
+from benchmarks.simulation import PLACEMENTS, arm, errors_deg, ideal_frames
 from devices.emulators.motions import BodyMotion, robot_arm_motion
 from devices.emulators.waves import Fade
 from gateway.body.skeleton import WornSuit
