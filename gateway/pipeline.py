@@ -45,8 +45,8 @@ from gateway.stream import ClockMode, Reading, Stream
 
 FRAMES_AT_A_TIME = 256
 """Of a recording: enough that a call costs nothing, few enough to stay in the processor's cache."""
-RESET_EVENT, CALIBRATED_EVENT = "reset", "calibrated"
-INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT})
+RESET_EVENT, CALIBRATED_EVENT, LOAD_EVENT = "reset", "calibrated", "load"
+INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT, LOAD_EVENT})
 """Events that are inputs: a recording must hand them over again in their place."""
 
 
@@ -94,6 +94,9 @@ class Pipeline:
         self.resets = Resets(suit.skeleton)
         self.sun = None if suit.sun is None else SunCompass(suit)
         self.skeleton_frames = 0
+        self.left_out = 0
+        """Frames that were not reconstructed, since the machine could not keep up (see ``overload``)."""
+        self._solve_every = 1
         self.on_imu_frame: Callable[[ImuFrame], None] | None = None
         """Told every frame before it is reconstructed: for calibrations."""
         self.gnss_params: dict[str, GnssParams] = {}
@@ -140,14 +143,23 @@ class Pipeline:
     def event(self, name: str, data: Mapping[str, Any]) -> dict[str, object]:
         """Something asked of the gateway that changes what follows; other events pass without effect.
 
-        ``reset`` (kind, facing) and ``calibrated`` (see ``mounting_event``). What came of it; raises
+        ``reset`` (kind, facing), ``calibrated`` (see ``mounting_event``) and ``load`` (solve_every: of the
+        frames, how many are reconstructed). What came of it; raises
         ``GatewayError`` where that cannot be done, and then has changed nothing.
         """
         try:
             if name == RESET_EVENT:
                 return self.resets.reset(str(data["kind"]), float(data.get("facing", 0.0)))
+            if name == LOAD_EVENT:
+                self._solve_every = max(int(data["solve_every"]), 1)
+                return {}
             mounted = remounted(self.suit, data) if name == CALIBRATED_EVENT else None
-        except (KeyError, TypeError, ValueError) as error:  # a recorded one may be damaged, or another's
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            OverflowError,
+        ) as error:  # a recorded one may be damaged, or another's
             raise GatewayError(f"event '{name}' cannot be read: {error!r}") from error
         if mounted is not None:
             self.suit = mounted
@@ -195,7 +207,11 @@ class Pipeline:
         if self.on_imu_frame is not None:
             for imu_frame in imu_frames:
                 self.on_imu_frame(imu_frame)
-        return imu_frames
+        if self._solve_every == 1:
+            return imu_frames
+        solved = [imu_frame for imu_frame in imu_frames if imu_frame.sequence % self._solve_every == 0]
+        self.left_out += len(imu_frames) - len(solved)
+        return solved
 
     def _readings(self, chunk: Chunk) -> Sequence[Reading]:
         receiver = self._gnss.get(chunk.link)
@@ -240,6 +256,7 @@ class Pipeline:
             **({"gnss": {name: r.statistics() for name, r in self._gnss.items()}} if self._gnss else {}),
             **({} if self.sun is None else {"light": self.sun.statistics()}),
             "skeleton_frames": self.skeleton_frames,
+            "left_out_frames": self.left_out,
             "dropped_by_link": dropped,
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},
             "unused_readings": dict(self.unused),

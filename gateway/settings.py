@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -57,6 +57,16 @@ class LinkSettings(_Strict):
         description="for gnss: latitude and longitude in degrees and height above the ellipsoid in metres of "
         "the world's origin; none: the first fix",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_credentials(cls, given: Any) -> Any:
+        url = given.get("url") if isinstance(given, dict) else None
+        if isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]:
+            # Raised without the value: it would stand in the message otherwise.
+            del given["url"]
+            raise ValueError("url: a link takes no user name or password: leave out what stands before the @")
+        return given
 
     @model_validator(mode="after")
     def _is_on_earth(self) -> LinkSettings:
@@ -251,7 +261,7 @@ class GatewaySettings(_Strict):
     links: list[LinkSettings] = Field(min_length=1, description="where bytes come from")
     rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")
     reconstructor: str = Field(
-        default="independent", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
+        default="joint", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
     )
     root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from gateway.body.rig import load_rig
+from gateway.cli.preparing import make_ready
 from gateway.cli.progress import progress_bar
 from gateway.cli.replay_live import replay_live
 from gateway.errors import GatewayError, SettingsError, nearest
@@ -57,6 +58,7 @@ def replay(
     """
     recording = open_recording(file)
     source = _source(recording, with_rig, reconstructor, config, smooth)
+    make_ready(source.settings.reconstructor)
     is_other = bool(with_rig or reconstructor or smooth is not None)
     if verified:
         if is_other:

@@ -48,11 +48,11 @@ class _Block:
     observed_rate: FloatArray  # (T, m, 3)
     magnetic_field: FloatArray  # (T, m, 3)
     observed_status: StatusArray  # (T, m)
+    sights: FloatArray  # (T, m + 1, 4) see ``stacked_sights``
     resting: FloatArray  # (T, n)
     step_s: FloatArray  # (T,)
     reading_of: IntArray  # (k, 4) frame, device, time ns, quantity
     readings: FloatArray  # (k, 2, 3) value and standard deviation
-    sun: FloatArray  # (T, m + 1, 4), or (T, 0, 4): see ``sun_rows.stacked_sights``
     q_wb: FloatArray  # (T, n, 4)
     angular_rate: FloatArray  # (T, n, 3)
     joint_acceleration: FloatArray  # (T, n, 3)
@@ -74,7 +74,7 @@ class _Block:
             ImuFrame(
                 int(self.sequence[t]), int(self.time_ns[t]), self.specific_force[t], self.observed_rate[t],
                 self.magnetic_field[t], self.observed_status[t], nothing, tuple(local[t]),
-                sun=sight_of(self.sun[t]),
+                sun=sight_of(self.sights[t]),
             )
             for t in range(len(self.time_ns))
         ]  # fmt: skip
@@ -139,13 +139,13 @@ class Smoother:
             observed_rate=np.stack([frame.angular_rate for frame in clean]),
             magnetic_field=np.stack([frame.magnetic_field for frame in clean]),
             observed_status=np.stack([frame.status for frame in clean]),
+            sights=stacked_sights(clean),
             resting=resting,
             step_s=np.array([one.dt for one in prepared]),
             reading_of=np.array(
                 [(t, r.device, r.time_ns, int(r.quantity)) for t, r in readings], np.int64
             ).reshape(-1, 4),
             readings=np.array([(r.value, r.sigma) for _, r in readings], np.float64).reshape(-1, 2, 3),
-            sun=stacked_sights(clean),
             q_wb=np.stack([frame.q_wb for frame in found]),
             angular_rate=np.stack([frame.angular_rate for frame in found]),
             joint_acceleration=np.stack([frame.joint_acceleration for frame in found]),

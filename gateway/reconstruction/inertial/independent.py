@@ -24,7 +24,7 @@ from gateway.reconstruction.inertial.observations import SegmentObserver, with_s
 
 HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
 
-LONGEST_GAP_S = 0.5
+LONGEST_GAP_S = 0.2
 """A filter step stands for one nominal interval: after a longer gap the turn during it is not bridged."""
 
 

@@ -24,6 +24,7 @@ from gateway.reconstruction.inertial.chain_frames import (
     advance,
     wearing_of,
 )
+from gateway.reconstruction.inertial.chain_scratch import scratch
 from gateway.reconstruction.inertial.chain_state import (
     FilterState,
     Noise,
@@ -115,7 +116,9 @@ class ChainReconstructor:
     def _use(self, state: FilterState) -> None:
         self._state = state
         noise = self._settings.noise
-        constants = Constants(self._wearing, self._body, noise, self._fixed, self.is_joint, state)
+        constants = Constants(
+            self._wearing, self._body, noise, self._fixed, self.is_joint, state, scratch(self._n)
+        )
         self._held = hold(constants)
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:

@@ -46,24 +46,25 @@ def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
 
 
 def sight_of(rows: FloatArray) -> SunSight | None:
-    """What one frame's rows, (m + 1, 4) or (0, 4), were stacked from."""
-    return SunSight(rows[-1, :3], rows[:-1, :3], rows[:-1, 3]) if len(rows) else None
+    """What one frame's rows, (m + 1, 4) or (0, 4), were stacked from; None: it had none."""
+    if len(rows) == 0 or np.isnan(rows[-1, 0]):
+        return None
+    return SunSight(rows[-1, :3], rows[:-1, :3], rows[:-1, 3])
 
 
 @compiled
-def sun_by_segment(module_of_segment: IntArray, R_bs: FloatArray, sun: FloatArray) -> FloatArray:
-    """Rows (m + 1, 4) of modules to (n + 1, 4) of segments, segment axes; none: none."""
-    if len(sun) == 0:
-        return np.zeros((0, 4))
-    n = len(module_of_segment)
-    seen = np.full((n + 1, 4), np.nan)
-    seen[n] = sun[len(sun) - 1]
+def sun_by_segment_into(
+    seen: FloatArray, module_of_segment: IntArray, R_bs: FloatArray, sun: FloatArray
+) -> None:
+    """Rows (m + 1, 4) of modules to (n + 1, 4) of segments, segment axes; those without module are left."""
+    n, m = len(module_of_segment), len(sun) - 1
+    for i in range(4):
+        seen[n, i] = sun[m, i]
     for s in range(n):
         row = module_of_segment[s]
         if row >= 0:
-            seen[s] = sun[row]
-            rotation_matrix.turn(R_bs[s], seen[s, :3])
-    return seen
+            rotation_matrix.rotate_into(seen[s], R_bs[s], sun[row])
+            seen[s, 3] = sun[row, 3]
 
 
 @compiled
