@@ -22,9 +22,7 @@ def told_when_compiling(tell: Callable[[str], object]) -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if self.begun_s is None:
                 self.begun_s = time.monotonic()
-                tell(
-                    "compiling the reconstruction once, for up to a minute; later starts take it from the cache"
-                )
+                tell("compiling the reconstruction once, for up to a minute; later starts find it made")
 
         def on_end(self, event: Any) -> None:
             """The end of one kernel, of many."""
