@@ -1,4 +1,4 @@
-"""What a body stands on: light, a floor, the first look, and a world that is shifted so that it stays in view.
+"""What a body stands on: light, a floor, the first look, and a world that is shifted to keep it in view.
 
 What a picture costs a browser without a graphics processor is measured (``benchmarks/viewer.py``): shadows
 and an environment map took nearly all of it, so there are neither. Two lights and flat faces give a body
