@@ -21,8 +21,8 @@ FIRST_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, 0.85)
 FIELD_OF_VIEW_DEG = 45.0
 NARROW = 0.8
 """Width by height of a page below which it is held upright, with the panel over its lower half."""
-NARROW_CAMERA: tuple[float, float, float] = (3.0, -3.2, 1.0)
-NARROW_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, 0.05)
+NARROW_CAMERA: tuple[float, float, float] = (3.2, -3.5, 1.0)
+NARROW_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, -0.12)
 FLOOR_M, SECTION_M = 24.0, 1.0
 
 

@@ -33,11 +33,14 @@ class Builder:
     """buildah with a store of its own."""
 
     def __init__(self, folder: Path) -> None:
-        self._options = ["--storage-driver", "vfs", "--root", f"{folder}/store", "--runroot", f"{folder}/run"]
+        self._options = ["--root", f"{folder}/store", "--runroot", f"{folder}/run"]
+        self._environment = os.environ | {"STORAGE_DRIVER": "vfs", "BUILDAH_ISOLATION": "chroot"}
 
     def __call__(self, *command: str | Path) -> str:
         words = ["buildah", *self._options, *map(str, command)]
-        done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=REPOSITORY)
+        done = subprocess.run(
+            words, capture_output=True, text=True, check=False, cwd=REPOSITORY, env=self._environment
+        )
         assert done.returncode == 0, f"{' '.join(words)}\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
         return done.stdout
 
