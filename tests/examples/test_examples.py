@@ -141,7 +141,7 @@ async def test_mosquitto_sub_receives_what_the_schema_says(mosquitto, until):
         pytest.skip("mosquitto_sub is not installed (apt install mosquitto-clients)")
     async with MqttOutput(MqttSettings(port=mosquitto.port), SKELETON, INFO) as output:
         await until(lambda: output.is_connected)
-        command = [program, "-p", str(mosquitto.port), "-t", "mocap/+/pose", "-C", "2"]
+        command = [program, "-h", "127.0.0.1", "-p", str(mosquitto.port), "-t", "mocap/+/pose", "-C", "2"]
         assert_poses(await lines_while_publishing(output, *command), 2)
 
 
