@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import io
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
@@ -92,7 +93,8 @@ async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
         raise GatewayError("the page needs the extra 'viewer': pip install 'mocap-gateway[viewer]'") from None
     from gateway.viewer.gate import Door, Gate  # noqa: PLC0415 - beside the extra
 
-    server = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
+    with contextlib.redirect_stdout(io.StringIO()):  # it would tell the port behind the gate
+        server = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
     try:
         async with Gate(place.host, place.port, server.get_port(), Door(place.token)):
             shown = "/?token=… (the token's own text)" if place.token is not None else ""
