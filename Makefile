@@ -24,7 +24,7 @@ help:
 
 $(VENV)/pyvenv.cfg:
 	@test -n "$(PYTHON)" || { echo "No Python 3.11, 3.12 or 3.13 found. Install one (Debian: apt install python3 python3-venv) or name it: make $(MAKECMDGOALS) PYTHON=/path/to/python"; exit 1; }
-	@$(PYTHON) -m venv $(VENV) 2>/dev/null || { rm -rf $(VENV); \
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || { rm -rf $(VENV); \
 		if $(PYTHON) -m pip --version >/dev/null 2>&1; then \
 			$(PYTHON) -m venv --without-pip $(VENV) && $(PYTHON) -m pip --python $(BIN)/python install -q pip; \
 		elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
@@ -47,7 +47,7 @@ install: $(VENV)/.runtime
 install-dev: $(VENV)/.dev
 
 # What tests need from the system: a broker and a browser. NAME=PACKAGE
-SYSTEM_TOOLS := mosquitto=mosquitto chromium=chromium
+SYSTEM_TOOLS := mosquitto=mosquitto mosquitto_sub=mosquitto-clients chromium=chromium
 
 system-tools:
 	@for tool in $(SYSTEM_TOOLS); do \

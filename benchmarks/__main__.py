@@ -14,6 +14,7 @@ SUITES = (
     "speed",
     "latency",
     "outputs",
+    "viewer",
     "clock",
     "walking",
     "record",
@@ -22,6 +23,9 @@ SUITES = (
     "sensors",
     "calibration",
     "faults",
+    "body_faults",
+    "sun",
+    "soak",
     "fuzz",
     "overload",
 )

@@ -107,6 +107,7 @@ class Observer:
                 is_up=_is_up(link, has_begun=link.name in dropped),
                 reconnections=link.reconnections if isinstance(link, ReconnectingLink) else 0,
                 dropped={defect.name.lower(): count for defect, count in dropped.get(link.name, {}).items()},
+                counts=link.counts.summary() if isinstance(link, ReconnectingLink) else {},
             )
             for link in self._links
         ]

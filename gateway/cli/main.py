@@ -110,6 +110,10 @@ class _Commands(LazyGroup):
             "gateway.cli.modules:modules_app",
             "List, identify, assign and configure the modules of a suit; fetch files from its memory card.",
         ),
+        "optical": LazyCommand(
+            "gateway.cli.optical:optical_app",
+            "Markers of an optical system (C3D, TRC, live): fit a body, solve, play.",
+        ),
         "calibrate": LazyCommand(
             "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."
         ),

@@ -7,11 +7,11 @@ import contextlib
 import io
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from gateway.cli.broker_options import broker_settings
+from gateway.cli import broker_options
 from gateway.cli.progress import progress_bar
 from gateway.credentials import AccessToken, token_for
 from gateway.errors import GatewayError
@@ -31,14 +31,13 @@ def view(
     recording: Annotated[
         Path | None, typer.Argument(help="A recording to play; without one, what a gateway publishes now.")
     ] = None,
-    host: Annotated[str, typer.Option(help="Host of the MQTT broker.")] = LOOPBACK,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the MQTT broker.")] = 1883,
-    username: Annotated[str | None, typer.Option(help="User name at the broker.")] = None,
-    password_file: Annotated[
-        Path | None, typer.Option(help="File with the password; else MOCAP_MQTT_PASSWORD is taken.")
-    ] = None,
-    protocol: Annotated[Literal["3.1.1", "5"], typer.Option(help="MQTT version.")] = "3.1.1",
-    base_topic: Annotated[str, typer.Option(help="First part of the topics.")] = "mocap",
+    host: broker_options.Host = LOOPBACK,
+    port: broker_options.Port = 1883,
+    username: broker_options.Username = None,
+    password_file: broker_options.PasswordFile = None,
+    ca_file: broker_options.CaFile = None,
+    protocol: broker_options.Protocol = "3.1.1",
+    base_topic: broker_options.BaseTopic = "mocap",
     gateway: Annotated[str, typer.Option(help="Name of the gateway; + for the first heard.")] = ANY_GATEWAY,
     page_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
     page_host: Annotated[
@@ -59,11 +58,12 @@ def view(
     The page loads nothing from elsewhere and works on a phone. It only subscribes: it cannot slow the
     gateway down, and may run on another machine.
     """
-    settings = broker_settings(
+    settings = broker_options.broker_settings(
         host=host,
         port=port,
         username=username,
         password_file=password_file,
+        ca_file=ca_file,
         protocol=protocol,
         base_topic=base_topic,
     )
@@ -93,7 +93,7 @@ async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
         raise GatewayError("the page needs the extra 'viewer': pip install 'mocap-gateway[viewer]'") from None
     from gateway.viewer.gate import Door, Gate  # noqa: PLC0415 - beside the extra
 
-    with contextlib.redirect_stdout(io.StringIO()):  # it would tell the port behind the gate
+    with contextlib.redirect_stdout(io.StringIO()):  # it would name the port behind the gate
         server = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
     try:
         async with Gate(place.host, place.port, server.get_port(), Door(place.token)):
@@ -101,7 +101,8 @@ async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
             typer.echo(f"live page: http://{place.host}:{place.port}{shown}")
             yield server
     finally:
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 async def _serve_live(settings: MqttSettings, gateway: str, place: _Place, waits: bool) -> None:

@@ -24,7 +24,7 @@ from gateway.outputs.properties import JSON, MSGPACK
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
-StatusName = Literal["measured", "interpolated", "held", "predicted", "warming_up", "missing"]
+StatusName = Literal["measured", "interpolated", "held", "predicted", "warming_up", "missing", "unaided"]
 
 STATUS_NAMES: tuple[str, ...] = tuple(status.name.lower() for status in Status)
 """Name of a status in messages, by its number."""

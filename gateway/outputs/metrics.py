@@ -50,6 +50,8 @@ class LinkFigures:
     reconnections: int
     dropped: Mapping[str, int] = field(default_factory=dict)
     """Wire frames dropped, by reason."""
+    counts: Mapping[str, int] = field(default_factory=dict)
+    """What became of its bytes, and what the system lost before."""
 
 
 @dataclass(frozen=True)
@@ -121,12 +123,17 @@ def _links(links: Sequence[LinkFigures]) -> Iterator[Metric]:
     up = GaugeMetricFamily("mocap_link_up", "Whether the link is open.", labels=("link",))
     again = CounterMetricFamily("mocap_link_reconnections", "How often it came up again.", labels=("link",))
     dropped = CounterMetricFamily("mocap_link_dropped", "Wire frames dropped.", labels=("link", "reason"))
+    counts = GaugeMetricFamily(
+        "mocap_link_count", "Bytes taken, handed on, dropped; losses of the system.", labels=("link", "what")
+    )
     for link in links:
+        for what, count in link.counts.items():
+            counts.add_metric((link.name, what), count)
         up.add_metric((link.name,), link.is_up)
         again.add_metric((link.name,), link.reconnections)
         for reason, count in link.dropped.items():
             dropped.add_metric((link.name, reason), count)
-    yield from (up, again, dropped)
+    yield from (up, again, dropped, counts)
 
 
 def _outputs(figures: GatewayFigures) -> Iterator[Metric]:

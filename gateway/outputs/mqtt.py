@@ -27,6 +27,7 @@ from gateway.outputs.connection import (
     broker_connection,
     end_tasks,
     explain,
+    first_to_end,
     nap,
     unique_identifier,
     until_lost,
@@ -214,32 +215,26 @@ class MqttOutput:
             try:
                 async with broker_connection(self._settings, self.port, self._identifier, will) as client:
                     waited = 0.0
-                    await self._publish_until_stopped(client)
+                    # A publication may go on waiting for a connection that is lost already.
+                    await first_to_end(until_lost(client), self._serve(client))
             except Exception as error:
                 self._report_outage(error)
             self.is_connected = False
             waited = backoff.after(waited)
             await nap(waited, self._stopping)
 
-    async def _publish_until_stopped(self, client: aiomqtt.Client) -> None:
-        loss = asyncio.create_task(until_lost(client))
-        loss.add_done_callback(lambda _: self._wake.set())
-        keeping: asyncio.Task[None] | None = None
-        try:
-            await self._announce(client)
-            keeping = asyncio.create_task(self._retained.publish_for_ever(client))
-            while not self._stopping.is_set():
-                self._wake.clear()
-                await self._publish_waiting(client)
-                if loss.done():
-                    return loss.result()
-                await nap(max(self._health_due - time.monotonic(), 0.0), self._wake)
-            await self._farewell(client)
-        finally:
-            companions = [task for task in (loss, keeping) if task is not None]
-            for task in companions:
-                task.cancel()
-            await asyncio.gather(*companions, return_exceptions=True)
+    async def _serve(self, client: aiomqtt.Client) -> None:
+        """Announce the gateway, then publish until stopped."""
+        await self._announce(client)
+        await first_to_end(self._retained.publish_for_ever(client), self._publish_poses(client))
+        await self._farewell(client)
+
+    async def _publish_poses(self, client: aiomqtt.Client) -> None:
+        """And health, until stopped."""
+        while not self._stopping.is_set():
+            self._wake.clear()
+            await self._publish_waiting(client)
+            await nap(max(self._health_due - time.monotonic(), 0.0), self._wake)
 
     async def _announce(self, client: aiomqtt.Client) -> None:
         self._retained.begin_again()
