@@ -107,7 +107,8 @@ def _frames(pipeline: Pipeline) -> Iterator[Balance]:
     if isinstance(assembler, FrameAssembler):
         skipped = assembler.lost[Lost.SKIPPED_INSTANT]
         yield Balance("instants", assembler.instants, {"frames": assembler.frames, "skipped": skipped})
-    yield Balance("frames", assembler.frames, {"reconstructed": pipeline.skeleton_frames})
+    assembled = assembler.frames + pipeline.marker_frames
+    yield Balance("frames", assembled, {"reconstructed": pipeline.skeleton_frames})
 
 
 _OF_READINGS = frozenset(Lost) - {Lost.SKIPPED_INSTANT}

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
@@ -38,20 +39,20 @@ class MarkerFit:
     """How the last pose explains the markers, in the order of the fitted body."""
 
     positions: FloatArray
-    """(M, 3) m, after names were put right; NaN: not seen, or nobody's."""
+    """(M, 3) m, after names were put right; NaN: not seen."""
     virtual: FloatArray
     """(M, 3) m: where the body has its markers."""
     residuals: FloatArray
-    """(M,) m; NaN where not seen."""
-    used: FloatArray
-    """(M,) bool: had a say."""
+    """(M,) m; NaN where not seen. Points that had no say, ghosts among them, have one too."""
+    used: NDArray[np.bool_]
+    """(M,) had a say."""
     renamed: tuple[tuple[int, int], ...]
     """(marker, whose point it had been; -1 for a nameless one)."""
 
     @property
     def rmse(self) -> float:
         """m, of the markers used; NaN with none."""
-        chosen = self.residuals[self.used.astype(bool)]
+        chosen = self.residuals[self.used]
         return float(np.sqrt(np.mean(chosen**2))) if len(chosen) else float("nan")
 
 
@@ -147,12 +148,13 @@ class OpticalReconstructor:
         self, frame: MarkerFrame, pose: Pose, renamed: tuple[tuple[int, int], ...]
     ) -> MarkerFit:
         virtual = self._virtual(pose)
-        positions = np.where(np.isfinite(pose.residuals)[:, None], frame.positions, np.nan)
+        positions = frame.positions.copy()
         for marker, source in renamed:
             given = frame.unlabelled if source < 0 else frame.positions[source : source + 1]
             at = np.argmin(np.linalg.norm(given - virtual[marker], axis=1))
             positions[marker] = given[at]
-        return MarkerFit(positions, virtual, pose.residuals, pose.weights > _ACCEPTED, renamed)
+        residuals = np.linalg.norm(positions - virtual, axis=1)
+        return MarkerFit(positions, virtual, residuals, pose.weights > _ACCEPTED, renamed)
 
     def _frame(self, frame: MarkerFrame, pose: Pose) -> SkeletonFrame:
         p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
