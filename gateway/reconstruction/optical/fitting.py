@@ -228,7 +228,7 @@ def _made_neutral(
     model, pose = done.model, done.poses[0]
     standing = []
     for seen in stood:
-        pose = solve_pose(model, seen, np.ones(len(seen)), pose.R, pose.root, _NEAR_AT_FIRST, 30)
+        pose = solve_pose(model, seen, np.ones(len(seen)), pose.R, pose.root, _NEAR_AT_FIRST, 30, pose.R, 0.0)
         standing.append(pose)
     joints = [kernels.places(model.parents, model.offsets, each.R, each.root) for each in standing]
     upright = facing_axes(body, np.mean(joints, axis=0), standing[0].R[0])
@@ -249,7 +249,7 @@ def _begun(
     model: BodyModel, seen: FloatArray, start: tuple[FloatArray, FloatArray] | None, skeleton: Skeleton, name: str
 ) -> Pose:
     if start is not None:
-        return solve_pose(model, seen, np.ones(len(seen)), start[0], start[1], _NEAR_AT_FIRST, 30)
+        return solve_pose(model, seen, np.ones(len(seen)), start[0], start[1], _NEAR_AT_FIRST, 30, start[0], 0.0)
     pose = start_pose(model, seen, quaternion.to_matrix(skeleton.neutral))
     if pose is None:
         raise GatewayError(f"{name}: a frame with fewer than three markers: too few to fit a body to")
