@@ -43,7 +43,7 @@ def command(name: str) -> list[str]:
 
 
 def _mark(name: str) -> Path:
-    return compiled.CACHE_DIRECTORY / f"ready-{name}-numba-{numba.__version__}"
+    return compiled.cache_directory(compiled.PACKAGE) / f"ready-{name}-numba-{numba.__version__}"
 
 
 if __name__ == "__main__":
