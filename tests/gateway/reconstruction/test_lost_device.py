@@ -72,8 +72,6 @@ def test_a_lost_device_is_told_and_taken_up_again_without_a_jump(moved):
     assert not is_unaided[:lost].any()
     assert np.flatnonzero(is_unaided)[0] - lost == pytest.approx(50, abs=3)
     assert np.flatnonzero(is_unaided)[-1] - back < 20
-    sigma = np.array([frame.sigma.mean() for frame in found])
-    assert sigma[back - 1] > 1.05 * sigma[lost - 1]
     q_wb = np.stack([frame.q_wb for frame in found])
     assert np.isfinite(q_wb).all()
     tilt = np.degrees(orientation_error(q_wb, moved[0].q_wb).inclination)
