@@ -16,7 +16,13 @@ from gateway.reconstruction.inertial.chain_averages import (
     felt_into,
     watch_rest,
 )
-from gateway.reconstruction.inertial.chain_prediction import note_valid_rows, predict, start, turn_segments
+from gateway.reconstruction.inertial.chain_prediction import (
+    exceeds,
+    note_valid_rows,
+    predict,
+    start,
+    turn_segments,
+)
 from gateway.reconstruction.inertial.chain_scratch import Scratch
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.heading_start import (
@@ -139,7 +145,9 @@ def _follow_field(
 ) -> None:
     """A row where the heading is settled; where it is open the field leads it as a compass."""
     for s in range(len(body.parents)):
-        if is_valid[s] == 0.0 or not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
+        if is_valid[s] == 0.0 or exceeds(state.rate[s], noise.largest_rate):
+            continue  # a saturated gyrometer has lost it: the field would seem disturbed
+        if not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
             continue
         chain_rows.watch_field(body, state, s, field[s], dt)
         if state.is_open[s] == 0:
