@@ -22,6 +22,7 @@ from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, F
 from gateway.reconstruction.inertial.heading_start import (
     compass_turn,
     gather_heading,
+    reopen_headings,
     shown_heading,
     tilt_spread,
     turn_evidence,
@@ -74,6 +75,7 @@ def step(
     note_rolling(scratch.rolling, state, rate, resting, dt)
     predict(body, state, noise, rate, is_valid, dt, scratch.before)
     _start_segments(body, state, noise, scratch)
+    reopen_headings(body, state)
     average(body, state, noise, force, rate, is_valid, dt, K, motion)
     _forget(scratch)
     if body.uses_field:
@@ -229,6 +231,7 @@ def _fixed_row(
     if state.device_covariance[d, 0, 0] == 0.0:
         for i in range(3):
             state.device_covariance[d, i, i] = noise.lever_arm_offset**2
+            state.device_covariance[d, 3 + i, 3 + i] = noise.force_bias**2
     u = np.empty(3)
     felt_into(u, state.force[s], K, body.device_arm[d], state.device_shift[d], 0)
     variance = chain_rows.row_variance(noise, motion, dt)

@@ -71,13 +71,14 @@ def note_frame(
             history[j, i] = history[j + 1, i]
     newest = history[N_HISTORY - 1]
     newest[0] = time_s
-    rotation_matrix.rotate_into(newest[1:4], R, observed.specific_force[s])
+    f, w = np.empty(3), np.empty(3)
+    for i in range(3):
+        f[i] = observed.specific_force[s, i] - state.force_bias[s, i]
+        w[i] = observed.angular_rate[s, i] - state.bias[s, i]
+    rotation_matrix.rotate_into(newest[1:4], R, f)
     if body.device_kind[d] == POSITION:
         rotation_matrix.rotate_into(newest[4:7], R, body.device_arm[d])
     else:
-        w = np.empty(3)
-        for i in range(3):
-            w[i] = observed.angular_rate[s, i] - state.bias[s, i]
         velocity_into(newest[4:7], R, w, body.device_arm[d])
 
 

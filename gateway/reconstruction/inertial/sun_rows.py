@@ -1,7 +1,7 @@
 """Headings by the sun in the chain filters. Compiled.
 
 Of the direction that the cells see only the azimuth counts: light of sky and ground comes from all around
-and shifts its height alone. A wrong tilt θ shifts the azimuth by ``θ tan(height)``, which the row's variance has.
+and shifts its height alone. A wrong tilt θ shifts the azimuth by ``θ tan(height)``; the variance has it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.frames import FloatArray, ImuFrame, IntArray
+from gateway.frames import FloatArray, ImuFrame, IntArray, SunSight
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
@@ -32,8 +32,8 @@ UNSURE = 0.5
 
 
 def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
-    """(T, m + 1, 4) where modules see the sun, sensor axes, with its standard deviation; the last row: where it
-    stands in the world. (T, 0, 4) if none of the frames has it."""
+    """(T, m + 1, 4) where modules see the sun, sensor axes, with its standard deviation; the last row: where
+    it stands in the world. (T, 0, 4) if none of the frames has it."""
     if all(observation.sun is None for observation in observations):
         return np.zeros((len(observations), 0, 4))
     m = len(observations[0].status)
@@ -43,6 +43,13 @@ def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
             rows[:m, :3], rows[:m, 3] = observation.sun.direction, observation.sun.sigma
             rows[m, :3] = observation.sun.world
     return stacked
+
+
+def sight_of(rows: FloatArray) -> SunSight | None:
+    """What one frame's rows, (m + 1, 4) or (0, 4), were stacked from; None: it had none."""
+    if len(rows) == 0 or np.isnan(rows[-1, 0]):
+        return None
+    return SunSight(rows[-1, :3], rows[:-1, :3], rows[:-1, 3])
 
 
 @compiled
@@ -71,8 +78,8 @@ def follow_sun(
     dt: float,
     turns: FloatArray,
 ) -> None:
-    """A row for every segment that sees the sun; an open heading is turned to it. sun: (n + 1, 4) direction in
-    segment axes and its standard deviation, the last row: in the world; NaN where it is not seen."""
+    """A row for every segment that sees the sun; an open heading is turned to it. sun: (n + 1, 4) direction
+    in segment axes and its standard deviation, the last row: in the world; NaN where it is not seen."""
     n = len(body.parents)
     world, settled = sun[n], np.zeros(n)
     across = math.hypot(world[0], world[1])

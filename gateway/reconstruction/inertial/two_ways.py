@@ -21,23 +21,32 @@ from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.inertial.blocks import inverse_3_into
 from gateway.reconstruction.inertial.chain_state import FilterState, initial_state
 
-REOPENED_SIGMA = 0.1
-"""rad: how sure the backward filter is at the end of the recording. What the forward one has found there is
-its start, and shall not count as its own."""
-
 
 def turned_back(state: FilterState) -> FilterState:
     """The state to go backward with from where ``state`` is: orientations, biases, lever arms and shown
-    headings are kept; averages and clocks begin anew."""
+    headings are kept, and how sure they are; averages and clocks begin anew.
+
+    Recordings end in mid-motion as often as at rest: a backward filter that knew nothing would first of all
+    take that motion's acceleration for a tilt.
+    """
     back = initial_state(len(state.is_started), len(state.device_age_s))
     sign = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
-    kept = ("R", "is_started", "is_open", "silent_s", "arm", "arm_covariance", "compass_s", "field_seen")
+    kept = (
+        "R",
+        "is_started",
+        "is_open",
+        "silent_s",
+        "arm",
+        "arm_covariance",
+        "compass_s",
+        "field_seen",
+        "sun",
+    )
     for name in (*kept, "device_shift", "device_covariance"):
         getattr(back, name)[...] = getattr(state, name)
     back.bias[...], back.rate[...] = -state.bias, -state.rate
     back.P[...] = state.P * np.outer(sign, sign)
     back.C[...] = state.C * np.outer(sign, sign)
-    back.P[:, range(3), range(3)] += REOPENED_SIGMA**2
     return back
 
 
@@ -64,7 +73,8 @@ def seen_backward(
 
 
 def _turned_reading(reading: LocalReading, end_ns: int) -> LocalReading:
-    value = -reading.value if reading.quantity is Quantity.VELOCITY else reading.value
+    is_velocity = reading.quantity in {Quantity.VELOCITY, Quantity.AIR_VELOCITY}
+    value = -reading.value if is_velocity else reading.value
     return replace(reading, time_ns=end_ns - reading.time_ns, value=value)
 
 
@@ -76,16 +86,18 @@ def put_together(
     (T, n) says how sure both are together. P, P_back: (T, n, 3, 3) rad², world axes.
 
     With the rotation ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ``. Where only one
-    of them knows anything, that one counts.
+    of them knows anything, that one counts. The backward filter starts from the forward one's end, so the two
+    are not independent: sigma claims no more than the surer one.
     """
     both, known = np.empty((3, 3)), np.empty((3, 3))
     for t in range(q_wb.shape[0]):
         for s in range(q_wb.shape[1]):
             if not is_finite(q_back[t, s]):
                 continue
+            sure = math.sqrt(P_back[t, s, 0, 0] + P_back[t, s, 1, 1] + P_back[t, s, 2, 2])
             if not is_finite(q_wb[t, s]):
                 q_wb[t, s] = q_back[t, s]
-                sigma[t, s] = math.sqrt(P_back[t, s, 0, 0] + P_back[t, s, 1, 1] + P_back[t, s, 2, 2])
+                sigma[t, s] = sure
                 continue
             for i in range(3):
                 for j in range(3):
@@ -96,5 +108,4 @@ def put_together(
             turn = gain @ quaternion.to_rotation_vector(difference)
             q = quaternion.multiply(quaternion.from_rotation_vector(turn), q_wb[t, s])
             q_wb[t, s] = quaternion.canonical(quaternion.normalise(q))
-            left = P[t, s] - gain @ P[t, s]
-            sigma[t, s] = min(sigma[t, s], math.sqrt(max(left[0, 0] + left[1, 1] + left[2, 2], 0.0)))
+            sigma[t, s] = min(sigma[t, s], sure)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.bundle import adjusted, with_sigmas
+from gateway.reconstruction.optical.joint_ranges import shown_joints
 from gateway.reconstruction.optical.landmarks import (
     SegmentPlaces,
     landmarks_of,
@@ -34,6 +36,7 @@ STILL_FRAMES = 10
 """Of a trial in which nothing moves: more of them tell nothing new."""
 SMALLEST_SIGMA = 0.003
 """What a marker strays at the least, per coordinate, m: one that hangs on a segment alone is met exactly."""
+_HELD = 1e-4  # m: a joint that is to stay where it is
 _STILL = 0.05  # m, of a marker's standard deviation
 
 
@@ -47,8 +50,9 @@ class FitOptions:
     """Measurements of the person, m."""
     neutral: tuple[float, float] | None = None
     """Seconds of the first trial in which the person stands neutral: axes are then those of that posture."""
-    functional: bool = False
-    """Whether joints go where the motion has them, whatever rules say."""
+    centres: Literal["rules", "both", "motion"] = "both"
+    """Where joints are: where rules have them on average; moved by the motion as far as each rule's trust lets
+    it; or where the motion has them, whatever rules say."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ def fit_body(
     ]
     if progress is not None:
         progress(1, 3)
-    trust = _trust(marker_set, options.functional)
+    trust = _trust(marker_set, options.centres)
     done = adjusted(model, observed, poses, trust, NEAR)
     if progress is not None:
         progress(2, 3)
@@ -98,8 +102,9 @@ def fit_body(
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
         progress(3, 3)
+    sized = resized(marker_set, final.offsets, skeleton.tips)
     return Fit(
-        skeleton=resized(marker_set, final.offsets, skeleton.tips),
+        skeleton=replace(sized, joints=shown_joints(sized, final, done.poses)),
         markers=replace(markers, positions=final.positions, sigmas=final.sigmas),
         marker_set=marker_set.file.name,
         lengths=measured.lengths,
@@ -147,11 +152,13 @@ def _stood_neutral(
     ]
 
 
-def _trust(marker_set: MarkerSet, functional: bool) -> FloatArray:
+def _trust(marker_set: MarkerSet, centres: str) -> FloatArray:
     """(S,) m."""
     entries = marker_set.file.segments
     trust = np.array([entries[name].trust_mm for name in marker_set.body.segment_names]) * 1e-3
-    return np.maximum(trust, 0.1) if functional else trust
+    if centres == "rules":
+        return np.full_like(trust, _HELD)
+    return np.maximum(trust, 0.1) if centres == "motion" else trust
 
 
 def _chosen_frames(

@@ -23,9 +23,10 @@ FREE_SIGMA = np.radians(60.0)
 """How far angles that a joint has may be from their neutral ones before it counts, rad."""
 FIXED_SIGMA = np.radians(12.0)
 """The same of angles that a joint does not really have (a knee's adduction), rad."""
-LIMIT_SIGMA = np.radians(4.0)
+LIMIT_SIGMA = np.radians(8.0)
 """How far beyond its limits an angle may be before it counts, rad."""
 _SMALLEST_STEP = 1e-6  # m and rad: under what any marker can tell
+_SMALLEST_GAIN = 1e-6  # of the cost, relative: what is left are turns that no marker sees
 _FIRST_DAMPING = 1e-6
 _WORST_DAMPING = 1e6
 
@@ -184,11 +185,11 @@ def solve_pose(
             damping = max(10.0 * damping, 1e-4)
             continue
         R, root, p, joints = R_new, root_new, p_new, joints_new
-        damping = max(_FIRST_DAMPING, 0.1 * damping)
+        damping = max(_FIRST_DAMPING, 0.2 * damping)
         y = kernels.marker_places(model.segments, model.positions, R, p)
         say = _say(model, observed, trust, y, scale)
         H, g, joints = normal_equations(model, observed, say, R, p)
-        if np.max(np.abs(delta)) < _SMALLEST_STEP:
+        if np.max(np.abs(delta)) < _SMALLEST_STEP or before - after < _SMALLEST_GAIN * before:
             break
     return _finished(model, observed, say, R, root, y, H, steps)
 
