@@ -25,6 +25,9 @@ SUITES = (
     "faults",
     "body_faults",
     "sun",
+    "soak",
+    "fuzz",
+    "overload",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

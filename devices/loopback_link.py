@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Callable
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
+from devices.link_counts import LinkCounts
 
 
 class LoopbackLink:
@@ -20,6 +21,7 @@ class LoopbackLink:
         self.name = name
         self.framing = framing
         self._clock = clock
+        self.counts = LinkCounts()
         self._arrivals = Arrivals.never_opened(name)
         self._is_open = False
         self._peer = self
@@ -28,7 +30,7 @@ class LoopbackLink:
         """Begin to take what the other end writes. Raises ``LinkError`` when it is open already."""
         if self._is_open:
             raise LinkError(f"{self.name} is already open")
-        self._arrivals = Arrivals(self.name)
+        self._arrivals = Arrivals(self.name, counts=self.counts)
         self._is_open = True
 
     def __aiter__(self) -> AsyncIterator[Chunk]:

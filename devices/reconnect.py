@@ -14,11 +14,12 @@ from enum import Enum
 from typing import Any
 
 from devices.link import Chunk, Link, LinkError
+from devices.link_counts import LinkCounts
 
 _log = logging.getLogger(__name__)
 
 FIRST_DELAY_S = 0.1
-LONGEST_DELAY_S = 2.0
+LONGEST_DELAY_S = 0.5
 
 
 class LinkState(Enum):
@@ -90,6 +91,12 @@ class ReconnectingLink:
         self._has_been_up = False
         self._closing: asyncio.Event | None = None
         self._transition = asyncio.Lock()
+
+    @property
+    def counts(self) -> LinkCounts:
+        """What became of its bytes; empty for a link that counts nothing."""
+        counts = getattr(self.link, "counts", None)
+        return counts if isinstance(counts, LinkCounts) else LinkCounts()
 
     @property
     def state(self) -> LinkState:

@@ -9,6 +9,7 @@ import serial
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError
+from devices.link_counts import LinkCounts
 from devices.reader_thread import ReaderThread, open_in_thread
 from devices.serial_link import DEFAULT_BAUD
 
@@ -25,6 +26,7 @@ class Rfc2217Link:
         self.url = f"rfc2217://{host}:{port}"
         self.name = name or self.url
         self.baud = baud
+        self.counts = LinkCounts()
         self._arrivals = Arrivals.never_opened(self.name)
         self._port: serial.Serial | None = None
         self._reader: ReaderThread | None = None
@@ -40,7 +42,7 @@ class Rfc2217Link:
             raise LinkError(f"{self.name} is already open")
         port = await open_in_thread(self._open_port, lambda port: port.close())
         self._port = port
-        self._arrivals = Arrivals(self.name)
+        self._arrivals = Arrivals(self.name, counts=self.counts)
         self._reader = ReaderThread(self.name, lambda: _waiting_bytes(port), self._arrivals)
 
     def __aiter__(self) -> AsyncIterator[Chunk]:

@@ -9,9 +9,11 @@ import aiomqtt
 import pytest
 
 from gateway.body.rig import load_rig
+from gateway.credentials import AccessToken
 from gateway.outputs.messages import BridgeState, PoseMessage, describe_body
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.topics import Topics
+from gateway.viewer.gate import Door, Gate
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
 playwright_api = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
@@ -19,6 +21,7 @@ playwright_api = pytest.importorskip("playwright.async_api", reason="playwright 
 pytestmark = pytest.mark.system
 SKELETON = load_rig("suit_17").skeleton
 GATEWAY = "lab"
+TOKEN = "a-token-of-this-test"
 
 
 @contextlib.asynccontextmanager
@@ -26,16 +29,21 @@ async def page_of(settings, unused_port, chromium):
     """The viewer, and a browser's page that shows it; ``page.outside`` are requests to elsewhere."""
     from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
 
-    server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     showing = asyncio.create_task(LiveViewer(server, settings, GATEWAY).run())
+    gate = Gate("127.0.0.1", unused_port, server.get_port(), Door(AccessToken(TOKEN)))
     flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    async with playwright_api.async_playwright() as play:
+    async with gate, playwright_api.async_playwright() as play:
         browser = await play.chromium.launch(executable_path=chromium, args=flags)
         page = await browser.new_page(viewport={"width": 800, "height": 600})
         page.set_default_timeout(40_000)
         outside = []
         page.on("request", lambda request: outside.append(request.url))
-        await page.goto(f"http://127.0.0.1:{unused_port}")
+        stranger = await page.goto(f"http://127.0.0.1:{unused_port}")
+        assert stranger.status == 401
+        await page.goto(f"http://127.0.0.1:{unused_port}/?token={TOKEN}")
+        assert TOKEN not in page.url
+        outside.clear()
         yield page, outside
         await browser.close()
     showing.cancel()
