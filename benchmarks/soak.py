@@ -42,7 +42,7 @@ WARM_UP_S = 60.0
 QUIET_S = (1.0, 4.0)
 """Between two faults."""
 LONG_QUIET_S = 30.0
-"""Now and then, so that estimators settle."""
+"""Now and then, and once at least, so that estimators settle."""
 LONG_QUIET_SHARE = 0.1
 KILL_BROKER_S = 45.0
 
@@ -51,12 +51,14 @@ def schedule(seed: int, seconds: float) -> FaultPlan:
     """Faults one after another, at random, until a little before the end."""
     rng = random.Random(seed)
     faults: list[dict[str, Any]] = []
-    at = 4.0
+    at, has_rested = 4.0, False
     while at < seconds - 5.0:
         fault = dict(rng.choice(FAULTS))
         faults.append({**fault, "at": round(at, 3)})
         at += fault.get("lasts", 0.0) + rng.uniform(*QUIET_S)
-        at += LONG_QUIET_S if rng.random() < LONG_QUIET_SHARE else 0.0
+        rests = rng.random() < LONG_QUIET_SHARE or (not has_rested and at > 0.5 * seconds)
+        at += LONG_QUIET_S if rests else 0.0
+        has_rested |= rests and at > 2 * LONG_QUIET_S
     return FaultPlan.model_validate({"seed": seed, "faults": faults})
 
 

@@ -41,7 +41,7 @@ def average(
 ) -> None:
     """K, motion ← swing of each segment, (n, 3, 3) 1/s², world, and ‖[ω̇, ω]‖, (n,) 1/s², where its specific
     force counts. In place, too: the averages."""
-    f_w, W = np.empty(3), np.empty((3, 3))
+    f, f_w, W = np.empty(3), np.empty(3), np.empty((3, 3))
     gain = 1.0 - math.exp(-dt / noise.smoothing_s)
     long_gain = 1.0 - math.exp(-dt / noise.unaided_window_s)
     per_s = gain / dt
@@ -49,7 +49,9 @@ def average(
         if is_valid[s] < 2.0:
             state.fresh_s[s] = 0.0
             continue
-        R, f = state.R[s], force[s]
+        R = state.R[s]
+        for i in range(3):
+            f[i] = force[s, i] - state.force_bias[s, i]
         x, y, z = (
             rate[s, 0] - state.bias[s, 0],
             rate[s, 1] - state.bias[s, 1],

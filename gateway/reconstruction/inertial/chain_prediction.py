@@ -42,8 +42,7 @@ def predict(
             continue
         rotation_matrix.copy_into(before[s], state.R[s])
         if is_valid[s] > 0.0:
-            for i in range(3):
-                w[i] = 0.5 * (rate[s, i] + state.rate[s, i]) - state.bias[s, i]
+            _mean_rate(w, state, s, rate[s], dt)
             speed = norm(w)
             density = noise.gyrometer**2 + (noise.gyrometer_scale * speed) ** 2 * noise.scale_memory_s
             if exceeds(rate[s], noise.largest_rate):
@@ -52,6 +51,7 @@ def predict(
             else:
                 state.silent_s[s] = 0.0
             for i in range(3):
+                state.slope[s, i] = (rate[s, i] - state.rate[s, i]) / dt
                 state.rate[s, i] = rate[s, i]
         else:
             for i in range(3):
@@ -59,6 +59,7 @@ def predict(
                 state.rate[s, i] = state.bias[s, i] + w[i]
             state.silent_s[s] += dt
             density = noise.dead_rate**2 * LONGEST_COAST_S
+            state.slope[s] = np.nan
         if state.silent_s[s] > LONGEST_SILENCE_S:
             state.is_started[s] = 2
         rotation_matrix.exponential_into(turn, w[0] * dt, w[1] * dt, w[2] * dt)
@@ -70,6 +71,25 @@ def predict(
             state.P[s, 3 + i, 3 + i] += noise.bias_walk**2 * dt
         if body.parents[s] >= 0:
             propagate(state.C[s], before[s], before[body.parents[s]], dt)
+
+
+@compiled
+def _mean_rate(w: FloatArray, state: FilterState, s: int, rate: FloatArray, dt: float) -> None:
+    """w ← what turns segment s over dt, rad/s: from its last three rates, error O(dt³) of the angle.
+
+    The trapezoid, less its error by Euler and Maclaurin's formula, and the coning of an axis that moves
+    (Bortz 1971). At 100 Hz the trapezoid alone is off by up to a degree in fast motion.
+    """
+    bias, last = state.bias[s], state.rate[s]
+    a, b = np.empty(3), np.empty(3)
+    for i in range(3):
+        a[i], b[i] = last[i] - bias[i], rate[i] - bias[i]
+        w[i] = 0.5 * (a[i] + b[i])
+        if math.isfinite(state.slope[s, i]):
+            w[i] -= (b[i] - a[i] - state.slope[s, i] * dt) / 12.0
+    w[0] += (a[1] * b[2] - a[2] * b[1]) * dt / 12.0
+    w[1] += (a[2] * b[0] - a[0] * b[2]) * dt / 12.0
+    w[2] += (a[0] * b[1] - a[1] * b[0]) * dt / 12.0
 
 
 @compiled
@@ -102,10 +122,12 @@ def start(
         secondary, secondary_w = np.zeros(3), np.zeros(3)
         secondary[int(abs(f[0]) > abs(f[1]))] = 1.0
         secondary_w[1] = 1.0
-    R = rotation_matrix.from_two_vectors(f, secondary, -body.gravity, secondary_w)
+    R = rotation_matrix.from_two_vectors(f, secondary, body.at_rest, secondary_w)
     if not is_finite(R[0]):
         return
-    state.R[s], state.bias[s], state.rate[s] = R, 0.0, w
+    rotation_matrix.copy_into(state.R[s], R)
+    for i in range(3):
+        state.bias[s, i], state.rate[s, i], state.slope[s, i] = 0.0, w[i], np.nan
     state.P[s], state.C[s] = 0.0, 0.0
     for i in range(3):
         state.P[s, i, i] = noise.start_tilt**2

@@ -28,6 +28,8 @@ class Noise(NamedTuple):
     """m: by how much a lever arm changes while the body moves (soft tissue), times ‖[ω̇, ω]‖."""
     lever_arm_offset: float = 0.02
     """m: how far a lever arm was measured wrong; what of it shows in the motion is found out."""
+    force_bias: float = 0.05
+    """m/s²: constant error of an accelerometer after its calibration; found where a fixed point shows it."""
     row_memory_s: float = 0.1
     """For how long a row stays off to the same side: denser rows say no more in all."""
     huber: float = 2.0
@@ -88,6 +90,7 @@ class ChainBody(NamedTuple):
     device_arm: FloatArray  # (d, 3) module to device, segment axes, m
     carries: IntArray  # (n,) 1 for segments that stand on the ground
     gravity: FloatArray  # (3,)
+    at_rest: FloatArray  # (3,) specific force of what does not accelerate: −gravity
     field: FloatArray  # (3,)
     uses_field: bool
 
@@ -102,9 +105,11 @@ class FilterState(NamedTuple):
     fresh_s: FloatArray  # (n,) since the averages were begun
     R: FloatArray  # (n, 3, 3)
     bias: FloatArray  # (n, 3)
+    force_bias: FloatArray  # (n, 3) found error of the accelerometer, m/s², of segments held by a fixed point
     P: FloatArray  # (n, 6, 6)
     C: FloatArray  # (n, 6, 6)
     rate: FloatArray  # (n, 3) last measured, bias included
+    slope: FloatArray  # (n, 3) its change over the last step, rad/s²; NaN: not known
     force: FloatArray  # (n, 3) average of R f
     last_force: FloatArray  # (n, 3) R f of the frame before
     long_force: FloatArray  # (n, 3) the same over the unaided window
@@ -116,7 +121,7 @@ class FilterState(NamedTuple):
     heading: FloatArray  # (n, 3) cosine and sine sums of an open heading, and their possible length
     rest: FloatArray  # (n, 10) average rate, force, their variances, seconds at rest, and see ``rest_rows``
     device_shift: FloatArray  # (d, 3) found error of a fixed point's arm, m
-    device_covariance: FloatArray  # (d, 3, 3) its covariance
+    device_covariance: FloatArray  # (d, 6, 6) its covariance and that of the accelerometer's error
     device_age_s: FloatArray  # (d,) since the device last told something
     readings: FloatArray  # (d, N_READINGS, 5) seconds of frame time, value, standard deviation
     n_readings: IntArray  # (d, 2) how many; 1 while the last one waits for its frames
@@ -132,8 +137,9 @@ def initial_state(n: int, d: int) -> FilterState:
 
     return FilterState(
         np.full(2, -1, np.int64), np.zeros(n, np.int64), np.ones(n, np.int64), z(n), z(n),
-        z(n, 3, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
-        z(n, 6), z(n, 6, 6), z(n), z(n, 4), z(n, 3), z(n, 10), z(d, 3), z(d, 3, 3), np.full(d, np.inf),
+        z(n, 3, 3), z(n, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6),
+        z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
+        z(n, 6), z(n, 6, 6), z(n), z(n, 4), z(n, 3), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf),
         z(d, N_READINGS, 5),
         np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, 7), -np.inf),
@@ -169,6 +175,7 @@ def chain_body(suit: WornSuit, uses_field: bool) -> ChainBody:
         device_arm=np.array(arms, np.float64).reshape(len(devices), 3),
         carries=carries,
         gravity=np.array(suit.gravity, np.float64),
+        at_rest=-np.array(suit.gravity, np.float64),
         field=np.array(suit.magnetic_field, np.float64),
         uses_field=uses_field,
     )
