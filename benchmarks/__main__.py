@@ -22,6 +22,7 @@ SUITES = (
     "sensors",
     "calibration",
     "faults",
+    "optical",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

@@ -99,13 +99,17 @@ def _motion(body: Skeleton, seconds: float, generator: np.random.Generator) -> t
                 angles[:, k] = ease * (0.5 * (low + high) + 0.5 * (high - low) * wave)
         waves[joint.name] = angles
     shoulders = {
-        joint.name: _raised(times, ease, generator) for joint in body.joints if joint.name.endswith("_shoulder")
+        joint.name: _raised(times, ease, generator)
+        for joint in body.joints
+        if joint.name.endswith("_shoulder")
     }
     waves.update(shoulders)
     turn = ease * 0.6 * np.sin(2 * np.pi * 0.15 * times)
     q_wb, p_w = [], []
     for f in range(len(times)):
-        root = quaternion.multiply(quaternion.from_rotation_vector(np.array([0.0, 0.0, turn[f]])), body.neutral)
+        root = quaternion.multiply(
+            quaternion.from_rotation_vector(np.array([0.0, 0.0, turn[f]])), body.neutral
+        )
         pose = posture(body, {name: angles[f] for name, angles in waves.items()}, root)
         place = np.array([ease[f] * 0.4 * np.sin(0.8 * times[f]), 0.2 * ease[f] * times[f] / seconds, 0.95])
         q_wb.append(pose)
@@ -115,7 +119,9 @@ def _motion(body: Skeleton, seconds: float, generator: np.random.Generator) -> t
 
 def _raised(times: FloatArray, ease: FloatArray, generator: np.random.Generator) -> FloatArray:
     """Plane of elevation, elevation, rotation of an arm."""
-    swing = [np.sin(2 * np.pi * generator.uniform(0.2, 0.5) * times + generator.uniform(0, 6.28)) for _ in range(3)]
+    swing = [
+        np.sin(2 * np.pi * generator.uniform(0.2, 0.5) * times + generator.uniform(0, 6.28)) for _ in range(3)
+    ]
     return np.stack([ease * 0.7 * swing[0], ease * (0.8 + 0.5 * swing[1]), ease * 0.4 * swing[2]], axis=1)
 
 

@@ -88,7 +88,9 @@ class MarkerReceiver:
         factor = METRES.get(content.get("unit", "m"))
         if factor is None:
             return self._drop("bad_unit")
-        places = {name: _place(value, factor) for name, value in content["markers"].items() if value is not None}
+        places = {
+            name: _place(value, factor) for name, value in content["markers"].items() if value is not None
+        }
         nameless = content.get("unlabelled") or []
         others = [_place(value, factor) for value in nameless] if isinstance(nameless, list) else [None]
         time_ns = self._time_ns(content, arrived_ns)

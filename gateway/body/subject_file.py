@@ -36,7 +36,9 @@ class SubjectFile(_Strict):
 
     subject: str
     marker_set: str = Field(description="name of the marker set it was fitted with")
-    vertical: Literal["x", "y", "z"] = Field(default="z", description="axis of the optical system that points up")
+    vertical: Literal["x", "y", "z"] = Field(
+        default="z", description="axis of the optical system that points up"
+    )
     measurements_m: dict[str, float] = {}
     fit: dict[str, Any] = Field(default={}, description="how the fit came about; for the reader")
     markers: list[MarkerEntry] = Field(min_length=3)

@@ -38,10 +38,13 @@ def fit(
     up: Annotated[str | None, typer.Option(help="Axis of the files that points up: x, y or z.")] = None,
     neutral: Annotated[
         str | None,
-        typer.Option(metavar="FROM:TO", help="Seconds of neutral standing in the first trial: sets the axes."),
+        typer.Option(
+            metavar="FROM:TO", help="Seconds of neutral standing in the first trial: sets the axes."
+        ),
     ] = None,
     functional: Annotated[
-        bool, typer.Option("--functional", help="Joint centres where the motion has them, whatever rules say.")
+        bool,
+        typer.Option("--functional", help="Joint centres where the motion has them, whatever rules say."),
     ] = False,
     rules_only: Annotated[
         bool, typer.Option("--rules-only", help="Joint centres where the rules have them, whatever moves.")

@@ -87,7 +87,12 @@ def play(
     settings = optical_settings(subject, trial.rate_hz, f"markers://{file.resolve()}")
     if config is not None:
         given = load_gateway_settings(config)
-        kept = {"mqtt": given.mqtt, "gateway": given.gateway, "outputs": given.outputs, "recording": given.recording}
+        kept = {
+            "mqtt": given.mqtt,
+            "gateway": given.gateway,
+            "outputs": given.outputs,
+            "recording": given.recording,
+        }
         settings = settings.model_copy(update=kept)
     changes: dict[str, object] = {"queue_length": max(settings.mqtt.queue_length, QUEUE)}
     if embedded:

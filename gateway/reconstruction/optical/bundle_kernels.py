@@ -102,4 +102,3 @@ def jacobians(
                         constant[3 * m + i, 3 * (a - 1) + j] = R[parent, i, j]
             a = parent
     return moving, constant, weights, residual
-

@@ -246,10 +246,16 @@ def _largest_stray(seen: FloatArray) -> float:
 
 
 def _begun(
-    model: BodyModel, seen: FloatArray, start: tuple[FloatArray, FloatArray] | None, skeleton: Skeleton, name: str
+    model: BodyModel,
+    seen: FloatArray,
+    start: tuple[FloatArray, FloatArray] | None,
+    skeleton: Skeleton,
+    name: str,
 ) -> Pose:
     if start is not None:
-        return solve_pose(model, seen, np.ones(len(seen)), start[0], start[1], _NEAR_AT_FIRST, 30, start[0], 0.0)
+        return solve_pose(
+            model, seen, np.ones(len(seen)), start[0], start[1], _NEAR_AT_FIRST, 30, start[0], 0.0
+        )
     pose = start_pose(model, seen, quaternion.to_matrix(skeleton.neutral))
     if pose is None:
         raise GatewayError(f"{name}: a frame with fewer than three markers: too few to fit a body to")

@@ -136,9 +136,7 @@ def normal_equations(
     for m in range(len(observed)):
         if say[m] > 0.0:
             weight = say[m] / model.sigmas[m] ** 2
-            kernels.add_marker(
-                H, g, model.parents, p, model.segments[m], y[m], observed[m] - y[m], weight
-            )
+            kernels.add_marker(H, g, model.parents, p, model.segments[m], y[m], observed[m] - y[m], weight)
     cost = 0.0
     for j in range(len(model.distals)):
         d = model.distals[j]
@@ -150,7 +148,9 @@ def normal_equations(
 
 
 @compiled
-def _say(model: BodyModel, observed: FloatArray, trust: FloatArray, y: FloatArray, scale: float) -> FloatArray:
+def _say(
+    model: BodyModel, observed: FloatArray, trust: FloatArray, y: FloatArray, scale: float
+) -> FloatArray:
     """Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
 
     c: ``scale`` (m), and four times a marker's own σ at the least.

@@ -76,13 +76,13 @@ def solve_published(
         before = distance
         model = model._replace(positions=_mean_places(model, observed, R, places))
     smooth = _smoothed(R, rate_hz)
-    found = BodyMarkers(
-        markers.labels, markers.segments, model.positions, markers.sigmas, markers.vertical
-    )
+    found = BodyMarkers(markers.labels, markers.segments, model.positions, markers.sigmas, markers.vertical)
     return PublishedMotion(smooth, places, found, passes, distance)
 
 
-def first_frame_markers(model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray) -> FloatArray:
+def first_frame_markers(
+    model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray
+) -> FloatArray:
     """(M, 3) m: markers of one frame in their segments; where one was not seen, as it was."""
     p = kernels.places(model.parents, model.offsets, R, root)
     local = np.einsum("mji,mj->mi", R[model.segments], observed - p[model.segments])
@@ -128,7 +128,9 @@ def _solve_chain(
         turned, moved = kernels.moved(model.parents, R, root, change(x))
         return chain_gradient(model, seen, turned, moved, R, segments, moves_root, x)
 
-    found = minimize(cost, np.zeros(n), jac=True, method="BFGS", options={"gtol": GRADIENT, "norm": 2, "maxiter": 60})
+    found = minimize(
+        cost, np.zeros(n), jac=True, method="BFGS", options={"gtol": GRADIENT, "norm": 2, "maxiter": 60}
+    )
     turned, moved = kernels.moved(model.parents, R, root, change(found.x))
     return turned, moved
 
@@ -136,7 +138,11 @@ def _solve_chain(
 def _mean_places(model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray) -> FloatArray:
     local = np.stack(
         [
-            np.einsum("mji,mj->mi", R[f][model.segments], observed[f] - _places(model, R[f], root[f])[model.segments])
+            np.einsum(
+                "mji,mj->mi",
+                R[f][model.segments],
+                observed[f] - _places(model, R[f], root[f])[model.segments],
+            )
             for f in range(len(observed))
         ]
     )

@@ -163,9 +163,7 @@ class OpticalReconstructor:
         p = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
         return kernels.marker_places(self.model.segments, self.model.positions, pose.R, p)
 
-    def _explained(
-        self, frame: MarkerFrame, pose: Pose, renamed: Renamed
-    ) -> MarkerFit:
+    def _explained(self, frame: MarkerFrame, pose: Pose, renamed: Renamed) -> MarkerFit:
         virtual = self._virtual(pose)
         positions = _with_names(frame, renamed, virtual)
         residuals = np.linalg.norm(positions - virtual, axis=1)
