@@ -105,8 +105,8 @@ def run() -> Report:
         + table(["trial", "method", "held-out frames mm", "left-out markers mm", "ms a frame"], compared),
         "#### Joint centres against the file's Plug-in-Gait, RMSE in mm\n\n"
         + table(["trial", "method", *CENTRES], centre_rows),
-        "#### Joint angles against the file's Plug-in-Gait, degrees: RMSE, and with the mean difference taken out\n\n"
-        + table(["trial", "method", "joint", "angle", "RMSE", "without offset"], angle_rows),
+        "#### Joint angles against the file's Plug-in-Gait, degrees: RMSE, and with the mean difference
+        taken out\n\n" + table(["trial", "method", "joint", "angle", "RMSE", "without offset"], angle_rows),
     ]
     return report
 
@@ -179,8 +179,7 @@ def _published(marker_set: MarkerSet, training: list[MarkerTrial], held: MarkerT
     lengths = measurements(marker_set, training, {}).lengths
     vertical = vertical_axis(marker_set, training[0])
     sightings = [sighted(marker_set, trial, vertical, lengths) for trial in training]
-    chosen = sightings if training[1].labels != training[0].labels else sightings
-    skeleton, markers = from_rules(marker_set, chosen, vertical)
+    skeleton, markers = from_rules(marker_set, sightings, vertical)
     columns = [marker_set.labels.index(label) for label in markers.labels]
     learnt = sightings[1] if np.isfinite(sightings[1].places.axes).all(axis=(1, 2, 3)).any() else sightings[0]
     good = np.flatnonzero(np.isfinite(learnt.places.axes).all(axis=(1, 2, 3)))[:PUBLISHED_FRAMES]

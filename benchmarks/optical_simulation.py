@@ -46,11 +46,11 @@ def simulated_rows() -> tuple[list[Figure], tuple[list[str], list[list[str]]]]:
     figures = [
         Figure(
             "truth_joint_angles_deg", _rms(seen), "°", "<=1",
-            "1 mm noise, markers 3 cm off, 10 % gaps, swaps; RMSE of joints whose segments carry three markers or more "
-            "or hang between such (not wrists, ankles, clavicles)",
+            "1 mm noise, markers 3 cm off, 10 % gaps, swaps; RMSE of the joints between segments that three "
+            "markers or their neighbours hold (not wrists, ankles, clavicles)",
         ),
         Figure("truth_all_joint_angles_deg", _rms(everything), "°", note="the same, all joints of the body"),
-        Figure("truth_swaps_found_percent", 100.0 * found, "%", ">=99", "points under a wrong name, put right"),
+        Figure("truth_swaps_found_percent", 100.0 * found, "%", ">=99", "points with a wrong name"),
         Figure(
             "truth_bone_length_spread_mm", _length_spread(fitted, q_wb), "mm", "<=0.001",
             "largest change of a bone's length over all frames",

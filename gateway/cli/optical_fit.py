@@ -150,8 +150,8 @@ def _print(found: Fit, outcome: dict[str, object]) -> None:
         table.add_row(name, f"{lengths[name]:.0f}", f"{moved[name]:.0f}", " ".join(worn) or "–")
     Console().print(table)
     typer.echo(
-        f"{outcome['file']}: {outcome['markers']} markers, {outcome['frames']} frames, rest {outcome['rmse_mm']} mm "
-        f"RMS, {found.markers.vertical} up"
+        f"{outcome['file']}: {outcome['markers']} markers, {outcome['frames']} frames, "
+        f"rest {outcome['rmse_mm']} mm RMS, {found.markers.vertical} up"
     )
     for name in found.assumed:
         typer.echo(

@@ -74,8 +74,8 @@ def write_solved_trial(
     target: Path,
     progress: Progress | None = None,
 ) -> SolvedTrial:
-    """Every frame through the pipeline into ``target``. Raises ``RecordingError`` when that exists, OSError as
-    ``open`` does, ``GatewayError`` when the trial has none of the subject's markers."""
+    """Every frame through the pipeline into ``target``. Raises ``RecordingError`` when that exists,
+    OSError as ``open`` does, ``GatewayError`` when the trial has none of the subject's markers."""
     markers = suit.markers
     if markers is None:
         raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")

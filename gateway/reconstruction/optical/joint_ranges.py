@@ -1,7 +1,7 @@
 """What the joints of a person did while calibrating: limits and freedom of the fitted body.
 
-Rules for axes are not perfect: a wand marker that sits askew makes a knee appear to adduct by 30°. A body whose
-joints may not do what its own calibration shows would pull against its markers ever after.
+Rules for axes are not perfect: a wand marker that sits askew makes a knee appear to adduct by 30°. A body
+whose joints may not do what its own calibration shows would pull against its markers ever after.
 """
 
 from __future__ import annotations

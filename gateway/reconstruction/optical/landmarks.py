@@ -53,9 +53,9 @@ def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
         for labels in marker_set.file.vertical
     )
     if not np.isfinite(high - low).all():
+        feet, top = (" or ".join(labels) for labels in marker_set.file.vertical)
         raise GatewayError(
-            f"{trial.name}: which axis points up is not seen without {' or '.join(marker_set.file.vertical[0])}"
-            f" and {' or '.join(marker_set.file.vertical[1])}: tell it with --up"
+            f"{trial.name}: which axis points up is not seen without {feet} and {top}: tell it with --up"
         )
     axis = int(np.argmax(np.abs(high - low)))
     if (high - low)[axis] < 0:

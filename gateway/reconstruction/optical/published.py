@@ -2,7 +2,8 @@
 
 Steps 5 to 8: virtual markers from the first frame; the chains' joint rotations by BFGS on the summed squared
 distance, from the rules' rotations in the first frame and from the frame before in every later one, until the
-gradient's norm is below 0.05; virtual markers anew as means, until the summed distance changes by less than 0.5;
+gradient's norm is below 0.05; virtual markers anew as means, until the summed distance changes by less
+than 0.5;
 then quaternions → logarithm → linear time-invariant low-pass → exponential. Distances in mm, the unit of the
 source's systems. Offline: it wants all frames at once. The default method is measured against it.
 """

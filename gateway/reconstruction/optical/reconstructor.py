@@ -64,7 +64,8 @@ class MarkerFit:
 class OpticalReconstructor:
     """Whole-body pose of every frame, from the one before; begins, and begins anew, from the markers alone.
 
-    Sans-I/O and deterministic. ``last`` tells how the last frame was explained, ``counts`` what was put right.
+    Sans-I/O and deterministic. ``last`` tells how the last frame was explained, ``counts`` what was put
+    right.
     """
 
     def __init__(self, skeleton: Skeleton, markers: BodyMarkers) -> None:
