@@ -147,5 +147,6 @@ def _print(done: SolvedTrial) -> None:
     Console().print(table)
     typer.echo(
         f"{done.path}: {done.frames} frames, rest {outcome['rmse_mm']} mm RMS, "
-        f"{done.ms_per_frame:.2f} ms a frame; {len(done.renamed)} names put right, {done.counts.get('rejected', 0)} points left out"
+        f"{done.ms_per_frame:.2f} ms a frame; {len(done.renamed)} names put right, "
+        f"{done.counts.get('rejected', 0)} points left out"
     )

@@ -57,8 +57,8 @@ def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> P
     """The pose of markers (M, 3) from nothing but them; None with fewer than three markers.
 
     neutral: (3, 3) of every segment in the neutral posture. The body is laid over the markers as if it were
-    rigid and then let loose, once from the neutral posture and once with all joints in the middle of their limits:
-    an arm with few markers may else end up bent the wrong way. The cheaper pose counts.
+    rigid and then let loose, once from the neutral posture and once with all joints in the middle of their
+    limits: an arm with few markers may else end up bent the wrong way. The cheaper pose counts.
     """
     if np.isfinite(observed).all(axis=1).sum() < 3:
         return None
