@@ -105,7 +105,7 @@ def run() -> Report:
         + table(["trial", "method", "held-out frames mm", "left-out markers mm", "ms a frame"], compared),
         "#### Joint centres against the file's Plug-in-Gait, RMSE in mm\n\n"
         + table(["trial", "method", *CENTRES], centre_rows),
-        "#### Joint angles against the file's Plug-in-Gait, degrees: RMSE, and without the mean difference\n\n"
+        "#### Joint angles against the file's Plug-in-Gait, degrees: RMSE, and without its mean\n\n"
         + table(["trial", "method", "joint", "angle", "RMSE", "without offset"], angle_rows),
     ]
     return report

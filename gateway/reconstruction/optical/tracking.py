@@ -83,8 +83,8 @@ def _middle_posture(model: BodyModel, neutral: FloatArray) -> FloatArray:
     """(S, 3, 3) with every joint in the middle of its limits, where it has any."""
     R = np.tile(neutral, (len(model.parents), 1, 1))
     for row, distal in enumerate(model.distals.tolist()):
-        middle = model.limits[row].mean(axis=1)
-        angles = np.where(np.isfinite(middle), middle, 0.0) * model.signs[row]
+        limits = np.where(np.isfinite(model.limits[row]), model.limits[row], 0.0)
+        angles = limits.mean(axis=1) * model.signs[row]
         turn = np.eye(3)
         for axis, angle in zip(model.axes[row], angles, strict=True):
             turn = turn @ rm.from_rotation_vector(angle * np.eye(3)[axis])
