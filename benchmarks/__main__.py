@@ -14,6 +14,7 @@ SUITES = (
     "speed",
     "latency",
     "outputs",
+    "viewer",
     "clock",
     "walking",
     "record",
@@ -22,6 +23,11 @@ SUITES = (
     "sensors",
     "calibration",
     "faults",
+    "body_faults",
+    "sun",
+    "soak",
+    "fuzz",
+    "overload",
     "optical",
 )
 """Modules of this package with a function ``run() -> Report``."""

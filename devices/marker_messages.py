@@ -75,7 +75,7 @@ class MarkerReceiver:
     def receive(self, chunk: Chunk) -> list[MarkerMessage]:
         """The messages that a chunk completes, in time order."""
         *lines, self._rest = (self._rest + chunk.data).split(b"\n")
-        if self._rest.rstrip().endswith(b"}") and chunk.data == self._rest:  # a datagram without newline
+        if chunk.data == self._rest and _is_whole(self._rest):  # a datagram without newline
             lines, self._rest = [*lines, self._rest], b""
         if len(self._rest) > _LONGEST_LINE:
             self.dropped["too_long"] += 1
@@ -96,7 +96,8 @@ class MarkerReceiver:
             raise _UnreadableError("not_json") from None
         if not isinstance(content, dict) or not isinstance(content.get("markers"), dict):
             raise _UnreadableError("no_markers")
-        factor = METRES.get(str(content.get("unit", "m")))
+        unit = content.get("unit", "m")
+        factor = METRES.get(unit) if isinstance(unit, str) else None
         if factor is None:
             raise _UnreadableError("bad_unit")
         places = {
@@ -129,6 +130,17 @@ class MarkerReceiver:
         offset = arrived_ns - sent_ns
         self._offset_ns = offset if self._offset_ns is None else min(self._offset_ns, offset)
         return sent_ns + self._offset_ns
+
+
+def _is_whole(text: bytes) -> bool:
+    """Whether a message ends here: a piece of a stream may end with a brace too."""
+    if not text.rstrip().endswith(b"}"):
+        return False
+    try:
+        orjson.loads(text)
+    except orjson.JSONDecodeError:
+        return False
+    return True
 
 
 def _place(value: object, factor: float) -> tuple[float, float, float] | None:

@@ -39,6 +39,9 @@ class Status(IntEnum):
     """Samples come, but the method cannot define this value yet."""
     MISSING = 5
     """No sample to stand on."""
+    UNAIDED = 6
+    """Measured by its gyrometers, but what told inclination is gone: all local devices of its chain are
+    silent, or its own accelerometer is saturated. (Numbers never change, hence the last.)"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,23 +72,43 @@ class FusedReading:
 
 
 class Quantity(IntEnum):
-    """What a local measuring device (ML) measures, in world axes."""
+    """What a local measuring device (ML) measures, in world axes unless said otherwise."""
 
     FIXED_POINT = 0
     ACCELERATION = 1
     VELOCITY = 2
     POSITION = 3
+    AIR_VELOCITY = 4
+    """Velocity in still air by pressure tubes, in the axes of the segment that carries them."""
 
 
 @dataclass(frozen=True, slots=True)
 class LocalReading:
-    """One reading of a local measuring device, in world axes."""
+    """One reading of a local measuring device, in the axes that its quantity has."""
 
     device: int
     time_ns: int
     quantity: Quantity
     value: FloatArray  # (3,) m/s², m/s or m
     sigma: FloatArray  # (3,) standard deviation, same unit
+
+
+@dataclass(frozen=True, slots=True)
+class LightReading:
+    """One reading of a module's photoelectric cells."""
+
+    module: int
+    time_ns: int
+    intensity: FloatArray  # (6,) share of full scale, cells in the order of the wire
+
+
+@dataclass(frozen=True, slots=True)
+class SunSight:
+    """Where the modules see the sun; the second uniform field beside the earth's, or in the place of it."""
+
+    world: FloatArray  # (3,) unit, ENU, by the almanac
+    direction: FloatArray  # (n_modules, 3) unit, sensor axes; NaN where it is not seen
+    sigma: FloatArray  # (n_modules,) rad, of each component across it; NaN likewise
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +130,10 @@ class ImuFrame:
     orientation: FloatArray | None = None
     """(n_modules, 4) ``q_es`` fused on the modules, each to its own level reference e; None: they send raw
     values."""
+    light: tuple[LightReading, ...] = field(default=())
+    """Readings of photoelectric cells since the frame before, in time order."""
+    sun: SunSight | None = None
+    """What they show; None: the suit has no cells in use."""
 
 
 @dataclass(frozen=True, slots=True)

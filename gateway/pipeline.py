@@ -26,9 +26,10 @@ from gateway.calibration.mounting import remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
 from gateway.errors import GatewayError, SettingsError
-from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
+from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
+from gateway.light import SunCompass
 from gateway.marker_frames import MarkerFrames
 from gateway.reconstruction import (
     FUSED,
@@ -47,9 +48,9 @@ from gateway.stream import ClockMode, Reading, Stream
 
 FRAMES_AT_A_TIME = 256
 """Of a recording: enough that a call costs nothing, few enough to stay in the processor's cache."""
-RESET_EVENT, CALIBRATED_EVENT = "reset", "calibrated"
+RESET_EVENT, CALIBRATED_EVENT, LOAD_EVENT = "reset", "calibrated", "load"
+INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT, LOAD_EVENT})
 NO_MARKERS = "the rig has no markers: 'rig' must name a subject that `mocap-gateway optical fit` wrote"
-INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT})
 """Events that are inputs: a recording must hand them over again in their place."""
 
 
@@ -100,7 +101,11 @@ class Pipeline:
         """As worn now: a calibration may have changed it."""
         self.reconstructor = self._make(suit)
         self.resets = Resets(suit.skeleton)
+        self.sun = None if suit.sun is None else SunCompass(suit)
         self.skeleton_frames = 0
+        self.left_out = 0
+        """Frames that were not reconstructed, since the machine could not keep up (see ``overload``)."""
+        self._solve_every = 1
         self.on_imu_frame: Callable[[ImuFrame], None] | None = None
         """Told every frame before it is reconstructed: for calibrations."""
         self.gnss_params: dict[str, GnssParams] = {}
@@ -156,14 +161,23 @@ class Pipeline:
     def event(self, name: str, data: Mapping[str, Any]) -> dict[str, object]:
         """Something asked of the gateway that changes what follows; other events pass without effect.
 
-        ``reset`` (kind, facing) and ``calibrated`` (see ``mounting_event``). What came of it; raises
+        ``reset`` (kind, facing), ``calibrated`` (see ``mounting_event``) and ``load`` (solve_every: of the
+        frames, how many are reconstructed). What came of it; raises
         ``GatewayError`` where that cannot be done, and then has changed nothing.
         """
         try:
             if name == RESET_EVENT:
                 return self.resets.reset(str(data["kind"]), float(data.get("facing", 0.0)))
+            if name == LOAD_EVENT:
+                self._solve_every = max(int(data["solve_every"]), 1)
+                return {}
             mounted = remounted(self.suit, data) if name == CALIBRATED_EVENT else None
-        except (KeyError, TypeError, ValueError) as error:  # a recorded one may be damaged, or another's
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            OverflowError,
+        ) as error:  # a recorded one may be damaged, or another's
             raise GatewayError(f"event '{name}' cannot be read: {error!r}") from error
         if mounted is not None:
             self.suit = mounted
@@ -176,7 +190,7 @@ class Pipeline:
         if chunk.link in self._markers:
             return self._optical_frames(chunk)
         skeleton_frames = [
-            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self._imu_frames(chunk)
+            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self.imu_frames(chunk)
         ]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
@@ -198,7 +212,7 @@ class Pipeline:
             if isinstance(item, Chunk) and item.link in self._markers:
                 yield from self._optical_frames(item)
             elif isinstance(item, Chunk):
-                block += self._imu_frames(item)
+                block += self.imu_frames(item)
             elif isinstance(item, SentChunk):
                 self.sent(item)
             if isinstance(item, InputEvent) or len(block) >= FRAMES_AT_A_TIME:
@@ -214,14 +228,21 @@ class Pipeline:
         if block:
             yield from map(self.resets.apply, update_many(self.reconstructor, block))
 
-    def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+    def imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+        """The frames of all modules that a chunk completes, not yet reconstructed."""
         imu_frames: list[ImuFrame] = []
         for reading in self._readings(chunk):
             imu_frames += self._assemble(reading, chunk.arrived_ns)
+        if self.sun is not None:
+            imu_frames = [self.sun.sighted(imu_frame) for imu_frame in imu_frames]
         if self.on_imu_frame is not None:
             for imu_frame in imu_frames:
                 self.on_imu_frame(imu_frame)
-        return imu_frames
+        if self._solve_every == 1:
+            return imu_frames
+        solved = [imu_frame for imu_frame in imu_frames if imu_frame.sequence % self._solve_every == 0]
+        self.left_out += len(imu_frames) - len(solved)
+        return solved
 
     def _readings(self, chunk: Chunk) -> Sequence[Reading]:
         receiver = self._gnss.get(chunk.link)
@@ -235,6 +256,12 @@ class Pipeline:
         fused = self.fused_assembler
         if isinstance(reading, LocalReading) and fused is None:
             self.assembler.add_local(reading)
+            return []
+        if isinstance(reading, LightReading):
+            if self.sun is not None and fused is None:
+                self.assembler.add_light(reading)
+            else:
+                self.unused["light"] += 1
             return []
         if isinstance(reading, FusedReading):
             if fused is not None:
@@ -258,8 +285,10 @@ class Pipeline:
         return {
             **({} if triggers is None else {"triggers": triggers.figures.summary()}),
             **({"gnss": {name: r.statistics() for name, r in self._gnss.items()}} if self._gnss else {}),
+            **({} if self.sun is None else {"light": self.sun.statistics()}),
             **({} if self.optical is None else {"markers": self._marker_statistics(self.optical)}),
             "skeleton_frames": self.skeleton_frames,
+            "left_out_frames": self.left_out,
             "dropped_by_link": dropped,
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},
             "unused_readings": dict(self.unused),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway.assembly import AssemblyParams
+from gateway.credentials import AccessToken, token_for
 from gateway.errors import nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
@@ -19,6 +20,9 @@ from gateway.stream import ClockMode
 RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 """Nothing that could mean another folder."""
 
+
+METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
+"""Environment variable that may hold the token of metrics and health."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -55,6 +59,16 @@ class LinkSettings(_Strict):
         description="for gnss: latitude and longitude in degrees and height above the ellipsoid in metres of "
         "the world's origin; none: the first fix",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_credentials(cls, given: Any) -> Any:
+        url = given.get("url") if isinstance(given, dict) else None
+        if isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]:
+            # Raised without the value: it would stand in the message otherwise.
+            del given["url"]
+            raise ValueError("url: a link takes no user name or password: leave out what stands before the @")
+        return given
 
     @model_validator(mode="after")
     def _is_on_earth(self) -> LinkSettings:
@@ -179,8 +193,20 @@ class MetricsSettings(_Strict):
     host: str = Field(
         default="127.0.0.1",
         min_length=1,
-        description="address to listen at: loopback, unless others are to read them (0.0.0.0: all)",
+        description="address to listen at: loopback, unless others are to read them (0.0.0.0: all), who then "
+        "need a token",
     )
+    token_file: Path | None = Field(
+        default=None,
+        description="file whose first line is the token that readers must show (Authorization: Bearer …); "
+        f"without it the environment variable {METRICS_TOKEN_VARIABLE} is taken",
+    )
+
+    def token(self) -> AccessToken | None:
+        """What readers must show. Raises ``CredentialError`` where others could read and need none."""
+        return token_for(
+            "the metrics", self.host, self.token_file, METRICS_TOKEN_VARIABLE, "metrics.token_file"
+        )
 
 
 class RecordingSettings(_Strict):
@@ -237,7 +263,7 @@ class GatewaySettings(_Strict):
     links: list[LinkSettings] = Field(min_length=1, description="where bytes come from")
     rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")
     reconstructor: str = Field(
-        default="independent",
+        default="joint",
         description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}; or {OPTICAL}, of markers",
     )
     root_motion: RootMotionSettings = RootMotionSettings()

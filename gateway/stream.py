@@ -22,15 +22,18 @@ from firmware_protocol import (
     Health,
     InertialSample,
     InertialSampleFine,
+    LightSample,
     LocalMeasurement,
     Packet,
     PacketDecoder,
+    PressureSample,
     ReceivedPacket,
     SamplingTrigger,
     SyncRequest,
     SyncResponse,
 )
 from firmware_protocol.kinds import FROM_HOST
+from gateway.air_velocity import air_velocity
 from gateway.clocks import (
     ClockTable,
     EstimatedClock,
@@ -43,10 +46,11 @@ from gateway.clocks import (
     warm_up,
 )
 from gateway.exchanges import TimeExchanges
-from gateway.frames import FusedReading, InertialReading, LocalReading, Quantity
+from gateway.frames import FusedReading, InertialReading, LightReading, LocalReading, Quantity
+from gateway.losses import Cause, LinkLosses
 from gateway.statistics import ModuleRecord
 
-Reading = InertialReading | FusedReading | LocalReading
+Reading = InertialReading | FusedReading | LocalReading | LightReading
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
 """Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
@@ -67,7 +71,15 @@ class ClockMode(StrEnum):
 
 
 SAMPLE_KINDS = frozenset(
-    packet.KIND for packet in (InertialSample, InertialSampleFine, FusedSample, LocalMeasurement)
+    packet.KIND
+    for packet in (
+        InertialSample,
+        InertialSampleFine,
+        FusedSample,
+        LocalMeasurement,
+        LightSample,
+        PressureSample,
+    )
 )
 """Of packets that readings are made from."""
 
@@ -93,6 +105,7 @@ class Stream:
         """Packets of a host, ours or another one's, that came back over a bus."""
         self._decoders: dict[str, PacketDecoder] = {}
         self._sent_decoders: dict[str, PacketDecoder] = {}
+        self._losses: dict[str, LinkLosses] = {}
         self._batching: dict[str, LinkBatching] = {}
         self._arriving = LinkBatching()  # of the link that the chunk in hand came over
         self._listeners: dict[type[Packet], list[Listener]] = {}
@@ -105,6 +118,12 @@ class Stream:
         self._decoders[name] = _decoder(framing)
         self._sent_decoders[name] = _decoder(framing)
         self._batching[name] = LinkBatching()
+        self._losses[name] = LinkLosses()
+
+    def notice(self, link: str, cause: Cause) -> None:
+        """Something was lost on a link since its last chunk: tells what missing packets fell victim to."""
+        if link in self._losses:
+            self._losses[link].notice(cause)
 
     def listen(self, packet_class: type[Packet], listener: Listener) -> None:
         """Have every packet of a class told to ``listener`` too, also one that came before."""
@@ -119,7 +138,13 @@ class Stream:
         readings = []
         self._arriving = self._batching[chunk.link]
         self._arriving.observe(chunk.arrived_ns)
-        for packet in self._decoders[chunk.link].feed(chunk.data):
+        decoder = self._decoders[chunk.link]
+        damaged = decoder.damaged
+        packets = decoder.feed(chunk.data)
+        self._losses[chunk.link].chunk += 1
+        if decoder.damaged != damaged:
+            self._losses[chunk.link].notice(Cause.DAMAGED)
+        for packet in packets:
             for listener in self._listeners.get(type(packet.packet), ()):
                 listener(packet, chunk)
             if packet.kind in FROM_HOST:
@@ -167,7 +192,7 @@ class Stream:
                 return self._read_triggered(self.triggers, record, received, chunk)
             if isinstance(packet, InertialSample | InertialSampleFine | FusedSample):
                 self.triggers.sampled_alone(received.module)
-        sequence = record.counter(received.kind).count(received.sequence)
+        sequence = record.counter(received.kind).count(received.sequence, self._losses[chunk.link])
         return None if sequence is None else _reading(record, received.packet, sequence, time_ns)
 
     def _timed(self, received: ReceivedPacket, arrived_ns: int) -> tuple[ModuleRecord, int]:
@@ -192,7 +217,9 @@ class Stream:
         answer = triggers.answered(received.module, received.sequence, chunk.link, chunk.arrived_ns)
         if answer is None:
             return None
-        sequence = record.counter(received.kind | _TRIGGERED).count_unwrapped(answer.full)
+        sequence = record.counter(received.kind | _TRIGGERED).count_unwrapped(
+            answer.full, self._losses[chunk.link]
+        )
         return None if sequence is None else _reading(record, received.packet, sequence, answer.sent_ns)
 
 
@@ -233,6 +260,15 @@ def _local(record: ModuleRecord, packet: LocalMeasurement, _sequence: int, time_
     )
 
 
+def _light(record: ModuleRecord, packet: LightSample, _sequence: int, time_ns: int) -> Reading:
+    return LightReading(record.module, time_ns, np.array(packet.intensity))
+
+
+def _pressure(record: ModuleRecord, packet: PressureSample, _sequence: int, time_ns: int) -> Reading:
+    found = air_velocity(packet.differential_pressure, packet.static_pressure, packet.temperature_celsius)
+    return LocalReading(record.module, time_ns, Quantity.AIR_VELOCITY, *found)
+
+
 def _info(record: ModuleRecord, packet: DeviceInfo, _sequence: int, _time_ns: int) -> None:
     record.info = packet
 
@@ -252,6 +288,8 @@ _HANDLERS: dict[type, Callable[..., Reading | None]] = {
     InertialSampleFine: _inertial,
     FusedSample: _fused,
     LocalMeasurement: _local,
+    LightSample: _light,
+    PressureSample: _pressure,
     DeviceInfo: _info,
     Health: _health,
 }

@@ -11,15 +11,23 @@ import logging
 import os
 import secrets
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from gateway.outputs.settings import PASSWORD_VARIABLE, CredentialError, MqttSettings, TlsSettings
+from gateway.credentials import CredentialError
+from gateway.outputs.incoming import LARGEST_MESSAGE, MOST_MESSAGES, Inbox, refuse_huge_packets
+from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, TlsSettings
+
+if TYPE_CHECKING:  # paho has the name for type checkers only
+    from paho.mqtt.client import SocketLike
 
 TIMEOUT_S = 2.0
 """Longest wait for the broker to take a connection, or a message, before it counts as lost."""
@@ -49,7 +57,7 @@ class Backoff:
     """Waits between attempts: ``first``, doubling up to ``longest``, s."""
 
     first: float = 0.2
-    longest: float = 2.0
+    longest: float = 1.0
 
     def after(self, waited: float) -> float:
         """The wait that follows one of ``waited``; 0 for none yet."""
@@ -126,12 +134,69 @@ def _client(settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Wi
         will=will,
         timeout=TIMEOUT_S,
         keepalive=settings.keepalive,
-        max_queued_incoming_messages=1000,
+        queue_type=Inbox,
+        max_queued_incoming_messages=MOST_MESSAGES,
+        properties=_wishes(settings),
         tls_params=_tls_parameters(settings.tls) if settings.tls is not None else None,
         socket_options=_SOCKET_OPTIONS,
     )
+    refuse_huge_packets(client._client)
     client._client.connect_timeout = TIMEOUT_S  # aiomqtt has no parameter for it; paho's 5 s is long
+    _watch_open_sockets_only(client)
+    _notice_early_hang_up(client)
     return client
+
+
+def _notice_early_hang_up(client: aiomqtt.Client) -> None:
+    """Have an attempt fail at once when the other side closes it before it has answered.
+
+    aiomqtt waits for the answer to its time-out: with a port forwarder in between, which takes connections
+    for a broker that is away, every attempt took two seconds.
+    """
+    told = client._client.on_disconnect
+
+    def disconnected(*arguments: Any) -> None:
+        if client._connected.done():
+            assert told is not None
+            told(*arguments)
+        else:
+            client._connected.set_exception(aiomqtt.MqttError("it hung up before it had answered"))
+
+    client._client.on_disconnect = disconnected
+
+
+def _watch_open_sockets_only(client: aiomqtt.Client) -> None:
+    """Have the loop watch a full socket only if it is still open when the loop gets to it.
+
+    aiomqtt hands the loop the socket's number. A broker that dies closes the socket in between: the number
+    is nobody's by then, or a serial port's that has just been opened.
+    """
+    loop = client._loop
+
+    def write() -> None:
+        try:
+            client._client.loop_write()
+        except Exception as error:  # as aiomqtt does: whatever it is, the connection is lost
+            if not client._disconnected.done():
+                client._disconnected.set_exception(error)
+
+    def watch(sock: SocketLike) -> None:
+        if sock.fileno() >= 0:
+            loop.add_writer(sock.fileno(), write)
+
+    def asked_to_watch(_client: object, _data: object, sock: SocketLike) -> None:
+        loop.call_soon_threadsafe(watch, sock)
+
+    client._client.on_socket_register_write = asked_to_watch
+
+
+def _wishes(settings: MqttSettings) -> Properties | None:
+    """What a broker that speaks MQTT 5 is told on connecting: the largest packet that we take."""
+    if settings.spoken_protocol != "5":
+        return None
+    properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+    properties.MaximumPacketSize = LARGEST_MESSAGE
+    return properties
 
 
 def _tls_parameters(tls: TlsSettings) -> aiomqtt.TLSParameters:
@@ -162,6 +227,19 @@ async def nap(seconds: float, interrupt: asyncio.Event) -> None:
             await interrupt.wait()
     except TimeoutError:
         return
+
+
+async def first_to_end(*parts: Coroutine[Any, Any, None]) -> None:
+    """Run parts until one of them ends, cancel the others, and raise what it raised, if anything."""
+    tasks = [asyncio.ensure_future(part) for part in parts]
+    try:
+        ended, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in ended:
+            task.result()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def end_tasks(*tasks: asyncio.Task[None]) -> None:

@@ -27,6 +27,7 @@ from gateway.outputs.connection import (
     broker_connection,
     end_tasks,
     explain,
+    first_to_end,
     nap,
     unique_identifier,
     until_lost,
@@ -99,6 +100,7 @@ class MqttOutput:
         self._others = others
         self._health_due = 0.0
         self._thinning = Thinning(settings.pose_rate)
+        self._relief = Thinning(None)
         self._queue: deque[SkeletonFrame] = deque()
         self._published = self._dropped = self._thinned = self._connections = 0
         self._complaints: set[str] = set()
@@ -126,7 +128,7 @@ class MqttOutput:
 
     def offer(self, frame: SkeletonFrame) -> None:
         """Take a frame for publishing. Never waits; the oldest queued frame gives way when full."""
-        if not self._thinning.admits(frame.time_ns):
+        if not (self._thinning.admits(frame.time_ns) and self._relief.admits(frame.time_ns)):
             self._thinned += 1
             return
         if len(self._queue) == self._settings.queue_length:
@@ -134,6 +136,12 @@ class MqttOutput:
             self._dropped += 1
         self._queue.append(frame)
         self._wake.set()
+
+    def relieve(self, poses_hz: float | None, *, has_segments: bool) -> None:
+        """Publish less for a while: at most so many poses a second (None: as configured), and no single
+        segments. What is not published counts as thinned."""
+        self._relief = Thinning(poses_hz)
+        self._publications.has_segments = has_segments
 
     def keep(self, topic: str, message: Message) -> None:
         """Have a message published below the gateway's topics, retained, again after every reconnection."""
@@ -207,32 +215,26 @@ class MqttOutput:
             try:
                 async with broker_connection(self._settings, self.port, self._identifier, will) as client:
                     waited = 0.0
-                    await self._publish_until_stopped(client)
+                    # A publication may go on waiting for a connection that is lost already.
+                    await first_to_end(until_lost(client), self._serve(client))
             except Exception as error:
                 self._report_outage(error)
             self.is_connected = False
             waited = backoff.after(waited)
             await nap(waited, self._stopping)
 
-    async def _publish_until_stopped(self, client: aiomqtt.Client) -> None:
-        loss = asyncio.create_task(until_lost(client))
-        loss.add_done_callback(lambda _: self._wake.set())
-        keeping: asyncio.Task[None] | None = None
-        try:
-            await self._announce(client)
-            keeping = asyncio.create_task(self._retained.publish_for_ever(client))
-            while not self._stopping.is_set():
-                self._wake.clear()
-                await self._publish_waiting(client)
-                if loss.done():
-                    return loss.result()
-                await nap(max(self._health_due - time.monotonic(), 0.0), self._wake)
-            await self._farewell(client)
-        finally:
-            companions = [task for task in (loss, keeping) if task is not None]
-            for task in companions:
-                task.cancel()
-            await asyncio.gather(*companions, return_exceptions=True)
+    async def _serve(self, client: aiomqtt.Client) -> None:
+        """Announce the gateway, then publish until stopped."""
+        await self._announce(client)
+        await first_to_end(self._retained.publish_for_ever(client), self._publish_poses(client))
+        await self._farewell(client)
+
+    async def _publish_poses(self, client: aiomqtt.Client) -> None:
+        """And health, until stopped."""
+        while not self._stopping.is_set():
+            self._wake.clear()
+            await self._publish_waiting(client)
+            await nap(max(self._health_due - time.monotonic(), 0.0), self._wake)
 
     async def _announce(self, client: aiomqtt.Client) -> None:
         self._retained.begin_again()

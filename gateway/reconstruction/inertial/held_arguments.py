@@ -1,49 +1,38 @@
-"""What a kernel is given with every frame, unpacked once.
+"""What a kernel is given with every frame, handed over as one address.
 
-Handing some forty arrays from Python to a kernel takes several microseconds, every time. A ``Held`` object
-has them in the form that compiled code works with; the arrays themselves stay those of Python.
+Kernels take the body, the noise and the state, some sixty arrays in all. As named tuples they would go from
+function to function by value, hundreds of machine words a call, which costs more than the arithmetic and has
+the compiler spend a minute on moving them. ``hold`` writes once where the arrays lie into a table. In a
+kernel ``held.name`` then is the array (no reference is counted: the ``Held`` object keeps it alive), the
+number, or the inner tuple; all but the first length of an array is a constant of the type, so that loops over
+3 × 3 and 6 × 6 blocks unroll. Code reads the same either way: a kernel can be given the named tuple, too.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar, cast
 
-from numba import types
-from numba.experimental import structref
+import numpy as np
 
-from gateway.geometry.compiled import compiled
-
-
-@structref.register
-class HeldType(types.StructRef):
-    """Numba's side of ``Held``."""
-
-    def preprocess_fields(self, fields: Any) -> Any:
-        """Values are variables, not constants of the type: one compiled kernel serves all."""
-        unliteral: Any = types.unliteral
-        return tuple((name, unliteral(field)) for name, field in fields)
+T = TypeVar("T", bound=tuple[Any, ...])
 
 
-class Held(structref.StructRefProxy):
-    """Made by ``hold``."""
+class Held:
+    """Made by ``hold``; its arrays must not be replaced, only changed in place."""
 
-    all: Any
-    """Read by kernels only."""
+    def __init__(self, everything: tuple[Any, ...]) -> None:
+        from gateway.reconstruction.inertial.held_types import layout  # noqa: PLC0415 - the compiler is slow
 
-    def __new__(cls, everything: Any) -> Held:
-        """See ``hold``."""
-        held: Held = _hold(everything)
-        return held
-
-
-structref.define_proxy(Held, HeldType, ["all"])  # type: ignore[no-untyped-call]  # numba's
+        words: list[int] = []
+        self._numba_type_ = layout(everything, words)
+        self._everything = everything
+        self._table = np.array(words, np.int64)
+        self.address: int = self._table.ctypes.data
 
 
-@compiled
-def _hold(everything: Any) -> Any:
-    return Held(everything)
+def hold(everything: T) -> T:
+    """A named tuple of arrays, numbers and such tuples as one argument of a kernel: to it, the tuple itself.
 
-
-def hold(everything: tuple[Any, ...]) -> Held:
-    """A tuple of arrays, numbers and named tuples as one argument; in a kernel ``held.all`` is the tuple."""
-    return Held(everything)
+    Raises ``TypeError`` for anything else, and for arrays that kernels cannot change in place.
+    """
+    return cast(T, Held(everything))

@@ -8,6 +8,7 @@ magnetic north; the declination of the suit's field turns it to the geographic E
 from __future__ import annotations
 
 import math
+from types import EllipsisType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +20,21 @@ from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame, Status
 from gateway.geometry import derivatives, quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import norm
-from gateway.reconstruction.inertial.observations import SegmentObserver
+from gateway.reconstruction.inertial.observations import SegmentObserver, with_sun_as_field
 
 HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
+
+LONGEST_GAP_S = 0.2
+"""A filter step stands for one nominal interval: after a longer gap the turn during it is not bridged."""
 
 
 class IndependentReconstructor:
     """One VQF a module.
 
-    A module without values for an instant keeps its last orientation (HELD; the turn during the gap is
-    lost, since a filter step stands for one nominal interval). A segment without module follows its
-    parent rigidly, axes parallel as in the calibration pose (PREDICTED). MISSING: nothing yet, or a
-    module without accelerometer or gyrometers.
+    A module without values for an instant keeps its last orientation: HELD, and PREDICTED once
+    ``LONGEST_GAP_S`` has passed. How far it has turned by then nobody knows, so its filter begins anew when
+    it is back. A segment without module follows its parent rigidly, axes parallel as in the calibration pose
+    (PREDICTED). MISSING: nothing yet, or a module without accelerometer or gyrometers.
 
     angular_rate: as measured, bias included. joint_acceleration: the module's specific force moved to the
     proximal joint with ``ω̇`` from one backward difference and freed of gravity, from the second frame on
@@ -50,8 +54,7 @@ class IndependentReconstructor:
         self._rows = [int(suit.module_of_segment[s]) for s in self._observed]
         self._filters = [VQF(nominal_interval_s) for _ in self._observed]
         self._q_sb = _inverse_alignment(suit)
-        declination = math.atan2(suit.magnetic_field[0], suit.magnetic_field[1])
-        self._q_world = quaternion.from_rotation_vector(np.array([0.0, 0.0, -declination]))
+        self._q_world = _facing(np.asarray(suit.magnetic_field))
         n = len(suit.module_ids)
         self.reset()
         ones = np.ones((n, 3))
@@ -67,10 +70,15 @@ class IndependentReconstructor:
         self._q_vqf = np.full((n, 4), np.nan)  # sensor to the filter's world
         self._has_field = np.zeros(n, np.bool_)
         self._rate = np.full((n, 3), np.nan)
+        self._heard_ns = np.zeros(n, np.int64)
         self._time_ns = 0
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant."""
+        sun = observation.sun
+        if sun is not None:
+            observation = with_sun_as_field(observation, sun)
+            self._q_world = _facing(sun.world)
         status = self._step_filters(observation)
         observed = self._observer.observe(observation)
         dt = (observation.time_ns - self._time_ns) * 1e-9
@@ -88,6 +96,7 @@ class IndependentReconstructor:
             self._gravity,
         )
         self._rate, self._time_ns = observed.angular_rate, observation.time_ns
+        status[(status == HELD) & self._is_silent(..., observation.time_ns)] = PREDICTED
         return SkeletonFrame(
             sequence=observation.sequence,
             time_ns=observation.time_ns,
@@ -100,6 +109,10 @@ class IndependentReconstructor:
             root=int(np.flatnonzero(self._parents < 0)[0]),
         )
 
+    def _is_silent(self, segments: int | EllipsisType, time_ns: int) -> NDArray[np.bool_]:
+        """Whether the last values of segments are too old to go on from."""
+        return np.asarray(time_ns - self._heard_ns[segments] > LONGEST_GAP_S * 1e9)
+
     def _step_filters(self, observation: ImuFrame) -> StatusArray:
         """Feeds every module's filter; the status by segment, PREDICTED where there is no module."""
         status = np.full(len(self._parents), PREDICTED, np.uint8)
@@ -110,6 +123,9 @@ class IndependentReconstructor:
             if not is_inertial[row]:
                 status[segment] = MISSING if np.isnan(self._q_vqf[segment, 0]) else HELD
                 continue
+            if self._is_silent(segment, observation.time_ns):
+                vqf.resetState()
+            self._heard_ns[segment] = observation.time_ns
             if has_field[row]:
                 self._has_field[segment] = True
                 vqf.update(w[row], f[row], x[row])
@@ -128,6 +144,12 @@ def _has_values(*sensors: FloatArray) -> NDArray[np.bool_]:
     """(n_modules,) whether all the sensors gave finite values."""
     has: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(np.hstack(sensors)), axis=1)
     return has
+
+
+def _facing(field: FloatArray) -> FloatArray:
+    """(4,) from the filter's world, whose y points where the field (3,) does, to ENU."""
+    declination = math.atan2(field[0], field[1])
+    return quaternion.from_rotation_vector(np.array([0.0, 0.0, -declination]))
 
 
 def _inverse_alignment(suit: WornSuit) -> FloatArray:
