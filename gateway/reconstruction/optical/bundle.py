@@ -93,7 +93,7 @@ def _stiffness(model: BodyModel, trust: FloatArray) -> FloatArray:
         if len(on):
             # (D⁻¹ + t² 1 1ᵀ)⁻¹ by Sherman and Morrison
             inverse[np.ix_(on, on)] -= np.outer(own[on], own[on]) / (trust[s] ** -2.0 + own[on].sum())
-    stiffness: FloatArray = np.kron(inverse, np.eye(3))
+    stiffness: FloatArray = np.asarray(np.kron(inverse, np.eye(3)), dtype=np.float64)
     return stiffness
 
 

@@ -240,7 +240,7 @@ def _made_neutral(
 
 def _largest_stray(seen: FloatArray) -> float:
     """The largest distance of a marker (F, M, 3) from its mean place, root mean square, m."""
-    known: NDArray[np.bool_] = np.isfinite(seen).all(axis=2)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(seen).all(axis=2))
     count = np.maximum(known.sum(axis=0), 1)
     values = np.where(known[..., None], seen, 0.0)
     mean = values.sum(axis=0) / count[:, None]

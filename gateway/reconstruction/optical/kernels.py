@@ -101,8 +101,8 @@ def add_joint(
         for i in range(3):
             H[at + i, at + i] += weakest
             g[at + i] -= weakest * turn[i]
-        cost += 0.5 * weakest * dot(turn, turn)
-        return cost
+        whole: float = 0.5 * weakest * dot(turn, turn)
+        return whole
     for k in range(3):
         angle = found[k] * signs[k]
         pull = stiffness[k] * angle

@@ -59,7 +59,7 @@ def from_rules(
             for m, s in enumerate(segments.tolist())
         ]
     )
-    kept: NDArray[np.bool_] = np.isfinite(places).all(axis=1)
+    kept: NDArray[np.bool_] = np.asarray(np.isfinite(places).all(axis=1))
     markers = BodyMarkers(
         tuple(label for label, keep in zip(labels, kept.tolist(), strict=True) if keep),
         segments[kept],
