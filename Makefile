@@ -7,7 +7,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test test-socketcan lint docs bench soak install install-dev system-tools lock clean
+.PHONY: help demo test test-socketcan lint docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
@@ -17,7 +17,9 @@ help:
 	@echo "make bench   measure, and rewrite the figures in docs/"
 	@echo "make docs    the pages in docs/ as HTML"
 	@echo "make soak    slow tests, and ten million wire frames, damaged and good, through the decoders;"
-	@echo "             then MINUTES=20 of random faults on a running gateway"
+	@echo "             then MINUTES=20 of random faults on a running gateway (make soak-faults: these alone)"
+	@echo "make fuzz    MINUTES=30 of coverage-guided fuzzing (Linux on x86-64); what it finds stays in tests/fuzz"
+	@echo "make audit   known vulnerabilities of the pinned dependencies"
 	@echo "make lock    pin the dependencies anew"
 
 $(VENV)/pyvenv.cfg:
@@ -44,18 +46,18 @@ $(VENV)/.dev: requirements/dev.lock $(VENV)/.runtime
 install: $(VENV)/.runtime
 install-dev: $(VENV)/.dev
 
-# What tests need from the system: a broker and a browser. NAME=PACKAGE
-SYSTEM_TOOLS := mosquitto=mosquitto chromium=chromium
+# What tests need from the system: a broker, and a browser with what drives it. NAME=PACKAGE+PACKAGE
+SYSTEM_TOOLS := mosquitto=mosquitto mosquitto_sub=mosquitto-clients chromium=chromium+libatomic1
 
 system-tools:
 	@for tool in $(SYSTEM_TOOLS); do \
-		program=$${tool%%=*}; package=$${tool##*=}; \
+		program=$${tool%%=*}; packages=$${tool##*=}; packages=$${packages//+/ }; \
 		command -v $$program >/dev/null || [ -x /usr/sbin/$$program ] && continue; \
 		if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then sudo=""; \
 		elif sudo -n true 2>/dev/null && command -v apt-get >/dev/null; then sudo="sudo"; \
-		else echo "$$program is not installed and may not be: the tests that need it will be skipped (apt install $$package)"; continue; fi; \
+		else echo "$$program is not installed and may not be: the tests that need it will be skipped (apt install $$packages)"; continue; fi; \
 		echo "Installing $$program ..."; \
-		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive RUNLEVEL=1 apt-get install -y -qq --no-install-recommends $$package >/dev/null \
+		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive RUNLEVEL=1 apt-get install -y -qq --no-install-recommends $$packages >/dev/null \
 			|| echo "$$program could not be installed: the tests that need it will be skipped"; \
 	done
 
@@ -80,11 +82,30 @@ docs: install-dev
 bench: install-dev system-tools
 	$(BIN)/python -m benchmarks all --write-docs
 
-soak: MINUTES ?= 20
+MINUTES ?= 20
 soak: install-dev system-tools
 	$(BIN)/python -m pytest -m slow
 	$(BIN)/python -m benchmarks.wire_campaign --frames 10000000
 	$(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
+
+soak-faults: install-dev system-tools
+	$(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
+
+# Not among the pinned ones: it has no wheel for arm64, where fuzzing is left out.
+$(VENV)/.fuzz: $(VENV)/.dev
+	@$(BIN)/python -m pip install -q "atheris>=3,<4"
+	@touch $@
+
+fuzz: MINUTES ?= 30
+fuzz: $(VENV)/.fuzz
+	$(BIN)/python -m benchmarks.fuzzing.campaign --minutes $(MINUTES) $(TARGETS)
+
+$(VENV)/.audit: $(VENV)/pyvenv.cfg
+	@$(BIN)/python -m pip install -q "pip-audit>=2.9,<3"
+	@touch $@
+
+audit: $(VENV)/.audit
+	@$(BIN)/python -m benchmarks.audit requirements/runtime.lock requirements/dev.lock
 
 lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv

@@ -21,7 +21,7 @@ from benchmarks.figures import Figure, Report, table
 from benchmarks.gyro_free import add_gyro_free
 from benchmarks.offline import imu_frames, orientations
 from benchmarks.optical_reference import WINDOW_S, gyrometer_disagreement, in_time
-from benchmarks.peers import NO_FIELD, start
+from benchmarks.peers import NO_FIELD, SMOOTHED, solved
 from benchmarks.scoring import Score, score
 from devices.emulators.recording_formats import (
     read_broad,
@@ -31,14 +31,13 @@ from devices.emulators.recording_formats import (
 )
 from devices.emulators.recordings import Recording
 from gateway.body.rig import load_rig
-from gateway.reconstruction.reconstructor import update_many
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[2] / "shared" / "data"))
 PEER, OURS = "independent", "joint"
 HALF_LATER = "independent, ½ sample later"
 FLOOR = f"gyrometers alone, {WINDOW_S:g} s at a time"
-METHODS = (PEER, "imufusion", "articulated", "outward", NO_FIELD, OURS)
-OF_ONE_SEGMENT = (PEER, "imufusion", "articulated", OURS)
+METHODS = (PEER, "imufusion", "articulated", "outward", NO_FIELD, OURS, SMOOTHED)
+OF_ONE_SEGMENT = (PEER, "imufusion", "articulated", OURS, SMOOTHED)
 """For one segment ``outward`` and ``joint`` are the same."""
 METAL_TABLE_S = 5.0
 """The chain of ``ring_chain5`` lies on a metal table for so long; the figures count what comes after."""
@@ -153,6 +152,14 @@ def _ratios(scores: dict[tuple[str, str], list[Score]]) -> Iterator[Figure]:
         note = f"{COMPARED}, mean total error of segments 1 and 2: the third one's reference flips"
         yield Figure("pendulum_without_third_ratio_vqf", float(ours / peer), "", "", note)
     for group in dict.fromkeys(group for group, _ in scores):
+        both = [
+            np.mean([np.mean(getattr(s, part)) for s in scores[group, method]])
+            for part in ("total", "tilt")
+            for method in (SMOOTHED, OURS)
+        ]
+        for part, ratio in zip(("total", "tilt"), (both[0] / both[1], both[2] / both[3]), strict=True):
+            note = f"`joint` smoothed over `joint` as it runs live, mean {part} error"
+            yield Figure(f"smoothed_{group}_{part}_ratio", float(ratio), "", "<1.0", note)
         covered = float(np.mean([np.mean(s.covered) for s in scores[group, OURS]]))
         note = "share of errors of `joint` within two sigma; 95 is honest"
         yield Figure(f"sigma_coverage_{group}_percent", covered, "%", "", note)
@@ -168,8 +175,7 @@ def _solve(recording: Recording, trial: Trial) -> Iterator[tuple[str, Score]]:
     for method in METHODS if suit.skeleton.n_segments > 1 else OF_ONE_SEGMENT:
         if method == "articulated" and not trial.is_aided:
             continue  # it would take the moving body's joint as fixed
-        reconstructor = start(method, suit, 1.0 / recording.sampling_rate_hz)
-        frames = update_many(reconstructor, observed)
+        frames = solved(method, suit, 1.0 / recording.sampling_rate_hz, observed)
         times_s, q_wb = orientations(frames, first_s)
         sigma = np.stack([frame.sigma for frame in frames])
         yield method, score(times_s, q_wb, recording, trial.from_s, sigma)

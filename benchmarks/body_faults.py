@@ -20,16 +20,16 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import WornSuit
+from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.cli.emulated_rig import LOCAL_SIGMA, dress, move
 from gateway.comparison import orientation_error
 from gateway.frames import FloatArray, Quantity, SkeletonFrame, Status, StatusArray
 from gateway.geometry import quaternion
 from gateway.pipeline import Pipeline
 
-BEGIN_S, SECONDS, LONG_SECONDS = 15.0, 40.0, 90.0
-VICTIM, ML = 5, 60
-"""Module on the left forearm, and the device that measures the pelvis' position."""
+BEGIN_S, SECONDS, LONG_SECONDS = 12.0, 32.0, 84.0
+VICTIM, ML = 12, 60
+"""Module on the left shank, and the device that measures the pelvis' position."""
 RECOVERED_DEG = 1.0
 STEP_S = 0.05
 LINK = "suit"
@@ -44,7 +44,7 @@ class Case:
     lasts_s: float = 1000.0
     """To the end of the run, if longer than that."""
     worn: str = ""
-    """``turned`` or ``swapped``: how the victim is worn, throughout."""
+    """``turned``, ``upside_down`` or ``swapped``: how the victim is worn, throughout."""
     seconds: float = SECONDS
 
 
@@ -55,8 +55,9 @@ def _module(kind: str, lasts_s: float, **more: Any) -> dict[str, Any]:
 MODULE_CASES = (
     Case("module dies", (_module("reset", 1000.0),)),
     Case("module dies, comes back after 10 s", (_module("reset", 10.0),), 10.0),
-    Case("module worn turned by 180°", worn="turned"),
-    Case("module and that of the hand swapped", worn="swapped"),
+    Case("module worn turned by 180° about the leg", worn="turned"),
+    Case("module worn upside down", worn="upside_down"),
+    Case("module and that of the foot swapped", worn="swapped"),
     Case("gyrometer saturated for 2 s", (_module("saturated", 2.0),), 2.0),
     Case("accelerometer saturated for 2 s", (_module("saturated", 2.0, sensor="specific_force"),), 2.0),
     Case("gyrometer stuck for 5 s", (_module("stuck", 5.0),), 5.0),
@@ -89,9 +90,10 @@ class Run:
 
 
 def suit_with_position(quantity: Quantity = Quantity.POSITION) -> WornSuit:
-    """The shipped suit; the device at its waist measures ``quantity``."""
-    suit = load_rig("suit_17")
-    return replace(suit, local_devices=(replace(suit.local_devices[0], quantity=quantity),))
+    """The shipped suit for the lower body with a device at its waist that measures ``quantity``."""
+    suit = load_rig("suit_lower_7")
+    device = LocalDevice(quantity, suit.skeleton.index("pelvis"), np.array([0.0, 0.1, 0.0]), ML)
+    return replace(suit, local_devices=(device,))
 
 
 def emulated(suit: WornSuit, case: Case, method: str = "joint", seed: int = 1) -> Run:
@@ -124,12 +126,16 @@ def emulated(suit: WornSuit, case: Case, method: str = "joint", seed: int = 1) -
     )
 
 
+_TURNS = {"turned": (0.0, 0.0, 1.0, 0.0), "upside_down": (0.0, 1.0, 0.0, 0.0)}
+"""About the length of the segment, and about the axis that looks forward."""
+
+
 def _worn(body: EmulatedBody, how: str) -> EmulatedBody:
     """The body with the victim's module put on wrong."""
     segment = int(np.flatnonzero(body.module_ids == VICTIM)[0])
-    if how == "turned":
+    if how in _TURNS:
         q = body.sensor_to_segment.copy()
-        q[segment] = quaternion.multiply(np.array([0.0, 0.0, 1.0, 0.0]), q[segment])
+        q[segment] = quaternion.multiply(np.array(_TURNS[how]), q[segment])
         return replace(body, sensor_to_segment=q)
     if how == "swapped":
         ids = body.module_ids.copy()
@@ -143,7 +149,7 @@ class Outcome:
     """What a case did to some segments."""
 
     worst_deg: float
-    """Largest excess while it lasted."""
+    """Largest excess from its beginning on."""
     recovery_s: float
     """From its end until the excess stays below a degree; NaN: it lasted to the end, or never did."""
 
@@ -155,14 +161,13 @@ def outcome(run: Run, calm: Run, segments: list[int], case: Case) -> Outcome:
     excess = run.error_deg[:n, segments] - calm.error_deg[at_calm][:, segments]
     excess = np.nan_to_num(excess).max(axis=1)
     times, end_s = run.times_s[:n], BEGIN_S + case.lasts_s
-    during = (times >= BEGIN_S) & (times < end_s)
-    after = times >= end_s
+    after, worst = times >= end_s, float(excess[times >= BEGIN_S].max())
     if not after.any():
-        return Outcome(float(excess[during].max()), np.nan)
+        return Outcome(worst, np.nan)
     bad = times[after & (excess > RECOVERED_DEG)]
     is_over = not len(bad) or bad[-1] < times[-1] - 1.0
     recovery_s = (float(bad[-1] - end_s) if len(bad) else 0.0) if is_over else np.nan
-    return Outcome(float(excess[during].max()), recovery_s)
+    return Outcome(worst, recovery_s)
 
 
 def told_after_s(run: Run, segments: list[int]) -> float:
@@ -213,10 +218,10 @@ def _module_table(report: Report, suit: WornSuit, calm: Run) -> None:
     head = ["case", "status tells after, s", "joint agreement", "own worst, °", "over after, s"]
     head += ["neighbours' worst, °", "over after, s", "others' worst, °", "over after, s"]
     report.tables.append(
-        f"### A module fails: `joint` on the 17-module suit, walking; the module of the {name}\n\n"
-        "Excess over the run without fault. *Joint agreement*: 0 agrees with its neighbours, 1 has nothing to do with "
-        "them (in `bridge/health`); without fault "
-        f"{calm.agreement.get(name, np.nan):.2f}. *Over after*: from the end of the fault until the excess stays "
+        f"### A module fails: `joint` on the 7-module suit, walking; the module of the {name}\n\n"
+        "Excess over the run without fault. *Joint agreement*: 0 agrees with its neighbours, 1 has nothing "
+        f"to do with them (in `bridge/health`); without fault {calm.agreement.get(name, np.nan):.2f}. "
+        "*Over after*: from the end of the fault until the excess stays "
         f"below {RECOVERED_DEG:g}°; –: the fault lasts.\n\n" + table(head, rows)
     )
     report.figures.append(
@@ -239,7 +244,8 @@ def _ml_table(report: Report, suit: WornSuit, calm: Run) -> None:
         worst_step = max(worst_step, step)
         rows.append([
             case.name, _seconds(told_after_s(found, everyone)), f"{before:.1f}",
-            f"{_mean_sigma(found, end_s - 0.3, end_s):.1f}", f"{whole.worst_deg:.1f}", _seconds(whole.recovery_s),
+            f"{_mean_sigma(found, end_s - 0.3, end_s):.1f}",
+            f"{whole.worst_deg:.1f}", _seconds(whole.recovery_s),
             f"{step:.2f}", f"{_place_off(found, end_s - 0.05):.2f}", f"{_place_step(found, end_s):.3f}",
             _seconds(_measured_again_s(found, end_s)),
         ])  # fmt: skip
@@ -247,8 +253,8 @@ def _ml_table(report: Report, suit: WornSuit, calm: Run) -> None:
     head += ["over after, s", "largest step after, °", "place off at the end, m", "step of place, m"]
     report.tables.append(
         "### The local device falls silent: the same, position of the pelvis at 100 Hz\n\n"
-        f"*Largest step after*: of any segment's tilt error from one frame to the next within 5 s after its return; "
-        f"without fault {calm_step:.2f}°. The place stands still meanwhile and glides back.\n\n"
+        "*Largest step after*: of any segment's tilt error from one frame to the next within 5 s after its "
+        f"return; without fault {calm_step:.2f}°. The place stands still meanwhile and glides back.\n\n"
         + table([*head, "`measured` again after, s"], rows)
     )
     report.figures.append(Figure("ml_loss_finite", float(finite), "", ">=1", "as above, local device silent"))

@@ -1,4 +1,4 @@
-"""Recordings of emulated suits, made without waiting: the data's own times are those of the suit."""
+"""Recordings of emulated suits, made without waiting: the instants in them begin now."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit
 from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.link import Chunk, Framing
+from devices.link import Chunk, Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_rig import dress, move
 from gateway.frames import SkeletonFrame
@@ -53,6 +53,7 @@ def record_walk(folder: Path, seconds: float, settings: GatewaySettings, plan: F
 
 
 def _chunks(suit: FaultySuit, seconds: float) -> Iterable[Chunk]:
+    begin_ns = gateway_time_ns()
     for k in range(1, round(seconds / _STEP_S) + 1):
         for sent in suit.advance(k * _STEP_S):
-            yield Chunk(sent.data, round(sent.time_s * 1e9), LINK)
+            yield Chunk(sent.data, begin_ns + round(sent.time_s * 1e9), LINK)

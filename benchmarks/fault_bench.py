@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import signal
 import socket
 import subprocess
 import tempfile
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import psutil
@@ -23,44 +25,91 @@ from devices.emulators.faulty_suit import FaultySuit, pull_cable
 from devices.emulators.transports import PtyTransport
 from devices.link import gateway_time_ns
 from gateway.accounting import unaccounted
-from gateway.frames import SkeletonFrame, Status
+from gateway.frames import SkeletonFrame, Status, StatusArray
 from gateway.service import Service
 from gateway.settings import GatewaySettings
 
 WHOLE_POSES = 10
 """So many whole poses in a row are a recovery; it counts from the first of them."""
 REMEMBERED_POSES = 2000
+LINK_LIMIT_S, BROKER_LIMIT_S, WHOLE_LIMIT_S = 1.0, 2.0, 1.0
+"""Cable plugged in → poses whole; broker listens → pose out; any other fault over → poses whole."""
+SAMPLES_LIMIT_S = 0.03
+"""Three samples, between the end of a module's fault and the instant of the first pose that it is in."""
+
+
+class Pose(NamedTuple):
+    """What is kept of a pose."""
+
+    at_ns: int
+    """When it was offered to the outputs."""
+    time_ns: int
+    status: StatusArray
 
 
 class Watch:
-    """An output that notes when poses were whole, the last of them."""
+    """An output that keeps what tells of the last poses how whole they were."""
 
     def __init__(self) -> None:
-        self.whole: deque[tuple[int, bool]] = deque(maxlen=REMEMBERED_POSES)
+        self.poses: deque[Pose] = deque(maxlen=REMEMBERED_POSES)
         self.on_pose: Callable[[SkeletonFrame], None] | None = None
 
     def offer(self, frame: SkeletonFrame) -> None:
-        """Note the gateway time, and whether every segment rests on a sample younger than ``hold_ms``."""
-        is_whole = bool(np.all(frame.status <= Status.HELD))
-        self.whole.append((gateway_time_ns(), is_whole))
+        """Note the gateway time, the pose's instant, and its status."""
+        self.poses.append(Pose(gateway_time_ns(), frame.time_ns, frame.status.copy()))
         if self.on_pose is not None:
             self.on_pose(frame)
 
     def recovered_s(self, since_ns: int) -> float:
-        """Time from an instant to the first of ``WHOLE_POSES`` whole poses in a row; infinite: never."""
+        """Time to the first of ``WHOLE_POSES`` poses in a row; infinite: never.
+
+        Every segment of such a pose rests on a sample younger than ``hold_ms``.
+        """
         run: list[int] = []
-        for at_ns, is_whole in self.whole:
-            if at_ns >= since_ns:
-                run = [*run, at_ns] if is_whole else []
+        for pose in self.poses:
+            if pose.at_ns >= since_ns:
+                run = [*run, pose.at_ns] if np.all(pose.status <= Status.HELD) else []
                 if len(run) == WHOLE_POSES:
                     return (run[0] - since_ns) * 1e-9
         return float("inf")
+
+    def back_s(self, since_ns: int, segment: int) -> float:
+        """From an instant to that of the first pose with a segment between two samples of its module."""
+        for pose in self.poses:
+            if pose.time_ns >= since_ns and pose.status[segment] <= Status.INTERPOLATED:
+                return (pose.time_ns - since_ns) * 1e-9
+        return float("inf")
+
+
+class Outcome(NamedTuple):
+    """What one fault did."""
+
+    name: str
+    recovery_s: float
+    limit_s: float
+    """Longest recovery that passes."""
+    lost: dict[str, int]
+    """Samples by what became of them, where they did not come, and poses and chunks likewise."""
+    unaccounted: int
+    note: str = ""
+    """Why it could not be done."""
+
+    @classmethod
+    def not_done(cls, name: str, why: str) -> Outcome:
+        """A fault that is not to be had here."""
+        return cls(name, float("nan"), 0.0, {}, 0, why)
+
+    @property
+    def passes(self) -> bool:
+        """In time, and everything accounted for."""
+        return bool(self.note) or (self.recovery_s <= self.limit_s and not self.unaccounted)
 
 
 class Bench:
     """A running service with a faulty suit at its link."""
 
-    def __init__(self, port: int, plan: FaultPlan, folder: Path) -> None:
+    def __init__(self, port: int, plan: FaultPlan, folder: Path, recordings: Path | None = None) -> None:
+        """port: of the broker; recordings: folder for them, on whatever disk."""
         worn, motion = suit_17()
         traffic = SuitTraffic(motion, SuitSettings(has_relay=True), IDEAL, seed=1)
         self.faulty = FaultySuit(traffic, plan)
@@ -71,13 +120,14 @@ class Bench:
                 "links": [{"name": "suit", "url": str(folder / "suit")}],
                 "rig": "suit_17",
                 "mqtt": {"port": port},
-                "recording": {"folder": str(folder / "recordings")},
+                "recording": {"folder": str(recordings or folder / "recordings"), "min_free_mb": 0},
             }
         )
         self.service = Service(settings, worn)
         self.watch = Watch()
         self.service._outputs = (*self.service._outputs, self.watch)  # type: ignore[assignment]
         self._tasks: list[asyncio.Task[None]] = []
+        self._lost_before: Counter[str] = Counter()
 
     async def __aenter__(self) -> Bench:
         self._tasks = [
@@ -108,10 +158,46 @@ class Bench:
         """Samples, poses and chunks not accounted for."""
         return sum(abs(rest) for rest in unaccounted(self.service.balances()).values())
 
+    def segment_of(self, module: int) -> int:
+        """The segment that a module is on."""
+        suit = self.service.pipeline.suit
+        return int(np.flatnonzero(suit.module_of_segment == suit.module_ids.index(module))[0])
+
     @property
-    def lost(self) -> int:
-        """Packets lost on the way."""
-        return sum(record.lost for record in self.service.pipeline.stream.modules.values())
+    def now_ns(self) -> int:
+        """Gateway time."""
+        return gateway_time_ns()
+
+    def begin(self) -> None:
+        """What is lost from now on counts as the fault's."""
+        self._lost_before = self._lost()
+
+    def outcome(self, name: str, recovery_s: float, limit_s: float) -> Outcome:
+        """With the losses since ``begin``."""
+        lost = self._lost()
+        lost.subtract(self._lost_before)
+        told = {what: count for what, count in lost.items() if count}
+        return Outcome(name, recovery_s, limit_s, told, self.left_over)
+
+    def _lost(self) -> Counter[str]:
+        lost: Counter[str] = Counter()
+        for balance in self.service.balances():
+            if balance.name in _OF_LOSSES:
+                lost.update({p: n for p, n in balance.parts.items() if (balance.name, p) not in _NO_LOSS})
+        return lost
+
+
+_OF_LOSSES = frozenset({"samples_sent", "readings", "output_mqtt", "recorded_chunks"})
+_NO_LOSS = frozenset(
+    {
+        ("samples_sent", "received"),
+        ("readings", "taken"),
+        ("output_mqtt", "published"),
+        ("output_mqtt", "queued"),
+        ("recorded_chunks", "written"),
+        ("recorded_chunks", "waiting"),
+    }
+)
 
 
 def rss_mb() -> float:
@@ -129,13 +215,14 @@ class Broker:
             self.port = int(probe.getsockname()[1])
         self._folder = tempfile.TemporaryDirectory()
         self._config = Path(self._folder.name) / "mosquitto.conf"
-        self._config.write_text(
-            f"listener {self.port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\nuser root\n"
-        )
         self._process: subprocess.Popen[bytes] | None = None
 
-    def start(self) -> None:
-        """Start it, and wait until it listens."""
+    def start(self, is_open: bool = True) -> None:
+        """Start it, and wait until it listens. is_open: to whoever comes, without a name."""
+        self._config.write_text(
+            f"listener {self.port} 127.0.0.1\nallow_anonymous {str(is_open).lower()}\n"
+            "set_tcp_nodelay true\nuser root\n"
+        )
         command = [mosquitto_program(), "-c", str(self._config)]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         for _ in range(500):
@@ -144,6 +231,18 @@ class Broker:
                     return
             time.sleep(0.005)
         raise SystemExit("mosquitto does not listen")
+
+    def freeze(self) -> None:
+        """Stop its process."""
+        self._signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """Let it go on."""
+        self._signal(signal.SIGCONT)
+
+    def _signal(self, number: signal.Signals) -> None:
+        if self._process is not None:
+            self._process.send_signal(number)
 
     def kill(self) -> None:
         """Kill it as a crash would."""

@@ -79,6 +79,15 @@ def ideal_frames(
         )
 
 
+def assembled(
+    suit: WornSuit, motion: BodyMotion, imperfections: Imperfections, seconds: float, seed: int
+) -> list[ImuFrame]:
+    """Frames of an emulated suit at 100 Hz with all its errors, bytes and all: for several methods."""
+    pipeline = _pipeline(suit, "independent")
+    sent = _sent(suit, motion, imperfections, seconds, seed)
+    return [frame for chunk in sent for frame in pipeline.imu_frames(chunk)]
+
+
 def through_the_wire(
     suit: WornSuit,
     motion: BodyMotion,
@@ -87,16 +96,26 @@ def through_the_wire(
     seconds: float,
     seed: int,
 ) -> list[SkeletonFrame]:
-    """Skeleton frames of an emulated suit at 100 Hz with all its errors, bytes and all."""
-    settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field, is_fine=True)
-    traffic = SuitTraffic(motion, settings, imperfections, seed)
+    """The same, solved as they come."""
+    pipeline = _pipeline(suit, reconstructor)
+    sent = _sent(suit, motion, imperfections, seconds, seed)
+    return [frame for chunk in sent for frame in pipeline.feed(chunk)]
+
+
+def _pipeline(suit: WornSuit, reconstructor: str) -> Pipeline:
     params = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
     pipeline = Pipeline(suit, params, reconstructor, ClockMode.ESTIMATED)
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
-    frames: list[SkeletonFrame] = []
+    return pipeline
+
+
+def _sent(
+    suit: WornSuit, motion: BodyMotion, imperfections: Imperfections, seconds: float, seed: int
+) -> Iterator[Chunk]:
+    settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field, is_fine=True)
+    traffic = SuitTraffic(motion, settings, imperfections, seed)
     for sent in traffic.transmissions(seconds):
-        frames += pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), LINK))
-    return frames
+        yield Chunk(sent.data, round(sent.time_s * 1e9), LINK)
 
 
 def errors_deg(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float) -> FloatArray:

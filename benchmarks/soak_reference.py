@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,17 +32,26 @@ SETTLED_S = 20.0
 """Both runs have found their heading by then."""
 AFTER_FAULT_S = 0.1
 """A fault of a module is over so much later for its samples, at the latest."""
-SINCE_S = (0.0, 1.0, 3.0, 10.0)
+SINCE_S = (0.0, 1.0, 3.0, 10.0, 20.0)
 """Lower ends of the classes: for how long a segment has been intact."""
-_STEP_DEG, _LARGEST_DEG = 0.01, 180.0
+_STEP, _LARGEST = 0.01, 180.0
+"""Width of the bins of angles (degrees) and rates (rad/s), and the last one's end."""
 _LINK = "suit"
 _POLL_S = 0.2
 _LARGEST_STEP_NS = 15_000_000
 
 
 def record_type(n_segments: int) -> np.dtype[Any]:
-    """A pose in the track: instant (ns; -1: the end), status and orientation by segment."""
-    return np.dtype([("time_ns", "<i8"), ("status", "u1", n_segments), ("q_wb", "<f4", (n_segments, 4))])
+    """A pose in the track: instant (ns; -1: the end); status, orientation and rate by segment."""
+    vectors = [("q_wb", "<f4", (n_segments, 4)), ("angular_rate", "<f4", (n_segments, 3))]
+    return np.dtype([("time_ns", "<i8"), ("status", "u1", n_segments), *vectors])
+
+
+class Orientations(NamedTuple):
+    """What is compared, at one instant."""
+
+    q_wb: FloatArray  # (S, 4)
+    angular_rate: FloatArray  # (S, 3) rad/s
 
 
 class Comparison:
@@ -56,11 +65,12 @@ class Comparison:
         self._start_ns = start_ns
         self._disturbed_s = np.full(len(self._sensed), SETTLED_S)
         self._last_ns = 0
-        bins = round(_LARGEST_DEG / _STEP_DEG)
-        self._counts = np.zeros((len(SINCE_S), bins), dtype=np.int64)
+        bins = round(_LARGEST / _STEP)
+        self._angles = np.zeros((len(SINCE_S), bins), dtype=np.int64)
+        self._rates = np.zeros((len(SINCE_S), bins), dtype=np.int64)
 
-    def take(self, time_ns: int, status: NDArray[np.uint8], q_wb: FloatArray, q_free: FloatArray) -> None:
-        """One pose, (S,) and (S, 4), and the fault-free orientations at its instant."""
+    def take(self, time_ns: int, status: NDArray[np.uint8], pose: Orientations, free: Orientations) -> None:
+        """One pose with its status (S,), and the fault-free one at its instant."""
         now_s = (time_ns - self._start_ns) * 1e-9
         is_disturbed = status[self._sensed] != Status.MEASURED
         is_disturbed |= time_ns - self._last_ns > _LARGEST_STEP_NS
@@ -69,22 +79,25 @@ class Comparison:
         self._last_ns = time_ns
         self._disturbed_s[is_disturbed] = max(now_s, SETTLED_S)
         intact_s = now_s - self._disturbed_s
-        cosine = np.abs(np.sum(q_wb[self._sensed] * q_free[self._sensed], axis=1))
+        cosine = np.abs(np.sum(pose.q_wb * free.q_wb, axis=1))[self._sensed]
         angle_deg = np.degrees(2.0 * np.arccos(np.clip(cosine, 0.0, 1.0)))
-        usable = ~is_disturbed & np.isfinite(angle_deg) & (intact_s > 0.0)
+        rate = np.linalg.norm(pose.angular_rate - free.angular_rate, axis=1)[self._sensed]
+        usable = ~is_disturbed & np.isfinite(angle_deg) & np.isfinite(rate) & (intact_s > 0.0)
         classes = np.searchsorted(SINCE_S, intact_s[usable], side="right") - 1
-        places = np.minimum(angle_deg[usable] / _STEP_DEG, self._counts.shape[1] - 1).astype(int)
-        np.add.at(self._counts, (classes, places), 1)
+        for counts, values in ((self._angles, angle_deg), (self._rates, rate)):
+            places = np.minimum(values[usable] / _STEP, counts.shape[1] - 1).astype(int)
+            np.add.at(counts, (classes, places), 1)
 
     def summary(self) -> list[dict[str, float]]:
-        """A row a class: ``intact_s`` from, how many poses of segments, percentiles of the angle, degrees."""
+        """A row a class: ``intact_s`` from, how many poses of segments, percentiles of angle and rate."""
         return [
             {
                 "intact_s": since_s,
-                "count": int(counts.sum()),
-                **{f"p{q:g}_deg": _percentile(counts, q) for q in (50, 99, 99.9, 100)},
+                "count": int(angles.sum()),
+                **{f"p{q:g}_deg": _percentile(angles, q) for q in (50, 99, 99.9, 100)},
+                **{f"p{q:g}_rad_s": _percentile(rates, q) for q in (50, 99, 99.9)},
             }
-            for since_s, counts in zip(SINCE_S, self._counts, strict=True)
+            for since_s, angles, rates in zip(SINCE_S, self._angles, self._rates, strict=True)
         ]
 
 
@@ -93,7 +106,7 @@ def _percentile(counts: NDArray[np.int64], percent: float) -> float:
     if not counts.any():
         return 0.0
     reached = np.cumsum(counts) >= percent * 0.01 * counts.sum()
-    return round((int(np.argmax(reached)) + 1) * _STEP_DEG, 2)
+    return round((int(np.argmax(reached)) + 1) * _STEP, 2)
 
 
 def _windows(plan: FaultPlan, module: int) -> list[Fault]:
@@ -122,18 +135,18 @@ class FaultFree:
         self._frames = self._run()
         self._before, self._after = next(self._frames), next(self._frames)
 
-    def at(self, time_ns: int) -> FloatArray:
-        """Orientations (S, 4) at an instant; instants come in order of time. NaN before the first."""
+    def at(self, time_ns: int) -> Orientations:
+        """At an instant; instants come in order of time. NaN before the first."""
         while self._after.time_ns < time_ns:
             self._before, self._after = self._after, next(self._frames)
-        span_ns = self._after.time_ns - self._before.time_ns
-        share = (time_ns - self._before.time_ns) / span_ns
+        before, after = self._before, self._after
+        share = (time_ns - before.time_ns) / (after.time_ns - before.time_ns)
         if share < 0.0:
-            return np.full_like(self._after.q_wb, np.nan)
-        sign = np.where(np.sum(self._before.q_wb * self._after.q_wb, axis=1) < 0.0, -1.0, 1.0)
-        between = (1.0 - share) * self._before.q_wb + share * sign[:, None] * self._after.q_wb
-        normalised: FloatArray = between / np.linalg.norm(between, axis=1, keepdims=True)
-        return normalised
+            return Orientations(np.full_like(after.q_wb, np.nan), np.full_like(after.angular_rate, np.nan))
+        sign = np.where(np.sum(before.q_wb * after.q_wb, axis=1) < 0.0, -1.0, 1.0)
+        between = (1.0 - share) * before.q_wb + share * sign[:, None] * after.q_wb
+        rate = (1.0 - share) * before.angular_rate + share * after.angular_rate
+        return Orientations(between / np.linalg.norm(between, axis=1, keepdims=True), rate)
 
     def _run(self) -> Iterator[SkeletonFrame]:
         for sent in self._traffic.transmissions():
@@ -155,8 +168,8 @@ def follow(track: Path, plan: FaultPlan, start_ns: int) -> list[dict[str, float]
                 if pose["time_ns"] < 0:
                     return comparison.summary()
                 time_ns = int(pose["time_ns"])
-                q_wb = pose["q_wb"].astype(float)
-                comparison.take(time_ns, pose["status"], q_wb, free.at(time_ns))
+                live = Orientations(pose["q_wb"].astype(float), pose["angular_rate"].astype(float))
+                comparison.take(time_ns, pose["status"], live, free.at(time_ns))
             rest = rest[whole:]
             time.sleep(_POLL_S)
 

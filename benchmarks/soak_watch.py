@@ -41,7 +41,7 @@ class SoakWatch:
         latency_ms = (gateway_time_ns() - frame.time_ns) * 1e-6
         self._latencies[np.searchsorted(_EDGES_MS, latency_ms)] += 1
         self._record["time_ns"], self._record["status"] = frame.time_ns, frame.status
-        self._record["q_wb"] = frame.q_wb
+        self._record["q_wb"], self._record["angular_rate"] = frame.q_wb, frame.angular_rate
         self._file.write(self._record.tobytes())
 
     def latency_ms(self) -> dict[str, float]:

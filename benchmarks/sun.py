@@ -1,4 +1,4 @@
-"""Headings by the sun against headings by the magnetometer: an emulated arm through the wire, and the almanac."""
+"""Headings by the sun against those by the magnetometer: an emulated arm through the wire; the almanac."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from gateway.light import sun_direction
 from gateway.pipeline import Pipeline
 
 MORNING_NS = round(datetime(2026, 6, 21, 7, 0, tzinfo=UTC).timestamp()) * 1_000_000_000
-SECONDS, SETTLED_S, FROM_S, TO_S = 40.0, 5.0, 15.0, 25.0
+SECONDS, SETTLED_S, FROM_S, TO_S = 30.0, 5.0, 12.0, 22.0
 STEP_S = 0.05
-SEEDS = (1, 2, 3)
+SEEDS = (1,)
 MODULE = 2
 LINK = "arm"
 
@@ -73,9 +73,17 @@ def run() -> Report:
             [field, name, method, f"{result.throughout:.2f}", f"{result.meanwhile:.2f}", used, why],
         )
         figures[field, name, method] = result
-    heads = ["second field", "what happens", "method", "heading, °", "meanwhile, °", "light used, %", "turned away"]
+    heads = [
+        "second field",
+        "what happens",
+        "method",
+        "heading, °",
+        "meanwhile, °",
+        "light used, %",
+        "turned away",
+    ]
     report.tables.append(
-        f"### Robot arm of 4 links, 100 Hz, June at 47.4° N, 9 o'clock; RMS of {len(SEEDS)} draws\n\n"
+        f"### Robot arm of 4 links, 100 Hz, June at 47.4° N, 9 o'clock; RMS; draws: {len(SEEDS)}\n\n"
         f"*Meanwhile*: of the module concerned, {FROM_S:g} s to {TO_S:g} s.\n\n" + table(heads, rows)
     )
     clear, magnetic = figures["sun", "clear", "joint"], figures["magnetometer", "undisturbed", "joint"]
@@ -84,7 +92,9 @@ def run() -> Report:
     note = "the same by an undisturbed magnetometer"
     report.figures.append(Figure("magnetometer_heading_deg", magnetic.throughout, "°", "", note))
     worst = max(figures["sun", name, "joint"].meanwhile for name in SKY)
-    report.figures.append(Figure("sun_worst_sky_deg", worst, "°", "", "the same, worst sky or shadow, meanwhile"))
+    report.figures.append(
+        Figure("sun_worst_sky_deg", worst, "°", "", "the same, worst sky or shadow, meanwhile")
+    )
     note = "sun's place against NREL's published example"
     report.figures.append(Figure("sun_position_error_deg", _almanac_error_deg(), "°", "<=0.02", note))
     return report
@@ -108,9 +118,7 @@ def arm(second_field: str) -> WornSuit:
     return replace(suit, sun=replace(suit.sun, beside_magnetometer=second_field == "both"))
 
 
-def _result(
-    field: str, method: str, shades: tuple[Shade, ...], faults: tuple[dict[str, Any], ...]
-) -> Result:
+def _result(field: str, method: str, shades: tuple[Shade, ...], faults: tuple[dict[str, Any], ...]) -> Result:
     suit, squares, meanwhile, counts = arm(field), [], [], Counter[str]()
     for seed in SEEDS:
         times_s, heading, seen = emulated(suit, method, shades, faults, seed)

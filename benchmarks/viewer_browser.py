@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import shutil
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
 from playwright.async_api import Error, Page, Playwright
 
@@ -22,12 +22,16 @@ def chromium_program() -> str:
 
 
 @contextlib.asynccontextmanager
-async def browser_page(play: Playwright, url: str, size: tuple[int, int]) -> AsyncIterator[Page]:
-    """A page of that width and height, once the body's status stands on it."""
+async def browser_page(
+    play: Playwright, url: str, size: tuple[int, int], prepare: Callable[[Page], None] | None = None
+) -> AsyncIterator[Page]:
+    """A page of that width and height, prepared before it is opened."""
     browser = await play.chromium.launch(executable_path=chromium_program(), args=FLAGS)
     page = await browser.new_page(viewport={"width": size[0], "height": size[1]})
     page.set_default_timeout(PATIENCE_S * 1e3)
     try:
+        if prepare is not None:
+            prepare(page)
         await _open(page, url)
         await _take_hint_away(page)
         yield page

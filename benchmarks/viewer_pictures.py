@@ -1,15 +1,15 @@
-"""Pictures of the live page for docs/viewer.md: ``python -m benchmarks.viewer_pictures``.
+"""Pictures of the live page for docs/viewer.md: ``python -m benchmarks.viewer_pictures [--speed 0.5]``.
 
 An emulated person walks and one module loses its power; the recording of it is played to a broker, and the
-page is looked at in Chromium, all by the commands that a user types. Needs playwright, chromium, the extra
-``viewer``.
+page is looked at in Chromium, all by the commands that a user types. A busy machine needs a lower speed.
+Needs mosquitto, chromium, playwright and the extra ``viewer``.
 """
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import contextlib
-import socket
 import sys
 import tempfile
 from collections.abc import AsyncIterator
@@ -18,6 +18,7 @@ from pathlib import Path
 from playwright.async_api import Page, async_playwright
 
 from benchmarks.emulated_recording import LINK, record_walk
+from benchmarks.local_broker import free_port, mosquitto
 from benchmarks.viewer_browser import browser_page
 from devices.emulators.fault_plan import FaultPlan
 from gateway.outputs.settings import MqttSettings
@@ -26,7 +27,7 @@ from gateway.settings import GatewaySettings, LinkSettings
 
 FOLDER = Path(__file__).parent.parent / "docs" / "pictures"
 SECONDS = 60.0
-UNPLUGGED_S = (20.0, 50.0)
+UNPLUGGED_S = (20.0, 55.0)
 MODULE = 5
 """On the left forearm."""
 SEED = 1
@@ -34,16 +35,15 @@ GATEWAY = "demo"
 DESKTOP, PHONE = (1100, 700), (390, 780)
 
 
-async def main() -> None:
+async def main(speed: str) -> None:
     """Make all pictures."""
     FOLDER.mkdir(exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder:
-        broker_port, page_port = _free_port(), _free_port()
+    page_port = free_port()
+    with tempfile.TemporaryDirectory() as folder, mosquitto() as (broker_port, _):
         recording = _record(Path(folder), broker_port)
         page = ("view", "--port", str(broker_port), "--page-port", str(page_port))
         url = f"http://127.0.0.1:{page_port}"
-        async with _command("replay", str(recording), "--embedded", "--json"), _command(*page, "--wait"):
-            await _listening(broker_port)
+        async with _command("replay", str(recording), "--speed", speed, "--json"), _command(*page):
             await _live(url, broker_port)
         async with _command("view", str(recording), "--page-port", str(page_port)):
             await _playback(url)
@@ -104,8 +104,10 @@ async def _come_to(poses: PoseSubscriber, seconds: float) -> None:
 
 
 async def _choose(page: Page, series: str) -> None:
-    await page.get_by_role("textbox").last.click()
-    await page.get_by_text(series, exact=True).click()
+    chooser = page.locator("input[role=combobox]").filter(visible=True).first
+    await chooser.click()
+    await chooser.fill(series)
+    await page.get_by_role("option", name=series).click()
 
 
 async def _shot(page: Page, name: str) -> None:
@@ -127,22 +129,7 @@ async def _command(*arguments: str) -> AsyncIterator[None]:
         await process.wait()
 
 
-async def _listening(port: int) -> None:
-    """Wait for somebody at that port of this machine."""
-    async with asyncio.timeout(120):
-        while True:
-            with contextlib.suppress(OSError):
-                _, writer = await asyncio.open_connection("127.0.0.1", port)
-                writer.close()
-                return
-            await asyncio.sleep(0.1)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 if __name__ == "__main__":
-    asyncio.run(main())
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.viewer_pictures", description=__doc__)
+    parser.add_argument("--speed", default="1", help="of the replay")
+    asyncio.run(main(parser.parse_args().speed))

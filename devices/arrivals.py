@@ -7,6 +7,7 @@ from collections import deque
 from typing import Self
 
 from devices.link import Chunk, LinkError
+from devices.link_counts import LinkCounts
 
 # More than a minute of the busiest serial line. A reader that is further behind has failed; keeping
 # more would only trade memory for data that is too old to use.
@@ -20,9 +21,11 @@ class Arrivals:
     Chunks that arrived before the end are handed out before the end is told.
     """
 
-    def __init__(self, link: str, limit_bytes: int = LIMIT_BYTES) -> None:
+    def __init__(self, link: str, limit_bytes: int = LIMIT_BYTES, counts: LinkCounts | None = None) -> None:
+        """counts: of the link, which go on from one connection to the next."""
         self.dropped_chunks = 0
         self.dropped_bytes = 0
+        self._counts = counts or LinkCounts()
         self._link = link
         self._limit_bytes = limit_bytes
         self._chunks: deque[Chunk] = deque()
@@ -54,11 +57,15 @@ class Arrivals:
             return
         self._chunks.append(Chunk(data, arrived_ns, self._link))
         self._waiting_bytes += len(data)
+        self._counts.taken += len(data)
+        self._counts.waiting += len(data)
         while self._waiting_bytes > self._limit_bytes and len(self._chunks) > 1:
             oldest = self._chunks.popleft()
             self._waiting_bytes -= len(oldest.data)
             self.dropped_chunks += 1
             self.dropped_bytes += len(oldest.data)
+            self._counts.behind += len(oldest.data)
+            self._counts.waiting -= len(oldest.data)
         self._wake()
 
     def end(self, error: LinkError | None = None) -> None:
@@ -85,6 +92,8 @@ class Arrivals:
                 self._reader = None
         chunk = self._chunks.popleft()
         self._waiting_bytes -= len(chunk.data)
+        self._counts.handed += len(chunk.data)
+        self._counts.waiting -= len(chunk.data)
         return chunk
 
     def _wake(self) -> None:

@@ -11,6 +11,7 @@ import can
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError
+from devices.link_counts import LinkCounts
 from devices.reader_thread import ReaderThread, open_in_thread
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 
@@ -50,6 +51,7 @@ class CanLink:
         self.channel = channel
         wanted = {"bitrate": bitrate, "data_bitrate": data_bitrate, "fd": fd or None}
         self._settings: dict[str, Any] = {key: value for key, value in wanted.items() if value is not None}
+        self.counts = LinkCounts()
         self._arrivals = Arrivals.never_opened(self.name)
         self._bus: can.BusABC | None = None
         self._reader: ReaderThread | None = None
@@ -60,11 +62,12 @@ class CanLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Open the bus in a thread and begin to read it. Raises ``LinkError``: no such adapter or channel."""
         if self._bus is not None:
             raise LinkError(f"{self.name} is already open")
         bus = await open_in_thread(self._open_bus, lambda bus: bus.shutdown())
         self._bus = bus
-        self._arrivals = Arrivals(self.name)
+        self._arrivals = Arrivals(self.name, counts=self.counts)
         self._reader = ReaderThread(self.name, lambda: _waiting_records(bus), self._arrivals)
 
     def __aiter__(self) -> AsyncIterator[Chunk]:
@@ -83,6 +86,7 @@ class CanLink:
             ) from error
 
     async def close(self) -> None:
+        """End the reader, then the bus; does nothing on a closed link."""
         bus, reader = self._bus, self._reader
         self._bus = self._reader = None
         self._arrivals.end()

@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Callable
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
+from devices.link_counts import LinkCounts
 
 
 class LoopbackLink:
@@ -20,14 +21,16 @@ class LoopbackLink:
         self.name = name
         self.framing = framing
         self._clock = clock
+        self.counts = LinkCounts()
         self._arrivals = Arrivals.never_opened(name)
         self._is_open = False
         self._peer = self
 
     async def open(self) -> None:
+        """Begin to take what the other end writes. Raises ``LinkError`` when it is open already."""
         if self._is_open:
             raise LinkError(f"{self.name} is already open")
-        self._arrivals = Arrivals(self.name)
+        self._arrivals = Arrivals(self.name, counts=self.counts)
         self._is_open = True
 
     def __aiter__(self) -> AsyncIterator[Chunk]:
@@ -42,6 +45,7 @@ class LoopbackLink:
         await asyncio.sleep(0)
 
     async def close(self) -> None:
+        """Close both ends, as a connection does."""
         if self._is_open:
             self._end(None)
             self._peer._end(None)

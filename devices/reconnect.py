@@ -14,11 +14,12 @@ from enum import Enum
 from typing import Any
 
 from devices.link import Chunk, Link, LinkError
+from devices.link_counts import LinkCounts
 
 _log = logging.getLogger(__name__)
 
 FIRST_DELAY_S = 0.1
-LONGEST_DELAY_S = 2.0
+LONGEST_DELAY_S = 0.5
 
 
 class LinkState(Enum):
@@ -47,11 +48,13 @@ class BackOff:
         self._next = first
 
     def next_delay(self) -> float:
+        """How long to wait before the next attempt, s; twice as long at every call, up to the longest."""
         delay = self._next
         self._next = min(2 * delay, self.longest)
         return delay
 
     def reset(self) -> None:
+        """Begin anew with the first delay: an attempt has succeeded."""
         self._next = self._first
 
 
@@ -90,7 +93,14 @@ class ReconnectingLink:
         self._transition = asyncio.Lock()
 
     @property
+    def counts(self) -> LinkCounts:
+        """What became of its bytes; empty for a link that counts nothing."""
+        counts = getattr(self.link, "counts", None)
+        return counts if isinstance(counts, LinkCounts) else LinkCounts()
+
+    @property
     def state(self) -> LinkState:
+        """Whether the link is up now."""
         return self.status.state
 
     async def open(self) -> None:
@@ -142,6 +152,7 @@ class ReconnectingLink:
         await self.link.write(data)
 
     async def close(self) -> None:
+        """End trying and iterating, and close the link; an attempt under way is given up."""
         if self._closing is None or self._closing.is_set():
             return
         self._closing.set()

@@ -9,6 +9,7 @@ import serial
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError
+from devices.link_counts import LinkCounts
 from devices.reader_thread import ReaderThread, open_in_thread
 from devices.serial_link import DEFAULT_BAUD
 
@@ -25,6 +26,7 @@ class Rfc2217Link:
         self.url = f"rfc2217://{host}:{port}"
         self.name = name or self.url
         self.baud = baud
+        self.counts = LinkCounts()
         self._arrivals = Arrivals.never_opened(self.name)
         self._port: serial.Serial | None = None
         self._reader: ReaderThread | None = None
@@ -35,11 +37,12 @@ class Rfc2217Link:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Connect in a thread, set the far port up, and begin to read. Raises ``LinkError``."""
         if self._port is not None:
             raise LinkError(f"{self.name} is already open")
         port = await open_in_thread(self._open_port, lambda port: port.close())
         self._port = port
-        self._arrivals = Arrivals(self.name)
+        self._arrivals = Arrivals(self.name, counts=self.counts)
         self._reader = ReaderThread(self.name, lambda: _waiting_bytes(port), self._arrivals)
 
     def __aiter__(self) -> AsyncIterator[Chunk]:
@@ -55,6 +58,7 @@ class Rfc2217Link:
             raise LinkError(f"{self.name} was lost while writing: {error}") from error
 
     async def close(self) -> None:
+        """End the reader, then the connection; does nothing on a closed link."""
         port, reader = self._port, self._reader
         self._port = self._reader = None
         self._arrivals.end()

@@ -8,10 +8,13 @@ from collections.abc import AsyncIterator
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
+from devices.link_counts import LinkCounts, SerialErrors
 from devices.raw_tty import open_raw_tty
 
 DEFAULT_BAUD = 1_000_000  # 17 modules at 100 Hz need about 1.1 Mbit/s uncompressed, batches less
 _READ_SIZE = 65536
+_LOOK_INTERVAL_NS = 100_000_000
+"""How often the driver is asked for what it lost."""
 
 
 class SerialLink:
@@ -29,6 +32,9 @@ class SerialLink:
         self.path = path
         self.baud = baud
         self._descriptor: int | None = None
+        self._errors: SerialErrors | None = None
+        self._look_due_ns = 0
+        self.counts = LinkCounts()
         self._arrivals = Arrivals.never_opened(self.name)
         self._write_turn = asyncio.Lock()
         self._writable: asyncio.Future[None] | None = None
@@ -39,10 +45,12 @@ class SerialLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Open the port raw at its baud rate. Raises ``LinkError``: absent, forbidden, busy, no such rate."""
         if self._descriptor is not None:
             raise LinkError(f"{self.name} is already open")
         self._descriptor = open_raw_tty(self.path, self.baud)
-        self._arrivals = Arrivals(self.name)
+        self._arrivals = Arrivals(self.name, counts=self.counts)
+        self._errors = SerialErrors(self.counts, self._descriptor)
         asyncio.get_running_loop().add_reader(self._descriptor, self._receive, self._descriptor)
 
     def __aiter__(self) -> AsyncIterator[Chunk]:
@@ -74,6 +82,9 @@ class SerialLink:
         except OSError as error:
             self._lose(error.strerror)
             return
+        if self._errors is not None and arrived_ns >= self._look_due_ns:
+            self._look_due_ns = arrived_ns + _LOOK_INTERVAL_NS
+            self._errors.look()
         if data:
             self._arrivals.put(data, arrived_ns)
         else:

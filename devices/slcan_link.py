@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import AsyncIterator
 
 from devices.link import Chunk, Framing, Link, LinkError
+from devices.link_counts import LinkCounts
 from devices.slcan import CLOSE_COMMAND, SlcanDecoder, encode_slcan, open_commands
 from firmware_protocol.can_framing import pack_can_records, unpack_can_records
 
@@ -38,7 +39,14 @@ class SlcanLink:
         self._stream = stream
         self._open_commands = open_commands(bitrate, data_bitrate if fd else None)
 
+    @property
+    def counts(self) -> LinkCounts:
+        """Of the text that carries the frames; empty where its link counts nothing."""
+        counts = getattr(self._stream, "counts", None)
+        return counts if isinstance(counts, LinkCounts) else LinkCounts()
+
     async def open(self) -> None:
+        """Open the serial port, then the channel by command. Raises ``LinkError`` when it takes none."""
         await self._stream.open()
         self.decoder = SlcanDecoder()
         try:
@@ -62,6 +70,7 @@ class SlcanLink:
         await self._stream.write(b"".join(encode_slcan(frame) for frame in unpack_can_records(data)))
 
     async def close(self) -> None:
+        """Close the adapter's channel, if it is still there, and the port."""
         try:
             # An adapter that is gone, or never was there, need not be told.
             with contextlib.suppress(LinkError, TimeoutError):

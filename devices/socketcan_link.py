@@ -12,7 +12,6 @@ import errno
 import os
 import socket
 import struct
-import sys
 from collections import Counter
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -20,16 +19,23 @@ from pathlib import Path
 from devices.arrivals import Arrivals
 from devices.can_errors import WANTED_ERRORS, BusError, errors_of
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
+from devices.link_counts import (
+    ANCILLARY_SIZE,
+    LinkCounts,
+    LostBefore,
+    SystemCount,
+    ask_for_drops,
+    told_drops,
+)
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 
-# linux/can.h and asm-generic/socket.h; Python's socket module lacks the last four.
+# linux/can.h and asm-generic/socket.h; Python's socket module lacks the last three.
 _CAN_FRAME = struct.Struct("=IB3x8s")
 _CANFD_FRAME = struct.Struct("=IBB2x64s")
 _FD_BITRATE_SWITCH = 0x01
 _EXTENDED, _REMOTE, _ERROR = 1 << 31, 1 << 30, 1 << 29
 _IDENTIFIER = (1 << 29) - 1
 _CAN_RAW_ERR_FILTER = 2
-_SO_RXQ_OVFL = 40
 _SO_RCVBUFFORCE = 33
 _INTERFACE_TYPE_CAN = "280"
 
@@ -51,14 +57,19 @@ class SocketCanLink:
         """``bitrate`` [bit/s] only serves to spell out the command when the interface is down."""
         self.name = name or f"can://socketcan/{channel}"
         self.channel = channel
-        self.kernel_dropped = 0
-        """Frames the kernel dropped since opening because its receive buffer was full."""
         self.bus_errors: Counter[BusError] = Counter()
         """What the controller has reported, ever."""
         self._fd = fd
         self._bitrate = bitrate
+        self.counts = LinkCounts()
+        self._kernel_drops = SystemCount(self.counts, LostBefore.KERNEL_OVERFLOW)
         self._arrivals = Arrivals.never_opened(self.name)
         self._socket: socket.socket | None = None
+
+    @property
+    def kernel_dropped(self) -> int:
+        """Frames that the kernel dropped, ever, because its receive buffer was full."""
+        return self.counts.before[LostBefore.KERNEL_OVERFLOW]
 
     @property
     def dropped_bytes(self) -> int:
@@ -66,6 +77,7 @@ class SocketCanLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Bind to the interface. Raises ``LinkError``: absent, down, no rights, or bus-off."""
         if self._socket is not None:
             raise LinkError(f"{self.name} is already open")
         try:
@@ -77,8 +89,8 @@ class SocketCanLink:
             self._socket = None
             raise LinkError(self._bus_off())
         set_receive_buffer(self._socket)
-        self.kernel_dropped = 0
-        self._arrivals = Arrivals(self.name)
+        self._kernel_drops = SystemCount(self.counts, LostBefore.KERNEL_OVERFLOW)
+        self._arrivals = Arrivals(self.name, counts=self.counts)
         asyncio.get_running_loop().add_reader(self._socket, self._receive, self._socket)
 
     def __aiter__(self) -> AsyncIterator[Chunk]:
@@ -97,14 +109,13 @@ class SocketCanLink:
         lost: LinkError | None = None
         try:
             while len(frames) < _BATCH and lost is None:
-                data, ancillary, _, _ = bus.recvmsg(_CANFD_FRAME.size, socket.CMSG_SPACE(4))
+                data, ancillary, _, _ = bus.recvmsg(_CANFD_FRAME.size, ANCILLARY_SIZE)
                 frame = frame_from_kernel(data)
                 frames.append(frame)
                 if frame.is_error:
                     lost = self._note_error(frame)
-                for _, kind, content in ancillary:
-                    if kind == _SO_RXQ_OVFL:
-                        self.kernel_dropped = int.from_bytes(content, sys.byteorder)
+                if (dropped := told_drops(ancillary)) is not None:
+                    self._kernel_drops.now(dropped)
         except BlockingIOError:
             pass  # that was all there is for now
         except OSError as error:
@@ -144,6 +155,7 @@ class SocketCanLink:
         """Count what the controller reports; the loss of the link when it has left the bus."""
         errors = errors_of(frame)
         self.bus_errors.update(errors)
+        self.counts.before[LostBefore.CONTROLLER_OVERFLOW] += errors.count(BusError.OVERFLOW)
         return LinkError(self._bus_off()) if BusError.BUS_OFF in errors else None
 
     def _bus_off(self) -> str:
@@ -201,7 +213,7 @@ def set_receive_buffer(bus: socket.socket) -> None:
         bus.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
     except PermissionError:
         bus.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-    bus.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+    ask_for_drops(bus)
 
 
 def has_carrier(channel: str) -> bool:

@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
+from devices.link_counts import LinkCounts
 
 CONNECT_TIMEOUT_S = 5.0
 
@@ -38,6 +39,7 @@ class TcpLink:
         self.host = host
         self.port = port
         self._connect_timeout = connect_timeout
+        self.counts = LinkCounts()
         self._arrivals = Arrivals.never_opened(self.name)
         self._connection: _Connection | None = None
 
@@ -47,9 +49,10 @@ class TcpLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Connect. Raises ``LinkError``: refused, not reachable, no such name, or too slow."""
         if self._connection is not None and not self._arrivals.has_ended:
             raise LinkError(f"{self.name} is already open")
-        arrivals = Arrivals(self.name)
+        arrivals = Arrivals(self.name, counts=self.counts)
         connecting = asyncio.get_running_loop().create_connection(
             lambda: _Connection(arrivals, f"{self.host}:{self.port}"), self.host, self.port
         )
@@ -69,6 +72,7 @@ class TcpLink:
         await self._connection.send(data)
 
     async def close(self) -> None:
+        """Hang up; iterating ends."""
         if self._connection is not None:
             await self._connection.close()
             self._connection = None

@@ -162,6 +162,12 @@ class PacketDecoder:
         """What was dropped by reason, wire frames and packets together."""
         return self._frames.dropped + self._dropped
 
+    @property
+    def damaged(self) -> int:
+        """How many drops there were that packets of ours may have been lost in."""
+        frames = self._frames.dropped
+        return frames.total() + self._dropped.total() - frames[Defect.FOREIGN]
+
     def feed(self, chunk: bytes) -> list[ReceivedPacket]:
         """The packets that this chunk completes, in order."""
         return self._receive(self._frames.entries(chunk))

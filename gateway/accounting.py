@@ -1,10 +1,11 @@
 """Where everything went: balances that must come out even, from counters that know nothing of each other.
 
-    sent by the modules (their numbers)  =  received + lost on the way
+    sent by the modules (their numbers)  =  received + lost, by what happened on the link meanwhile
+    bytes that a link took               =  handed to the decoder + dropped for a slow reader + waiting
     packets out of the decoders          =  new ones + repeated + our own echoed + answers nobody awaited
     readings out of the stream           =  taken for frames + each kind of drop + held back by the despiker
     instants of the grid                 =  frames + instants left out in silence
-    frames assembled                     =  poses reconstructed
+    frames assembled                     =  poses reconstructed + left out in overload
     poses offered to an output           =  published + dropped + thinned + queued
     chunks handed to the recorder        =  written + lost + waiting for the disk
 
@@ -18,7 +19,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from devices.link_counts import LinkCounts
 from gateway.assembly import FrameAssembler, Lost
+from gateway.losses import Cause
 from gateway.outputs.messages import OutputCounters
 from gateway.pipeline import Pipeline
 from gateway.recording.recorder import RecorderBalance
@@ -49,12 +52,16 @@ def balances_of(
     pipeline: Pipeline,
     outputs: Mapping[str, OutputCounters] | None = None,
     recording: RecorderBalance | None = None,
+    links: Mapping[str, LinkCounts] | None = None,
 ) -> list[Balance]:
-    """All balances of a pipeline, its outputs (by name) and the recording, if there is one."""
+    """All balances of a pipeline, its outputs and links (by name) and the recording, if there is one."""
     balances = [*_stream(pipeline), _readings(pipeline), *_frames(pipeline)]
     for name, counters in (outputs or {}).items():
         parts = {part: getattr(counters, part) for part in ("published", "dropped", "thinned", "queued")}
         balances.append(Balance(f"output_{name}", pipeline.skeleton_frames, parts))
+    for name, counts in (links or {}).items():
+        parts = {"handed": counts.handed, "behind": counts.behind, "waiting": counts.waiting}
+        balances.append(Balance(f"link_{name}_bytes", counts.taken, parts))
     if recording is not None:
         parts = {"written": recording.written, "lost": recording.lost, "waiting": recording.waiting}
         balances.append(Balance("recorded_chunks", recording.handed, parts))
@@ -79,7 +86,10 @@ def _stream(pipeline: Pipeline) -> Iterator[Balance]:
         sum(counter.numbered for counter in of_samples),
         {
             "received": sum(counter.received for counter in of_samples),
-            "lost": sum(counter.lost for counter in of_samples),
+            **{
+                f"lost_{cause.name.lower()}": sum(counter.lost_by[cause] for counter in of_samples)
+                for cause in Cause
+            },
         },
     )
     parts = {
@@ -107,7 +117,9 @@ def _frames(pipeline: Pipeline) -> Iterator[Balance]:
     if isinstance(assembler, FrameAssembler):
         skipped = assembler.lost[Lost.SKIPPED_INSTANT]
         yield Balance("instants", assembler.instants, {"frames": assembler.frames, "skipped": skipped})
-    yield Balance("frames", assembler.frames, {"reconstructed": pipeline.skeleton_frames})
+    assembled = assembler.frames + pipeline.marker_frames
+    solved = {"reconstructed": pipeline.skeleton_frames, "left_out": pipeline.left_out}
+    yield Balance("frames", assembled, solved)
 
 
 _OF_READINGS = frozenset(Lost) - {Lost.SKIPPED_INSTANT}

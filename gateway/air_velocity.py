@@ -1,8 +1,8 @@
 """Velocity of pressure tubes (Pitot) through still air.
 
-A tube that points along its motion feels ``Δp = ½ ρ v |v|``; the air's density is ``ρ = p / (R T)``. Near rest
-the root makes much of little pressure, which the standard deviation tells: ``σ_v = σ_p / (ρ |v|)``, at most
-``√(2 σ_p / ρ)``.
+A tube that points along its motion feels ``Δp = ½ ρ v |v|``; the air's density is ``ρ = p / (R T)``. Near
+rest the root makes much of little pressure, which the standard deviation tells: ``σ_v = σ_p / (ρ |v|)``, at
+most ``√(2 σ_p / ρ)``.
 """
 
 from __future__ import annotations

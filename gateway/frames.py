@@ -2,7 +2,8 @@
 
 ``Chunk`` (``devices.link``: bytes and when they arrived) → ``WireFrame`` (``firmware_protocol.framing``)
 → packets (``firmware_protocol.packets``) → ``InertialReading`` / ``FusedReading`` / ``LocalReading`` (one
-module, one instant, gateway time) → ``ImuFrame`` (all modules, one instant) → ``SkeletonFrame``.
+module, one instant, gateway time) → ``ImuFrame`` (all modules, one instant) → ``SkeletonFrame``. An optical
+system's chunks become ``MarkerFrame`` → ``SkeletonFrame``.
 
 SI units throughout: m, s, rad, m/s², rad/s; magnetic field in µT. Instants are integer nanoseconds
 of gateway time. Quaternions are unit, Hamilton, (w, x, y, z); ``q_ab`` takes coordinates in b to
@@ -39,8 +40,8 @@ class Status(IntEnum):
     MISSING = 5
     """No sample to stand on."""
     UNAIDED = 6
-    """Measured by its gyrometers, but what told inclination is gone: all local devices of its chain are silent,
-    or its own accelerometer is saturated. (Numbers never change, hence the last.)"""
+    """Measured by its gyrometers, but what told inclination is gone: all local devices of its chain are
+    silent, or its own accelerometer is saturated. (Numbers never change, hence the last.)"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +134,17 @@ class ImuFrame:
     """Readings of photoelectric cells since the frame before, in time order."""
     sun: SunSight | None = None
     """What they show; None: the suit has no cells in use."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerFrame:
+    """All markers of an optical system at one instant, world axes, in the order of the fitted body."""
+
+    sequence: int
+    time_ns: int
+    positions: FloatArray  # (n_markers, 3) m; NaN: not seen
+    unlabelled: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) m
+    """Points that the optical system saw and could not name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import types
 import typing
 from pathlib import Path
@@ -15,6 +16,8 @@ from gateway.errors import SettingsError, nearest
 
 Model = TypeVar("Model", bound=BaseModel)
 
+_SECRET = re.compile("password|secret|token|credential", re.IGNORECASE)
+"""Names of settings whose value is never repeated."""
 _MOST_PROBLEMS = 20
 """Said of one file at a time."""
 _LONGEST_LINE = 400
@@ -94,7 +97,7 @@ def _explain(problem: Any, model: type[BaseModel]) -> str:
     if problem["type"] == "missing":
         return f"'{where}' is missing"
     message = problem["msg"].removeprefix("Value error, ")
-    shown = _shortened(repr(problem["input"]))
+    shown = "…" if _SECRET.search(where) else _shortened(repr(problem["input"]))
     return _shortened(f"'{where}' is {shown}: {message}" if where else message, _LONGEST_LINE)
 
 

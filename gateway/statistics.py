@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass, field
 
 from firmware_protocol import DeviceInfo, Health
 from gateway.clocks import ModuleClock, unwrap
+from gateway.losses import Cause, LinkLosses
 
 SEQUENCE_BITS = 16
 _REMEMBERED = 256
@@ -19,7 +20,8 @@ class SequenceCounter:
 
     def __init__(self) -> None:
         self.received = 0
-        self.lost = 0
+        self.lost_by: Counter[Cause] = Counter()
+        """Packets that have not come, by what may have befallen them."""
         self.duplicates = 0
         self.gaps: Counter[int] = Counter()
         """How often so many packets were lost in a row."""
@@ -27,48 +29,60 @@ class SequenceCounter:
         self._first = 0
         self._shift = 0  # wire number minus our own: 0 until the module has restarted
         self._is_anew = True
-        self._missing: deque[int] = deque(maxlen=_REMEMBERED)
+        self._missing: dict[int, Cause] = {}
+        self._heard_in = 0  # chunk of the newest packet
+
+    @property
+    def lost(self) -> int:
+        """Packets that have not come."""
+        return self.lost_by.total()
 
     @property
     def numbered(self) -> int:
         """Packets that were sent, by their numbers, from the first that was heard to the newest."""
         return self._newest - self._first + 1
 
-    def count(self, sequence: int) -> int | None:
-        """The unwrapped sequence number; None for a packet received before."""
+    def count(self, sequence: int, link: LinkLosses) -> int | None:
+        """The unwrapped sequence number; None for a packet received before. link: the one it came over."""
         if self._is_anew:
             self._shift = sequence - (self._newest + 1)
             self._is_anew = False
-        return self._take(unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1))
+        return self._take(unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1), link)
 
-    def count_unwrapped(self, full: int) -> int | None:
+    def count_unwrapped(self, full: int, link: LinkLosses) -> int | None:
         """The same for a number that somebody else has unwrapped."""
         if self._is_anew:
             begin = max(self._newest, full - 1)
             self._first += begin - self._newest
             self._newest = begin
             self._is_anew = False
-        return self._take(full)
+        return self._take(full, link)
 
-    def _take(self, full: int) -> int | None:
+    def _take(self, full: int, link: LinkLosses) -> int | None:
         if full <= self._newest:
             return self._overtaken(full)
         gap = full - self._newest - 1
         if gap:
-            self.lost += gap
+            cause = link.cause_since(self._heard_in)
+            self.lost_by[cause] += gap
             self.gaps[gap] += 1
-        self._missing.extend(range(max(self._newest + 1, full - _REMEMBERED), full))
+            self._remember(range(max(self._newest + 1, full - _REMEMBERED), full), cause)
         self._newest = full
+        self._heard_in = link.chunk
         self.received += 1
         return full
+
+    def _remember(self, missing: range, cause: Cause) -> None:
+        self._missing.update(dict.fromkeys(missing, cause))
+        while len(self._missing) > _REMEMBERED:
+            del self._missing[next(iter(self._missing))]
 
     def _overtaken(self, full: int) -> int | None:
         if full not in self._missing:
             self.duplicates += 1
             return None
         self._split_gap(full)
-        self._missing.remove(full)
-        self.lost -= 1
+        self.lost_by[self._missing.pop(full)] -= 1
         self.received += 1
         return full
 
@@ -116,6 +130,14 @@ class ModuleRecord:
         return sum(counter.lost for counter in self.sequences.values())
 
     @property
+    def lost_by(self) -> dict[str, int]:
+        """Lost packets by cause (``gateway.losses``)."""
+        return {
+            cause.name.lower(): sum(counter.lost_by[cause] for counter in self.sequences.values())
+            for cause in Cause
+        }
+
+    @property
     def duplicates(self) -> int:
         return sum(counter.duplicates for counter in self.sequences.values())
 
@@ -134,6 +156,7 @@ class ModuleRecord:
         summary: dict[str, object] = {
             "received": self.received,
             "lost": self.lost,
+            "lost_by": self.lost_by,
             "duplicates": self.duplicates,
             "gaps": self.gap_histogram,
             "restarts": self.clock.restarts,

@@ -33,6 +33,7 @@ from firmware_protocol import (
     SyncResponse,
 )
 from firmware_protocol.kinds import FROM_HOST
+from gateway.air_velocity import air_velocity
 from gateway.clocks import (
     ClockTable,
     EstimatedClock,
@@ -44,9 +45,9 @@ from gateway.clocks import (
     TriggerAnswers,
     warm_up,
 )
-from gateway.air_velocity import air_velocity
 from gateway.exchanges import TimeExchanges
 from gateway.frames import FusedReading, InertialReading, LightReading, LocalReading, Quantity
+from gateway.losses import Cause, LinkLosses
 from gateway.statistics import ModuleRecord
 
 Reading = InertialReading | FusedReading | LocalReading | LightReading
@@ -71,7 +72,14 @@ class ClockMode(StrEnum):
 
 SAMPLE_KINDS = frozenset(
     packet.KIND
-    for packet in (InertialSample, InertialSampleFine, FusedSample, LocalMeasurement, LightSample, PressureSample)
+    for packet in (
+        InertialSample,
+        InertialSampleFine,
+        FusedSample,
+        LocalMeasurement,
+        LightSample,
+        PressureSample,
+    )
 )
 """Of packets that readings are made from."""
 
@@ -97,6 +105,7 @@ class Stream:
         """Packets of a host, ours or another one's, that came back over a bus."""
         self._decoders: dict[str, PacketDecoder] = {}
         self._sent_decoders: dict[str, PacketDecoder] = {}
+        self._losses: dict[str, LinkLosses] = {}
         self._batching: dict[str, LinkBatching] = {}
         self._arriving = LinkBatching()  # of the link that the chunk in hand came over
         self._listeners: dict[type[Packet], list[Listener]] = {}
@@ -109,6 +118,12 @@ class Stream:
         self._decoders[name] = _decoder(framing)
         self._sent_decoders[name] = _decoder(framing)
         self._batching[name] = LinkBatching()
+        self._losses[name] = LinkLosses()
+
+    def notice(self, link: str, cause: Cause) -> None:
+        """Something was lost on a link since its last chunk: tells what missing packets fell victim to."""
+        if link in self._losses:
+            self._losses[link].notice(cause)
 
     def listen(self, packet_class: type[Packet], listener: Listener) -> None:
         """Have every packet of a class told to ``listener`` too, also one that came before."""
@@ -123,7 +138,13 @@ class Stream:
         readings = []
         self._arriving = self._batching[chunk.link]
         self._arriving.observe(chunk.arrived_ns)
-        for packet in self._decoders[chunk.link].feed(chunk.data):
+        decoder = self._decoders[chunk.link]
+        damaged = decoder.damaged
+        packets = decoder.feed(chunk.data)
+        self._losses[chunk.link].chunk += 1
+        if decoder.damaged != damaged:
+            self._losses[chunk.link].notice(Cause.DAMAGED)
+        for packet in packets:
             for listener in self._listeners.get(type(packet.packet), ()):
                 listener(packet, chunk)
             if packet.kind in FROM_HOST:
@@ -171,7 +192,7 @@ class Stream:
                 return self._read_triggered(self.triggers, record, received, chunk)
             if isinstance(packet, InertialSample | InertialSampleFine | FusedSample):
                 self.triggers.sampled_alone(received.module)
-        sequence = record.counter(received.kind).count(received.sequence)
+        sequence = record.counter(received.kind).count(received.sequence, self._losses[chunk.link])
         return None if sequence is None else _reading(record, received.packet, sequence, time_ns)
 
     def _timed(self, received: ReceivedPacket, arrived_ns: int) -> tuple[ModuleRecord, int]:
@@ -196,7 +217,9 @@ class Stream:
         answer = triggers.answered(received.module, received.sequence, chunk.link, chunk.arrived_ns)
         if answer is None:
             return None
-        sequence = record.counter(received.kind | _TRIGGERED).count_unwrapped(answer.full)
+        sequence = record.counter(received.kind | _TRIGGERED).count_unwrapped(
+            answer.full, self._losses[chunk.link]
+        )
         return None if sequence is None else _reading(record, received.packet, sequence, answer.sent_ns)
 
 

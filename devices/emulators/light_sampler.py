@@ -70,7 +70,7 @@ class LightSampler:
     def frames(self, sampling: Sampling, R_ws: FloatArray) -> list[Timed]:
         """R_ws: (n, 3, 3) sensor to world at the sampling's instants."""
         readings = self.read(sampling.times, R_ws)
-        bodies = [encode_packet(LightSample(tuple(row))) for row in readings.tolist()]  # type: ignore[arg-type]
+        bodies = [encode_packet(LightSample(tuple(row))) for row in readings.tolist()]
         return [
             sampling.frame(LightSample.KIND, at, body)
             for at, body in zip(sampling.instants.tolist(), bodies, strict=True)
@@ -84,11 +84,13 @@ class LightSampler:
         for shade in light.shades:
             if shade.module in {None, self._module}:
                 now = (times >= shade.start_s) & (times < shade.end_s)
-                direct[np.ix_(now, shade.cells)] *= shade.direct
-                sky[np.ix_(now, shade.cells)] *= shade.sky
+                shaded = np.ix_(now, np.array(shade.cells))
+                direct[shaded] *= shade.direct
+                sky[shaded] *= shade.sky
         above = 0.5 * (1.0 + normals[..., 2])
         readings = light.direct * direct * np.maximum(normals @ light.direction, 0.0)
         readings += light.sky * sky * above + light.ground * (1.0 - above)
         readings *= self._gains
         readings += light.noise * self._rng.standard_normal(readings.shape)
-        return np.clip(readings, 0.0, 1.0)
+        clipped: FloatArray = np.clip(readings, 0.0, 1.0)
+        return clipped

@@ -29,7 +29,9 @@ class SensorFaults:
     def __init__(self, plan: FaultPlan) -> None:
         self.counts: Counter[str] = Counter()
         """Samples changed, by kind of fault."""
-        self._faults = [fault for fault in plan.faults if isinstance(fault, Stuck | Saturated | Magnet | NotFinite)]
+        self._faults = [
+            fault for fault in plan.faults if isinstance(fault, Stuck | Saturated | Magnet | NotFinite)
+        ]
         self._held: dict[int, Any] = {}  # what a stuck sensor says, by place of the fault
 
     def spoil(self, device: int, sent: list[Timed]) -> list[Timed]:

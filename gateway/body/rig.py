@@ -15,18 +15,26 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from gateway.body.anthropometry import Subject, scaled
 from gateway.body.joint_file import JointEntry, joints_of
+from gateway.body.markers import BodyMarkers
 from gateway.body.sensor_entries import CalibrationEntry
 from gateway.body.skeleton import Interpolation, LocalDevice, Skeleton, SunCells, WornSuit, field_vector
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
-from gateway.settings_files import find_file, load_settings
+from gateway.settings_files import find_file, load_settings, load_yaml
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 ModuleId = Annotated[int, Field(ge=0, le=63)]
 
-FACES: tuple[Vector, ...] = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+FACES: tuple[Vector, Vector, Vector, Vector, Vector, Vector] = (
+    (1, 0, 0),
+    (-1, 0, 0),
+    (0, 1, 0),
+    (0, -1, 0),
+    (0, 0, 1),
+    (0, 0, -1),
+)
 """Where the cells of a ``LightSample`` look, unless the rig says otherwise."""
 
 
@@ -82,7 +90,7 @@ class WornModule(_Strict):
     )
     cells: tuple[Vector, Vector, Vector, Vector, Vector, Vector] = Field(
         default=FACES,
-        description="where its six photoelectric cells look, sensor axes; faces +x −x +y −y +z −z if left out",
+        description="where its six photoelectric cells look, sensor axes; left out: +x −x +y −y +z −z",
     )
 
     @field_validator("sensor_to_segment")
@@ -159,7 +167,8 @@ class WorldSettings(_Strict):
     def _knows_where_the_sun_is(self) -> WorldSettings:
         if (self.second_field == "magnetometer") != (self.place is None):
             raise ValueError(
-                "second_field: sun (or both) needs 'place: {latitude_deg: …, longitude_deg: …}', and no other does"
+                "second_field: sun (or both) needs 'place: {latitude_deg: …, longitude_deg: …}', "
+                "and no other does"
             )
         return self
 
@@ -184,7 +193,11 @@ def load_body(
 ) -> Skeleton:
     """A body by name or path, its joints by the definitions chosen. Raises ``SettingsError``."""
     path = find_file(name, "bodies", beside)
-    body = load_settings(path, BodyFile)
+    return skeleton_of(load_settings(path, BodyFile), path, joint_definitions)
+
+
+def skeleton_of(body: BodyFile, path: Path, joint_definitions: Mapping[str, str] | None = None) -> Skeleton:
+    """The skeleton that the content of a file describes. Raises ``SettingsError``, which names ``path``."""
     names = [segment.name for segment in body.segments]
     parents = []
     for position, segment in enumerate(body.segments):
@@ -245,8 +258,14 @@ def _refuse_unknown_neighbours(path: Path, body: BodyFile) -> None:
 
 
 def load_rig(name: str, beside: Path | None = None) -> WornSuit:
-    """A rig by name or path. Raises ``SettingsError`` naming the file, the entry and the remedy."""
+    """A rig by name or path; a fitted subject (`optical fit`) is one too, of markers.
+
+    Raises ``SettingsError`` naming the file, the entry and the remedy."""
+    from gateway.body.subject_file import is_subject, load_subject  # noqa: PLC0415 - it needs this module
+
     path = find_file(name, "rigs", beside)
+    if is_subject(load_yaml(path)):
+        return load_subject(path)
     rig = load_settings(path, RigFile)
     skeleton = load_body(rig.body, path, rig.joint_definitions)
     if rig.subject is not None:
@@ -287,6 +306,22 @@ def _sun(rig: RigFile) -> SunCells | None:
         place.longitude_deg,
         np.array([module.cells for module in rig.modules], dtype=np.float64),
         rig.world.second_field == "both",
+    )
+
+
+def worn_without_modules(skeleton: Skeleton, markers: BodyMarkers, world: WorldSettings) -> WornSuit:
+    """A body that wears markers, and no module."""
+    n, field = skeleton.n_segments, world.magnetic_field
+    return WornSuit(
+        skeleton=skeleton,
+        module_ids=(),
+        module_of_segment=np.full(n, -1, dtype=np.int64),
+        sensor_to_segment=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        lever_arms=np.zeros((n, 3)),
+        local_devices=(),
+        gravity=np.array([0.0, 0.0, -world.gravity]),
+        magnetic_field=field_vector(field.norm_ut, field.dip_deg, field.declination_deg),
+        markers=markers,
     )
 
 

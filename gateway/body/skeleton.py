@@ -13,6 +13,7 @@ import numpy as np
 
 from devices.calibration import SensorCalibration
 from gateway.body.joints import Joint
+from gateway.body.markers import BodyMarkers
 from gateway.frames import FloatArray, IntArray, Quantity
 
 
@@ -110,6 +111,8 @@ class WornSuit:
     """By module id: corrections of its readings, for those that have one here."""
     sun: SunCells | None = None
     """None: light readings are not used."""
+    markers: BodyMarkers | None = None
+    """For an optical system: where its markers sit; then there may be no modules."""
 
 
 def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:

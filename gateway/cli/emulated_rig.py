@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -96,5 +97,7 @@ def sunlight(suit: WornSuit, time_ns: int) -> Sunlight | None:
     cells of all emulated modules look where those of the first one do."""
     if suit.sun is None:
         return None
-    place = suit.sun.latitude_deg, suit.sun.longitude_deg
-    return Sunlight(sun_direction(time_ns, *place), normals=suit.sun.normals[0])
+    direction = sun_direction(time_ns, suit.sun.latitude_deg, suit.sun.longitude_deg)
+    light = Sunlight(direction, normals=suit.sun.normals[0])
+    is_day = direction[2] > 0.0
+    return light if is_day else replace(light, direct=0.0, sky=0.0, ground=0.0)

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from gateway.body.rig import load_rig
+from gateway.cli.preparing import make_ready
 from gateway.cli.progress import progress_bar
 from gateway.cli.replay_live import replay_live
 from gateway.errors import GatewayError, SettingsError, nearest
@@ -57,6 +58,7 @@ def replay(
     """
     recording = open_recording(file)
     source = _source(recording, with_rig, reconstructor, config, smooth)
+    make_ready(source.settings.reconstructor)
     is_other = bool(with_rig or reconstructor or smooth is not None)
     if verified:
         if is_other:
@@ -74,7 +76,7 @@ def replay(
             typer.echo(
                 "note: poses are played as they came live; the smoothed ones stand in the file", err=True
             )
-        replay_live(recording, source, _speed(speed), embedded=embedded, as_json=as_json)
+        replay_live(recording, source, speed_of(speed), embedded=embedded, as_json=as_json)
     if recording.defect is not None:
         typer.echo(f"note: {recording.defect}", err=True)
 
@@ -113,7 +115,8 @@ def _target(file: Path, with_rig: str | None, reconstructor: str | None, smooth:
     return file.with_name(f"{file.stem}_{'_'.join(marks)}.mcap")
 
 
-def _speed(text: str) -> float | None:
+def speed_of(text: str) -> float | None:
+    """A factor; None for as fast as it goes. Raises ``GatewayError``."""
     if text == "max":
         return None
     try:

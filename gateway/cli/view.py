@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import io
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -92,14 +93,16 @@ async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
         raise GatewayError("the page needs the extra 'viewer': pip install 'mocap-gateway[viewer]'") from None
     from gateway.viewer.gate import Door, Gate  # noqa: PLC0415 - beside the extra
 
-    server = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
+    with contextlib.redirect_stdout(io.StringIO()):  # it would name the port behind the gate
+        server = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
     try:
         async with Gate(place.host, place.port, server.get_port(), Door(place.token)):
             shown = "/?token=… (the token's own text)" if place.token is not None else ""
             typer.echo(f"live page: http://{place.host}:{place.port}{shown}")
             yield server
     finally:
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 async def _serve_live(settings: MqttSettings, gateway: str, place: _Place, waits: bool) -> None:

@@ -55,11 +55,25 @@ def multiply_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
 
 
 @compiled
+def copy_into(C: FloatArray, A: FloatArray) -> None:
+    """C ← A; shapes (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            C[i, j] = A[i, j]
+
+
+@compiled
 def turn(E: FloatArray, v: FloatArray) -> None:
     """v ← E v in place; shapes (3, 3), (3,)."""
-    x, y, z = v[0], v[1], v[2]
+    rotate_into(v, E, v)
+
+
+@compiled
+def rotate_into(v_a: FloatArray, R_ab: FloatArray, v_b: FloatArray) -> None:
+    """v_a ← R_ab v_b; shapes (3,), (3, 3), (3,); v_a may be v_b."""
+    x, y, z = v_b[0], v_b[1], v_b[2]
     for i in range(3):
-        v[i] = E[i, 0] * x + E[i, 1] * y + E[i, 2] * z
+        v_a[i] = R_ab[i, 0] * x + R_ab[i, 1] * y + R_ab[i, 2] * z
 
 
 @compiled
@@ -139,11 +153,14 @@ def from_two_vectors(
 @compiled
 def _triad(primary: FloatArray, secondary: FloatArray) -> FloatArray:
     """Orthonormal rows: along the primary, across both, and what completes them."""
-    T = np.full((3, 3), np.nan)
-    across = cross(primary, secondary)
-    lengths = norm(primary) * norm(secondary)
-    if norm(across) > PARALLEL * lengths and lengths > 0.0:
-        T[0] = primary / norm(primary)
-        T[1] = across / norm(across)
-        T[2] = cross(T[0], T[1])
+    T, across = np.empty((3, 3)), cross(primary, secondary)
+    length, across_length = norm(primary), norm(across)
+    lengths = length * norm(secondary)
+    is_defined = across_length > PARALLEL * lengths and lengths > 0.0
+    for i in range(3):
+        T[0, i] = primary[i] / length if is_defined else np.nan
+        T[1, i] = across[i] / across_length if is_defined else np.nan
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        T[2, i] = T[0, j] * T[1, k] - T[0, k] * T[1, j]
     return T

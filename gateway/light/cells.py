@@ -1,9 +1,9 @@
 """From the readings of several photoelectric cells to the direction of the light. Sans-I/O.
 
 A cell of normal n reads ``max(0, n · v) + a``: v points to the sun and is as long as its direct light is
-strong, a is the diffuse light around. Lit cells read more than unlit ones, so the lit are the brightest, however
-many they are: least squares for each number, and the one that explains all cells best is right. An unlit cell
-says what a is, and that its side has no part of v.
+strong, a is the diffuse light around. Lit cells read more than unlit ones, so the lit are the brightest,
+however many they are: least squares for each number, and the one that explains all cells best is right. An
+unlit cell says what a is, and that its side has no part of v.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class CellArray:
         return CellSolution(direction, direct, float(found[3]), residual)
 
     def _inverse(self, is_lit: NDArray[np.bool_]) -> FloatArray:
-        """(4, k) readings to v and a: the pseudo-inverse, so that a side without lit cells gets no part of v."""
+        """(4, k) readings to v and a: the pseudo-inverse, so a side without lit cells gets no part of v."""
         key = is_lit.tobytes()
         if key not in self._inverses:
             design = np.hstack([self._normals * is_lit[:, None], np.ones((len(is_lit), 1))])

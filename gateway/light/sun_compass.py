@@ -1,7 +1,7 @@
 """Light readings to directions of the sun by frame; cloud, shadow and reflections turned away. Sans-I/O.
 
-A direction serves until a newer one comes, turned along by the module's gyrometers, for ``CARRIED_S`` at most;
-for longer it is remembered to tell what jumps.
+A direction serves until a newer one comes, turned along by the module's gyrometers, for ``CARRIED_S`` at
+most; for longer it is remembered to tell what jumps.
 """
 
 from __future__ import annotations

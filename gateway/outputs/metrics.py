@@ -16,6 +16,7 @@ from prometheus_client.registry import Collector
 
 from gateway.accounting import Balance
 from gateway.outputs.messages import BridgeInfo, ModuleState, OutputCounters, UtcAnchor
+from gateway.overload import LoadWatch
 
 _MODULE = ("module", "segment")
 _PER_MODULE_COUNTERS = {
@@ -49,6 +50,8 @@ class LinkFigures:
     reconnections: int
     dropped: Mapping[str, int] = field(default_factory=dict)
     """Wire frames dropped, by reason."""
+    counts: Mapping[str, int] = field(default_factory=dict)
+    """What became of its bytes, and what the system lost before."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ class GatewayFigures:
     """Outputs that hold a connection: whether they do."""
     utc: UtcAnchor | None
     balances: Sequence[Balance] = ()
+    load: LoadWatch | None = None
 
 
 def registry_of(figures: GatewayFigures) -> CollectorRegistry:
@@ -86,6 +90,8 @@ class _Figures(Collector):
         yield from _outputs(figures)
         yield from _modules(figures.modules)
         yield from _balances(figures.balances)
+        if figures.load is not None:
+            yield from _load(figures.load)
 
 
 def _gateway(figures: GatewayFigures) -> Iterator[Metric]:
@@ -106,16 +112,28 @@ def _gateway(figures: GatewayFigures) -> Iterator[Metric]:
         yield CounterMetricFamily("mocap_utc_steps", "How often the host's UTC was set.", value=steps)
 
 
+def _load(load: LoadWatch) -> Iterator[Metric]:
+    text = "What is given up since the machine cannot keep up; 0: nothing."
+    yield GaugeMetricFamily("mocap_load_stage", text, value=load.stage)
+    yield GaugeMetricFamily("mocap_lag_seconds", "How old what is handled now is.", value=load.lag_s)
+    yield CounterMetricFamily("mocap_load_changes", "Stages taken and given back.", value=load.changes)
+
+
 def _links(links: Sequence[LinkFigures]) -> Iterator[Metric]:
     up = GaugeMetricFamily("mocap_link_up", "Whether the link is open.", labels=("link",))
     again = CounterMetricFamily("mocap_link_reconnections", "How often it came up again.", labels=("link",))
     dropped = CounterMetricFamily("mocap_link_dropped", "Wire frames dropped.", labels=("link", "reason"))
+    counts = GaugeMetricFamily(
+        "mocap_link_count", "Bytes taken, handed on, dropped; losses of the system.", labels=("link", "what")
+    )
     for link in links:
+        for what, count in link.counts.items():
+            counts.add_metric((link.name, what), count)
         up.add_metric((link.name,), link.is_up)
         again.add_metric((link.name,), link.reconnections)
         for reason, count in link.dropped.items():
             dropped.add_metric((link.name, reason), count)
-    yield from (up, again, dropped)
+    yield from (up, again, dropped, counts)
 
 
 def _outputs(figures: GatewayFigures) -> Iterator[Metric]:

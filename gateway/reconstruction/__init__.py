@@ -28,12 +28,14 @@ from gateway.reconstruction.whole_body import (
 __all__ = [
     "FUSED",
     "NO_CONTACTS",
+    "OPTICAL",
     "RECONSTRUCTORS",
     "Reconstructor",
     "RootMode",
     "RootSettings",
     "WholeBodyReconstructor",
     "create_reconstructor",
+    "refuse_unreadable",
     "update_many",
 ]
 
@@ -50,6 +52,9 @@ RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {
 """Name to constructor; its arguments: the suit, and the nominal interval of the frames in s."""
 
 
+OPTICAL = "optical"
+"""Of markers and no modules: ``optical.reconstructor``; it needs a suit with markers."""
+
 FUSED = frozenset({"fused", "fused_neutral"})
 """Those that want orientations fused on the modules, and no raw values."""
 
@@ -60,7 +65,8 @@ SEES_SUN = frozenset({"articulated", "independent", "joint", "outward"})
 CHAINS = frozenset({"joint", "outward"})
 
 
-def _refuse_unreadable(name: str, suit: WornSuit) -> None:
+def refuse_unreadable(name: str, suit: WornSuit) -> None:
+    """Raises ``SettingsError`` where the suit has a sensor that the reconstructor of that name cannot use."""
     if suit.sun is not None:
         can = CHAINS if suit.sun.beside_magnetometer else SEES_SUN
         word = "both" if suit.sun.beside_magnetometer else "sun"
@@ -70,7 +76,9 @@ def _refuse_unreadable(name: str, suit: WornSuit) -> None:
                 f"reconstructor '{name}' cannot use the rig's 'second_field: {word}'; these can: {known}"
             )
     if name == "articulated" and any(d.quantity is Quantity.AIR_VELOCITY for d in suit.local_devices[:1]):
-        raise SettingsError("reconstructor 'articulated' cannot use pressure tubes; these can: joint, outward")
+        raise SettingsError(
+            "reconstructor 'articulated' cannot use pressure tubes; these can: joint, outward"
+        )
 
 
 def create_reconstructor(
@@ -83,6 +91,6 @@ def create_reconstructor(
     if name not in RECONSTRUCTORS:
         known = ", ".join(sorted(RECONSTRUCTORS))
         raise ValueError(f"no reconstructor is called {name!r}; there are: {known}")
-    _refuse_unreadable(name, suit)
+    refuse_unreadable(name, suit)
     finder = RECONSTRUCTORS[name](suit, nominal_interval_s)
     return finder if name in FUSED else WholeBodyReconstructor(suit, finder, root)

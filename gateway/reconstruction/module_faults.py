@@ -2,13 +2,13 @@
 
 A sensor's noise changes its last bits all the time. A module whose specific force and rate have not changed
 in any bit for a while, though other modules' have, is stuck. (If none changes, they may be noise-free
-simulations at rest: nothing is said.) A single sensor is stuck when it repeats itself while it turns, or while
-the other one says that the module moves: sooner than in rest, where coarse sensors may repeat themselves.
+simulations at rest: nothing is said.) A single sensor is stuck when it repeats itself while it turns, or
+while the other one says that the module moves: sooner than in rest, where coarse sensors may repeat
+themselves.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +50,7 @@ def stuck_modules(
     """(m,) 1 for modules that are stuck. force, rate: (m, 3) as sent; dt: since the frame before, s."""
     m = len(status)
     stuck = np.zeros(m, np.uint8)
-    lively = 0
+    lively, lively_rates, lively_forces = 0, 0, 0
     for i in range(m):
         if status[i] > 1:  # held by the gateway, or missing: the assembler's matter
             continue
@@ -65,21 +65,28 @@ def stuck_modules(
         state.rate_unchanged_s[i] = 0.0 if rate_changed else state.rate_unchanged_s[i] + dt
         if rate_changed:
             state.force_before[i] = force[i]
-        stuck[i] = _is_stuck_in_motion(state, i, force[i], rate[i])
+        lively_rates += state.rate_unchanged_s[i] < LIVELY_S
+        lively_forces += state.force_unchanged_s[i] < LIVELY_S
         lively += state.unchanged_s[i] < LIVELY_S
-    if lively:
-        for i in range(m):
-            stuck[i] |= state.unchanged_s[i] >= STUCK_S and status[i] <= 1
+    for i in range(m):
+        if status[i] <= 1:
+            stuck[i] = lively > 0 and state.unchanged_s[i] >= STUCK_S
+            stuck[i] |= lively_rates > 0 and _has_stuck_rate(state, i, force[i], rate[i])
+            stuck[i] |= lively_forces > 0 and _has_stuck_force(state, i, rate[i])
     return stuck
 
 
 @compiled
-def _is_stuck_in_motion(state: RepeatState, i: int, force: FloatArray, rate: FloatArray) -> bool:
-    """Whether one of module i's two sensors repeats itself while the module moves."""
-    turning, swing = norm(rate), norm(force - state.force_before[i])
-    if not math.isfinite(turning):  # it has no gyrometers
-        return False
-    if state.force_unchanged_s[i] == 0.0 and state.rate_unchanged_s[i] >= STUCK_IN_MOTION_S:
-        return bool(turning > TURNING or swing > SWINGING)
-    is_lively = state.rate_unchanged_s[i] == 0.0 and turning > TURNING
-    return bool(is_lively and state.force_unchanged_s[i] >= STUCK_IN_MOTION_S)
+def _has_stuck_rate(state: RepeatState, i: int, force: FloatArray, rate: FloatArray) -> bool:
+    """Whether module i's gyrometers repeat themselves while it turns, or swings."""
+    is_moving = norm(rate) > TURNING or norm(force - state.force_before[i]) > SWINGING
+    return bool(
+        is_moving and state.force_unchanged_s[i] == 0.0 and state.rate_unchanged_s[i] >= STUCK_IN_MOTION_S
+    )
+
+
+@compiled
+def _has_stuck_force(state: RepeatState, i: int, rate: FloatArray) -> bool:
+    """Whether module i's accelerometer repeats itself while it turns."""
+    is_turning = norm(rate) > TURNING and state.rate_unchanged_s[i] == 0.0
+    return bool(is_turning and state.force_unchanged_s[i] >= STUCK_IN_MOTION_S)

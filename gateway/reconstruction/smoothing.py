@@ -25,7 +25,9 @@ from gateway.frames import (
     StatusArray,
 )
 from gateway.reconstruction.inertial.joint import ChainReconstructor
-from gateway.reconstruction.inertial.two_ways import put_together, seen_backward
+from gateway.reconstruction.inertial.sun_rows import sight_of, stacked_sights
+from gateway.reconstruction.inertial.time_reversal import seen_backward
+from gateway.reconstruction.inertial.two_ways import put_together
 from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.whole_body import Prepared, WholeBodyReconstructor
 
@@ -47,6 +49,7 @@ class _Block:
     observed_rate: FloatArray  # (T, m, 3)
     magnetic_field: FloatArray  # (T, m, 3)
     observed_status: StatusArray  # (T, m)
+    sights: FloatArray  # (T, m + 1, 4) see ``stacked_sights``
     resting: FloatArray  # (T, n)
     step_s: FloatArray  # (T,)
     reading_of: IntArray  # (k, 4) frame, device, time ns, quantity
@@ -72,6 +75,7 @@ class _Block:
             ImuFrame(
                 int(self.sequence[t]), int(self.time_ns[t]), self.specific_force[t], self.observed_rate[t],
                 self.magnetic_field[t], self.observed_status[t], nothing, tuple(local[t]),
+                sun=sight_of(self.sights[t]),
             )
             for t in range(len(self.time_ns))
         ]  # fmt: skip
@@ -136,6 +140,7 @@ class Smoother:
             observed_rate=np.stack([frame.angular_rate for frame in clean]),
             magnetic_field=np.stack([frame.magnetic_field for frame in clean]),
             observed_status=np.stack([frame.status for frame in clean]),
+            sights=stacked_sights(clean),
             resting=resting,
             step_s=np.array([one.dt for one in prepared]),
             reading_of=np.array(

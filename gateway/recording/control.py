@@ -18,6 +18,7 @@ from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.recorder import Recorder, RecorderBalance, Sink
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
+from gateway.supervision import kept_running
 
 STATISTICS_INTERVAL_S = 5.0
 WATCH_INTERVAL_S = 0.5
@@ -51,6 +52,7 @@ class RecordingControl:
         self._begun = 0.0
         self._lasted_s = 0.0
         self._has_been_fed = False
+        self._is_wanted = False
         self._watching: asyncio.Task[None] | None = None
         self._verbs = {"start": self._asked_to_start, "stop": self._asked_to_stop, "status": self._asked}
 
@@ -73,14 +75,18 @@ class RecordingControl:
         files = SessionFiles(self._settings.recording, contents, name)
         sink = Sink(files.write, files.flush, files.close, files.abandon)
         self._files, self._begun = files, time.monotonic()
+        self._is_wanted = True
         self._recorder = Recorder(sink, self._settings.recording.flush_ms * 1e-3, self._say_why_it_ended)
         self.event("recording_begun", {"from_start": begins_whole})
-        self._watching = asyncio.get_running_loop().create_task(self._watch(), name="recording")
+        self._watching = asyncio.get_running_loop().create_task(
+            kept_running("the recording's watch", self._watch), name="recording"
+        )
         log.info("recording to %s", files.path)
 
     async def stop(self) -> None:
         """End the recording, if there is one; all that was handed over is then in the file."""
         recorder = self._recorder
+        self._is_wanted = False
         if self._watching is not None:
             self._watching.cancel()
             self._watching = None
@@ -97,22 +103,22 @@ class RecordingControl:
     def chunk(self, chunk: Chunk, framing: Framing) -> None:
         """What a link gave, before it is parsed."""
         self._has_been_fed = True
-        if self._recorder is not None:
+        if self._recorder is not None and self._is_wanted:
             self._recorder.chunk(chunk, framing)
 
     def sent(self, sent: SentChunk) -> None:
         """What was written to a link."""
-        if self._recorder is not None:
+        if self._recorder is not None and self._is_wanted:
             self._recorder.sent(sent, self._links.get(sent.link, Framing.BYTE_STREAM))
 
     def skeleton(self, frame: SkeletonFrame, arrived_ns: int) -> None:
         """What was made of it."""
-        if self._recorder is not None and self._settings.recording.skeleton:
+        if self._recorder is not None and self._is_wanted and self._settings.recording.skeleton:
             self._recorder.skeleton(frame, arrived_ns)
 
     def event(self, name: str, data: Mapping[str, object]) -> None:
         """What happened: links, resets, calibrations."""
-        if self._recorder is not None:
+        if self._recorder is not None and self._is_wanted:
             self._recorder.event(name, data, gateway_time_ns())
 
     def worn(self, suit: WornSuit) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ COLOURS: dict[str, Colour] = {
 UNSURE: Colour = (235, 120, 15)
 STALE: Colour = (140, 140, 140)
 MOST_NAMED = 3
-"""More missing segments are only counted."""
+"""More silent segments are only counted."""
 SURE_DEG, UNSURE_DEG = 2.0, 15.0
 """Up to the first a measured segment counts as sure, from the second on as unsure."""
 
@@ -51,15 +51,26 @@ def _colour(status: str, sigma_rad: float | None) -> Colour:
     return red, green, blue
 
 
-def status_summary(statuses: Mapping[str, str]) -> str:
-    """How many segments have which status, missing ones by their names: ``16 measured, 1 missing (head)``."""
-    counts = Counter(statuses.values())
-    missing = [segment for segment, status in statuses.items() if status == "missing"]
-    named = (
-        f" ({', '.join(missing[:MOST_NAMED])}{', …' if len(missing) > MOST_NAMED else ''})" if missing else ""
+def silent_segments(statuses: Mapping[str, str], worn: Collection[str]) -> tuple[str, ...]:
+    """Those of which nothing is known: missing, or only predicted although a module is ``worn`` there."""
+    return tuple(
+        segment
+        for segment, status in statuses.items()
+        if status == "missing" or (status == "predicted" and segment in worn)
     )
-    parts = (f"{counts[status]} {status.replace('_', ' ')}" for status in COLOURS if counts[status])
-    return ", ".join(parts) + named
+
+
+def status_summary(statuses: Mapping[str, str], silent: Sequence[str]) -> str:
+    """How many segments have which status: ``16 measured, 1 missing; no data of head``."""
+    counts = Counter(statuses.values())
+    if counts["measured"] == len(statuses):
+        return f"all {len(statuses)} segments measured"
+    counted = ", ".join(f"{counts[kind]} {kind.replace('_', ' ')}" for kind in COLOURS if counts[kind])
+    if not silent:
+        return counted
+    return (
+        f"{counted}; no data of {', '.join(silent[:MOST_NAMED])}{', …' if len(silent) > MOST_NAMED else ''}"
+    )
 
 
 def legend() -> str:

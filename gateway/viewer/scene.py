@@ -1,26 +1,30 @@
-"""The body on the page: bones, axes, and names of segments, of missing ones always."""
+"""The body on the page: bones, axes, and names of segments, of silent ones always."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
 
 import numpy as np
 import viser
 
 from gateway.body.skeleton import Skeleton
+from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.viewer.appearance import segment_colours
 from gateway.viewer.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.viewer.posture import Posture
-from gateway.viewer.stage import WORLD
+from gateway.viewer.stage import Stage
 
 AXES_LENGTH_M = 0.09
-_BODY = f"{WORLD}/body"
+_BODY = "/body"
 
 
 class BodyScene:
     """One body in the scene of a viser server; made anew when the body changes."""
 
-    def __init__(self, server: viser.ViserServer, skeleton: Skeleton) -> None:
+    def __init__(self, server: viser.ViserServer, stage: Stage, skeleton: Skeleton) -> None:
         self._server = server
+        self._stage = stage
         self._skeleton = skeleton
         self._bones = bones = bones_of(skeleton)
         n, n_bones = skeleton.n_segments, len(bones.segment)
@@ -63,9 +67,9 @@ class BodyScene:
         """Segment axes, or none."""
         self._axes.visible = is_wanted
 
-    def draw(self, posture: Posture, is_stale: bool) -> None:
-        """Bring the page to a posture."""
-        segment = self._bones.segment
+    def draw(self, posture: Posture, is_stale: bool, silent: Collection[str] = ()) -> None:
+        """Bring the page to a posture; the silent segments are named."""
+        segment, p_w = self._bones.segment, posture.p_w - self._stage.middle
         wxyz = [
             quaternion.multiply(posture.q_wb[s], q)
             for s, q in zip(segment, self._bones.q_segment_from_bone, strict=True)
@@ -73,25 +77,22 @@ class BodyScene:
         colours = segment_colours(posture.status, posture.sigma_rad, is_stale)[segment]
         with self._server.atomic():
             self._bodies.batched_wxyzs = np.array(wxyz, np.float32)
-            self._bodies.batched_positions = posture.p_w[segment].astype(np.float32)
+            self._bodies.batched_positions = p_w[segment].astype(np.float32)
             if not np.array_equal(colours, self._colours):
                 self._bodies.batched_colors = self._colours = colours
             if self._axes.visible:
                 self._axes.batched_wxyzs = posture.q_wb.astype(np.float32)
-                self._axes.batched_positions = posture.p_w.astype(np.float32)
-            self._name_segments(posture)
+                self._axes.batched_positions = p_w.astype(np.float32)
+            self._name_segments(p_w, posture.q_wb, silent)
 
-    def _name_segments(self, posture: Posture) -> None:
+    def _name_segments(self, p_w: FloatArray, q_wb: FloatArray, silent: Collection[str]) -> None:
         for s, label in enumerate(self._labels):
-            status, name = posture.status[s], self._skeleton.segment_names[s]
-            is_missing = status == "missing"
-            text = f"{name}: {status}" if is_missing else name
-            is_visible = self.shows_names or is_missing
+            name = self._skeleton.segment_names[s]
+            text = f"{name}: no data" if name in silent else name
+            is_visible = self.shows_names or name in silent
             if label.visible != is_visible:
                 label.visible = is_visible
             if is_visible:
                 if label.text != text:
                     label.text = text
-                label.position = posture.p_w[s] + quaternion.rotate(
-                    posture.q_wb[s], 0.5 * self._skeleton.tips[s]
-                )
+                label.position = p_w[s] + quaternion.rotate(q_wb[s], 0.5 * self._skeleton.tips[s])

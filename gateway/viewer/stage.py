@@ -1,4 +1,4 @@
-"""What a body stands on: light, a floor, the first look, and a world that moves so that it stays in view.
+"""What a body stands on: light, a floor, the first look, and a world that is shifted to keep it in view.
 
 What a picture costs a browser without a graphics processor is measured (``benchmarks/viewer.py``): shadows
 and an environment map took nearly all of it, so there are neither. Two lights and flat faces give a body
@@ -14,13 +14,15 @@ import viser
 
 from gateway.frames import FloatArray
 
-WORLD = "/world"
-"""Whatever stands in world coordinates hangs below this node."""
 FOLLOWED_SHARE = 0.12
 """Of the way to the body that the view goes with every picture: a walk is followed, its sway is not."""
 FIRST_CAMERA: tuple[float, float, float] = (2.1, -2.3, 1.5)
 FIRST_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, 0.85)
 FIELD_OF_VIEW_DEG = 45.0
+NARROW = 0.8
+"""Width by height of a page below which it is held upright, with the panel over its lower half."""
+NARROW_CAMERA: tuple[float, float, float] = (3.2, -3.5, 1.0)
+NARROW_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, -0.12)
 FLOOR_M, SECTION_M = 24.0, 1.0
 
 
@@ -33,9 +35,14 @@ class Stage:
         camera = server.initial_camera
         camera.position, camera.look_at = FIRST_CAMERA, FIRST_LOOK_AT
         camera.fov = math.radians(FIELD_OF_VIEW_DEG)
-        self._world = server.scene.add_frame(WORLD, axes_length=0.25, axes_radius=0.006)
+        server.on_client_connect(_look_narrow)
+        self._world = server.scene.add_frame("/world", axes_length=0.25, axes_radius=0.006)
         self._floor = _floor(server.scene)
-        self._middle: FloatArray = np.zeros(3)
+        self.middle: FloatArray = np.zeros(3)
+        """(3,) m: the place of the world that is shown in the middle; to be taken off whatever is drawn.
+
+        Nodes that hung below one that moves would lag behind it where few pictures are drawn.
+        """
         self._has_followed = False
 
     def follow(self, place: FloatArray) -> None:
@@ -43,11 +50,17 @@ class Stage:
 
         The floor is shifted by parts of a section only, so it never ends.
         """
-        way = np.array([place[0], place[1], 0.0]) - self._middle
-        self._middle = self._middle + (FOLLOWED_SHARE if self._has_followed else 1.0) * way
+        way = np.array([place[0], place[1], 0.0]) - self.middle
+        self.middle = self.middle + (FOLLOWED_SHARE if self._has_followed else 1.0) * way
         self._has_followed = True
-        self._world.position = -self._middle
-        self._floor.position = -(self._middle % SECTION_M)
+        self._world.position = -self.middle
+        self._floor.position = -(self.middle % SECTION_M)
+
+
+def _look_narrow(client: viser.ClientHandle) -> None:
+    """On a phone the body stands in the upper half, above the panel."""
+    if client.camera.aspect < NARROW:
+        client.camera.position, client.camera.look_at = NARROW_CAMERA, NARROW_LOOK_AT
 
 
 def _light(scene: viser.SceneApi) -> None:

@@ -83,12 +83,12 @@ async def _data(link: Link) -> list[bytes]:
 async def test_delays_double_to_the_longest_and_start_anew_after_success():
     data, delays, _ = await run([*["absent"] * 7, [b"a"], *["absent"] * 2], 10)
     assert data == [b"a"]
-    assert delays == [0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0, 0.1, 0.2, 0.4]
+    assert delays == [0.1, 0.2, 0.4, 0.5, 0.5, 0.5, 0.5, 0.1, 0.2, 0.4]
 
 
 async def test_opening_without_a_chunk_is_no_success():
     _, delays, _ = await run([[], [], [], []], 4)
-    assert delays == [0.1, 0.2, 0.4, 0.8]
+    assert delays == [0.1, 0.2, 0.4, 0.5]
 
 
 async def test_holding_long_without_a_chunk_is_success():

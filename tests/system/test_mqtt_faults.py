@@ -9,6 +9,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING
 
+import aiomqtt
 import numpy as np
 import pytest
 
@@ -89,6 +90,22 @@ async def test_silent_broker_is_told_from_an_absent_one(
     with pytest.raises(BrokerUnreachableError, match="does not answer: is it frozen"):
         async with PoseSubscriber(MqttSettings(port=mosquitto.port)):
             pass
+
+
+async def test_a_port_that_hangs_up_at_once_does_not_cost_the_time_out(unused_port: int) -> None:
+    """A port forwarder takes connections for a broker that is away: each attempt once took two seconds."""
+    attempts: list[float] = []
+
+    def hang_up(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        attempts.append(time.monotonic())
+        writer.close()
+
+    server = await asyncio.start_server(hang_up, "127.0.0.1", unused_port)
+    with pytest.raises(aiomqtt.MqttError, match="hung up"):
+        async with connection.broker_connection(MqttSettings(port=unused_port), unused_port, "early"):
+            pass
+    assert time.monotonic() - attempts[0] < connection.TIMEOUT_S
+    server.close()
 
 
 async def test_frozen_broker_costs_poses_but_no_time_and_no_memory(

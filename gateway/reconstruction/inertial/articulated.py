@@ -128,9 +128,10 @@ class ArticulatedReconstructor:
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
         time_ns = observation.time_ns
-        if observation.sun is not None:
-            observation = with_sun_as_field(observation, observation.sun)
-            self._chain = self._chain._replace(field=np.array(observation.sun.world, np.float64))
+        sun = observation.sun
+        if sun is not None:
+            observation = with_sun_as_field(observation, sun)
+            self._chain = self._chain._replace(field=np.array(sun.world, np.float64))
         observed = self._observer.observe(observation)
         self._root_motion.add(observation.local)
         self._start(observed, time_ns)

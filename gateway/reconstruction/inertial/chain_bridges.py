@@ -3,8 +3,8 @@
 Between a segment and the nearest one towards the root that carries a module, others may lie that have none,
 like the spine between pelvis and thorax. The body's rules say how those turn: by a share φ of the bend
 between two segments. To first order their lengths ``o`` then split, ``R o ≈ (1 − φ) R_a o + φ R_s o``: one
-part turns with either end, and there is one joint between the two again, as if nothing else lay there. What
-the rule is off by (``gateway.body.interpolation``) makes the joint's place uncertain.
+part turns with either end, and there is one joint between the two again, as if nothing else lay there. In
+truth the bend may happen anywhere on the way: where that joint is remains uncertain by half the way.
 """
 
 from __future__ import annotations
@@ -13,9 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.body.interpolation import BETWEEN_SIGMA, FOLLOWING_SIGMA
 from gateway.body.skeleton import Interpolation, WornSuit
 from gateway.frames import FloatArray, IntArray
+
+RULED_SLACK = 0.5
+"""Of the length of a segment without module: standard deviation of where it bends."""
+UNRULED_SLACK = 1.0
+"""The same of one that just goes with its parent."""
 
 
 class Bridges(NamedTuple):
@@ -41,16 +45,12 @@ def bridges_of(suit: WornSuit) -> Bridges:
             continue
         parents[s], is_bridged[s] = a, int(bool(between))
         before[s] = skeleton.offsets[between[-1] if between else s]
-        square = 0.0
         for child, segment in zip([int(s), *between], between, strict=False):
             length, rule = skeleton.offsets[child], rules.get(segment)
             share = _share(rule, a, int(s))
             before[s] += (1.0 - share) * length
             beyond[s] += share * length
-            square += (
-                (FOLLOWING_SIGMA if share == 0.0 else BETWEEN_SIGMA) * float(np.linalg.norm(length))
-            ) ** 2
-        slack[s] = np.sqrt(square)
+            slack[s] += (UNRULED_SLACK if share == 0.0 else RULED_SLACK) * float(np.linalg.norm(length))
     return Bridges(parents, before, beyond, slack, is_bridged)
 
 

@@ -24,15 +24,23 @@ SATURATED_NOISE = 5.0
 
 @compiled
 def predict(
-    body: ChainBody, state: FilterState, noise: Noise, rate: FloatArray, is_valid: FloatArray, dt: float
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    rate: FloatArray,
+    is_valid: FloatArray,
+    dt: float,
+    before: FloatArray,
 ) -> None:
-    """Turns every started segment over dt by the mean of its last two rates (n, 3), in place."""
-    n = len(body.parents)
-    before, turn, w = np.zeros((n, 3, 3)), np.empty((3, 3)), np.empty(3)
-    for s in range(n):
+    """Turns every started segment over dt by the mean of its last two rates (n, 3), in place.
+
+    before: (n, 3, 3) to be used on the way.
+    """
+    turn, w = np.empty((3, 3)), np.empty(3)
+    for s in range(len(body.parents)):
         if state.is_started[s] == 0:
             continue
-        before[s] = state.R[s]
+        rotation_matrix.copy_into(before[s], state.R[s])
         if is_valid[s] > 0.0:
             _mean_rate(w, state, s, rate[s], dt)
             speed = norm(w)
@@ -44,7 +52,7 @@ def predict(
                 state.silent_s[s] = 0.0
             for i in range(3):
                 state.slope[s, i] = (rate[s, i] - state.rate[s, i]) / dt
-            state.rate[s] = rate[s]
+                state.rate[s, i] = rate[s, i]
         else:
             for i in range(3):
                 w[i] = (state.rate[s, i] - state.bias[s, i]) * math.exp(-dt / LONGEST_COAST_S)
@@ -91,17 +99,17 @@ def exceeds(v: FloatArray, limit: float) -> bool:
 
 
 @compiled
-def valid_rows(noise: Noise, force: FloatArray, rate: FloatArray, status: StatusArray) -> FloatArray:
-    """(n,) 0: no sample; 1: turns by its gyrometer; 2: its specific force counts too."""
-    n = len(status)
-    is_valid = np.zeros(n)
-    for s in range(n):
+def note_valid_rows(
+    is_valid: FloatArray, noise: Noise, force: FloatArray, rate: FloatArray, status: StatusArray
+) -> None:
+    """is_valid (n,) ← 0: no sample; 1: turns by its gyrometer; 2: its specific force counts too."""
+    for s in range(len(status)):
+        is_valid[s] = 0.0
         if status[s] <= 1 and is_finite(rate[s]):
             is_valid[s] = 1.0
             usable = is_finite(force[s]) and not exceeds(force[s], noise.largest_force)
             if usable and not exceeds(rate[s], noise.largest_rate):
                 is_valid[s] = 2.0
-    return is_valid
 
 
 @compiled
@@ -114,10 +122,12 @@ def start(
         secondary, secondary_w = np.zeros(3), np.zeros(3)
         secondary[int(abs(f[0]) > abs(f[1]))] = 1.0
         secondary_w[1] = 1.0
-    R = rotation_matrix.from_two_vectors(f, secondary, -body.gravity, secondary_w)
+    R = rotation_matrix.from_two_vectors(f, secondary, body.at_rest, secondary_w)
     if not is_finite(R[0]):
         return
-    state.R[s], state.bias[s], state.rate[s], state.slope[s] = R, 0.0, w, np.nan
+    rotation_matrix.copy_into(state.R[s], R)
+    for i in range(3):
+        state.bias[s, i], state.rate[s, i], state.slope[s, i] = 0.0, w[i], np.nan
     state.P[s], state.C[s] = 0.0, 0.0
     for i in range(3):
         state.P[s, i, i] = noise.start_tilt**2
@@ -133,9 +143,11 @@ def start(
 
 
 @compiled
-def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray) -> None:
-    """World rotations (n, 3) of segments, and of all remembered that turns with them, in place."""
-    E = np.empty((len(body.parents), 3, 3))
+def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray, E: FloatArray) -> None:
+    """Rotations of segments, and of all remembered that turns with them, in place.
+
+    turns: (n, 3 or more) rotation vectors, world; E: (n, 3, 3) to be used on the way.
+    """
     for s in range(len(body.parents)):
         if _is_turn(turns[s]):
             rotation_matrix.exponential_into(E[s], turns[s, 0], turns[s, 1], turns[s, 2])
@@ -162,16 +174,8 @@ def _is_turn(v: FloatArray) -> bool:
 
 
 @compiled
-def velocity(R: FloatArray, w: FloatArray, arm: FloatArray) -> FloatArray:
-    """R (ω × r), (3,) world, m/s: of a point at ``arm`` relative to the module."""
-    v = np.empty(3)
-    velocity_into(v, R, w, arm)
-    return v
-
-
-@compiled
 def velocity_into(v: FloatArray, R: FloatArray, w: FloatArray, arm: FloatArray) -> None:
-    """v ← R (ω × r); see ``velocity``."""
+    """v ← R (ω × r), (3,) world, m/s: of a point at ``arm`` relative to the module."""
     v[0] = w[1] * arm[2] - w[2] * arm[1]
     v[1] = w[2] * arm[0] - w[0] * arm[2]
     v[2] = w[0] * arm[1] - w[1] * arm[0]

@@ -24,7 +24,7 @@ from gateway.reconstruction.inertial.observations import SegmentObserver, with_s
 
 HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
 
-LONGEST_GAP_S = 0.5
+LONGEST_GAP_S = 0.2
 """A filter step stands for one nominal interval: after a longer gap the turn during it is not bridged."""
 
 
@@ -75,9 +75,10 @@ class IndependentReconstructor:
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant."""
-        if observation.sun is not None:
-            observation = with_sun_as_field(observation, observation.sun)
-            self._q_world = _facing(observation.sun.world)
+        sun = observation.sun
+        if sun is not None:
+            observation = with_sun_as_field(observation, sun)
+            self._q_world = _facing(sun.world)
         status = self._step_filters(observation)
         observed = self._observer.observe(observation)
         dt = (observation.time_ns - self._time_ns) * 1e-9

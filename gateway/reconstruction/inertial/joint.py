@@ -24,6 +24,7 @@ from gateway.reconstruction.inertial.chain_frames import (
     advance,
     wearing_of,
 )
+from gateway.reconstruction.inertial.chain_scratch import scratch
 from gateway.reconstruction.inertial.chain_state import (
     FilterState,
     Noise,
@@ -35,7 +36,7 @@ from gateway.reconstruction.inertial.held_arguments import hold
 from gateway.reconstruction.inertial.local_device import RootMotion, in_segment_axes
 from gateway.reconstruction.inertial.place_keeper import PlaceKeeper
 from gateway.reconstruction.inertial.sun_rows import stacked_sights
-from gateway.reconstruction.inertial.two_ways import turned_back
+from gateway.reconstruction.inertial.time_reversal import turned_back
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,8 @@ class ChainReconstructor:
 
     Every segment's orientation is defined from its module's first sample on. status: the module's, PREDICTED
     while it is silent (the orientation coasts, then stays) and for segments without module (as the
-    parent), UNAIDED where all local devices of the chain have fallen silent, MISSING before the first sample. sigma: root of the expected square of the error's angle, rad;
+    parent), UNAIDED where all local devices of the chain have fallen silent or the accelerometer is
+    saturated, MISSING before the first sample. sigma: root of the expected square of the error's angle, rad;
     above 1.6 while the heading is not known. angular_rate: bias taken off. joint_acceleration: after the
     low-pass of the rows; NaN where the module is silent or saturated. A module needs its gyrometers.
     A frame that is not later than the one before changes nothing.
@@ -106,7 +108,7 @@ class ChainReconstructor:
         self._use(FilterState(**fresh))
 
     def turned_back(self) -> ChainReconstructor:
-        """The same estimator, to go backward from where this one is; see ``two_ways``."""
+        """The same estimator, to go backward from where this one is; see ``time_reversal``."""
         back = type(self)(self._suit, self._nominal_interval_s, self._settings)
         back._use(turned_back(self._state))
         return back
@@ -114,7 +116,9 @@ class ChainReconstructor:
     def _use(self, state: FilterState) -> None:
         self._state = state
         noise = self._settings.noise
-        constants = Constants(self._wearing, self._body, noise, self._fixed, self.is_joint, state)
+        constants = Constants(
+            self._wearing, self._body, noise, self._fixed, self.is_joint, state, scratch(self._n)
+        )
         self._held = hold(constants)
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
@@ -30,21 +28,22 @@ CORRELATION_S = 0.1
 
 
 @compiled
-def rolling(state: FilterState, rate: FloatArray, resting: FloatArray, dt: float) -> FloatArray:
-    """(n,) rad/s²: ‖ω̇‖ + ‖ω‖² of what is taken to rest, from this rate (n, 3) and the last one.
+def note_rolling(
+    motion: FloatArray, state: FilterState, rate: FloatArray, resting: FloatArray, dt: float
+) -> None:
+    """motion (n,) ← rad/s²: ‖ω̇‖ + ‖ω‖² of what is taken to rest, from this rate (n, 3) and the last one.
 
     Called before the prediction, which takes the rate over. A foot that begins to roll off is felt here at
     once; what it accelerates by always points ahead, and would tilt whoever walks straight on.
     """
-    motion = np.zeros(len(resting))
     for s in range(len(resting)):
+        motion[s] = 0.0
         if resting[s] > 0.0:
             change, square = 0.0, 0.0
             for i in range(3):
                 change += (rate[s, i] - state.rate[s, i]) ** 2
                 square += (rate[s, i] - state.bias[s, i]) ** 2
             motion[s] = math.sqrt(change) / dt + square
-    return motion
 
 
 @compiled
@@ -61,7 +60,7 @@ def rest_rows(
     anchored: FloatArray,
 ) -> None:
     """Adds the rows and marks ``anchored`` (n,) in place. resting: (n,) s, 0: not at rest; turning: (n,) see
-    ``rolling``.
+    ``note_rolling``.
 
     A segment that is not made to stand on may also move slowly and evenly, which its module's short window
     cannot tell from rest: it must have passed ``watch_rest`` as well.
@@ -72,7 +71,7 @@ def rest_rows(
             u = rotation_matrix.rotate(state.R[s], force[s])
             variance = REST_ACCELERATION**2 + (ROLLING_ARM * turning[s]) ** 2
             variance *= max(1.0, CORRELATION_S / dt)
-            known_row(evidence, state, noise, s, u, -body.gravity, variance, False)
+            known_row(evidence, state, noise, s, u, body.at_rest, variance, False)
             anchored[s] = 1.0
             state.rest[s, 9] = STRIDE_S
         elif body.carries[s] == 1 and state.rest[s, 9] > 0.0:

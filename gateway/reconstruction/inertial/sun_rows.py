@@ -1,7 +1,7 @@
 """Headings by the sun in the chain filters. Compiled.
 
 Of the direction that the cells see only the azimuth counts: light of sky and ground comes from all around
-and shifts its height alone. A wrong tilt θ shifts the azimuth by ``θ tan(height)``, which the row's variance has.
+and shifts its height alone. A wrong tilt θ shifts the azimuth by ``θ tan(height)``; the variance has it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.frames import FloatArray, ImuFrame, IntArray
+from gateway.frames import FloatArray, ImuFrame, IntArray, SunSight
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
@@ -32,8 +32,8 @@ UNSURE = 0.5
 
 
 def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
-    """(T, m + 1, 4) where modules see the sun, sensor axes, with its standard deviation; the last row: where it
-    stands in the world. (T, 0, 4) if none of the frames has it."""
+    """(T, m + 1, 4) where modules see the sun, sensor axes, with its standard deviation; the last row: where
+    it stands in the world. (T, 0, 4) if none of the frames has it."""
     if all(observation.sun is None for observation in observations):
         return np.zeros((len(observations), 0, 4))
     m = len(observations[0].status)
@@ -45,20 +45,26 @@ def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
     return stacked
 
 
+def sight_of(rows: FloatArray) -> SunSight | None:
+    """What one frame's rows, (m + 1, 4) or (0, 4), were stacked from; None: it had none."""
+    if len(rows) == 0 or np.isnan(rows[-1, 0]):
+        return None
+    return SunSight(rows[-1, :3], rows[:-1, :3], rows[:-1, 3])
+
+
 @compiled
-def sun_by_segment(module_of_segment: IntArray, R_bs: FloatArray, sun: FloatArray) -> FloatArray:
-    """Rows (m + 1, 4) of modules to (n + 1, 4) of segments, segment axes; none: none."""
-    if len(sun) == 0:
-        return np.zeros((0, 4))
-    n = len(module_of_segment)
-    seen = np.full((n + 1, 4), np.nan)
-    seen[n] = sun[len(sun) - 1]
+def sun_by_segment_into(
+    seen: FloatArray, module_of_segment: IntArray, R_bs: FloatArray, sun: FloatArray
+) -> None:
+    """Rows (m + 1, 4) of modules to (n + 1, 4) of segments, segment axes; those without module are left."""
+    n, m = len(module_of_segment), len(sun) - 1
+    for i in range(4):
+        seen[n, i] = sun[m, i]
     for s in range(n):
         row = module_of_segment[s]
         if row >= 0:
-            seen[s] = sun[row]
-            rotation_matrix.turn(R_bs[s], seen[s, :3])
-    return seen
+            rotation_matrix.rotate_into(seen[s], R_bs[s], sun[row])
+            seen[s, 3] = sun[row, 3]
 
 
 @compiled
@@ -72,8 +78,8 @@ def follow_sun(
     dt: float,
     turns: FloatArray,
 ) -> None:
-    """A row for every segment that sees the sun; an open heading is turned to it. sun: (n + 1, 4) direction in
-    segment axes and its standard deviation, the last row: in the world; NaN where it is not seen."""
+    """A row for every segment that sees the sun; an open heading is turned to it. sun: (n + 1, 4) direction
+    in segment axes and its standard deviation, the last row: in the world; NaN where it is not seen."""
     n = len(body.parents)
     world, settled = sun[n], np.zeros(n)
     across = math.hypot(world[0], world[1])

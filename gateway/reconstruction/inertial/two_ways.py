@@ -1,71 +1,20 @@
-"""Backward through a recording, and what forward and backward say together (two-filter smoothing).
+"""What a filter that ran forward and one that ran backward say together (two-filter smoothing). Compiled.
 
-A motion seen backward is a motion: at ``t' = −t`` positions, accelerations, specific forces and fields are
-what they were, rates and velocities change their sign. So the same filter runs backward over the same frames.
-At every instant the forward filter knows the past and the backward one the future, and both are put together
-by their covariances (Fraser & Potter 1969), with the rotation between them as the innovation.
+At every instant the forward filter knows the past and the backward one (``time_reversal``) the future. They
+are put together by their covariances (Fraser & Potter 1969); the rotation between them is the innovation.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity
+from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.inertial.blocks import inverse_3_into
-from gateway.reconstruction.inertial.chain_state import FilterState, initial_state
-
-REOPENED_SIGMA = 0.1
-"""rad: how sure the backward filter is at the end of the recording. What the forward one has found there is
-its start, and shall not count as its own."""
-
-
-def turned_back(state: FilterState) -> FilterState:
-    """The state to go backward with from where ``state`` is: orientations, biases, lever arms and shown
-    headings are kept; averages and clocks begin anew."""
-    back = initial_state(len(state.is_started), len(state.device_age_s))
-    sign = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
-    kept = ("R", "is_started", "is_open", "silent_s", "arm", "arm_covariance", "compass_s", "field_seen")
-    for name in (*kept, "device_shift", "device_covariance"):
-        getattr(back, name)[...] = getattr(state, name)
-    back.bias[...], back.rate[...] = -state.bias, -state.rate
-    back.P[...] = state.P * np.outer(sign, sign)
-    back.C[...] = state.C * np.outer(sign, sign)
-    back.P[:, range(3), range(3)] += REOPENED_SIGMA**2
-    return back
-
-
-def seen_backward(
-    frames: Sequence[ImuFrame], end_ns: int, later: Sequence[LocalReading]
-) -> tuple[list[ImuFrame], list[LocalReading]]:
-    """Frames in reverse order as a motion of their own, whose time is counted back from ``end_ns``.
-
-    later: readings left over from the frames after these; returned are those of before the first frame.
-    """
-    waiting = [*later, *(reading for frame in frames for reading in frame.local)]
-    waiting.sort(key=lambda reading: reading.time_ns)
-    turned = []
-    for frame in reversed(frames):
-        local = []
-        while waiting and waiting[-1].time_ns >= frame.time_ns:
-            local.append(_turned_reading(waiting.pop(), end_ns))
-        turned.append(
-            replace(
-                frame, time_ns=end_ns - frame.time_ns, angular_rate=-frame.angular_rate, local=tuple(local)
-            )
-        )
-    return turned, waiting
-
-
-def _turned_reading(reading: LocalReading, end_ns: int) -> LocalReading:
-    value = -reading.value if reading.quantity is Quantity.VELOCITY else reading.value
-    return replace(reading, time_ns=end_ns - reading.time_ns, value=value)
 
 
 @compiled
@@ -76,16 +25,18 @@ def put_together(
     (T, n) says how sure both are together. P, P_back: (T, n, 3, 3) rad², world axes.
 
     With the rotation ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ``. Where only one
-    of them knows anything, that one counts.
+    of them knows anything, that one counts. The backward filter starts from the forward one's end, so the two
+    are not independent: sigma claims no more than the surer one.
     """
     both, known = np.empty((3, 3)), np.empty((3, 3))
     for t in range(q_wb.shape[0]):
         for s in range(q_wb.shape[1]):
             if not is_finite(q_back[t, s]):
                 continue
+            sure = math.sqrt(P_back[t, s, 0, 0] + P_back[t, s, 1, 1] + P_back[t, s, 2, 2])
             if not is_finite(q_wb[t, s]):
                 q_wb[t, s] = q_back[t, s]
-                sigma[t, s] = math.sqrt(P_back[t, s, 0, 0] + P_back[t, s, 1, 1] + P_back[t, s, 2, 2])
+                sigma[t, s] = sure
                 continue
             for i in range(3):
                 for j in range(3):
@@ -96,5 +47,4 @@ def put_together(
             turn = gain @ quaternion.to_rotation_vector(difference)
             q = quaternion.multiply(quaternion.from_rotation_vector(turn), q_wb[t, s])
             q_wb[t, s] = quaternion.canonical(quaternion.normalise(q))
-            left = P[t, s] - gain @ P[t, s]
-            sigma[t, s] = min(sigma[t, s], math.sqrt(max(left[0, 0] + left[1, 1] + left[2, 2], 0.0)))
+            sigma[t, s] = min(sigma[t, s], sure)

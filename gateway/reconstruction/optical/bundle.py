@@ -15,14 +15,15 @@ import numpy as np
 
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.geometry.compiled import compiled
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.pose_solver import BodyModel, Pose, normal_equations, solve_pose
+from gateway.reconstruction.optical.bundle_kernels import back_substituted, eliminate
+from gateway.reconstruction.optical.pose_solver import BodyModel, Pose, solve_pose
 
-INDEPENDENT_FRAMES = 20.0
+INDEPENDENT_FRAMES = 5.0
 """Frames count as no more than so many independent ones: skin moves alike in frames near each other."""
-PLACE_TRUST = 0.03
-"""How far a marker's place may move from the mean that rules give, 1 σ, m. It holds the segments' axes."""
+PLACE_TRUST = 0.004
+"""How far a marker's place may move against others on its segment from the mean that rules give, 1 σ, m. It
+holds the segments' axes."""
 LOOSENESS = 0.01
 """Of the joints' stiffness while the body itself is sought."""
 _STEPS = 25
@@ -51,16 +52,14 @@ def adjusted(
     allowed, model = model, _loose(model)
     first = np.concatenate([model.offsets[model.parents >= 0].ravel(), model.positions.ravel()])
     joints = int((model.parents >= 0).sum())
-    stiffness = np.concatenate(
-        [np.repeat(trust[model.parents >= 0] ** -2, 3), np.full(model.positions.size, PLACE_TRUST**-2)]
-    )
+    stiffness = _stiffness(model, trust)
     temper = min(1.0, INDEPENDENT_FRAMES / len(observed))
     everyone = np.ones(observed.shape[1])
     now, steps = first.copy(), 0
     change = np.inf
     while steps < _STEPS and change > _CONVERGED:
         steps += 1
-        delta, turns = _step(model, observed, poses, stiffness * (first - now), stiffness, temper)
+        delta, turns = _step(model, observed, poses, stiffness @ (first - now), stiffness, temper)
         now = now + delta
         change = float(np.abs(delta).max())
         offsets = model.offsets.copy()
@@ -71,11 +70,29 @@ def adjusted(
             for pose, turn in zip(poses, turns, strict=True)
         ]
         poses = [
-            solve_pose(model, seen, everyone, R, root, scale, 4)
+            solve_pose(model, seen, everyone, R, root, scale, 4, R, 0.0)
             for seen, (R, root) in zip(observed, starts, strict=True)
         ]
     model = model._replace(stiffness=allowed.stiffness, limit_stiffness=allowed.limit_stiffness)
     return Adjusted(model, poses, weighted_rmse(poses), steps)
+
+
+def _stiffness(model: BodyModel, trust: FloatArray) -> FloatArray:
+    """Inverse covariance of what is constant: joint offsets, then markers' places, (n, n), 1/m².
+
+    What lies on a segment, its markers and the joints it carries, keeps its shape, each by its own trust; the
+    joint in which the segment hangs may move against all of them together, by the segment's trust.
+    """
+    carried = np.flatnonzero(model.parents >= 0)
+    owners = np.concatenate([model.parents[carried], model.segments])
+    own = np.concatenate([trust[carried], np.full(len(model.segments), PLACE_TRUST)]) ** -2.0
+    inverse = np.diag(own)
+    for s in range(len(model.parents)):
+        on = np.flatnonzero(owners == s)
+        if len(on):
+            # (D⁻¹ + t² 1 1ᵀ)⁻¹ by Sherman and Morrison
+            inverse[np.ix_(on, on)] -= np.outer(own[on], own[on]) / (trust[s] ** -2.0 + own[on].sum())
+    return np.kron(inverse, np.eye(3))
 
 
 def _loose(model: BodyModel) -> BodyModel:
@@ -107,108 +124,13 @@ def _step(
     temper: float,
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Changes of what is constant, and of every pose (3 + 3 S)."""
-    schur, right = np.diag(stiffness), pull.copy()
+    schur, right = stiffness.copy(), pull.copy()
     eliminated = [
-        _eliminate(model, seen, pose.weights, pose.R, pose.root, schur, right, temper)
+        eliminate(model, seen, pose.weights, pose.R, pose.root, schur, right, temper)
         for seen, pose in zip(observed, poses, strict=True)
     ]
     schur[np.diag_indices_from(schur)] *= 1.0 + 1e-6
     if not kernels.cholesky(schur):
         raise GatewayError("the markers do not determine a body: too few of them, or all in one place")
     delta = kernels.substituted(schur, right)
-    return delta, [_back_substituted(factor, shared, own, delta) for factor, shared, own in eliminated]
-
-
-@compiled
-def _eliminate(
-    model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, root: FloatArray,
-    schur: FloatArray, right: FloatArray, temper: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Take one pose out of the equations: adds to ``schur`` (lower triangle) and ``right``.
-
-    With H = L Lᵀ of the pose, C its coupling to the constants and g its gradient: X = L⁻¹ C and x = L⁻¹ g,
-    schur += Jᵀ W J − Xᵀ X, right += Jᵀ W r − Xᵀ x. Returns L, X, x. (No BLAS: its threads cost more here.)
-    """
-    p = kernels.places(model.parents, model.offsets, R, root)
-    L, x, _ = normal_equations(model, observed, say, R, p)
-    kernels.mirrored(L)
-    n, m = len(x), len(right)
-    for i in range(n):
-        L[i, i] += 1e-6 * L[i, i] + 1e-9
-    kernels.cholesky(L)
-    moving, constant, weights, residual = _jacobians(model, observed, say, R, p)
-    X = np.zeros((n, m))
-    for row in range(len(weights)):
-        filled = np.flatnonzero(constant[row])
-        for i in filled:
-            weighted = weights[row] * constant[row, i]
-            right[i] += temper * weighted * residual[row]
-            for j in filled:
-                schur[i, j] += temper * weighted * constant[row, j]
-            for k in range(n):
-                X[k, i] += weighted * moving[row, k]
-    for k in range(n):
-        for j in range(k):
-            x[k] -= L[k, j] * x[j]
-            X[k] -= L[k, j] * X[j]
-        x[k] /= L[k, k]
-        X[k] /= L[k, k]
-        for i in range(m):
-            right[i] -= temper * X[k, i] * x[k]
-            schur[i, : i + 1] -= temper * X[k, i] * X[k, : i + 1]
-    return L, X, x
-
-
-@compiled
-def _back_substituted(L: FloatArray, X: FloatArray, x: FloatArray, delta: FloatArray) -> FloatArray:
-    """The change of a pose (3 + 3 S) once that of the constants is known: Lᵀ d = x − X δ."""
-    n = len(x)
-    d = x.copy()
-    for k in range(n):
-        for i in range(len(delta)):
-            d[k] -= X[k, i] * delta[i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            d[i] -= L[k, i] * d[k]
-        d[i] /= L[i, i]
-    return d
-
-
-@compiled
-def _jacobians(
-    model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of all markers by the pose (3 M, 3 + 3 S) and by the constants (3 M, 3 (S−1) + 3 M); weights, residuals.
-
-    Rows of markers that were not seen are zero.
-    """
-    n_markers, n_segments = len(observed), len(model.parents)
-    moving = np.zeros((3 * n_markers, 3 + 3 * n_segments))
-    constant = np.zeros((3 * n_markers, 3 * (n_segments - 1) + 3 * n_markers))
-    weights, residual = np.zeros(3 * n_markers), np.zeros(3 * n_markers)
-    y = kernels.marker_places(model.segments, model.positions, R, p)
-    for m in range(n_markers):
-        if not say[m] > 0.0:
-            continue
-        s = model.segments[m]
-        for i in range(3):
-            row = 3 * m + i
-            weights[row] = say[m] / model.sigmas[m] ** 2
-            residual[row] = observed[m, i] - y[m, i]
-            moving[row, i] = 1.0
-            for j in range(3):
-                constant[row, 3 * (n_segments - 1) + 3 * m + j] = R[s, i, j]
-        a = s
-        while a >= 0:
-            d, at = y[m] - p[a], 3 + 3 * a
-            moving[3 * m, at + 1], moving[3 * m, at + 2] = d[2], -d[1]
-            moving[3 * m + 1, at], moving[3 * m + 1, at + 2] = -d[2], d[0]
-            moving[3 * m + 2, at], moving[3 * m + 2, at + 1] = d[1], -d[0]
-            parent = model.parents[a]
-            if parent >= 0:  # segments stand after their parents, so the root is the first
-                for i in range(3):
-                    for j in range(3):
-                        constant[3 * m + i, 3 * (a - 1) + j] = R[parent, i, j]
-            a = parent
-    return moving, constant, weights, residual
-
+    return delta, [back_substituted(factor, shared, own, delta) for factor, shared, own in eliminated]

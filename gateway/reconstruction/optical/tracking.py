@@ -42,6 +42,15 @@ def rigid(here: FloatArray, there: FloatArray) -> tuple[FloatArray, FloatArray]:
     return R, b - rm.rotate(R, a)
 
 
+@compiled
+def turned_on(before: FloatArray, now: FloatArray, fraction: float) -> FloatArray:
+    """Orientations (S, 3, 3) turned on by a fraction of the turn between two poses."""
+    ahead = np.empty_like(now)
+    for s in range(len(now)):
+        ahead[s] = rm.multiply(now[s], rm.from_rotation_vector(fraction * rm.increment(before[s], now[s])))
+    return ahead
+
+
 def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> Pose | None:
     """The pose of markers (M, 3) from nothing but them; None with fewer than three markers.
 
@@ -59,7 +68,7 @@ def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> P
     pose: Pose | None = None
     for scale in _SCALES:
         begin = (R, shift) if pose is None else (pose.R, pose.root)
-        pose = solve_pose(model, observed, everyone, *begin, scale, _LONGEST)
+        pose = solve_pose(model, observed, everyone, *begin, scale, _LONGEST, begin[0], 0.0)
     return pose
 
 

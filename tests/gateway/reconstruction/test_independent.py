@@ -119,3 +119,22 @@ def test_the_same_frames_after_reset_give_the_same_bits():
     for a, b in zip(once, again, strict=True):
         assert a.q_wb.tobytes() == b.q_wb.tobytes()
         assert a.joint_acceleration.tobytes() == b.joint_acceleration.tobytes()
+
+
+def test_a_module_silent_for_long_is_predicted_and_begins_anew_when_it_is_back():
+    """It used to go on from its old orientation: tens of degrees off, for tens of seconds."""
+    body = arm(on_joint=False, from_rest=True)
+    truth = simulate(body, instants(100, 6.0, start_s=-1.0))
+    observations = imu_frames(body, truth, gyrometers=True)
+    silent = range(300, 400)
+    for k in silent:
+        observations[k].specific_force[1] = np.nan
+    frames = run(body.suit(), observations)
+    status = [frames[k].status[1] for k in silent]
+    assert status[:19] == [Status.HELD] * 19
+    assert status[21:] == [Status.PREDICTED] * (len(silent) - 21)
+    for k in silent:
+        np.testing.assert_array_equal(frames[k].q_wb[1], frames[299].q_wb[1])
+    assert frames[400].status[1] == Status.MEASURED
+    steady = run(body.suit(), observations[400:])
+    np.testing.assert_allclose(frames[400].q_wb[1], steady[0].q_wb[1], atol=1e-9)

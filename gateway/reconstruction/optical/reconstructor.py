@@ -1,0 +1,227 @@
+"""Markers to skeleton, frame by frame, for a body that has been fitted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import Skeleton
+from gateway.frames import FloatArray, MarkerFrame, SkeletonFrame, Status
+from gateway.geometry import quaternion
+from gateway.reconstruction.optical import kernels
+from gateway.reconstruction.optical.labelling import relabelled
+from gateway.reconstruction.optical.pose_solver import (
+    HELD_SIGMA,
+    Pose,
+    body_model,
+    orientation_sigmas,
+    solve_pose,
+)
+from gateway.reconstruction.optical.rates import Rates
+from gateway.reconstruction.optical.tracking import NEAR, start_pose, turned_on
+
+_LONGEST = 15
+_FAR = 0.15
+"""A marker farther than this from where it is expected is not asked until its name has been questioned, m."""
+_LONGEST_PREDICTION_NS = 60_000_000
+_GOOD_SHARE = 0.5
+"""Of the markers seen, that must be near their virtual ones for the body not to count as lost."""
+_ACCEPTED = 0.25
+"""Say from which a marker counts as used."""
+_SMALLEST_VARIANCE = 0.25
+
+
+Renamed = tuple[tuple[int, int], ...]
+"""(marker, whose point it had been; -1 for a nameless one)."""
+
+
+@dataclass(frozen=True)
+class MarkerFit:
+    """How the last pose explains the markers, in the order of the fitted body."""
+
+    positions: FloatArray
+    """(M, 3) m, after names were put right; NaN: not seen."""
+    virtual: FloatArray
+    """(M, 3) m: where the body has its markers."""
+    residuals: FloatArray
+    """(M,) m; NaN where not seen. Points that had no say, ghosts among them, have one too."""
+    used: NDArray[np.bool_]
+    """(M,) had a say."""
+    renamed: Renamed
+    """(marker, whose point it had been; -1 for a nameless one)."""
+
+    @property
+    def rmse(self) -> float:
+        """m, of the markers used; NaN with none."""
+        chosen = self.residuals[self.used]
+        return float(np.sqrt(np.mean(chosen**2))) if len(chosen) else float("nan")
+
+
+class OpticalReconstructor:
+    """Whole-body pose of every frame, from the one before; begins, and begins anew, from the markers alone.
+
+    Sans-I/O and deterministic. ``last`` tells how the last frame was explained, ``counts`` what was put right.
+    """
+
+    def __init__(self, skeleton: Skeleton, markers: BodyMarkers) -> None:
+        self.skeleton = skeleton
+        self.markers = markers
+        self.model = body_model(skeleton, markers)
+        self.counts: Counter[str] = Counter()
+        """starts, renamed, rejected, lost (frames without a pose)."""
+        self.last: MarkerFit | None = None
+        self._neutral = quaternion.to_matrix(skeleton.neutral)
+        self._rates = Rates()
+        self._before: tuple[int, Pose] | None = None
+        self._now: tuple[int, Pose] | None = None
+
+    def reset(self) -> None:
+        """Forget the pose: the next frame begins from its markers alone."""
+        self._before = self._now = None
+        self._rates.reset()
+
+    def update(self, observation: MarkerFrame) -> SkeletonFrame:
+        """The pose of one instant. Without enough markers the last one is held; before the first, NaN."""
+        pose, renamed = self._tracked(observation)
+        if pose is None:
+            self.counts["lost"] += 1
+            self.last = None
+            return self._without_markers(observation)
+        self._before, self._now = self._now, (observation.time_ns, pose)
+        self.last = self._explained(observation, pose, renamed)
+        return self._frame(observation, pose)
+
+    def _tracked(self, frame: MarkerFrame) -> tuple[Pose | None, Renamed]:
+        pose, renamed = self._followed(frame)
+        if pose is not None:
+            pose, renamed = self._questioned(frame, pose, renamed)
+            if _is_good(pose, frame.positions):
+                self.counts["renamed"] += len(renamed)
+                return pose, renamed
+        begun = start_pose(self.model, frame.positions, self._neutral)
+        if begun is None:
+            return None, ()
+        self.counts["starts"] += 1
+        self._rates.reset()
+        self._before = self._now = None
+        pose, renamed = self._questioned(frame, begun, ())
+        self.counts["renamed"] += len(renamed)
+        return pose, renamed
+
+    def _questioned(self, frame: MarkerFrame, pose: Pose, renamed: Renamed) -> tuple[Pose, Renamed]:
+        """The pose, and which markers had others' points, once names that do not fit it are put right."""
+        given = _with_names(frame, renamed, self._virtual(pose))
+        named = relabelled(given, self._virtual(pose), self.model.sigmas, frame.unlabelled)
+        if named is None:
+            return pose, renamed
+        self.counts["rejected"] += len(named.rejected)
+        whose = dict(renamed)
+        changed = {m: s if s < 0 else whose.get(s, s) for m, s in named.renamed}
+        kept = {m: s for m, s in whose.items() if m not in named.rejected}
+        both = {m: s for m, s in {**kept, **changed}.items() if m != s}
+        return self._solved(named.positions, pose.R, pose.root), tuple(sorted(both.items()))
+
+    def _followed(self, frame: MarkerFrame) -> tuple[Pose | None, Renamed]:
+        """From the last pose, moved on as it was moving; no pose without one, or with too few markers.
+
+        Names are questioned before the pose is sought: two markers that change places would else turn the
+        segment that they sit on.
+        """
+        if self._now is None or np.isfinite(frame.positions).all(axis=1).sum() < 3:
+            return None, ()
+        R, root = self._predicted(frame.time_ns)
+        p = kernels.places(self.model.parents, self.model.offsets, R, root)
+        expected = kernels.marker_places(self.model.segments, self.model.positions, R, p)
+        named = relabelled(frame.positions, expected, self.model.sigmas, frame.unlabelled)
+        renamed = () if named is None else named.renamed
+        given = _with_names(frame, renamed, expected)
+        near = np.linalg.norm(given - expected, axis=1) < _FAR
+        return self._solved(np.where(near[:, None], given, np.nan), R, root), renamed
+
+    def _predicted(self, time_ns: int) -> tuple[FloatArray, FloatArray]:
+        assert self._now is not None
+        time_now, now = self._now
+        if self._before is None:
+            return now.R, now.root
+        time_before, before = self._before
+        step, ahead = time_now - time_before, time_ns - time_now
+        if not (0 < step < _LONGEST_PREDICTION_NS and 0 < ahead < _LONGEST_PREDICTION_NS):
+            return now.R, now.root
+        return turned_on(before.R, now.R, ahead / step), now.root + (now.root - before.root) * (ahead / step)
+
+    def _solved(self, observed: FloatArray, R: FloatArray, root: FloatArray) -> Pose:
+        everyone = np.ones(len(observed))
+        held, stiffness = (R, 0.0) if self._now is None else (self._now[1].R, HELD_SIGMA**-2)
+        seen = np.ascontiguousarray(observed)
+        return solve_pose(self.model, seen, everyone, R, root, NEAR, _LONGEST, held, stiffness)
+
+    def _virtual(self, pose: Pose) -> FloatArray:
+        p = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
+        return kernels.marker_places(self.model.segments, self.model.positions, pose.R, p)
+
+    def _explained(
+        self, frame: MarkerFrame, pose: Pose, renamed: Renamed
+    ) -> MarkerFit:
+        virtual = self._virtual(pose)
+        positions = _with_names(frame, renamed, virtual)
+        residuals = np.linalg.norm(positions - virtual, axis=1)
+        return MarkerFit(positions, virtual, residuals, pose.weights > _ACCEPTED, renamed)
+
+    def _frame(self, frame: MarkerFrame, pose: Pose) -> SkeletonFrame:
+        p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
+        rate, acceleration = self._rates.add(frame.time_ns, pose.R, p_w)
+        used = pose.weights > _ACCEPTED
+        carried = np.zeros(self.skeleton.n_segments, dtype=bool)
+        carried[self.model.segments[used]] = True
+        return SkeletonFrame(
+            sequence=frame.sequence,
+            time_ns=frame.time_ns,
+            q_wb=np.stack([quaternion.from_matrix(each) for each in pose.R]),
+            angular_rate=rate,
+            joint_acceleration=acceleration,
+            p_w=p_w,
+            sigma=orientation_sigmas(self.model.parents, pose.factor, self._variance(pose)),
+            status=np.where(carried, Status.MEASURED, Status.PREDICTED).astype(np.uint8),
+            root=0,
+        )
+
+    def _variance(self, pose: Pose) -> float:
+        """Of the residuals, in units of the markers' own σ²."""
+        squares = np.nan_to_num(pose.residuals / self.model.sigmas) ** 2
+        freedom = max(3.0 * pose.weights.sum() - len(pose.factor), 0.3 * pose.weights.sum(), 1.0)
+        return max(float((pose.weights * squares).sum() / freedom), _SMALLEST_VARIANCE)
+
+    def _without_markers(self, frame: MarkerFrame) -> SkeletonFrame:
+        n = self.skeleton.n_segments
+        unknown = np.full((n, 3), np.nan)
+        q_wb, p_w, status = np.full((n, 4), np.nan), unknown.copy(), Status.MISSING
+        if self._now is not None:
+            pose = self._now[1]
+            q_wb = np.stack([quaternion.from_matrix(each) for each in pose.R])
+            p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
+            status = Status.HELD
+        return SkeletonFrame(
+            frame.sequence, frame.time_ns, q_wb, unknown, unknown.copy(), p_w, np.full(n, np.nan),
+            np.full(n, status, dtype=np.uint8), 0,
+        )  # fmt: skip
+
+
+def _with_names(frame: MarkerFrame, renamed: Renamed, virtual: FloatArray) -> FloatArray:
+    """Markers (M, 3) with the points they were given; one that lost its point to another has none."""
+    positions = frame.positions.copy()
+    for _, source in renamed:
+        if source >= 0:
+            positions[source] = np.nan
+    for marker, source in renamed:
+        given = frame.unlabelled if source < 0 else frame.positions[source : source + 1]
+        positions[marker] = given[np.nanargmin(np.linalg.norm(given - virtual[marker], axis=1))]
+    return positions
+
+
+def _is_good(pose: Pose, observed: FloatArray) -> bool:
+    seen = np.isfinite(observed).all(axis=1).sum()
+    return bool((pose.weights > _ACCEPTED).sum() >= _GOOD_SHARE * seen)

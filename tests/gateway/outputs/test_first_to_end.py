@@ -1,0 +1,52 @@
+"""Parts of one connection: the first to end, or to fail, ends the others."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from gateway.outputs.connection import first_to_end
+
+
+class Part:
+    """Something that runs for a while."""
+
+    def __init__(self, seconds: float, error: Exception | None = None) -> None:
+        self.was_cancelled = False
+        self._seconds = seconds
+        self._error = error
+
+    async def run(self) -> None:
+        try:
+            await asyncio.sleep(self._seconds)
+        except asyncio.CancelledError:
+            self.was_cancelled = True
+            raise
+        if self._error is not None:
+            raise self._error
+
+
+async def test_a_part_that_fails_is_no_silent_death():
+    """The task that keeps retained messages up to date once died of a slow broker, and nobody noticed."""
+    endless, failing = Part(60.0), Part(0.01, ConnectionError("no acknowledgement"))
+    with pytest.raises(ConnectionError, match="no acknowledgement"):
+        await asyncio.wait_for(first_to_end(endless.run(), failing.run()), 10.0)
+    assert endless.was_cancelled
+
+
+async def test_a_loss_ends_a_publication_that_waits_for_nothing():
+    """A publication on a connection that was just lost once waited for its whole time-out of two seconds."""
+    waiting = Part(60.0)
+    await asyncio.wait_for(first_to_end(waiting.run(), Part(0.01).run()), 10.0)
+    assert waiting.was_cancelled
+
+
+async def test_cancelling_ends_all_parts():
+    parts = Part(60.0), Part(60.0)
+    running = asyncio.create_task(first_to_end(*(part.run() for part in parts)))
+    await asyncio.sleep(0.01)
+    running.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await running
+    assert all(part.was_cancelled for part in parts)
