@@ -74,7 +74,7 @@ def run() -> Report:
     report = Report("optical")
     figures, rows = simulated_rows()
     report.figures += figures
-    report.tables.append("#### Simulated truth: RMSE of joint angles, degrees\n\n" + table(*rows))
+    report.tables.append("### Simulated truth: RMSE of joint angles, degrees\n\n" + table(*rows))
     compared: list[list[str]] = []
     centre_rows: list[list[str]] = []
     angle_rows: list[list[str]] = []
@@ -101,11 +101,11 @@ def run() -> Report:
                 centre_rows.append([name, method, *_centres(skeleton, markers, outcome, held)])
                 angle_rows += _angles(name, method, skeleton, outcome, held)
     report.tables += [
-        "#### Held-out frames: distance of markers and body, RMSE\n\n"
+        "### Held-out frames: distance of markers and body, RMSE\n\n"
         + table(["trial", "method", "held-out frames mm", "left-out markers mm", "ms a frame"], compared),
-        "#### Joint centres against the file's Plug-in-Gait, RMSE in mm\n\n"
+        "### Joint centres against the file's Plug-in-Gait, RMSE in mm\n\n"
         + table(["trial", "method", *CENTRES], centre_rows),
-        "#### Joint angles against the file's Plug-in-Gait, degrees: RMSE, and without its mean\n\n"
+        "### Joint angles against the file's Plug-in-Gait, degrees: RMSE, and without its mean\n\n"
         + table(["trial", "method", "joint", "angle", "RMSE", "without offset"], angle_rows),
     ]
     return report
