@@ -7,7 +7,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test test-socketcan lint docs bench soak soak-faults install install-dev system-tools lock clean
+.PHONY: help demo test test-socketcan lint docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
@@ -18,11 +18,13 @@ help:
 	@echo "make docs    the pages in docs/ as HTML"
 	@echo "make soak    slow tests, and ten million wire frames, damaged and good, through the decoders;"
 	@echo "             then MINUTES=20 of random faults on a running gateway (make soak-faults: these alone)"
+	@echo "make fuzz    MINUTES=30 of coverage-guided fuzzing (Linux on x86-64); what it finds stays in tests/fuzz"
+	@echo "make audit   known vulnerabilities of the pinned dependencies"
 	@echo "make lock    pin the dependencies anew"
 
 $(VENV)/pyvenv.cfg:
 	@test -n "$(PYTHON)" || { echo "No Python 3.11, 3.12 or 3.13 found. Install one (Debian: apt install python3 python3-venv) or name it: make $(MAKECMDGOALS) PYTHON=/path/to/python"; exit 1; }
-	@$(PYTHON) -m venv $(VENV) 2>/dev/null || { rm -rf $(VENV); \
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || { rm -rf $(VENV); \
 		if $(PYTHON) -m pip --version >/dev/null 2>&1; then \
 			$(PYTHON) -m venv --without-pip $(VENV) && $(PYTHON) -m pip --python $(BIN)/python install -q pip; \
 		elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
@@ -45,7 +47,7 @@ install: $(VENV)/.runtime
 install-dev: $(VENV)/.dev
 
 # What tests need from the system: a broker and a browser. NAME=PACKAGE
-SYSTEM_TOOLS := mosquitto=mosquitto chromium=chromium
+SYSTEM_TOOLS := mosquitto=mosquitto mosquitto_sub=mosquitto-clients chromium=chromium
 
 system-tools:
 	@for tool in $(SYSTEM_TOOLS); do \
@@ -80,7 +82,7 @@ docs: install-dev
 bench: install-dev system-tools
 	$(BIN)/python -m benchmarks all --write-docs
 
-MINUTES ?= 20
+soak soak-faults: MINUTES ?= 20
 soak: install-dev system-tools
 	$(BIN)/python -m pytest -m slow
 	$(BIN)/python -m benchmarks.wire_campaign --frames 10000000
@@ -88,6 +90,22 @@ soak: install-dev system-tools
 
 soak-faults: install-dev system-tools
 	$(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
+
+# Not among the pinned ones: it has no wheel for arm64, where fuzzing is left out.
+$(VENV)/.fuzz: $(VENV)/.dev
+	@$(BIN)/python -m pip install -q "atheris>=3,<4"
+	@touch $@
+
+fuzz: MINUTES ?= 30
+fuzz: $(VENV)/.fuzz
+	$(BIN)/python -m benchmarks.fuzzing.campaign --minutes $(MINUTES) $(TARGETS)
+
+$(VENV)/.audit: $(VENV)/pyvenv.cfg
+	@$(BIN)/python -m pip install -q "pip-audit>=2.9,<3"
+	@touch $@
+
+audit: $(VENV)/.audit
+	@$(BIN)/python -m benchmarks.audit requirements/runtime.lock requirements/dev.lock
 
 lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv

@@ -14,6 +14,7 @@ SUITES = (
     "speed",
     "latency",
     "outputs",
+    "viewer",
     "clock",
     "walking",
     "record",
@@ -22,7 +23,11 @@ SUITES = (
     "sensors",
     "calibration",
     "faults",
+    "body_faults",
+    "sun",
     "soak",
+    "fuzz",
+    "overload",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

@@ -1,8 +1,9 @@
 """A fast arm of five segments with known truth, each kind of error a switch of its own.
 
-The base is fixed; after two seconds of rest every joint turns about all its axes, sums of sines of
-incommensurate frequencies, so that the distal joints feel 30 to 60 m/s² RMS, as in throwing or boxing.
-Frames come straight from the sensors' equations, at instants that the clock residue moves.
+After two seconds of rest every joint turns about all its axes, sums of sines of incommensurate frequencies.
+On a fixed base the last modules feel 30 to 60 m/s² RMS, as in throwing or boxing; on a base that is carried
+about, whose position a local device tells, all modules feel about as much. Frames come straight from the
+sensors' equations, at instants that the clock residue moves.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from scipy.spatial.transform import Rotation
 from devices.emulators.bodies import EmulatedBody
 from devices.emulators.ideal_sensors import SensorValues, sense
 from devices.emulators.motions import BodyMotion, generic_motion
+from devices.emulators.waves import Waves
 from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.cli.emulated_rig import dress
-from gateway.frames import FloatArray, ImuFrame, Quantity
+from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity
 
 RATE_HZ = 100.0
 SECONDS = 30.0
@@ -28,6 +30,8 @@ PEAK_RATE = 19.0
 PEAK_ANGULAR_ACCELERATION = 190.0
 WOBBLE_HZ = 7.0
 WOBBLE_DAMPING = 0.3
+POSITION_DEVICE = 60
+POSITION_SIGMA_M = 0.001
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,24 @@ def fast_arm() -> WornSuit:
     )
 
 
+def carried_arm() -> WornSuit:
+    """The same arm with a local device that tells the position of its base."""
+    device = LocalDevice(Quantity.POSITION, 0, np.zeros(3), POSITION_DEVICE)
+    return replace(fast_arm(), local_devices=(device,))
+
+
+def carried_motion(suit: WornSuit, seed: int) -> BodyMotion:
+    """All joints about all axes, and the base along all: every module feels 30 to 60 m/s² RMS."""
+    rng = np.random.default_rng([seed, 11])
+
+    def waves(rows: int, amplitude: tuple[float, float]) -> Waves:
+        shape = (rows, 3, 2)
+        frequency, phase = rng.uniform(0.6, 1.6, shape), rng.uniform(0.0, 2.0 * np.pi, shape)
+        return Waves(rng.uniform(*amplitude, shape), frequency, phase)
+
+    return BodyMotion(dress(suit), waves(len(LENGTHS_M), (0.15, 0.45)), waves(1, (0.25, 0.45)))
+
+
 def fast_motion(suit: WornSuit, seed: int) -> BodyMotion:
     """All joints about all axes."""
     return generic_motion(
@@ -78,16 +100,19 @@ def fast_motion(suit: WornSuit, seed: int) -> BodyMotion:
     )
 
 
-def tip_acceleration(motion: BodyMotion) -> float:
-    """RMS at the last joint once in motion, m/s²."""
-    last = motion.state(np.arange(4.0, SECONDS, 0.01)).joint_acceleration[:, -1]
-    return float(np.sqrt(np.mean(np.sum(last**2, axis=1))))
+def felt(observed: list[ImuFrame]) -> FloatArray:
+    """RMS of each module's specific force once in motion, (n,) m/s²."""
+    force = np.stack([frame.specific_force for frame in observed if frame.time_ns >= 4e9])
+    rms: FloatArray = np.sqrt(np.mean(np.sum(force**2, axis=2), axis=0))
+    return rms
 
 
-def sampled(suit: WornSuit, motion: BodyMotion, switches: Switches, seed: int) -> list[ImuFrame]:
-    """All frames, sensor axes."""
+def sampled(
+    suit: WornSuit, motion: BodyMotion, switches: Switches, seed: int, rate_hz: float = RATE_HZ
+) -> list[ImuFrame]:
+    """All frames, sensor axes; where a local device tells the base's position, its readings as well."""
     n, rng = len(LENGTHS_M), np.random.default_rng([seed, 7])
-    times = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    times = np.arange(round(SECONDS * rate_hz)) / rate_hz
     at = times[:, None] + switches.clock_residue_s * rng.standard_normal(n)
     state = motion.module_state(np.arange(n), at)
     body: EmulatedBody = dress(suit)
@@ -99,8 +124,16 @@ def sampled(suit: WornSuit, motion: BodyMotion, switches: Switches, seed: int) -
         field = (np.swapaxes(state.R_wb, -1, -2) @ bent[..., None])[..., 0]
         values = replace(values, magnetic_field=field)
     if switches.has_wobble:
-        values = _wobbling(values, rng)
-    return _frames(times, _measured(values, switches, rng))
+        values = _wobbling(values, rng, 1.0 / rate_hz)
+    frames = _frames(times, _measured(values, switches, rng, 1.0 / rate_hz))
+    if suit.local_devices[0].quantity is not Quantity.POSITION:
+        return frames
+    base = motion.state(times).joint_position[:, 0] + POSITION_SIGMA_M * rng.standard_normal((len(times), 3))
+    sigma = np.full(3, POSITION_SIGMA_M)
+    return [
+        replace(f, local=(LocalReading(POSITION_DEVICE, f.time_ns, Quantity.POSITION, place, sigma),))
+        for f, place in zip(frames, base, strict=True)
+    ]
 
 
 def _bent_field(positions: FloatArray, field: FloatArray) -> FloatArray:
@@ -113,9 +146,9 @@ def _bent_field(positions: FloatArray, field: FloatArray) -> FloatArray:
     return bent
 
 
-def _wobbling(values: SensorValues, rng: np.random.Generator) -> SensorValues:
+def _wobbling(values: SensorValues, rng: np.random.Generator, dt: float) -> SensorValues:
     """The module on a spring: what its shaking adds to force and rate, and its turned axes."""
-    dt, omega = 1.0 / RATE_HZ, 2.0 * np.pi * WOBBLE_HZ
+    omega = 2.0 * np.pi * WOBBLE_HZ
     decay = np.exp(-WOBBLE_DAMPING * omega * dt)
     turn = omega * np.sqrt(1.0 - WOBBLE_DAMPING**2) * dt
     a = [1.0, -2.0 * decay * np.cos(turn), decay**2]
@@ -133,8 +166,8 @@ def _wobbling(values: SensorValues, rng: np.random.Generator) -> SensorValues:
     return SensorValues(turned(values.specific_force + shaking), turned(rate), turned(values.magnetic_field))
 
 
-def _measured(values: SensorValues, switches: Switches, rng: np.random.Generator) -> SensorValues:
-    shape, dt = values.specific_force.shape, 1.0 / RATE_HZ
+def _measured(values: SensorValues, switches: Switches, rng: np.random.Generator, dt: float) -> SensorValues:
+    shape = values.specific_force.shape
 
     def read(true: FloatArray, noise: float, bias: float, walk: float) -> FloatArray:
         result = true.copy()

@@ -92,11 +92,11 @@ def stances(foot: FootRecording) -> FloatArray:
     return np.array(rested)
 
 
-def measure_foot(foot: FootRecording) -> FootResult:
-    """Detection against the markers' speed, strides against their way."""
+def measure_foot(foot: FootRecording, method: str) -> FootResult:
+    """Detection against the markers' speed; strides, by a reconstructor, against their way."""
     found, true = stances(foot) > 0.0, foot.speed < SLOW
     begin, end = _delays_ms(found, true)
-    walked = _walked(foot)
+    walked = _walked(foot, method)
     middles = [int(np.mean(run)) for run in _runs(found)]
     strides, true_strides = (
         np.linalg.norm(np.diff(place[middles, :2], axis=0), axis=1) for place in (walked, foot.place)
@@ -114,7 +114,7 @@ def measure_foot(foot: FootRecording) -> FootResult:
     )
 
 
-def _walked(foot: FootRecording) -> FloatArray:
+def _walked(foot: FootRecording, method: str) -> FloatArray:
     """(n, 3) m: where the foot is by its module alone."""
     skeleton = Skeleton(
         "foot", ("foot",), np.array([-1]), np.zeros((1, 3)), np.zeros((1, 3)), contacts=((0, np.zeros(3)),)
@@ -129,7 +129,7 @@ def _walked(foot: FootRecording) -> FloatArray:
         gravity=np.array([0.0, 0.0, -9.81]),
         magnetic_field=field_vector(50.0, 65.0),
     )
-    reconstructor = create_reconstructor("independent", suit, 1.0 / RATE_HZ)
+    reconstructor = create_reconstructor(method, suit, 1.0 / RATE_HZ)
     none, measured, field = np.zeros(1, np.int64), np.zeros(1, np.uint8), np.full((1, 3), np.nan)
     frames = (
         ImuFrame(k, round(k * 1e9 / RATE_HZ), f[None], w[None], field, measured, none)

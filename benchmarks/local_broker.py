@@ -22,13 +22,18 @@ def mosquitto_program() -> str:
     return program
 
 
+def free_port() -> int:
+    """A port of the loopback interface that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
 @contextlib.contextmanager
 def mosquitto() -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
     """(port, process) of a broker that listens."""
     program = mosquitto_program()
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = free_port()
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "mosquitto.conf"
         config.write_text(

@@ -10,16 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import psutil
 
+from benchmarks import slow_broker
 from benchmarks.figures import Figure, Report, table
 from benchmarks.local_broker import mosquitto
-from devices.link import gateway_time_ns
-from gateway.body.rig import load_rig
-from gateway.body.skeleton import Skeleton
+from benchmarks.synthetic_poses import INFO, RATE_HZ, frames_of, skeleton_of_size
 from gateway.frames import SkeletonFrame
-from gateway.outputs import BridgeInfo, MqttSettings, PoseSubscriber
+from gateway.outputs import MqttSettings, PoseSubscriber
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.pose_publications import PosePublications
@@ -27,13 +25,11 @@ from gateway.outputs.side_outputs import SideOutputs
 from gateway.outputs.side_settings import OutputsSettings
 from gateway.outputs.topics import Topics
 
-RATE_HZ = 100.0
 SECONDS = 3.0
 REPEATS = 3
 FLOOD = 3000
 FROZEN_S = 3.0
 FRESH_MS = 50.0
-_INFO = BridgeInfo(version="0", gateway="bench", reconstructor="none", frame_rate=RATE_HZ)
 _MQTT: dict[str, dict[str, Any]] = {
     "MQTT, JSON": {},
     "MQTT, MessagePack": {"pose_formats": ["msgpack"]},
@@ -74,6 +70,7 @@ def run() -> Report:
     """Costs at 17 and 64 segments, then the freeze."""
     with mosquitto() as (port, process):
         costs = asyncio.run(_costs(port))
+        slow = asyncio.run(slow_broker.measure(port))
         freeze = asyncio.run(_freeze(port, process))
     report = Report("outputs")
     by_name = {(cost.name, cost.n_segments): cost for cost in costs}
@@ -98,8 +95,19 @@ def run() -> Report:
             "frozen_broker_offer_ms", freeze.longest_offer_ms, "ms", "", "longest time in offer() meanwhile"
         ),
     ]
+    report.figures += _slow_figures(slow)
     report.tables = [_table(costs)]
     return report
+
+
+def _slow_figures(slow: slow_broker.Slow) -> list[Figure]:
+    line = f"17 segments at {RATE_HZ:g} Hz, line to the broker of {slow_broker.BYTES_PER_S / 1e3:g} kB/s"
+    counted = f"counted, of {slow.offered} poses offered, {slow.received} received; {line}"
+    return [
+        Figure("slow_broker_worst_ms", slow.worst_ms, "ms", "", f"oldest pose, {line}"),
+        Figure("slow_broker_dropped", slow.dropped, "", "", counted),
+        Figure("slow_broker_rss_mb", slow.rss_growth_mb, "MB", "<=5", "growth of memory meanwhile"),
+    ]
 
 
 def _table(costs: list[Cost]) -> str:
@@ -121,18 +129,18 @@ def _table(costs: list[Cost]) -> str:
 
 
 async def _costs(port: int) -> list[Cost]:
-    pacing_us = await _cost_us(_Nowhere(), _frames(_skeleton(17)))
+    pacing_us = await _cost_us(_Nowhere(), frames_of(skeleton_of_size(17)))
     costs = []
     for n in (17, 64):
-        frames = _frames(_skeleton(n))
+        frames = frames_of(skeleton_of_size(n))
         for name, more in _MQTT.items():
             settings = MqttSettings(port=port, queue_length=64, **more)
-            async with MqttOutput(settings, _skeleton(n), _INFO) as output:
+            async with MqttOutput(settings, skeleton_of_size(n), INFO) as output:
                 while not output.is_connected:
                     await asyncio.sleep(0.01)
                 us = await _cost_us(output, frames) - pacing_us
                 per_s = await _flood(output, frames)
-            publications = PosePublications(settings, _skeleton(n), Topics("mocap", "bench"))
+            publications = PosePublications(settings, skeleton_of_size(n), Topics("mocap", "bench"))
             second = [replace(frames(k), time_ns=round(k * 1e9 / RATE_HZ)) for k in range(round(RATE_HZ))]
             size = sum(len(each.payload) for frame in second for each in publications.of(frame)) // len(
                 second
@@ -141,7 +149,7 @@ async def _costs(port: int) -> list[Cost]:
         for name, more in _SIDE.items():
             if name == "VMC" and n != 17:
                 continue  # avatars have no more bones
-            side = SideOutputs(OutputsSettings(**more), _skeleton(n), "bench", RATE_HZ)
+            side = SideOutputs(OutputsSettings(**more), skeleton_of_size(n), "bench", RATE_HZ)
             async with side.running():
                 costs.append(Cost(name, n, await _cost_us(side, frames) - pacing_us, None))
     return costs
@@ -150,28 +158,6 @@ async def _costs(port: int) -> list[Cost]:
 class _Nowhere:
     def offer(self, frame: SkeletonFrame) -> None:
         """Nothing."""
-
-
-def _skeleton(n: int) -> Skeleton:
-    person = load_rig("suit_17").skeleton
-    if n == person.n_segments:
-        return person
-    offsets = np.tile([0.0, -0.1, 0.0], (n, 1))
-    return Skeleton("chain", tuple(f"segment_{i}" for i in range(n)), np.arange(n) - 1, offsets, offsets)
-
-
-def _frames(skeleton: Skeleton) -> Callable[[int], SkeletonFrame]:
-    """Makes the k-th frame, of this instant; orientations are not simpler than real ones."""
-    n = skeleton.n_segments
-    q_wb = np.random.default_rng(1).normal(size=(n, 4))
-    q_wb *= np.copysign(1.0, q_wb[:, :1]) / np.linalg.norm(q_wb, axis=1, keepdims=True)
-    zeros = np.zeros((n, 3))
-    status = np.zeros(n, np.uint8)
-
-    def frame(k: int) -> SkeletonFrame:
-        return SkeletonFrame(k, gateway_time_ns(), q_wb, zeros, zeros, zeros, zeros[:, 0], status, 0)
-
-    return frame
 
 
 async def _cost_us(output: Output, frames: Callable[[int], SkeletonFrame]) -> float:
@@ -202,11 +188,11 @@ async def _flood(output: MqttOutput, frames: Callable[[int], SkeletonFrame]) -> 
 
 async def _freeze(port: int, process: subprocess.Popen[bytes]) -> Freeze:
     settings = MqttSettings(port=port)
-    frames = _frames(_skeleton(17))
+    frames = frames_of(skeleton_of_size(17))
     ages_ms: list[tuple[float, float]] = []  # (arrival, age)
     longest_ms = 0.0
     async with (
-        MqttOutput(settings, _skeleton(17), _INFO) as output,
+        MqttOutput(settings, skeleton_of_size(17), INFO) as output,
         PoseSubscriber(settings, "bench") as poses,
     ):
 

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
 import imufusion
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.simulation import SMOOTHED
 from gateway.body.skeleton import WornSuit
 from gateway.frames import ImuFrame, SkeletonFrame
 from gateway.reconstruction import Reconstructor, create_reconstructor
 from gateway.reconstruction.inertial.joint import ChainSettings, JointReconstructor
 from gateway.reconstruction.inertial.observations import SegmentObserver
+from gateway.reconstruction.reconstructor import update_many
+from gateway.reconstruction.smoothing import Smoother
 
 NO_FIELD = "joint, no field"
 GRAVITY = 9.81
@@ -70,3 +77,15 @@ def start(method: str, suit: WornSuit, nominal_interval_s: float) -> Reconstruct
     if method == NO_FIELD:
         return JointReconstructor(suit, nominal_interval_s, ChainSettings(uses_field=False))
     return create_reconstructor(method, suit, nominal_interval_s)
+
+
+def solved(
+    method: str, suit: WornSuit, nominal_interval_s: float, frames: Sequence[ImuFrame]
+) -> list[SkeletonFrame]:
+    """All frames by one of those, or by ``joint, smoothed``: forward and backward."""
+    if method != SMOOTHED:
+        return update_many(start(method, suit, nominal_interval_s), frames)
+    with tempfile.TemporaryDirectory() as folder:
+        smoother = Smoother(create_reconstructor("joint", suit, nominal_interval_s), Path(folder))
+        smoother.add(frames)
+        return list(smoother.smoothed())

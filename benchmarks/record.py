@@ -20,27 +20,25 @@ import numpy as np
 import psutil
 import yaml
 
+from benchmarks.emulated_recording import FLUSH_MS, write_session
 from benchmarks.emulated_stream import relay_chunks, suit_17
 from benchmarks.figures import Figure, Report, table
 from benchmarks.latency import line_of, process_of, write_config
 from benchmarks.local_broker import mosquitto
 from benchmarks.paced_writer import ticks
 from devices.emulators.imperfections import TYPICAL
-from devices.link import Chunk, Framing
-from gateway.frames import SkeletonFrame
+from devices.link import Framing
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.pipeline import Pipeline
 from gateway.recording import open_recording
 from gateway.recording.files import Contents, SessionFiles
-from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.recording.solving import verify
 from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
 
 SECONDS = 30.0
 KILLS = 50
-FLUSH_MS = 200.0
 N_MODULES, RATE_HZ = 17, 100.0
 REPLAYED_S = 20.0
 METHODS = ("independent", "articulated")
@@ -190,7 +188,7 @@ def _emulated(method: str) -> Emulated:
         for _ in range(REPEATS):
             files = SessionFiles(kept, contents)
             begun = time.process_time()
-            _write(files, handled)
+            write_session(files, handled)
             cpu_s.append(time.process_time() - begun)
         recording = open_recording(files.path)
         minutes = REPLAYED_S / 60
@@ -200,19 +198,6 @@ def _emulated(method: str) -> Emulated:
             mb_per_minute_raw=sum(len(chunk.data) for chunk in chunks) / 1e6 / minutes,
             writing_percent=100 * min(cpu_s) / REPLAYED_S,
         )
-
-
-def _write(files: SessionFiles, handled: list[tuple[Chunk, list[SkeletonFrame]]]) -> None:
-    """As the recorder's thread does, flushing by the time of the data."""
-    due_ns = handled[0][0].arrived_ns
-    for chunk, frames in handled:
-        files.write(f"/chunks/{chunk.link}", chunk.arrived_ns, chunk.data, {})
-        for frame in frames:
-            files.write("/skeleton", chunk.arrived_ns, encode_skeleton_frame(frame), {})
-        if chunk.arrived_ns >= due_ns:
-            due_ns = chunk.arrived_ns + round(FLUSH_MS * 1e6)
-            files.flush()
-    files.close()
 
 
 def main() -> None:

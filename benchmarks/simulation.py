@@ -20,9 +20,12 @@ from gateway.body.skeleton import WornSuit, field_vector
 from gateway.comparison import orientation_error, rmse_deg
 from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame
 from gateway.pipeline import Pipeline
+from gateway.recording.smoothing import SmoothedPoses
 from gateway.stream import ClockMode
 
 LINK = "simulated"
+SMOOTHED = "joint, smoothed"
+"""Name of a method in tables: ``joint`` forward and backward."""
 SENSORS = Imperfections(
     accelerometer_noise=0.03,
     gyrometer_noise=np.radians(0.1),
@@ -87,16 +90,23 @@ def through_the_wire(
     seconds: float,
     seed: int,
 ) -> list[SkeletonFrame]:
-    """Skeleton frames of an emulated suit at 100 Hz with all its errors, bytes and all."""
+    """Skeleton frames of an emulated suit at 100 Hz with all its errors, bytes and all.
+
+    reconstructor: by name, or ``SMOOTHED``: joint, forward and backward.
+    """
     settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field, is_fine=True)
     traffic = SuitTraffic(motion, settings, imperfections, seed)
     params = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
-    pipeline = Pipeline(suit, params, reconstructor, ClockMode.ESTIMATED)
+    is_smoothed = reconstructor == SMOOTHED
+    pipeline = Pipeline(suit, params, "joint" if is_smoothed else reconstructor, ClockMode.ESTIMATED)
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
-    frames: list[SkeletonFrame] = []
-    for sent in traffic.transmissions(seconds):
-        frames += pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), LINK))
-    return frames
+    chunks = (Chunk(sent.data, round(sent.time_s * 1e9), LINK) for sent in traffic.transmissions(seconds))
+    if not is_smoothed:
+        return [frame for chunk in chunks for frame in pipeline.feed(chunk)]
+    with SmoothedPoses(pipeline) as smoothing:
+        for chunk in chunks:
+            smoothing.take(chunk)
+        return list(smoothing.poses())
 
 
 def errors_deg(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float) -> FloatArray:

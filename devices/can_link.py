@@ -62,6 +62,7 @@ class CanLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Open the bus in a thread and begin to read it. Raises ``LinkError``: no such adapter or channel."""
         if self._bus is not None:
             raise LinkError(f"{self.name} is already open")
         bus = await open_in_thread(self._open_bus, lambda bus: bus.shutdown())
@@ -85,6 +86,7 @@ class CanLink:
             ) from error
 
     async def close(self) -> None:
+        """End the reader, then the bus; does nothing on a closed link."""
         bus, reader = self._bus, self._reader
         self._bus = self._reader = None
         self._arrivals.end()

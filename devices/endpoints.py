@@ -8,6 +8,7 @@
 ``slcan:///dev/ttyACM0?bitrate=1000000&fd=1``             CAN adapter that speaks slcan
 ``can://socketcan/can0?fd=1``                             CAN interface of the Linux kernel
 ``can://virtual/suit``, ``can://pcan/PCAN_USBBUS1``       any other interface of python-can
+``markers:///path/walk.c3d?speed=max``                    C3D or TRC file of marker trajectories
 ``recording:///path.mcap?speed=max&link=suit``             recording; or its path, if it ends in .mcap
 ========================================================  ============================================
 """
@@ -23,6 +24,7 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from devices.can_link import CanLink
 from devices.link import Link, LinkError
+from devices.marker_file_link import MarkerFileLink
 from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink
 from devices.rfc2217_link import Rfc2217Link
@@ -127,6 +129,10 @@ def _can(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Li
     return CanLink(parts.netloc, channel, name=name, **parameters)
 
 
+def _marker_file(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    return MarkerFileLink(_path(parts), name=name, **parameters)
+
+
 def _recording(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
     return ReplayLink(_path(parts), name=name, **parameters)
 
@@ -142,6 +148,7 @@ _SCHEMES = {
         "slcan:///dev/ttyACM0?bitrate=1000000&fd=1", _slcan, {"baud": _whole_number, **_CAN_PARAMETERS}
     ),
     "can": _Scheme("can://socketcan/can0?fd=1", _can, _CAN_PARAMETERS),
+    "markers": _Scheme("markers:///path/walk.c3d?speed=1", _marker_file, {"speed": _speed}),
     "recording": _Scheme("recording:///path.mcap?speed=max", _recording, {"speed": _speed, "link": str}),
 }
 

@@ -35,6 +35,9 @@ class Framing(Enum):
     GNSS = "gnss"
     """NMEA 0183 and UBX messages of a satellite receiver; nothing of ours, and nothing is written to it."""
 
+    MARKERS = "markers"
+    """Marker messages of an optical system (``devices.marker_messages``); nothing is written to it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Chunk:

@@ -27,6 +27,7 @@ class LoopbackLink:
         self._peer = self
 
     async def open(self) -> None:
+        """Begin to take what the other end writes. Raises ``LinkError`` when it is open already."""
         if self._is_open:
             raise LinkError(f"{self.name} is already open")
         self._arrivals = Arrivals(self.name, counts=self.counts)
@@ -44,6 +45,7 @@ class LoopbackLink:
         await asyncio.sleep(0)
 
     async def close(self) -> None:
+        """Close both ends, as a connection does."""
         if self._is_open:
             self._end(None)
             self._peer._end(None)

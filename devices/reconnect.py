@@ -48,11 +48,13 @@ class BackOff:
         self._next = first
 
     def next_delay(self) -> float:
+        """How long to wait before the next attempt, s; twice as long at every call, up to the longest."""
         delay = self._next
         self._next = min(2 * delay, self.longest)
         return delay
 
     def reset(self) -> None:
+        """Begin anew with the first delay: an attempt has succeeded."""
         self._next = self._first
 
 
@@ -98,6 +100,7 @@ class ReconnectingLink:
 
     @property
     def state(self) -> LinkState:
+        """Whether the link is up now."""
         return self.status.state
 
     async def open(self) -> None:
@@ -149,6 +152,7 @@ class ReconnectingLink:
         await self.link.write(data)
 
     async def close(self) -> None:
+        """End trying and iterating, and close the link; an attempt under way is given up."""
         if self._closing is None or self._closing.is_set():
             return
         self._closing.set()

@@ -10,10 +10,11 @@ import json
 import os
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
+import zstandard
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -26,7 +27,11 @@ from devices.link import Framing, LinkError
 LARGEST_RECORD = 1 << 28
 """Bytes; a longer length can only be damage."""
 
-_DAMAGE = (McapError, ValueError, struct.error, ZstdError, RuntimeError, MemoryError)
+LARGEST_CHUNK = 1 << 26
+"""Bytes of a chunk, unpacked; those of the recorder have a few hundred kB. A file that was made to unpack to
+more than memory holds counts as damaged there."""
+
+DAMAGE = (McapError, ValueError, struct.error, ZstdError, RuntimeError, MemoryError)
 """What the library raises for bytes that are not what they should be."""
 
 
@@ -95,8 +100,8 @@ class RecordingFile:
                     yield record
                 continue
             try:
-                inner = breakup_chunk(record, validate_crc=True)
-            except _DAMAGE:
+                inner = chunk_records(record)
+            except DAMAGE:
                 self.damaged_chunks += 1
                 continue
             for part in inner:
@@ -122,7 +127,7 @@ class RecordingFile:
                         f"{self.path} was not closed: all of its data is there, its index is not; "
                         "`mocap-gateway recover` writes it"
                     )
-            except _DAMAGE:
+            except DAMAGE:
                 self.defect = (
                     f"{self.path} was not closed (power cut, kill, full disk): read up to byte "
                     f"{self.position} of {self.size}; `mocap-gateway recover` makes a whole file of it"
@@ -188,6 +193,23 @@ class RecordingParts:
             file.position = 0
         for file in self.files:
             yield from file.messages()
+
+
+def chunk_records(chunk: Chunk) -> list[McapRecord]:
+    """The records in a chunk. Raises one of ``DAMAGE``; never takes more memory than ``LARGEST_CHUNK``."""
+    size = chunk.uncompressed_size
+    if size > LARGEST_CHUNK:
+        raise ValueError(f"a chunk of {size} bytes: at most {LARGEST_CHUNK} are read")
+    if chunk.compression == "zstd":
+        with zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK).stream_reader(chunk.data) as unpacked:
+            data = unpacked.read(size + 1)
+    elif not chunk.compression:
+        data = chunk.data
+    else:
+        raise ValueError(f"compression '{chunk.compression}': the recorder writes zstd or none")
+    if len(data) != size:
+        raise ValueError(f"a chunk of {size} bytes has {len(data)}")
+    return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
 
 
 def part_path(first: Path, part: int) -> Path:

@@ -76,6 +76,7 @@ class ReplayLink:
         return 0 if self._parts is None else self._parts.size
 
     async def open(self) -> None:
+        """Open the recording. Raises ``LinkError``: not there, not ours, or without such a link."""
         if self._is_open:
             raise LinkError(f"{self.name} is already open")
         self._select()
@@ -112,6 +113,7 @@ class ReplayLink:
         """Nothing: the modules of a recording take no commands."""
 
     async def close(self) -> None:
+        """End iterating, also while it waits for the next chunk's time."""
         self._is_open = False
         if self._closing is not None:
             self._closing.set()

@@ -37,6 +37,7 @@ class Rfc2217Link:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Connect in a thread, set the far port up, and begin to read. Raises ``LinkError``."""
         if self._port is not None:
             raise LinkError(f"{self.name} is already open")
         port = await open_in_thread(self._open_port, lambda port: port.close())
@@ -57,6 +58,7 @@ class Rfc2217Link:
             raise LinkError(f"{self.name} was lost while writing: {error}") from error
 
     async def close(self) -> None:
+        """End the reader, then the connection; does nothing on a closed link."""
         port, reader = self._port, self._reader
         self._port = self._reader = None
         self._arrivals.end()

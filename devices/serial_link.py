@@ -45,6 +45,7 @@ class SerialLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Open the port raw at its baud rate. Raises ``LinkError``: absent, forbidden, busy, no such rate."""
         if self._descriptor is not None:
             raise LinkError(f"{self.name} is already open")
         self._descriptor = open_raw_tty(self.path, self.baud)

@@ -46,6 +46,7 @@ class SlcanLink:
         return counts if isinstance(counts, LinkCounts) else LinkCounts()
 
     async def open(self) -> None:
+        """Open the serial port, then the channel by command. Raises ``LinkError`` when it takes none."""
         await self._stream.open()
         self.decoder = SlcanDecoder()
         try:
@@ -69,6 +70,7 @@ class SlcanLink:
         await self._stream.write(b"".join(encode_slcan(frame) for frame in unpack_can_records(data)))
 
     async def close(self) -> None:
+        """Close the adapter's channel, if it is still there, and the port."""
         try:
             # An adapter that is gone, or never was there, need not be told.
             with contextlib.suppress(LinkError, TimeoutError):

@@ -77,6 +77,7 @@ class SocketCanLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Bind to the interface. Raises ``LinkError``: absent, down, no rights, or bus-off."""
         if self._socket is not None:
             raise LinkError(f"{self.name} is already open")
         try:

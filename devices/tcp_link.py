@@ -49,6 +49,7 @@ class TcpLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Connect. Raises ``LinkError``: refused, not reachable, no such name, or too slow."""
         if self._connection is not None and not self._arrivals.has_ended:
             raise LinkError(f"{self.name} is already open")
         arrivals = Arrivals(self.name, counts=self.counts)
@@ -71,6 +72,7 @@ class TcpLink:
         await self._connection.send(data)
 
     async def close(self) -> None:
+        """Hang up; iterating ends."""
         if self._connection is not None:
             await self._connection.close()
             self._connection = None

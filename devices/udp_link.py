@@ -58,6 +58,7 @@ class UdpLink:
         return self._arrivals.dropped_bytes
 
     async def open(self) -> None:
+        """Listen on the address. Raises ``LinkError``: taken, or none of this machine's."""
         if self._socket is not None:
             raise LinkError(f"{self.name} is already open")
         loop = asyncio.get_running_loop()
@@ -86,6 +87,7 @@ class UdpLink:
             raise LinkError(f"{self.name} did not send: {error.strerror}") from error
 
     async def close(self) -> None:
+        """Stop listening; iterating ends."""
         self._release(None)
 
     def _receive(self, bound: socket.socket) -> None:

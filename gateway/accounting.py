@@ -5,7 +5,7 @@
     packets out of the decoders          =  new ones + repeated + our own echoed + answers nobody awaited
     readings out of the stream           =  taken for frames + each kind of drop + held back by the despiker
     instants of the grid                 =  frames + instants left out in silence
-    frames assembled                     =  poses reconstructed
+    frames assembled                     =  poses reconstructed + left out in overload
     poses offered to an output           =  published + dropped + thinned + queued
     chunks handed to the recorder        =  written + lost + waiting for the disk
 
@@ -117,7 +117,8 @@ def _frames(pipeline: Pipeline) -> Iterator[Balance]:
     if isinstance(assembler, FrameAssembler):
         skipped = assembler.lost[Lost.SKIPPED_INSTANT]
         yield Balance("instants", assembler.instants, {"frames": assembler.frames, "skipped": skipped})
-    yield Balance("frames", assembler.frames, {"reconstructed": pipeline.skeleton_frames})
+    solved = {"reconstructed": pipeline.skeleton_frames, "left_out": pipeline.left_out}
+    yield Balance("frames", assembler.frames, solved)
 
 
 _OF_READINGS = frozenset(Lost) - {Lost.SKIPPED_INSTANT}

@@ -14,10 +14,21 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
+from operator import attrgetter
+from typing import TypeVar
 
 import numpy as np
 
-from gateway.frames import FloatArray, ImuFrame, InertialReading, IntArray, LocalReading, Status, StatusArray
+from gateway.frames import (
+    FloatArray,
+    ImuFrame,
+    InertialReading,
+    IntArray,
+    LightReading,
+    LocalReading,
+    Status,
+    StatusArray,
+)
 from gateway.geometry.compiled import compiled
 
 _LONGEST_CATCH_UP_NS = 1_000_000_000
@@ -76,6 +87,7 @@ class FrameAssembler:
         self._sequence = 0
         self._last_instant_ns = -1
         self._local: list[LocalReading] = []
+        self._light: list[LightReading] = []
         self._interpolate(0)  # compile now, not when the first reading waits
 
     @property
@@ -92,6 +104,14 @@ class FrameAssembler:
         """Keep a local measurement for the frame that comes next at or after its time."""
         self.taken += 1
         self._local.append(reading)
+
+    def add_light(self, reading: LightReading) -> None:
+        """Likewise a reading of a module's photoelectric cells."""
+        if reading.module not in self._row:
+            self.lost[Lost.UNKNOWN_MODULE] += 1
+            return
+        self.taken += 1
+        self._light.append(reading)
 
     def add(self, reading: InertialReading, arrived_ns: int) -> list[ImuFrame]:
         """Take a reading; the frames that it, or the time it arrived, completes."""
@@ -202,9 +222,8 @@ class FrameAssembler:
 
     def _frame(self, instant_ns: int) -> ImuFrame:
         values, status, gap_ns = self._interpolate(instant_ns)
-        local = tuple(reading for reading in self._local if reading.time_ns <= instant_ns)
-        if local:
-            self._local = [reading for reading in self._local if reading.time_ns > instant_ns]
+        local, self._local = _split(self._local, instant_ns)
+        light, self._light = _split(self._light, instant_ns)
         frame = ImuFrame(
             sequence=self._sequence,
             time_ns=instant_ns,
@@ -214,6 +233,7 @@ class FrameAssembler:
             status=status,
             gap_ns=gap_ns,
             local=local,
+            light=light,
         )
         self._sequence += 1
         return frame
@@ -229,6 +249,17 @@ class FrameAssembler:
             self._params.hold_ns,
         )
         return values, status, gap_ns
+
+
+_Dated = TypeVar("_Dated", LocalReading, LightReading)
+
+
+def _split(readings: list[_Dated], instant_ns: int) -> tuple[tuple[_Dated, ...], list[_Dated]]:
+    """Those up to an instant, in time order, and those after it."""
+    if not readings:
+        return (), readings
+    due = sorted((r for r in readings if r.time_ns <= instant_ns), key=attrgetter("time_ns"))
+    return tuple(due), [reading for reading in readings if reading.time_ns > instant_ns]
 
 
 _MEASURED, _INTERPOLATED = int(Status.MEASURED), int(Status.INTERPOLATED)

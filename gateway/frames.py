@@ -2,7 +2,8 @@
 
 ``Chunk`` (``devices.link``: bytes and when they arrived) → ``WireFrame`` (``firmware_protocol.framing``)
 → packets (``firmware_protocol.packets``) → ``InertialReading`` / ``FusedReading`` / ``LocalReading`` (one
-module, one instant, gateway time) → ``ImuFrame`` (all modules, one instant) → ``SkeletonFrame``.
+module, one instant, gateway time) → ``ImuFrame`` (all modules, one instant) → ``SkeletonFrame``. An optical
+system's chunks become ``MarkerFrame`` → ``SkeletonFrame``.
 
 SI units throughout: m, s, rad, m/s², rad/s; magnetic field in µT. Instants are integer nanoseconds
 of gateway time. Quaternions are unit, Hamilton, (w, x, y, z); ``q_ab`` takes coordinates in b to
@@ -38,6 +39,9 @@ class Status(IntEnum):
     """Samples come, but the method cannot define this value yet."""
     MISSING = 5
     """No sample to stand on."""
+    UNAIDED = 6
+    """Measured by its gyrometers, but what told inclination is gone: all local devices of its chain are
+    silent, or its own accelerometer is saturated. (Numbers never change, hence the last.)"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,23 +72,43 @@ class FusedReading:
 
 
 class Quantity(IntEnum):
-    """What a local measuring device (ML) measures, in world axes."""
+    """What a local measuring device (ML) measures, in world axes unless said otherwise."""
 
     FIXED_POINT = 0
     ACCELERATION = 1
     VELOCITY = 2
     POSITION = 3
+    AIR_VELOCITY = 4
+    """Velocity in still air by pressure tubes, in the axes of the segment that carries them."""
 
 
 @dataclass(frozen=True, slots=True)
 class LocalReading:
-    """One reading of a local measuring device, in world axes."""
+    """One reading of a local measuring device, in the axes that its quantity has."""
 
     device: int
     time_ns: int
     quantity: Quantity
     value: FloatArray  # (3,) m/s², m/s or m
     sigma: FloatArray  # (3,) standard deviation, same unit
+
+
+@dataclass(frozen=True, slots=True)
+class LightReading:
+    """One reading of a module's photoelectric cells."""
+
+    module: int
+    time_ns: int
+    intensity: FloatArray  # (6,) share of full scale, cells in the order of the wire
+
+
+@dataclass(frozen=True, slots=True)
+class SunSight:
+    """Where the modules see the sun; the second uniform field beside the earth's, or in the place of it."""
+
+    world: FloatArray  # (3,) unit, ENU, by the almanac
+    direction: FloatArray  # (n_modules, 3) unit, sensor axes; NaN where it is not seen
+    sigma: FloatArray  # (n_modules,) rad, of each component across it; NaN likewise
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +130,21 @@ class ImuFrame:
     orientation: FloatArray | None = None
     """(n_modules, 4) ``q_es`` fused on the modules, each to its own level reference e; None: they send raw
     values."""
+    light: tuple[LightReading, ...] = field(default=())
+    """Readings of photoelectric cells since the frame before, in time order."""
+    sun: SunSight | None = None
+    """What they show; None: the suit has no cells in use."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerFrame:
+    """All markers of an optical system at one instant, world axes, in the order of the fitted body."""
+
+    sequence: int
+    time_ns: int
+    positions: FloatArray  # (n_markers, 3) m; NaN: not seen
+    unlabelled: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) m
+    """Points that the optical system saw and could not name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from gateway.outputs.metrics import GatewayFigures, LinkFigures
 from gateway.outputs.metrics_server import MetricsServer
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.side_outputs import SideOutputs
+from gateway.overload import LoadWatch
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings
 
@@ -45,8 +46,10 @@ class Observer:
         side: SideOutputs,
         utc_ns: Clock = time.time_ns,
         balances: Callable[[], list[Balance]] = list,
+        load: LoadWatch | None = None,
     ) -> None:
-        """utc_ns: the host's UTC, ns; balances: where everything went."""
+        """utc_ns: the host's UTC, ns; balances: where everything went; load: whether it keeps up."""
+        self._load = load or LoadWatch()
         self.utc: UtcAnchor | None = None
         self.metrics: MetricsServer | None = None
         """Where the configuration asks for one."""
@@ -68,7 +71,11 @@ class Observer:
         )
         if settings.metrics.port is not None:
             self.metrics = MetricsServer(
-                settings.metrics.host, settings.metrics.port, self.figures, self.health
+                settings.metrics.host,
+                settings.metrics.port,
+                self.figures,
+                self.health,
+                settings.metrics.token(),
             )
 
     @contextlib.asynccontextmanager
@@ -115,6 +122,7 @@ class Observer:
             connected={"mqtt": self._mqtt.is_connected},
             utc=self.utc,
             balances=self._balances(),
+            load=self._load,
         )
 
     def health(self) -> dict[str, Any]:
@@ -122,13 +130,15 @@ class Observer:
         figures = self.figures()
         down = [link.name for link in figures.links if not link.is_up]
         silent = [module.module for module in figures.modules if module.availability == "offline"]
-        is_ok = not down and all(figures.connected.values()) and len(silent) < len(figures.modules)
+        is_fed = not down and len(silent) < len(figures.modules)
+        is_ok = is_fed and all(figures.connected.values()) and not self._load.stage
         return {
             "status": "ok" if is_ok else "degraded",
             "links_down": down,
             "modules_silent": silent,
             "outputs_connected": dict(figures.connected),
             "skeleton_frames": figures.skeleton_frames,
+            "load": dict(self._load.statistics()),
             "unaccounted": unaccounted(figures.balances),
         }
 

@@ -26,26 +26,31 @@ from gateway.calibration.mounting import remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
 from gateway.errors import GatewayError, SettingsError
-from gateway.frames import FusedReading, ImuFrame, LocalReading, SkeletonFrame
+from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
+from gateway.light import SunCompass
+from gateway.marker_frames import MarkerFrames
 from gateway.reconstruction import (
     FUSED,
     NO_CONTACTS,
+    OPTICAL,
     RootMode,
     RootSettings,
     WholeBodyReconstructor,
     create_reconstructor,
     update_many,
 )
+from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.resets import Resets
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Reading, Stream
 
 FRAMES_AT_A_TIME = 256
 """Of a recording: enough that a call costs nothing, few enough to stay in the processor's cache."""
-RESET_EVENT, CALIBRATED_EVENT = "reset", "calibrated"
-INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT})
+RESET_EVENT, CALIBRATED_EVENT, LOAD_EVENT = "reset", "calibrated", "load"
+INPUT_EVENTS = frozenset({RESET_EVENT, CALIBRATED_EVENT, LOAD_EVENT})
+NO_MARKERS = "the rig has no markers: 'rig' must name a subject that `mocap-gateway optical fit` wrote"
 """Events that are inputs: a recording must hand them over again in their place."""
 
 
@@ -86,17 +91,31 @@ class Pipeline:
         self.unused: Counter[str] = Counter()
         """Readings of a kind that the reconstructor has no use for."""
         interval_s = params.frame_interval_ns * 1e-9
+        if reconstructor == OPTICAL:
+            if suit.markers is None:
+                raise SettingsError(NO_MARKERS)
+            reconstructor = "independent"  # for modules that may be worn beside the markers
+            root = RootSettings(RootMode.FIXED)
         self._make = partial(create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root)
         self.suit = suit
         """As worn now: a calibration may have changed it."""
         self.reconstructor = self._make(suit)
         self.resets = Resets(suit.skeleton)
+        self.sun = None if suit.sun is None else SunCompass(suit)
         self.skeleton_frames = 0
+        self.left_out = 0
+        """Frames that were not reconstructed, since the machine could not keep up (see ``overload``)."""
+        self._solve_every = 1
         self.on_imu_frame: Callable[[ImuFrame], None] | None = None
         """Told every frame before it is reconstructed: for calibrations."""
         self.gnss_params: dict[str, GnssParams] = {}
         """By link; a receiver that is not named has the defaults."""
         self._gnss: dict[str, GnssReceiver] = {}
+        self.optical: OpticalReconstructor | None = None
+        """In the place of the other on links that carry markers; None for a suit without."""
+        if suit.markers is not None:
+            self.optical = OpticalReconstructor(suit.skeleton, suit.markers)
+        self._markers: dict[str, MarkerFrames] = {}
         self.satellite_readings = 0
         """Readings that satellite receivers gave, beside those of the stream."""
 
@@ -128,6 +147,10 @@ class Pipeline:
         """Announce a link, before its first chunk."""
         if framing is Framing.GNSS:
             self._gnss[name] = GnssReceiver(self.gnss_params.get(name, GnssParams()))
+        elif framing is Framing.MARKERS:
+            if self.suit.markers is None:
+                raise SettingsError(f"link '{name}' carries markers: {NO_MARKERS}")
+            self._markers[name] = MarkerFrames(self.suit.markers)
         else:
             self.stream.add_link(name, framing)
 
@@ -138,14 +161,23 @@ class Pipeline:
     def event(self, name: str, data: Mapping[str, Any]) -> dict[str, object]:
         """Something asked of the gateway that changes what follows; other events pass without effect.
 
-        ``reset`` (kind, facing) and ``calibrated`` (see ``mounting_event``). What came of it; raises
+        ``reset`` (kind, facing), ``calibrated`` (see ``mounting_event``) and ``load`` (solve_every: of the
+        frames, how many are reconstructed). What came of it; raises
         ``GatewayError`` where that cannot be done, and then has changed nothing.
         """
         try:
             if name == RESET_EVENT:
                 return self.resets.reset(str(data["kind"]), float(data.get("facing", 0.0)))
+            if name == LOAD_EVENT:
+                self._solve_every = max(int(data["solve_every"]), 1)
+                return {}
             mounted = remounted(self.suit, data) if name == CALIBRATED_EVENT else None
-        except (KeyError, TypeError, ValueError) as error:  # a recorded one may be damaged, or another's
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            OverflowError,
+        ) as error:  # a recorded one may be damaged, or another's
             raise GatewayError(f"event '{name}' cannot be read: {error!r}") from error
         if mounted is not None:
             self.suit = mounted
@@ -155,19 +187,31 @@ class Pipeline:
 
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
+        if chunk.link in self._markers:
+            return self._optical_frames(chunk)
         skeleton_frames = [
-            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self._imu_frames(chunk)
+            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self.imu_frames(chunk)
         ]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
+
+    def _optical_frames(self, chunk: Chunk) -> list[SkeletonFrame]:
+        assert self.optical is not None  # add_link saw to it
+        frames = [
+            self.resets.apply(self.optical.update(markers)) for markers in self._markers[chunk.link].receive(chunk)
+        ]
+        self.skeleton_frames += len(frames)
+        return frames
 
     def replay(self, items: Iterable[Chunk | SentChunk | InputEvent]) -> Iterator[SkeletonFrame]:
         """A recording: the frames that ``feed``, ``sent`` and ``event`` of each item give, bit for bit, but
         many at a time. An event that is not possible with this suit or method is passed over."""
         block: list[ImuFrame] = []
         for item in items:
-            if isinstance(item, Chunk):
-                block += self._imu_frames(item)
+            if isinstance(item, Chunk) and item.link in self._markers:
+                yield from self._optical_frames(item)
+            elif isinstance(item, Chunk):
+                block += self.imu_frames(item)
             elif isinstance(item, SentChunk):
                 self.sent(item)
             if isinstance(item, InputEvent) or len(block) >= FRAMES_AT_A_TIME:
@@ -183,14 +227,21 @@ class Pipeline:
         if block:
             yield from map(self.resets.apply, update_many(self.reconstructor, block))
 
-    def _imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+    def imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
+        """The frames of all modules that a chunk completes, not yet reconstructed."""
         imu_frames: list[ImuFrame] = []
         for reading in self._readings(chunk):
             imu_frames += self._assemble(reading, chunk.arrived_ns)
+        if self.sun is not None:
+            imu_frames = [self.sun.sighted(imu_frame) for imu_frame in imu_frames]
         if self.on_imu_frame is not None:
             for imu_frame in imu_frames:
                 self.on_imu_frame(imu_frame)
-        return imu_frames
+        if self._solve_every == 1:
+            return imu_frames
+        solved = [imu_frame for imu_frame in imu_frames if imu_frame.sequence % self._solve_every == 0]
+        self.left_out += len(imu_frames) - len(solved)
+        return solved
 
     def _readings(self, chunk: Chunk) -> Sequence[Reading]:
         receiver = self._gnss.get(chunk.link)
@@ -204,6 +255,12 @@ class Pipeline:
         fused = self.fused_assembler
         if isinstance(reading, LocalReading) and fused is None:
             self.assembler.add_local(reading)
+            return []
+        if isinstance(reading, LightReading):
+            if self.sun is not None and fused is None:
+                self.assembler.add_light(reading)
+            else:
+                self.unused["light"] += 1
             return []
         if isinstance(reading, FusedReading):
             if fused is not None:
@@ -227,7 +284,10 @@ class Pipeline:
         return {
             **({} if triggers is None else {"triggers": triggers.figures.summary()}),
             **({"gnss": {name: r.statistics() for name, r in self._gnss.items()}} if self._gnss else {}),
+            **({} if self.sun is None else {"light": self.sun.statistics()}),
+            **({} if self.optical is None else {"markers": self._marker_statistics(self.optical)}),
             "skeleton_frames": self.skeleton_frames,
+            "left_out_frames": self.left_out,
             "dropped_by_link": dropped,
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in assembler.lost.items()},
             "unused_readings": dict(self.unused),
@@ -236,4 +296,16 @@ class Pipeline:
             if isinstance(self.reconstructor, WholeBodyReconstructor)
             else {},
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
+        }
+
+    def _marker_statistics(self, optical: OpticalReconstructor) -> dict[str, object]:
+        """What became of marker messages, and how well the last pose explains the markers."""
+        dropped: Counter[str] = Counter()
+        for frames in self._markers.values():
+            dropped += frames.receiver.dropped
+        return {
+            "dropped": dict(dropped),
+            "counts": dict(optical.counts),
+            "unknown_labels": len(set().union(*(frames.unknown for frames in self._markers.values()))),
+            "rmse_mm": None if optical.last is None else round(1e3 * optical.last.rmse, 3),
         }

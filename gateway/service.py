@@ -12,8 +12,9 @@ from typing import Any
 import gateway
 from devices.command_client import CommandClient
 from devices.endpoints import link_from_url
-from devices.link import Chunk, Framing, Link, SentChunk
+from devices.link import Chunk, Framing, Link, SentChunk, gateway_time_ns
 from devices.link_counts import LinkCounts
+from devices.marker_file_link import MarkerFileLink
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
 from gateway.accounting import Balance, balances_of
@@ -33,8 +34,9 @@ from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder
 from gateway.outputs.side_outputs import SideOutputs
+from gateway.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWatch
 from gateway.own_requests import OwnRequests
-from gateway.pipeline import INPUT_EVENTS, Pipeline
+from gateway.pipeline import INPUT_EVENTS, LOAD_EVENT, Pipeline
 from gateway.recording.control import RecordingControl
 from gateway.settings import GatewaySettings
 from gateway.stream import ClockMode, Stream
@@ -47,6 +49,9 @@ log = logging.getLogger(__name__)
 REPORT_INTERVAL_S = 10.0
 _TOLD_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
+_LISTENED_TO = frozenset({Framing.GNSS, Framing.MARKERS})
+"""Links with no module at the other end."""
+_OTHERS = {"gnss": Framing.GNSS, "markers": Framing.MARKERS}
 
 
 class Service:
@@ -67,14 +72,23 @@ class Service:
             settings.mqtt, suit.skeleton, info, self.statistics, lambda: self.side.counters
         )
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
+        self.load = LoadWatch()
         self.observer = Observer(
-            settings, suit, info, self.pipeline, self.links, self.mqtt, self.side, balances=self.balances
+            settings,
+            suit,
+            info,
+            self.pipeline,
+            self.links,
+            self.mqtt,
+            self.side,
+            balances=self.balances,
+            load=self.load,
         )
         self.failed_chunks = 0
         """Chunks that a defect of ours kept from being handled."""
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
-        suit_links = [link for link in self.links if link.framing is not Framing.GNSS]
+        suit_links = [link for link in self.links if link.framing not in _LISTENED_TO]
         self.commands = CommandClient(suit_links, allow_writes=settings.allow_device_writes)
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
@@ -124,6 +138,8 @@ class Service:
             "links": {name: counts.summary() for name, counts in self._link_counts.items()},
             "failed_chunks": self.failed_chunks,
             "recording": self.recording.status(),
+            "load": self.load.statistics(),
+            "requests": self.requests.statistics(),
         }
 
     async def run(self) -> None:
@@ -136,7 +152,10 @@ class Service:
             if self._records_at_start:
                 self.recording.start()
             self.requests.start(self.mqtt.port)
-            companions = [asyncio.create_task(kept_running("the report", self._report), name="report")]
+            companions = [
+                asyncio.create_task(kept_running("the report", self._report), name="report"),
+                asyncio.create_task(kept_running("the load", self._watch_load), name="load"),
+            ]
             if self._synchroniser is not None:
                 companions.append(
                     asyncio.create_task(
@@ -162,13 +181,14 @@ class Service:
     async def _ingest(self, link: Link) -> None:
         """link → pipeline → outputs, for one link."""
         await link.open()
+        is_live = not isinstance(link, ReplayLink)
         carried = carried_links(link)
         if isinstance(link, ReplayLink):
             link.on_sent = self._note_sent
             link.on_event = self._happened_then
         for name, framing in carried.items():
             self.pipeline.add_link(name, framing)
-        if not isinstance(link, ReplayLink) and link.framing is not Framing.GNSS:
+        if is_live and link.framing not in _LISTENED_TO:
             self._announced.append(link)
         losses = 0
         try:
@@ -179,6 +199,8 @@ class Service:
                     self.pipeline.stream.notice(link.name, Cause.OVERRUN)
                 self.recording.chunk(chunk, carried[chunk.link])
                 skeleton_frames = self._fed(chunk)
+                if is_live and self.load.observe(link.name, *_lag_s(chunk)):
+                    self._shed()
                 for frame in skeleton_frames:
                     self.recording.skeleton(frame, chunk.arrived_ns)
                     for output in self._outputs:
@@ -204,6 +226,27 @@ class Service:
                     chunk.arrived_ns,
                 )
             return []
+
+    def _shed(self) -> None:
+        """Do what the stage of the load says, and tell it."""
+        holds = self.load.holds
+        self.side.pause(self.load.stage >= SIDE_OUTPUTS)
+        self.mqtt.relieve(holds.poses_hz, has_segments=self.load.stage < SEGMENT_TOPICS)
+        self._happened(LOAD_EVENT, {"stage": holds.name, "solve_every": holds.solve_every})
+        log.warning(
+            "load stage %d of %d: %s (%.0f ms behind)",
+            self.load.stage,
+            len(SHED) - 1,
+            holds.meaning,
+            self.load.lag_s * 1e3,
+        )
+
+    async def _watch_load(self) -> None:
+        """What was given up comes back also when nothing arrives any more."""
+        while True:
+            await asyncio.sleep(TICK_S)
+            if self.load.look(gateway_time_ns() * 1e-9):
+                self._shed()
 
     def _note_sent(self, sent: SentChunk) -> None:
         """An input of the pipeline like what comes, and recorded in its place among it."""
@@ -247,14 +290,20 @@ class Service:
             frames_before = frames
 
 
+def _lag_s(chunk: Chunk) -> tuple[float, float]:
+    """How long ago a chunk arrived, and now, s."""
+    now_ns = gateway_time_ns()
+    return (now_ns - chunk.arrived_ns) * 1e-9, now_ns * 1e-9
+
+
 def _links_of(settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None]) -> list[Link]:
     links = [link_from_url(link.url, name=link.name) for link in settings.links]
     for link, wanted in zip(links, settings.links, strict=True):
-        if wanted.carries == "gnss" and not isinstance(link, ReplayLink):
-            link.framing = Framing.GNSS
+        if wanted.carries in _OTHERS and not isinstance(link, ReplayLink):
+            link.framing = _OTHERS[wanted.carries]
     return [
         link
-        if isinstance(link, ReplayLink)
+        if isinstance(link, ReplayLink | MarkerFileLink)
         else ReconnectingLink(link, on_change=functools.partial(on_change, link.name))
         for link in links
     ]

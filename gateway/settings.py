@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway.assembly import AssemblyParams
+from gateway.credentials import AccessToken, token_for
 from gateway.errors import nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.side_settings import OutputsSettings
-from gateway.reconstruction import RECONSTRUCTORS, RootMode, RootSettings
+from gateway.reconstruction import OPTICAL, RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
 
 RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 """Nothing that could mean another folder."""
 
+
+METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
+"""Environment variable that may hold the token of metrics and health."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -34,10 +38,12 @@ class LinkSettings(_Strict):
     url: str = Field(
         min_length=1,
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
-        "can://socketcan/can0, tcp://host:port, udp://host:port, recording:///path/to/file.mcap",
+        "can://socketcan/can0, tcp://host:port, udp://host:port, markers:///path/walk.c3d, recording:///path/to/file.mcap",
     )
-    carries: Literal["suit", "gnss"] = Field(
-        default="suit", description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver"
+    carries: Literal["suit", "gnss", "markers"] = Field(
+        default="suit",
+        description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver; markers: messages "
+        "of an optical system",
     )
     device: int = Field(
         default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"
@@ -53,6 +59,16 @@ class LinkSettings(_Strict):
         description="for gnss: latitude and longitude in degrees and height above the ellipsoid in metres of "
         "the world's origin; none: the first fix",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_credentials(cls, given: Any) -> Any:
+        url = given.get("url") if isinstance(given, dict) else None
+        if isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]:
+            # Raised without the value: it would stand in the message otherwise.
+            del given["url"]
+            raise ValueError("url: a link takes no user name or password: leave out what stands before the @")
+        return given
 
     @model_validator(mode="after")
     def _is_on_earth(self) -> LinkSettings:
@@ -177,8 +193,20 @@ class MetricsSettings(_Strict):
     host: str = Field(
         default="127.0.0.1",
         min_length=1,
-        description="address to listen at: loopback, unless others are to read them (0.0.0.0: all)",
+        description="address to listen at: loopback, unless others are to read them (0.0.0.0: all), who then "
+        "need a token",
     )
+    token_file: Path | None = Field(
+        default=None,
+        description="file whose first line is the token that readers must show (Authorization: Bearer …); "
+        f"without it the environment variable {METRICS_TOKEN_VARIABLE} is taken",
+    )
+
+    def token(self) -> AccessToken | None:
+        """What readers must show. Raises ``CredentialError`` where others could read and need none."""
+        return token_for(
+            "the metrics", self.host, self.token_file, METRICS_TOKEN_VARIABLE, "metrics.token_file"
+        )
 
 
 class RecordingSettings(_Strict):
@@ -235,7 +263,8 @@ class GatewaySettings(_Strict):
     links: list[LinkSettings] = Field(min_length=1, description="where bytes come from")
     rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")
     reconstructor: str = Field(
-        default="independent", description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}"
+        default="joint",
+        description=f"one of: {', '.join(sorted([*RECONSTRUCTORS, OPTICAL]))} (of markers, for a fitted subject)",
     )
     root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()
@@ -255,8 +284,8 @@ class GatewaySettings(_Strict):
     @field_validator("reconstructor")
     @classmethod
     def _is_known(cls, value: str) -> str:
-        if value not in RECONSTRUCTORS:
-            raise ValueError("no such reconstructor" + nearest(value, RECONSTRUCTORS))
+        if value not in RECONSTRUCTORS and value != OPTICAL:
+            raise ValueError("no such reconstructor" + nearest(value, [*RECONSTRUCTORS, OPTICAL]))
         return value
 
     @field_validator("links")

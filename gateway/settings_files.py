@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import types
 import typing
 from pathlib import Path
@@ -10,9 +11,16 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from gateway import yaml_text
 from gateway.errors import SettingsError, nearest
 
 Model = TypeVar("Model", bound=BaseModel)
+
+_SECRET = re.compile("password|secret|token|credential", re.IGNORECASE)
+"""Names of settings whose value is never repeated."""
+_MOST_PROBLEMS = 20
+"""Said of one file at a time."""
+_LONGEST_LINE = 400
 
 
 def shipped_folder() -> Path:
@@ -42,7 +50,7 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
 def load_yaml(path: Path) -> Any:
     """The content of a YAML file. Raises ``SettingsError`` with file and line when it cannot be read."""
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        return yaml_text.load(_text_of(path))
     except FileNotFoundError:
         raise SettingsError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -52,6 +60,14 @@ def load_yaml(path: Path) -> Any:
         where = f" line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not YAML"
         raise SettingsError(f"{path}:{where} {problem}") from error
+
+
+def _text_of(path: Path) -> str:
+    with path.open("rb") as file:
+        data = file.read(yaml_text.LARGEST_TEXT + 1)
+    if len(data) > yaml_text.LARGEST_TEXT:
+        raise SettingsError(f"{path}: is larger than {yaml_text.LARGEST_TEXT >> 20} MiB: it is another file")
+    return data.decode("utf-8")
 
 
 def load_settings(path: Path, model: type[Model]) -> Model:
@@ -64,20 +80,38 @@ def load_settings(path: Path, model: type[Model]) -> Model:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        lines = [f"{path}: {_explain(problem, model)}" for problem in error.errors()]
+        problems = error.errors()
+        lines = [f"{path}: {_explain(problem, model)}" for problem in problems[:_MOST_PROBLEMS]]
+        if len(problems) > _MOST_PROBLEMS:
+            lines.append(f"{path}: and {len(problems) - _MOST_PROBLEMS} more like these")
         raise SettingsError("\n".join(lines)) from error
 
 
 def _explain(problem: Any, model: type[BaseModel]) -> str:
-    location = [part for part in problem["loc"] if not _is_union_tag(part)]
-    where = ".".join(str(part) for part in location)
     if problem["type"] == "extra_forbidden":
-        known = _known_keys(model, problem["loc"][:-1])
-        return f"unknown setting '{where}'{nearest(str(location[-1]), known)}"
+        *within, name = problem["loc"]
+        return f"unknown setting '{_place((*within, _Key(name)))}'" + nearest(
+            _shortened(str(name)), _known_keys(model, tuple(within))
+        )
+    where = _place(problem["loc"])
     if problem["type"] == "missing":
         return f"'{where}' is missing"
     message = problem["msg"].removeprefix("Value error, ")
-    return f"'{where}' is {problem['input']!r}: {message}" if where else message
+    shown = "…" if _SECRET.search(where) else _shortened(repr(problem["input"]))
+    return _shortened(f"'{where}' is {shown}: {message}" if where else message, _LONGEST_LINE)
+
+
+class _Key(str):
+    """A name of the file's own, whatever it looks like."""
+
+
+def _place(location: tuple[object, ...]) -> str:
+    named = (part for part in location if isinstance(part, _Key) or not _is_union_tag(part))
+    return ".".join(_shortened(str(part)) for part in named)
+
+
+def _shortened(text: str, length: int = 80) -> str:
+    return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
 def _is_union_tag(part: object) -> bool:

@@ -22,15 +22,18 @@ from firmware_protocol import (
     Health,
     InertialSample,
     InertialSampleFine,
+    LightSample,
     LocalMeasurement,
     Packet,
     PacketDecoder,
+    PressureSample,
     ReceivedPacket,
     SamplingTrigger,
     SyncRequest,
     SyncResponse,
 )
 from firmware_protocol.kinds import FROM_HOST
+from gateway.air_velocity import air_velocity
 from gateway.clocks import (
     ClockTable,
     EstimatedClock,
@@ -43,11 +46,11 @@ from gateway.clocks import (
     warm_up,
 )
 from gateway.exchanges import TimeExchanges
-from gateway.frames import FusedReading, InertialReading, LocalReading, Quantity
+from gateway.frames import FusedReading, InertialReading, LightReading, LocalReading, Quantity
 from gateway.losses import Cause, LinkLosses
 from gateway.statistics import ModuleRecord
 
-Reading = InertialReading | FusedReading | LocalReading
+Reading = InertialReading | FusedReading | LocalReading | LightReading
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
 """Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
@@ -68,7 +71,15 @@ class ClockMode(StrEnum):
 
 
 SAMPLE_KINDS = frozenset(
-    packet.KIND for packet in (InertialSample, InertialSampleFine, FusedSample, LocalMeasurement)
+    packet.KIND
+    for packet in (
+        InertialSample,
+        InertialSampleFine,
+        FusedSample,
+        LocalMeasurement,
+        LightSample,
+        PressureSample,
+    )
 )
 """Of packets that readings are made from."""
 
@@ -249,6 +260,15 @@ def _local(record: ModuleRecord, packet: LocalMeasurement, _sequence: int, time_
     )
 
 
+def _light(record: ModuleRecord, packet: LightSample, _sequence: int, time_ns: int) -> Reading:
+    return LightReading(record.module, time_ns, np.array(packet.intensity))
+
+
+def _pressure(record: ModuleRecord, packet: PressureSample, _sequence: int, time_ns: int) -> Reading:
+    found = air_velocity(packet.differential_pressure, packet.static_pressure, packet.temperature_celsius)
+    return LocalReading(record.module, time_ns, Quantity.AIR_VELOCITY, *found)
+
+
 def _info(record: ModuleRecord, packet: DeviceInfo, _sequence: int, _time_ns: int) -> None:
     record.info = packet
 
@@ -268,6 +288,8 @@ _HANDLERS: dict[type, Callable[..., Reading | None]] = {
     InertialSampleFine: _inertial,
     FusedSample: _fused,
     LocalMeasurement: _local,
+    LightSample: _light,
+    PressureSample: _pressure,
     DeviceInfo: _info,
     Health: _health,
 }

@@ -28,10 +28,14 @@ class EmulatedLocalDevice:
     position: FloatArray
     """(3,) from the segment's proximal joint, segment axes, m."""
     quantity: int
-    """As on the wire: 1 acceleration (m/s²), 2 velocity (m/s), 3 position (m)."""
+    """As on the wire: 1 acceleration (m/s²), 2 velocity (m/s), 3 position (m); 4: velocity by pressure tubes
+    in still air."""
     sigma: float = 0.0
-    """Standard deviation of the noise of each component, in the quantity's unit. Also what it claims."""
+    """Standard deviation of the noise of each component, in the quantity's unit (pressure tubes: Pa). Also
+    what it claims."""
     rate_hz: float = 30.0
+    orientation: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    """(4,) ``q`` device axes to segment axes, of pressure tubes."""
 
 
 @dataclass(frozen=True)

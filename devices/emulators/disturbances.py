@@ -51,6 +51,7 @@ class Tap:
 
     @property
     def end_s(self) -> float:
+        """When it is over, s."""
         return self.start_s + _TAP_LASTS * self.decay_s
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -75,6 +76,7 @@ class Shake:
 
     @property
     def end_s(self) -> float:
+        """When it is over, s."""
         return self.start_s + self.duration_s
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -144,6 +144,20 @@ class Saturated(Fault):
     sensor: Sensor = "angular_rate"
 
 
+class Magnet(Fault):
+    """A magnet passes a module: its field comes and goes, and turns as it passes."""
+
+    kind: Literal["magnet"]
+    module: Module
+    field: float = Field(default=60.0, gt=0, le=5000, description="largest on the way, µT")
+
+    def at_module(self, at_s: float) -> tuple[float, float, float]:
+        """What it adds to the field that the module feels, sensor axes, µT."""
+        passed = (at_s - self.at) % (self.every or math.inf) / self.lasts
+        strength, turn = self.field * math.sin(math.pi * passed) ** 2, math.pi * passed
+        return strength * math.cos(turn), strength * math.sin(turn), 0.3 * strength
+
+
 class NotFinite(Fault):
     """A local measuring device says NaN (samples of inertial modules are whole numbers: they cannot)."""
 
@@ -178,6 +192,7 @@ AnyFault = Annotated[
     | ClockJump
     | Stuck
     | Saturated
+    | Magnet
     | NotFinite
     | IdConflict
     | Unplug,

@@ -17,6 +17,8 @@ MAGNETIC_FIELD: FloatArray = 49.0 * np.array([0.0, np.cos(np.radians(66.0)), -np
 
 ACCELERATION, VELOCITY, POSITION = 1, 2, 3
 """Quantities of a local measuring device, as numbered on the wire."""
+AIR_VELOCITY = 4
+"""Velocity in still air by pressure tubes: a packet of its own on the wire."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from devices.emulators.disturbances import Disturbance, felt
 from devices.emulators.fused_samples import FusedOutput
 from devices.emulators.imperfect_sensors import ImperfectSensors, calibrated
 from devices.emulators.imperfections import Imperfections, ModuleErrors
+from devices.emulators.light_sampler import LightSampler, Sunlight
 from devices.emulators.sample_encoding import SENSORS, SampleEncoder
 from devices.emulators.sampling import FUSED, Sampling
 from devices.emulators.sender import Timed
@@ -29,10 +30,12 @@ class InertialSampler:
         errors: Mapping[int, ModuleErrors],
         seed: int,
         disturbances: Mapping[int, Sequence[Disturbance]],
+        sunlight: Sunlight | None = None,
     ) -> None:
         """
         motion: its columns are the modules in the order of ``errors``.
         errors, disturbances: by number of the device.
+        sunlight: what their photoelectric cells see; None: they have none.
         """
         self._motion = motion
         self._encoder = encoder
@@ -41,6 +44,9 @@ class InertialSampler:
         self._sensors = {
             number: ImperfectSensors(imperfections, drawn, seed, number) for number, drawn in errors.items()
         }
+        self._light = (
+            {} if sunlight is None else {number: LightSampler(sunlight, seed, number) for number in errors}
+        )
         self.fused = {number: FusedOutput(imperfections, seed, number) for number in errors}
         """What modules that fuse on board send, by number of the device."""
 
@@ -73,8 +79,15 @@ class InertialSampler:
                 sampling.frame(kind, at, body)
                 for at, body in zip(sampling.instants.tolist(), of_one, strict=True)
             ]
-            for sampling, (kind, of_one) in zip(samplings, bodies, strict=True)
+            + self._seen(sampling, at_instants)
+            for sampling, (kind, of_one), at_instants in zip(samplings, bodies, sensed, strict=True)
         ]
+
+    def _seen(self, sampling: Sampling, sensed: Sensed) -> list[Timed]:
+        """What the cells say, if there are any; a triggered sample has none."""
+        if not self._light or sampling.trigger is not None:
+            return []
+        return self._light[sampling.device].frames(sampling, sensed.R_ws)
 
     def _wanted(self, sampling: Sampling) -> Wanted:
         return Wanted(self._column[sampling.device], sampling.times)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import EmulatedLocalDevice, FloatArray
-from devices.emulators.ideal_sensors import measure_point
+from devices.emulators.ideal_sensors import AIR_VELOCITY, VELOCITY, measure_point
 from devices.emulators.imperfections import module_random
 from devices.emulators.motions import BodyMotion
 from devices.emulators.sampling import Sampling
 from devices.emulators.sender import Timed
-from firmware_protocol import LocalMeasurement, encode_packet
+from firmware_protocol import LocalMeasurement, PressureSample, encode_packet
 
+SEA_LEVEL_PA, ROOM_C = 101_325.0, 20.0
+AIR_DENSITY = SEA_LEVEL_PA / (287.05 * (ROOM_C + 273.15))
+"""kg/m³."""
 _PURPOSE = 12
 
 
@@ -25,24 +29,26 @@ class LocalSampler:
         self._prepared = np.empty(0), np.empty((0, 3))
 
     def sample(self, sampling: Sampling, planned: FloatArray) -> list[Timed]:
-        """Its wire frames, values in world axes.
+        """Its wire frames, values in world axes (of pressure tubes: along them).
 
         planned: (n,) true times after these at which it will probably sample; evaluated with them.
         """
-        device = self._device
         true_values = self._look_up(sampling.times)
         if true_values is None:
             self._prepare(np.concatenate([sampling.times, planned]))
             true_values = self._prepared[1][: len(sampling.times)]
-        values = true_values + device.sigma * self._rng.standard_normal(true_values.shape)
-        sigma = (device.sigma,) * 3
-        bodies = [
-            encode_packet(LocalMeasurement(device.quantity, (x, y, z), sigma)) for x, y, z in values.tolist()
-        ]
+        values = true_values + self._device.sigma * self._rng.standard_normal(true_values.shape)
+        packets = [self._packet(x, y, z) for x, y, z in values.tolist()]
         return [
-            sampling.frame(LocalMeasurement.KIND, at, body)
-            for at, body in zip(sampling.instants.tolist(), bodies, strict=True)
+            sampling.frame(packet.KIND, at, encode_packet(packet))
+            for at, packet in zip(sampling.instants.tolist(), packets, strict=True)
         ]
+
+    def _packet(self, x: float, y: float, z: float) -> LocalMeasurement | PressureSample:
+        device = self._device
+        if device.quantity == AIR_VELOCITY:
+            return PressureSample((x, y, z), SEA_LEVEL_PA, ROOM_C)
+        return LocalMeasurement(device.quantity, (x, y, z), (device.sigma,) * 3)
 
     def _look_up(self, times: FloatArray) -> FloatArray | None:
         prepared, values = self._prepared
@@ -54,4 +60,10 @@ class LocalSampler:
     def _prepare(self, times: FloatArray) -> None:
         device = self._device
         state = self._motion.module_state(np.array([device.segment]), times[:, None])
-        self._prepared = times, measure_point(state, device.position[None], device.quantity)[:, 0]
+        quantity = VELOCITY if device.quantity == AIR_VELOCITY else device.quantity
+        values = measure_point(state, device.position[None], quantity)[:, 0]
+        if device.quantity == AIR_VELOCITY:
+            R_bd = Rotation.from_quat(device.orientation, scalar_first=True).as_matrix()
+            along = np.einsum("tji,tj->ti", state.R_wb[:, 0] @ R_bd, values)
+            values = 0.5 * AIR_DENSITY * along * np.abs(along)
+        self._prepared = times, values

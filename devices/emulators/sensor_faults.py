@@ -1,4 +1,4 @@
-"""Samples of broken sensors: stuck, saturated, not a number. Sans-I/O."""
+"""Samples of broken or disturbed sensors: stuck, saturated, near a magnet, not a number. Sans-I/O."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import replace
 from typing import Any
 
-from devices.emulators.fault_plan import FaultPlan, NotFinite, Saturated, Stuck
+from devices.emulators.fault_plan import FaultPlan, Magnet, NotFinite, Saturated, Stuck
 from devices.emulators.sender import Timed
 from firmware_protocol import (
     InertialSample,
@@ -29,7 +29,9 @@ class SensorFaults:
     def __init__(self, plan: FaultPlan) -> None:
         self.counts: Counter[str] = Counter()
         """Samples changed, by kind of fault."""
-        self._faults = [fault for fault in plan.faults if isinstance(fault, Stuck | Saturated | NotFinite)]
+        self._faults = [
+            fault for fault in plan.faults if isinstance(fault, Stuck | Saturated | Magnet | NotFinite)
+        ]
         self._held: dict[int, Any] = {}  # what a stuck sensor says, by place of the fault
 
     def spoil(self, device: int, sent: list[Timed]) -> list[Timed]:
@@ -39,7 +41,7 @@ class SensorFaults:
                 sent = [self._spoil_one(place, fault, timed) for timed in sent]
         return sent
 
-    def _spoil_one(self, place: int, fault: Stuck | Saturated | NotFinite, timed: Timed) -> Timed:
+    def _spoil_one(self, place: int, fault: Stuck | Saturated | Magnet | NotFinite, timed: Timed) -> Timed:
         if not fault.is_on(timed.time_s):
             self._held.pop(place, None)
             return timed
@@ -48,15 +50,19 @@ class SensorFaults:
             return self._not_finite(timed) if isinstance(packet, LocalMeasurement) else timed
         if not isinstance(packet, InertialSample | InertialSampleFine):
             return timed
-        value = getattr(packet, fault.sensor)
+        sensor = "magnetic_field" if isinstance(fault, Magnet) else fault.sensor
+        value = getattr(packet, sensor)
         if value is None:
             return timed
-        if isinstance(fault, Saturated):
+        if isinstance(fault, Magnet):
+            added = fault.at_module(timed.time_s)
+            value = tuple(own + more for own, more in zip(value, added, strict=True))
+        elif isinstance(fault, Saturated):
             value = tuple(math.copysign(_BEYOND, axis) for axis in value)
         else:
             value = self._held.setdefault(place, value)
         self.counts[fault.kind] += 1
-        changes: dict[str, Any] = {fault.sensor: value}
+        changes: dict[str, Any] = {sensor: value}
         return _with_body(timed, encode_packet(replace(packet, **changes)))
 
     def _not_finite(self, timed: Timed) -> Timed:

@@ -98,6 +98,7 @@ class SuitParts:
             errors,
             self._seed,
             {number: device.disturbances for number, device in devices.items()},
+            settings.sunlight,
         )
 
     def _device(self, number: int, rate_hz: float, mode: int, sensors: tuple[str, ...]) -> EmulatedDevice:

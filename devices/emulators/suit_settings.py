@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from devices.emulators.bodies import FloatArray
 from devices.emulators.delivery import Encoding
 from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD
+from devices.emulators.light_sampler import Sunlight
 from devices.emulators.sample_encoding import SENSORS
 
 
@@ -44,6 +45,8 @@ class SuitSettings:
     """(3,) world, m/s²."""
     magnetic_field: FloatArray = field(default_factory=MAGNETIC_FIELD.copy)
     """(3,) world, µT."""
+    sunlight: Sunlight | None = None
+    """What the modules' photoelectric cells see; None: they have none."""
     info_interval_s: float = 5.0
     health_interval_s: float = 1.0
     block_s: float = 0.5

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
-from devices.vendor_formats.gaps import index_of_times, spread
+from devices.vendor_formats.gaps import index_of_times, rate_of, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
 from devices.vendor_formats.xsens_text import NORTH_WEST_UP, add_tracks, turned
@@ -113,7 +113,7 @@ def read_mapped_csv(
     zero = min(times[0] for times, _ in read)
     for number, (mapped, (times, rows)) in enumerate(zip(columns.modules, read, strict=True)):
         add_tracks(number, mapped.name, times - zero, rows, modules, fused)
-    rate_hz = columns.rate_hz or round(1.0 / float(np.median(np.diff(read[0][0]))), 2)
+    rate_hz = columns.rate_hz or rate_of(np.diff(read[0][0]), next(iter(sheets)), decimals=2)
     notes = tuple(sheet.note for sheet in sheets.values() if sheet.note)
     return Recording("csv", rate_hz, tuple(modules), fused=tuple(fused), notes=notes)
 

@@ -12,6 +12,8 @@ from devices.vendor_formats.sheets import FormatError
 
 IntArray = NDArray[np.int64]
 
+_RATES = (0.5, 20_000.0)
+"""Hz, the lowest and the highest."""
 _MOST_GAPS = 20
 """Times as many rows lost as there are: no loss, but counters that mean nothing."""
 
@@ -40,6 +42,23 @@ def index_of_times(times: FloatArray, path: Path) -> IntArray:
     if not len(steps):
         return np.zeros(1, np.int64)
     return np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1))]).astype(np.int64)
+
+
+def rate_of(steps: FloatArray, path: Path, decimals: int = 1) -> float:
+    """Hz, of the usual one of some intervals, s. Raises ``FormatError`` for what no module samples at."""
+    with np.errstate(divide="ignore"):
+        return round(checked_rate(float(np.float64(1.0) / np.median(steps)), path), decimals)
+
+
+def checked_rate(rate_hz: float, path: Path) -> float:
+    """The rate itself. Raises ``FormatError`` for one that no module samples at."""
+    lowest, highest = _RATES
+    if not lowest <= rate_hz <= highest:
+        raise FormatError(
+            f"{path}: {rate_hz:g} samples a second; from {lowest:g} to {highest:g} are read. Is its time in "
+            "another unit?"
+        )
+    return rate_hz
 
 
 def spread(

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
-from devices.vendor_formats.gaps import spread, unwrapped
+from devices.vendor_formats.gaps import rate_of, spread, unwrapped
 from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
 from devices.vendor_formats.xsens_text import add_tracks, orientation_columns, turned
@@ -51,7 +51,7 @@ def read_movella_dot(paths: Sequence[Path], *, align: str = "stamps", partial: b
     for module, (label, (times, rows)) in enumerate(zip(labels, tables, strict=True)):
         begin = times[0] if align == "start" else zero
         add_tracks(module, label, times - begin, rows, modules, fused)
-    rate_hz = round(1.0 / float(np.median(np.diff(tables[0][0]))), 1)
+    rate_hz = rate_of(np.diff(tables[0][0]), paths[0])
     notes = tuple(sheet.note for sheet in sheets if sheet.note)
     return Recording("movella_dot", rate_hz, tuple(modules), fused=tuple(fused), notes=notes)
 

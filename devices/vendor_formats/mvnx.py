@@ -19,7 +19,7 @@ from defusedxml.ElementTree import iterparse
 from devices.emulators.bodies import FloatArray
 from devices.emulators.ideal_sensors import POSITION
 from devices.emulators.recordings import FusedTrack, LocalTrack, Recording
-from devices.vendor_formats.gaps import spread
+from devices.vendor_formats.gaps import checked_rate, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError
 from devices.vendor_formats.xsens_text import NORTH_WEST_UP, turned
@@ -102,7 +102,7 @@ def _elements(path: Path) -> Iterator[Element]:
 
 def _take(element: Element, found: _Found, path: Path) -> None:
     if element.tag == "subject":
-        found.rate_hz = _number(element, "frameRate", path)
+        found.rate_hz = checked_rate(_number(element, "frameRate", path), path)
         has_date = bool(element.get("recDateMSecsSinceEpoch"))
         found.begun_ms = int(_number(element, "recDateMSecsSinceEpoch", path)) if has_date else 0
     elif element.tag == "segment" and element.get("label"):

@@ -15,6 +15,8 @@ _DELIMITERS = "\t;,"
 _HEADER_LINES = 200
 """Within which the names of the columns must come."""
 _SHOWN = 40
+LARGEST_FILE = 1 << 30
+"""Bytes: 40 hours of a module at 100 Hz. Read whole, a file takes several times as much memory."""
 
 
 class FormatError(RecordingError):
@@ -96,6 +98,8 @@ class Sheet:
 def read_lines(path: Path) -> list[str]:
     """Lines of a text file. Raises ``FormatError`` when it cannot be read, is empty or no text."""
     try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise FormatError(f"{path} is larger than {LARGEST_FILE >> 20} MiB: split it")
         data = path.read_bytes()
     except OSError as error:
         raise FormatError(f"{path} cannot be read: {error.strerror}") from error

@@ -16,7 +16,7 @@ import numpy as np
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
-from devices.vendor_formats.gaps import index_of_times, spread
+from devices.vendor_formats.gaps import index_of_times, rate_of, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, open_sheet
 from devices.vendor_formats.xsens_text import add_tracks, turned
@@ -58,7 +58,7 @@ def read_ximu3(paths: Sequence[Path], *, align: str = "stamps", partial: bool = 
     fused: list[FusedTrack] = []
     for module, (label, (times, rows)) in enumerate(zip(labels, tables, strict=True)):
         add_tracks(module, label, times - (times[0] if align == "start" else zero), rows, modules, fused)
-    rate_hz = round(1.0 / float(np.median([np.median(np.diff(times)) for times, _ in tables])), 1)
+    rate_hz = rate_of(np.array([np.median(np.diff(times)) for times, _ in tables]), folders[0])
     begun_ns = _begun_ns(folders[0])
     return Recording(
         "ximu3", rate_hz, tuple(modules), fused=tuple(fused), begun_utc_ns=begun_ns, notes=tuple(notes)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording, track_of
-from devices.vendor_formats.gaps import IntArray, spread, unwrapped
+from devices.vendor_formats.gaps import IntArray, checked_rate, spread, unwrapped
 from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
 
@@ -26,7 +26,7 @@ NORTH_WEST_UP = Rotation.from_euler("z", 90, degrees=True)
 
 COUNTERS = ("PacketCounter", "Counter")
 _COUNTER_BITS = 16
-_RATE = re.compile(r"//\s*(?:Update|Sample) rate:\s*([\d.]+)", re.IGNORECASE)
+_RATE = re.compile(r"//\s*(?:Update|Sample) rate:\s*(\d+\.?\d*)", re.IGNORECASE)
 _ACC, _GYR, _MAG = ([f"{sensor}_{axis}" for axis in "XYZ"] for sensor in ("Acc", "Gyr", "Mag"))
 _MATRIX = [f"Mat[{row}][{column}]" for row in (1, 2, 3) for column in (1, 2, 3)]
 _QUATERNIONS = (
@@ -121,7 +121,9 @@ def read_mt_file(path: Path, *, partial: bool = False) -> MtFile:
             readings[:, first : first + 3] = table[:, start : start + 3]
     if turn_names:
         readings[:, 9:] = turned(table[:, -len(turn_names) :])
-    rates = [float(found.group(1)) for line in sheet.preamble if (found := _RATE.match(line))]
+    rates = [
+        checked_rate(float(found.group(1)), path) for line in sheet.preamble if (found := _RATE.match(line))
+    ]
     counter = unwrapped(table[:, 0], _COUNTER_BITS, path, counter_name)
     return MtFile(path, rates[0] if rates else None, counter, readings, sheet.note)
 

@@ -37,11 +37,14 @@ class Task:
     """Solve with this suit (``suit_snapshot``) instead of the recorded one."""
     reconstructor: str | None = None
     """Solve by this method instead of the recorded one."""
+    smooth: bool | None = None
+    """Solve forward and backward, or not; None: as recorded."""
 
     @property
     def is_solved(self) -> bool:
         """Whether poses are made anew."""
-        return self.suit is not None or self.reconstructor is not None or SOLVED in self.to
+        is_other = self.suit is not None or self.reconstructor is not None or self.smooth is not None
+        return is_other or SOLVED in self.to
 
     @property
     def key(self) -> str:
@@ -131,4 +134,4 @@ def _source(recording: Recording, task: Task) -> Source:
     settings = recorded.settings
     if task.reconstructor is not None:
         settings = settings.model_copy(update={"reconstructor": task.reconstructor})
-    return Source(suit, settings)
+    return Source(suit, settings, recorded.smoothed if task.smooth is None else task.smooth)

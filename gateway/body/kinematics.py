@@ -23,13 +23,24 @@ def joint_positions(
     NaN beyond a segment whose orientation is NaN.
     """
     p_w = np.empty((len(parents), 3))
+    joint_positions_into(p_w, parents, offsets, q_wb, root_position)
+    return p_w
+
+
+@compiled
+def joint_positions_into(
+    p_w: FloatArray, parents: IntArray, offsets: FloatArray, q_wb: FloatArray, root_position: FloatArray
+) -> None:
+    """The same into a given array."""
     for i in range(len(parents)):
         parent = parents[i]
         if parent < 0:
-            p_w[i] = root_position
+            for k in range(3):
+                p_w[i, k] = root_position[k]
         else:
-            p_w[i] = p_w[parent] + quaternion.rotate(q_wb[parent], offsets[i])
-    return p_w
+            quaternion.rotate_into(p_w[i], q_wb[parent], offsets[i])
+            for k in range(3):
+                p_w[i, k] += p_w[parent, k]
 
 
 def lowest_point(skeleton: Skeleton, q_wb: FloatArray, p_w: FloatArray) -> float:

@@ -11,20 +11,31 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway.body.anthropometry import Subject, scaled
 from gateway.body.joint_file import JointEntry, joints_of
+from gateway.body.markers import BodyMarkers
 from gateway.body.sensor_entries import CalibrationEntry
-from gateway.body.skeleton import Interpolation, LocalDevice, Skeleton, WornSuit, field_vector
+from gateway.body.skeleton import Interpolation, LocalDevice, Skeleton, SunCells, WornSuit, field_vector
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
-from gateway.settings_files import find_file, load_settings
+from gateway.settings_files import find_file, load_settings, load_yaml
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 ModuleId = Annotated[int, Field(ge=0, le=63)]
+
+FACES: tuple[Vector, Vector, Vector, Vector, Vector, Vector] = (
+    (1, 0, 0),
+    (-1, 0, 0),
+    (0, 1, 0),
+    (0, -1, 0),
+    (0, 0, 1),
+    (0, 0, -1),
+)
+"""Where the cells of a ``LightSample`` look, unless the rig says otherwise."""
 
 
 class _Strict(BaseModel):
@@ -77,23 +88,50 @@ class WornModule(_Strict):
     calibration: CalibrationEntry | None = Field(
         default=None, description="corrections of its readings, as `calibrate sensors` measured them"
     )
+    cells: tuple[Vector, Vector, Vector, Vector, Vector, Vector] = Field(
+        default=FACES,
+        description="where its six photoelectric cells look, sensor axes; left out: +x −x +y −y +z −z",
+    )
 
     @field_validator("sensor_to_segment")
     @classmethod
     def _is_rotation(cls, value: Quaternion) -> Quaternion:
-        norm = float(np.linalg.norm(value))
-        if abs(norm - 1) > 0.01:
-            raise ValueError(f"a quaternion w x y z of length 1 is wanted, this one has length {norm:.3f}")
+        return _rotation(value)
+
+    @field_validator("cells")
+    @classmethod
+    def _span_space(cls, value: tuple[Vector, ...]) -> tuple[Vector, ...]:
+        normals = np.array(value)
+        if not np.linalg.norm(normals, axis=1).all() or np.linalg.matrix_rank(normals, tol=0.1) < 3:
+            raise ValueError("the cells must look in directions that span space, none of length 0")
         return value
 
 
 class WornLocalDevice(_Strict):
     """A local measuring device (ML), or a fixed point."""
 
-    kind: Literal["fixed_point", "acceleration", "velocity", "position"]
+    kind: Literal["fixed_point", "acceleration", "velocity", "position", "air_velocity"] = Field(
+        description="what it measures, in world axes; air_velocity: pressure tubes along its own axes"
+    )
     segment: str
     device: ModuleId | None = Field(default=None, description="id it sends under; none for a fixed point")
     position: Vector = Field(default=(0, 0, 0), description="proximal joint to device, segment axes, m")
+    device_to_segment: Quaternion = Field(
+        default=(1, 0, 0, 0), description="for air_velocity: w x y z; takes the tubes' axes to segment axes"
+    )
+
+    @field_validator("device_to_segment")
+    @classmethod
+    def _is_rotation(cls, value: Quaternion) -> Quaternion:
+        return _rotation(value)
+
+
+def _rotation(value: Quaternion) -> Quaternion:
+    """Raises ``ValueError`` for one that is not of length 1."""
+    norm = float(np.linalg.norm(value))
+    if abs(norm - 1) > 0.01:
+        raise ValueError(f"a quaternion w x y z of length 1 is wanted, this one has length {norm:.3f}")
+    return value
 
 
 class MagneticField(_Strict):
@@ -106,11 +144,33 @@ class MagneticField(_Strict):
     )
 
 
+class Place(_Strict):
+    """Where on earth: tells, with the date and time, where the sun stands."""
+
+    latitude_deg: float = Field(ge=-90, le=90, description="north, degrees")
+    longitude_deg: float = Field(ge=-180, le=180, description="east, degrees")
+
+
 class WorldSettings(_Strict):
     """What the sensors stand in."""
 
     gravity: float = Field(default=9.80665, gt=9, lt=10, description="m/s²")
     magnetic_field: MagneticField = MagneticField()
+    second_field: Literal["magnetometer", "sun", "both"] = Field(
+        default="magnetometer",
+        description="what shows headings beside gravity: the earth's field, the sun by photoelectric cells "
+        "(needs 'place'), or both",
+    )
+    place: Place | None = Field(default=None, description="for second_field: sun or both")
+
+    @model_validator(mode="after")
+    def _knows_where_the_sun_is(self) -> WorldSettings:
+        if (self.second_field == "magnetometer") != (self.place is None):
+            raise ValueError(
+                "second_field: sun (or both) needs 'place: {latitude_deg: …, longitude_deg: …}', "
+                "and no other does"
+            )
+        return self
 
 
 class RigFile(_Strict):
@@ -133,7 +193,11 @@ def load_body(
 ) -> Skeleton:
     """A body by name or path, its joints by the definitions chosen. Raises ``SettingsError``."""
     path = find_file(name, "bodies", beside)
-    body = load_settings(path, BodyFile)
+    return skeleton_of(load_settings(path, BodyFile), path, joint_definitions)
+
+
+def skeleton_of(body: BodyFile, path: Path, joint_definitions: Mapping[str, str] | None = None) -> Skeleton:
+    """The skeleton that the content of a file describes. Raises ``SettingsError``, which names ``path``."""
     names = [segment.name for segment in body.segments]
     parents = []
     for position, segment in enumerate(body.segments):
@@ -194,8 +258,14 @@ def _refuse_unknown_neighbours(path: Path, body: BodyFile) -> None:
 
 
 def load_rig(name: str, beside: Path | None = None) -> WornSuit:
-    """A rig by name or path. Raises ``SettingsError`` naming the file, the entry and the remedy."""
+    """A rig by name or path; a fitted subject (`optical fit`) is one too, of markers.
+
+    Raises ``SettingsError`` naming the file, the entry and the remedy."""
+    from gateway.body.subject_file import is_subject, load_subject  # noqa: PLC0415 - it needs this module
+
     path = find_file(name, "rigs", beside)
+    if is_subject(load_yaml(path)):
+        return load_subject(path)
     rig = load_settings(path, RigFile)
     skeleton = load_body(rig.body, path, rig.joint_definitions)
     if rig.subject is not None:
@@ -223,6 +293,35 @@ def load_rig(name: str, beside: Path | None = None) -> WornSuit:
         gravity=np.array([0.0, 0.0, -rig.world.gravity]),
         magnetic_field=field_vector(field.norm_ut, field.dip_deg, field.declination_deg),
         calibrations={m.id: m.calibration.model() for m in rig.modules if m.calibration is not None},
+        sun=_sun(rig),
+    )
+
+
+def _sun(rig: RigFile) -> SunCells | None:
+    place = rig.world.place
+    if place is None:
+        return None
+    return SunCells(
+        place.latitude_deg,
+        place.longitude_deg,
+        np.array([module.cells for module in rig.modules], dtype=np.float64),
+        rig.world.second_field == "both",
+    )
+
+
+def worn_without_modules(skeleton: Skeleton, markers: BodyMarkers, world: WorldSettings) -> WornSuit:
+    """A body that wears markers, and no module."""
+    n, field = skeleton.n_segments, world.magnetic_field
+    return WornSuit(
+        skeleton=skeleton,
+        module_ids=(),
+        module_of_segment=np.full(n, -1, dtype=np.int64),
+        sensor_to_segment=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        lever_arms=np.zeros((n, 3)),
+        local_devices=(),
+        gravity=np.array([0.0, 0.0, -world.gravity]),
+        magnetic_field=field_vector(field.norm_ut, field.dip_deg, field.declination_deg),
+        markers=markers,
     )
 
 
@@ -232,6 +331,7 @@ def _local_device(device: WornLocalDevice, skeleton: Skeleton) -> LocalDevice:
         segment=skeleton.index(device.segment),
         position=np.array(device.position, dtype=np.float64),
         device=device.device,
+        orientation=np.array(device.device_to_segment) / np.linalg.norm(device.device_to_segment),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from devices.calibration import SensorCalibration
 from gateway.body.joints import Joint
+from gateway.body.markers import BodyMarkers
 from gateway.frames import FloatArray, IntArray, Quantity
 
 
@@ -71,6 +72,21 @@ class LocalDevice:
     """(3,) from the segment's proximal joint, segment axes, m."""
     device: int | None = None
     """Module id it sends under; None for a fixed point, which sends nothing."""
+    orientation: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    """(4,) device axes to segment axes: for pressure tubes, which measure along their own."""
+
+
+@dataclass(frozen=True)
+class SunCells:
+    """Photoelectric cells on the modules, and the place on earth that tells where the sun stands."""
+
+    latitude_deg: float
+    longitude_deg: float
+    """East."""
+    normals: FloatArray
+    """(n_modules, 6, 3) of the cells in the order of the wire, sensor axes; modules as in ``module_ids``."""
+    beside_magnetometer: bool = False
+    """Whether the magnetometers count too; else the sun is in the place of the earth's field."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +109,10 @@ class WornSuit:
     """(3,) world, µT: ``h`` of the source."""
     calibrations: Mapping[int, SensorCalibration] = field(default_factory=dict)
     """By module id: corrections of its readings, for those that have one here."""
+    sun: SunCells | None = None
+    """None: light readings are not used."""
+    markers: BodyMarkers | None = None
+    """For an optical system: where its markers sit; then there may be no modules."""
 
 
 def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:

@@ -37,6 +37,7 @@ def batch(
         str | None, typer.Option("--with", metavar="RIG", help="Solve anew with this rig (file or name).")
     ] = None,
     reconstructor: Annotated[str | None, typer.Option(help="Solve anew by this method.")] = None,
+    smooth: Annotated[bool | None, typer.Option(help="Solve anew, forward and backward.")] = None,
     axes: Annotated[Axes | None, typer.Option(help="World axes of exports; else each format's own.")] = None,
     unit: Annotated[Unit | None, typer.Option(help="Length unit of exports; else each format's own.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; else one for every core.")] = None,
@@ -62,6 +63,7 @@ def batch(
         units_per_m=None if unit is None else units_per_m(unit),
         suit=None if with_rig is None else encode_suit(load_rig(with_rig)),
         reconstructor=reconstructor,
+        smooth=smooth,
     )
     results = output or folder.resolve().with_name(f"{folder.resolve().name}_batch")
     jobs = jobs_in(folder, results, task)

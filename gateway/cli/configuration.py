@@ -10,6 +10,7 @@ from rich.console import Console
 
 from devices.endpoints import link_from_url
 from gateway.body.rig import load_rig
+from gateway.reconstruction import refuse_unreadable
 from gateway.settings import GatewaySettings, load_gateway_settings
 
 config_app = typer.Typer(
@@ -22,6 +23,7 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
     """Check a configuration, the rig and the body it names. Opens nothing."""
     settings = load_gateway_settings(file)
     suit = load_rig(settings.rig, file)
+    refuse_unreadable(settings.reconstructor, suit)
     for link in settings.links:
         link_from_url(link.url, name=link.name)
     Console().print(

@@ -31,7 +31,7 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
-from gateway.reconstruction import FUSED
+from gateway.reconstruction import FUSED, readiness
 from gateway.service import Service
 from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
 from gateway.stream import ClockMode
@@ -78,8 +78,9 @@ def demo(
     keep: Annotated[bool, typer.Option("--keep", help="Run until Ctrl-C, for your own subscribers.")] = False,
     rig: Annotated[str, typer.Option(help="Rig to emulate (see config/rigs).")] = "suit_17",
     reconstructor: Annotated[
-        str, typer.Option(help="independent, articulated, fused_neutral, …")
-    ] = "independent",
+        str | None,
+        typer.Option(help="joint, independent, fused_neutral, …; else joint, once it is compiled."),
+    ] = None,
     imperfections: Annotated[str, typer.Option(help="ideal, typical or rough.")] = "typical",
     clock: Annotated[
         ClockMode, typer.Option(help="estimated, shared, or trigger: the gateway says when modules sample.")
@@ -94,6 +95,8 @@ def demo(
     broker, subscribes like an app would, and prints orientations and their error against the
     emulator's truth.
     """
+    # Whoever ends it, the emulated suit and the page end with it.
+    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     console = Console()
     suit = load_rig(rig)
     truth = Truth(suit)
@@ -102,7 +105,7 @@ def demo(
             gateway=GATEWAY,
             links=[LinkSettings(name="suit", url=f"{folder}/suit")],
             rig=rig,
-            reconstructor=reconstructor,
+            reconstructor=reconstructor or _startable(console),
             clock=ClockSettings(mode=clock),
             mqtt=MqttSettings(broker="embedded", port=_free_port(port)),
         )
@@ -111,6 +114,21 @@ def demo(
         with _live_page(settings, _free_port(page_port) if page else None, console):
             asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
     _print_errors(truth, console)
+
+
+def _startable(console: Console) -> str:
+    """The usual reconstructor; where that is not compiled yet, another, and it is for the next time."""
+    usual: str = GatewaySettings.model_fields["reconstructor"].default
+    if readiness.is_ready(usual):
+        return usual
+    console.print(
+        f"first start: '{usual}' is compiled in the background, about a minute; this run shows "
+        f"'{readiness.FALLBACK}'",
+        style="dim",
+    )
+    nowhere = subprocess.DEVNULL
+    subprocess.Popen(readiness.command(usual), stdout=nowhere, stderr=nowhere, start_new_session=True)
+    return readiness.FALLBACK
 
 
 @contextlib.contextmanager

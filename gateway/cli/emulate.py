@@ -7,10 +7,9 @@ import contextlib
 import json
 from collections.abc import Iterable
 from dataclasses import replace
-from enum import StrEnum
 from math import radians
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import can
 import typer
@@ -21,7 +20,6 @@ from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
 from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import pull_cable
-from devices.emulators.gnss_receiver import FORMATS
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import Recording, play
@@ -36,43 +34,14 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
+from gateway.cli import emulate_options as options
+from gateway.cli.emulate_options import Medium, MotionKind, SamplingMode, StrapOn
 from gateway.cli.emulated_faults import faulty, plan_of, told
 from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
-from gateway.cli.emulated_rig import calibrate, dress, move, tumble
+from gateway.cli.emulated_rig import calibrate, dress, move, sunlight, tumble
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
-
-
-class Medium(StrEnum):
-    """Where the emulated suit speaks."""
-
-    PTY = "pty"
-    TCP = "tcp"
-    SLCAN = "slcan"
-    CAN = "can"
-
-
-class SamplingMode(StrEnum):
-    """What the modules send until a host sets them otherwise."""
-
-    RAW = "raw"
-    FUSED = "fused"
-    TRIGGERED = "triggered"
-
-
-class MotionKind(StrEnum):
-    """What the emulated body does."""
-
-    OWN = "own"
-    CALIBRATION = "calibration"
-
-
-class StrapOn(StrEnum):
-    """How the modules sit."""
-
-    RIG = "rig"
-    RANDOM = "random"
 
 
 class _Wearing(NamedTuple):
@@ -96,56 +65,31 @@ _REMEDIES = {
 
 
 def emulate(
-    rig: Annotated[str, typer.Option(help="Rig to wear: a shipped one or a file.")] = "suit_17",
-    on: Annotated[Medium, typer.Option(help="What to speak on.")] = Medium.PTY,
-    link: Annotated[Path | None, typer.Option(help="pty, slcan: make this link to the port.")] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="tcp: listen here (0: a free port).")] = 7000,
-    channel: Annotated[str, typer.Option(help="can: SocketCAN interface.")] = "vcan0",
-    fd: Annotated[bool, typer.Option("--fd", help="can, slcan: CAN FD frames.")] = False,
-    imperfections: Annotated[str, typer.Option(help=f"How bad it is: {', '.join(PRESETS)}.")] = "typical",
-    rate: Annotated[float, typer.Option(min=1, max=4000, help="Samples of each module a second.")] = 100.0,
-    mode: Annotated[
-        SamplingMode,
-        typer.Option(
-            help="Raw samples or orientations fused on board, or raw ones when the host triggers them."
-        ),
-    ] = SamplingMode.RAW,
-    relay: Annotated[bool, typer.Option(help="Through a relay that batches (not on CAN).")] = True,
-    fine: Annotated[bool, typer.Option("--fine", help="Send the fine (32-bit) samples.")] = False,
-    recording: Annotated[Path | None, typer.Option(help="Play a real recording instead of a motion.")] = None,
-    kind: Annotated[str, typer.Option("--format", help=f"Of the recording: {', '.join(READERS)}.")] = "",
-    fresh: Annotated[
-        int, typer.Option(min=0, help="So many modules come from the factory, all of id 0.")
-    ] = 0,
-    id_conflict: Annotated[
-        bool, typer.Option("--id-conflict", help="The last module has the id of the one before it.")
-    ] = False,
-    gnss: Annotated[
-        Path | None, typer.Option(help="A satellite receiver on the body's root too: link to its port.")
-    ] = None,
-    gnss_format: Annotated[str, typer.Option(help=f"What it speaks: {', '.join(FORMATS)}.")] = "nmea",
-    faults: Annotated[
-        Path | None,
-        typer.Option(help="What goes wrong and when: a YAML file such as config/faults.yaml."),
-    ] = None,
-    tumbling: Annotated[
-        bool,
-        typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
-    ] = False,
-    motion: Annotated[
-        MotionKind,
-        typer.Option(help="What the body does; calibration: the steps of `calibrate body`, over and over."),
-    ] = MotionKind.OWN,
-    strap_on: Annotated[
-        StrapOn,
-        typer.Option(help="random: modules turned anyhow on their segments, each 2 cm off its place."),
-    ] = StrapOn.RIG,
-    facing: Annotated[
-        float, typer.Option(help="Heading of the wearer who calibrates, degrees anticlockwise from east.")
-    ] = 0.0,
-    seed: Annotated[int, typer.Option(help="Of the motion and of everything random.")] = 1,
-    seconds: Annotated[float | None, typer.Option(min=0.1, help="End after so long.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Say where and since when as JSON.")] = False,
+    rig: options.Rig = "suit_17",
+    on: options.On = Medium.PTY,
+    link: options.Link = None,
+    port: options.Port = 7000,
+    channel: options.Channel = "vcan0",
+    fd: options.Fd = False,
+    imperfections: options.Imperfections = "typical",
+    rate: options.Rate = 100.0,
+    mode: options.Mode = SamplingMode.RAW,
+    relay: options.Relay = True,
+    fine: options.Fine = False,
+    recording: options.Recording = None,
+    kind: options.Kind = "",
+    fresh: options.Fresh = 0,
+    id_conflict: options.IdConflict = False,
+    gnss: options.Gnss = None,
+    gnss_format: options.GnssFormat = "nmea",
+    faults: options.Faults = None,
+    tumbling: options.Tumbling = False,
+    motion: options.Motion = MotionKind.OWN,
+    strap_on: options.StrappedOn = StrapOn.RIG,
+    facing: options.Facing = 0.0,
+    seed: options.Seed = 1,
+    seconds: options.Seconds = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Emulate a suit: a moving body, its sensors with their errors, the modules' protocol.
 
@@ -199,6 +143,7 @@ def _traffic(
         settings,
         gravity=suit.gravity,
         magnetic_field=suit.magnetic_field,
+        sunlight=sunlight(suit, gateway_time_ns()),
         fresh=frozenset(ids[:fresh]),
         stored_ids={ids[-1]: ids[-2]} if id_conflict and len(ids) > 1 else {},
     )

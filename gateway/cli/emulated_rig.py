@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, EmulatedLocalDevice, emulated_body
 from devices.emulators.calibrating import calibration_motion
+from devices.emulators.light_sampler import Sunlight
 from devices.emulators.motions import (
     BodyMotion,
     gait_motion,
@@ -18,6 +20,7 @@ from devices.emulators.motions import (
 from devices.emulators.tumbling import TumblingMotion
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import Quantity
+from gateway.light import sun_direction
 
 LOCAL_RATE_HZ = 100.0
 
@@ -30,8 +33,13 @@ MOTIONS: dict[str, Callable[[EmulatedBody, int], BodyMotion]] = {
 }
 """Motion that suits a body; any other body moves its joints at random."""
 
-LOCAL_SIGMA = {Quantity.ACCELERATION: 0.05, Quantity.VELOCITY: 0.02, Quantity.POSITION: 0.002}
-"""Noise of an emulated local measuring device, in its quantity's unit."""
+LOCAL_SIGMA = {
+    Quantity.ACCELERATION: 0.05,
+    Quantity.VELOCITY: 0.02,
+    Quantity.POSITION: 0.002,
+    Quantity.AIR_VELOCITY: 0.2,
+}
+"""Noise of an emulated local measuring device, in its quantity's unit (pressure tubes: Pa)."""
 
 
 def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> EmulatedBody:
@@ -80,4 +88,16 @@ def _local_device(device: LocalDevice, sigma: float) -> EmulatedLocalDevice:
         quantity=int(device.quantity),
         sigma=sigma,
         rate_hz=LOCAL_RATE_HZ,
+        orientation=device.orientation,
     )
+
+
+def sunlight(suit: WornSuit, time_ns: int) -> Sunlight | None:
+    """What the suit's photoelectric cells see at a time (UTC, ns since 1970); None: they are not in use. The
+    cells of all emulated modules look where those of the first one do."""
+    if suit.sun is None:
+        return None
+    direction = sun_direction(time_ns, suit.sun.latitude_deg, suit.sun.longitude_deg)
+    light = Sunlight(direction, normals=suit.sun.normals[0])
+    is_day = direction[2] > 0.0
+    return light if is_day else replace(light, direct=0.0, sky=0.0, ground=0.0)

@@ -16,6 +16,7 @@ from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.outputs.exporters import FORMATS, Axes, Take, take_of
 from gateway.recording import open_recording
+from gateway.recording.solving import smoothed_arrays
 
 FormatName = StrEnum("FormatName", {name: name for name in FORMATS})  # type: ignore[misc]  # from the list
 
@@ -42,6 +43,9 @@ def export(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File, or folder; else beside the recording.")
     ] = None,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Solve anew first, forward and backward: more accurate.")
+    ] = False,
     axes: Annotated[
         Axes | None, typer.Option(help="World axes; else those that the format usually has.")
     ] = None,
@@ -56,7 +60,8 @@ def export(
     """
     files = {name: _target(file, name, output, len(to) > 1, force) for name in to}
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell:
-        arrays = open_recording(file).skeleton_arrays(tell)
+        recording = open_recording(file)
+        arrays = smoothed_arrays(recording, tell) if smooth else recording.skeleton_arrays(tell)
     takes: dict[Axes, Take] = {}
     written = []
     with progress_bar("writing", is_shown=not as_json) as tell:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import re
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
 
 import typer
 
 from devices.emulators.recordings import Recording
 from gateway.body.rig import load_body, load_rig
 from gateway.body.skeleton import WornSuit
+from gateway.cli import import_options as options
+from gateway.cli.import_options import FormatName
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError, nearest
 from gateway.imports import (
-    FORMATS,
     ReadOptions,
     Worn,
     detected,
@@ -31,51 +30,22 @@ from gateway.imports.writing import is_fused, settings_of, solved
 from gateway.reconstruction import RECONSTRUCTORS
 from gateway.settings import GatewaySettings
 
-FormatName = StrEnum("FormatName", {name: name for name in ("auto", *FORMATS)})  # type: ignore[misc]
-
 
 def import_files(
-    files: Annotated[
-        list[Path], typer.Argument(help="Files, one a module where the maker has it so; or folders.")
-    ],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The recording; else NAME.mcap in this folder.")
-    ] = None,
-    format_name: Annotated[
-        FormatName, typer.Option("--format", help="What they are; auto looks into them.")
-    ] = FormatName("auto"),
-    maps: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--map", help="NAME=SEGMENT, a YAML file of such lines, or OpenSense's XML. Repeatable."
-        ),
-    ] = None,
-    columns: Annotated[Path | None, typer.Option(help="For csv: map of its columns (YAML).")] = None,
-    body: Annotated[
-        str | None, typer.Option(help=f"Body, name or file; else what is worn of {BODY}.")
-    ] = None,
-    rig: Annotated[str | None, typer.Option(help="Rig, name or file, instead of any map.")] = None,
-    reconstructor: Annotated[
-        str | None, typer.Option(help="Method; else independent, or fused where only orientations came.")
-    ] = None,
-    neutral: Annotated[
-        str | None,
-        typer.Option(metavar="FROM:TO", help="Seconds in which the wearer stood upright, arms down."),
-    ] = None,
-    forward: Annotated[
-        Literal["x", "y", "z", "-x", "-y", "-z"] | None,
-        typer.Option(help="With --neutral: axis of the root's module that points forward."),
-    ] = None,
-    rate: Annotated[
-        float | None, typer.Option(min=0.1, help="Samples a second, where files do not tell.")
-    ] = None,
-    align: Annotated[
-        Literal["stamps", "start"], typer.Option(help="Modules by their time stamps, or all begin together.")
-    ] = "stamps",
-    partial: Annotated[
-        bool, typer.Option("--partial", help="Take what comes before the first damage.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    files: options.Files,
+    output: options.Output = None,
+    format_name: options.Format = FormatName("auto"),
+    maps: options.Maps = None,
+    columns: options.Columns = None,
+    body: options.Body = None,
+    rig: options.Rig = None,
+    reconstructor: options.Reconstructor = None,
+    neutral: options.Neutral = None,
+    forward: options.Forward = None,
+    rate: options.Rate = None,
+    align: options.Align = "stamps",
+    partial: options.Partial = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Make a recording of other makers' files: Xsens, MVNX, x-IMU3, Movella DOT, OpenSense, any CSV.
 

@@ -75,6 +75,12 @@ class _Commands(LazyGroup):
             "Compare the poses of two recordings: angle between the orientations, by segment.",
             "Example: mocap-gateway diff walk.mcap walk_joint.mcap --plot diff.html",
         ),
+        "compare": LazyCommand(
+            "gateway.cli.compare:compare",
+            "Compare two sources of one motion, such as optical and inertial: angles and places by segment.",
+            "Examples: mocap-gateway compare suit.mcap optical.mcap --plot agreement.html; "
+            "mocap-gateway compare suit1 optical1 --live --port 1883",
+        ),
         "export": LazyCommand(
             "gateway.cli.export:export",
             "Write the poses of a recording as BVH, C3D, glTF, OpenSim .sto and .mot, TRC, CSV or Parquet.",
@@ -109,6 +115,10 @@ class _Commands(LazyGroup):
         "modules": LazyCommand(
             "gateway.cli.modules:modules_app",
             "List, identify, assign and configure the modules of a suit; fetch files from its memory card.",
+        ),
+        "optical": LazyCommand(
+            "gateway.cli.optical:optical_app",
+            "Markers of an optical system (C3D, TRC, live): fit a body, solve, play.",
         ),
         "calibrate": LazyCommand(
             "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."

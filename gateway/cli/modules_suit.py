@@ -18,7 +18,7 @@ from gateway.errors import GatewayError
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.remote import remote_suit
 from gateway.modules.session import suit_session
-from gateway.outputs.settings import MqttSettings
+from gateway.outputs.settings import MqttSettings, TlsSettings
 from gateway.outputs.topics import ANY_GATEWAY
 from gateway.settings import load_gateway_settings
 
@@ -57,6 +57,10 @@ class SuitChoice:
     password_file: Annotated[
         Path | None,
         typer.Option(rich_help_panel=_SUIT, help="File with the password; else MOCAP_MQTT_PASSWORD."),
+    ] = None
+    ca_file: Annotated[
+        Path | None,
+        typer.Option(rich_help_panel=_SUIT, help="Speak TLS; certificates to check the broker against."),
     ] = None
     allow_writes: Annotated[
         bool,
@@ -145,5 +149,6 @@ def _broker(choice: SuitChoice) -> MqttSettings:
         port=int(port),
         username=choice.username,
         password_file=choice.password_file,
+        tls=None if choice.ca_file is None else TlsSettings(ca_file=choice.ca_file),
         base_topic=choice.base_topic,
     )

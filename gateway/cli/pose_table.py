@@ -25,6 +25,7 @@ _STATUS_COLOURS = {
     "predicted": "magenta",
     "warming_up": "blue",
     "missing": "red",
+    "unaided": "yellow",
 }
 _UNDEFINED = "–"
 

@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.table import Table
 
 from gateway.body.rig import load_rig
+from gateway.cli.preparing import make_ready
 from gateway.cli.run import until_signal
 from gateway.log_format import set_up_logging
 from gateway.service import Service
@@ -42,6 +43,7 @@ def record(
     settings = settings.model_copy(update={"recording": recording})
     suit = load_rig(settings.rig, config)
     set_up_logging(settings.log.level, settings.log.format)
+    make_ready(settings.reconstructor)
     service = Service(settings, suit)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))
     status = service.recording.status()

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from gateway.body.rig import load_rig
+from gateway.cli.preparing import make_ready
 from gateway.cli.progress import progress_bar
 from gateway.cli.replay_live import replay_live
 from gateway.errors import GatewayError, SettingsError, nearest
@@ -37,6 +38,10 @@ def replay(
     reconstructor: Annotated[
         str | None, typer.Option(help="Solve with this method, write a new recording.")
     ] = None,
+    smooth: Annotated[
+        bool | None,
+        typer.Option(help="Solve forward and backward: more accurate, write a new recording."),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option(help="The new recording; given alone: solve as recorded.")
     ] = None,
@@ -52,24 +57,36 @@ def replay(
     same version, configuration and libraries, for recordings that began with the gateway.
     """
     recording = open_recording(file)
-    source = _source(recording, with_rig, reconstructor, config)
+    source = _source(recording, with_rig, reconstructor, config, smooth)
+    make_ready(source.settings.reconstructor)
+    is_other = bool(with_rig or reconstructor or smooth is not None)
     if verified:
-        if with_rig or reconstructor:
-            raise GatewayError("--verify compares with the recorded poses: leave out --with, --reconstructor")
+        if is_other:
+            raise GatewayError(
+                "--verify compares with the recorded poses: leave out --with, --reconstructor, --smooth"
+            )
         _verify(recording, as_json)
-    elif with_rig or reconstructor or output:
-        target = output or _target(file, with_rig, reconstructor)
+    elif is_other or output:
+        target = output or _target(file, with_rig, reconstructor, smooth)
         _solve(recording, source, target, as_json)
     elif offline:
         _solve(recording, source, None, as_json)
     else:
-        replay_live(recording, source, _speed(speed), embedded=embedded, as_json=as_json)
+        if source.smoothed:
+            typer.echo(
+                "note: poses are played as they came live; the smoothed ones stand in the file", err=True
+            )
+        replay_live(recording, source, speed_of(speed), embedded=embedded, as_json=as_json)
     if recording.defect is not None:
         typer.echo(f"note: {recording.defect}", err=True)
 
 
 def _source(
-    recording: Recording, with_rig: str | None, reconstructor: str | None, config: Path | None
+    recording: Recording,
+    with_rig: str | None,
+    reconstructor: str | None,
+    config: Path | None,
+    smooth: bool | None = None,
 ) -> Source:
     """What to solve with: as recorded, but for what was asked otherwise."""
     given = None if config is None else load_gateway_settings(config)
@@ -88,16 +105,18 @@ def _source(
         settings = settings.model_copy(update={"reconstructor": reconstructor})
     if with_rig is not None:
         settings = settings.model_copy(update={"rig": with_rig})
-        return Source(load_rig(with_rig), settings)
-    return Source(meta.suit if meta.has_suit else load_rig(settings.rig, config), settings)
+    suit = load_rig(with_rig) if with_rig else meta.suit if meta.has_suit else load_rig(settings.rig, config)
+    return Source(suit, settings, meta.smoothed if smooth is None else smooth)
 
 
-def _target(file: Path, with_rig: str | None, reconstructor: str | None) -> Path:
-    marks = [mark for mark in (Path(with_rig).stem if with_rig else None, reconstructor) if mark]
+def _target(file: Path, with_rig: str | None, reconstructor: str | None, smooth: bool | None) -> Path:
+    rig, way = Path(with_rig).stem if with_rig else None, {True: "smoothed", False: "forward", None: None}
+    marks = [mark for mark in (rig, reconstructor, way[smooth]) if mark]
     return file.with_name(f"{file.stem}_{'_'.join(marks)}.mcap")
 
 
-def _speed(text: str) -> float | None:
+def speed_of(text: str) -> float | None:
+    """A factor; None for as fast as it goes. Raises ``GatewayError``."""
     if text == "max":
         return None
     try:

@@ -8,6 +8,7 @@ import json
 
 import typer
 
+from devices.marker_file_link import MarkerFileLink
 from devices.replay_link import ReplayLink
 from gateway.cli.progress import progress_bar
 from gateway.cli.run import until_signal
@@ -15,7 +16,7 @@ from gateway.recording import Recording
 from gateway.recording.solving import Source, with_recorded_table
 from gateway.service import Service
 
-_QUEUE = 512
+QUEUE = 512
 """Poses that may wait for the broker; reading goes on while no more than half of them do."""
 _POLL_S = 0.002
 _REFRESH_S = 0.1
@@ -26,7 +27,7 @@ def replay_live(
 ) -> None:
     """Play until the end or Ctrl-C. Waits for the broker first; at full speed for its subscribers too."""
     mqtt = source.settings.mqtt
-    changes: dict[str, object] = {"queue_length": max(mqtt.queue_length, _QUEUE)}
+    changes: dict[str, object] = {"queue_length": max(mqtt.queue_length, QUEUE)}
     if embedded:
         changes.update(broker="embedded", host="127.0.0.1")
     kept = source.settings.recording.model_copy(update={"at_start": False})
@@ -34,9 +35,14 @@ def replay_live(
     link = ReplayLink(recording.meta.path, speed=speed)
     with with_recorded_table(recording, settings) as complete:
         service = Service(complete, source.suit, [link])
-    link.hold = _Brake(service, is_paced=speed is not None).hold
+    link.hold = Brake(service, is_paced=speed is not None).hold
     typer.echo(f"playing to {mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)
-    asyncio.run(_play(service, link, as_json))
+    asyncio.run(play(service, link, as_json))
+    tell_outcome(service, as_json)
+
+
+def tell_outcome(service: Service, as_json: bool) -> None:
+    """Print how many poses were made, published and dropped."""
     counters = service.mqtt.counters
     outcome = {"poses": service.pipeline.skeleton_frames, "published": counters.published}
     outcome["dropped"] = counters.dropped
@@ -46,7 +52,7 @@ def replay_live(
         typer.echo("{poses} poses, {published} published, {dropped} dropped".format(**outcome))
 
 
-class _Brake:
+class Brake:
     """Holds the reading up until the broker is there, and at full speed while it has fallen behind."""
 
     def __init__(self, service: Service, *, is_paced: bool) -> None:
@@ -55,6 +61,7 @@ class _Brake:
         self._has_begun = False
 
     async def hold(self) -> None:
+        """Return when reading may go on."""
         await asyncio.sleep(0)
         while not self._may_go_on():  # noqa: ASYNC110 - two conditions of others, neither an event
             await asyncio.sleep(_POLL_S)
@@ -63,10 +70,11 @@ class _Brake:
     def _may_go_on(self) -> bool:
         if self._is_paced and self._has_begun:
             return True
-        return self._mqtt.is_connected and self._mqtt.counters.queued <= _QUEUE // 2
+        return self._mqtt.is_connected and self._mqtt.counters.queued <= QUEUE // 2
 
 
-async def _play(service: Service, link: ReplayLink, as_json: bool) -> None:
+async def play(service: Service, link: ReplayLink | MarkerFileLink, as_json: bool) -> None:
+    """Run the service until the link has come to its end, with a progress bar."""
     running = asyncio.ensure_future(until_signal(service))
     with progress_bar("playing", is_shown=not as_json) as tell, contextlib.suppress(asyncio.CancelledError):
         while not running.done():

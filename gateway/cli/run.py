@@ -13,6 +13,7 @@ import typer
 from gateway.body.rig import load_rig
 from gateway.errors import GatewayError
 from gateway.log_format import set_up_logging
+from gateway.reconstruction import readiness
 from gateway.service import Service
 from gateway.service_manager import feed_watchdog, notify
 from gateway.settings import GatewaySettings, load_gateway_settings
@@ -33,13 +34,18 @@ def run(
     A link that is absent is waited for; a broker that is away is tried again and again. A changed
     configuration that is wrong is reported, and the service goes on with the one it has.
     """
-    service = _load(config)
-    asyncio.run(_Supervisor(config, service).run())
+    wanted = load_gateway_settings(config).reconstructor
+    is_ready = readiness.is_ready(wanted)
+    service = _load(config, None if is_ready else readiness.FALLBACK)
+    asyncio.run(_Supervisor(config, service, None if is_ready else wanted).run())
 
 
-def _load(config: Path) -> Service:
-    """The service that a configuration describes. Raises ``GatewayError`` with what is wrong in it."""
+def _load(config: Path, reconstructor: str | None = None) -> Service:
+    """The service that a configuration describes, or with another reconstructor. Raises ``GatewayError``
+    with what is wrong in it."""
     settings = load_gateway_settings(config)
+    if reconstructor is not None:
+        settings = settings.model_copy(update={"reconstructor": reconstructor})
     suit = load_rig(settings.rig, config)
     service = Service(settings, suit)
     set_up_logging(settings.log.level, settings.log.format)
@@ -55,8 +61,10 @@ def _tell(settings: GatewaySettings, n_modules: int, body: str) -> None:
 class _Supervisor:
     """Runs one service after another: a new one for every configuration that is read."""
 
-    def __init__(self, config: Path, service: Service) -> None:
+    def __init__(self, config: Path, service: Service, to_compile: str | None = None) -> None:
+        """to_compile: a method that must be compiled before the configured service can take over."""
         self._config = config
+        self._to_compile = to_compile
         self._service = service
         self._task: asyncio.Task[None] | None = None
         self._next: Service | None = None
@@ -69,11 +77,34 @@ class _Supervisor:
             loop.add_signal_handler(number, self._stop)
         loop.add_signal_handler(signal.SIGHUP, self._reload)
         watchdog = asyncio.create_task(feed_watchdog(lambda: self._service.can_flow), name="watchdog")
+        compiling = asyncio.create_task(self._compile(), name="compiling")
         try:
             while await self._run_once():
                 log.info("configuration read anew")
         finally:
+            compiling.cancel()
             watchdog.cancel()
+
+    async def _compile(self) -> None:
+        """In a process of its own; then the service starts anew with the method that is configured."""
+        name = self._to_compile
+        if name is None:
+            return
+        log.warning(
+            "compiling the method '%s', once after an installation, about a minute; until then '%s' makes "
+            "the poses", name, readiness.FALLBACK,
+        )  # fmt: skip
+        process = await asyncio.create_subprocess_exec(*readiness.command(name))
+        try:
+            status = await process.wait()
+        except asyncio.CancelledError:
+            process.terminate()
+            raise
+        if status != 0:
+            log.error("compiling '%s' failed (status %d): '%s' stays", name, status, readiness.FALLBACK)
+            return
+        log.info("compiled: '%s' takes over", name)
+        await self._load_next()
 
     async def _run_once(self) -> bool:
         """One service to its end; True if another one follows."""

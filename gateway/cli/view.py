@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
-from collections.abc import Iterator
+import io
+from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from gateway.cli.broker_options import broker_settings
+from gateway.cli import broker_options
 from gateway.cli.progress import progress_bar
+from gateway.credentials import AccessToken, token_for
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.topics import ANY_GATEWAY
@@ -22,28 +23,34 @@ if TYPE_CHECKING:
     import viser
 
 LOOPBACK = "127.0.0.1"
+PAGE_TOKEN_VARIABLE = "MOCAP_PAGE_TOKEN"
+"""Environment variable that may hold the token of the page."""
 
 
 def view(
     recording: Annotated[
         Path | None, typer.Argument(help="A recording to play; without one, what a gateway publishes now.")
     ] = None,
-    host: Annotated[str, typer.Option(help="Host of the MQTT broker.")] = LOOPBACK,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the MQTT broker.")] = 1883,
-    username: Annotated[str | None, typer.Option(help="User name at the broker.")] = None,
-    password_file: Annotated[
-        Path | None, typer.Option(help="File with the password; else MOCAP_MQTT_PASSWORD is taken.")
-    ] = None,
-    protocol: Annotated[Literal["3.1.1", "5"], typer.Option(help="MQTT version.")] = "3.1.1",
-    base_topic: Annotated[str, typer.Option(help="First part of the topics.")] = "mocap",
+    host: broker_options.Host = LOOPBACK,
+    port: broker_options.Port = 1883,
+    username: broker_options.Username = None,
+    password_file: broker_options.PasswordFile = None,
+    ca_file: broker_options.CaFile = None,
+    protocol: broker_options.Protocol = "3.1.1",
+    base_topic: broker_options.BaseTopic = "mocap",
     gateway: Annotated[str, typer.Option(help="Name of the gateway; + for the first heard.")] = ANY_GATEWAY,
     page_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
     page_host: Annotated[
         str,
         typer.Option(
-            help="Address that the page listens on. Everybody who reaches it can look, and press its buttons."
+            help="Address that the page listens on. Elsewhere than on this machine it needs a token: "
+            "whoever opens the page can also press its buttons."
         ),
     ] = LOOPBACK,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(help="File with the token that opens the page; else MOCAP_PAGE_TOKEN is taken."),
+    ] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a broker that is not there yet.")] = False,
 ) -> None:
     """Show the moving body on a page in the browser, live or from a recording.
@@ -51,61 +58,64 @@ def view(
     The page loads nothing from elsewhere and works on a phone. It only subscribes: it cannot slow the
     gateway down, and may run on another machine.
     """
-    settings = broker_settings(
+    settings = broker_options.broker_settings(
         host=host,
         port=port,
         username=username,
         password_file=password_file,
+        ca_file=ca_file,
         protocol=protocol,
         base_topic=base_topic,
     )
-    refuse_busy_port(page_host, page_port)
+    token = token_for("the page", page_host, token_file, PAGE_TOKEN_VARIABLE, "--token-file")
+    place = _Place(page_host, page_port, token)
     with contextlib.suppress(KeyboardInterrupt):
         if recording is None:
-            asyncio.run(_serve_live(settings, gateway, (page_host, page_port), wait))
+            asyncio.run(_serve_live(settings, gateway, place, wait))
         else:
-            asyncio.run(_serve_recording(recording, (page_host, page_port)))
+            asyncio.run(_serve_recording(recording, place))
 
 
-def refuse_busy_port(host: str, port: int) -> None:
-    """Raises ``GatewayError`` if the page could not listen there."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise GatewayError(
-                f"the page cannot listen on {host}:{port} ({error.strerror}): name another one with "
-                "--page-port or --page-host"
-            ) from None
+class _Place(NamedTuple):
+    """Where the page is, and what whoever opens it must show."""
+
+    host: str
+    port: int
+    token: AccessToken | None
 
 
-@contextlib.contextmanager
-def _page(address: tuple[str, int]) -> Iterator[viser.ViserServer]:
-    """A page, while it is wanted. Raises ``GatewayError`` without the extra."""
+@contextlib.asynccontextmanager
+async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
+    """A page behind its gate, while it is wanted. Raises ``GatewayError`` without the extra."""
     try:
         import viser  # noqa: PLC0415 - an extra, and slow to import
     except ImportError:
         raise GatewayError("the page needs the extra 'viewer': pip install 'mocap-gateway[viewer]'") from None
-    server = viser.ViserServer(*address, label="mocap-gateway", verbose=False)
+    from gateway.viewer.gate import Door, Gate  # noqa: PLC0415 - beside the extra
+
+    with contextlib.redirect_stdout(io.StringIO()):  # it would name the port behind the gate
+        server = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
     try:
-        typer.echo(f"live page: http://{address[0]}:{address[1]}")
-        yield server
+        async with Gate(place.host, place.port, server.get_port(), Door(place.token)):
+            shown = "/?token=… (the token's own text)" if place.token is not None else ""
+            typer.echo(f"live page: http://{place.host}:{place.port}{shown}")
+            yield server
     finally:
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
 
 
-async def _serve_live(settings: MqttSettings, gateway: str, address: tuple[str, int], waits: bool) -> None:
-    with _page(address) as server:
+async def _serve_live(settings: MqttSettings, gateway: str, place: _Place, waits: bool) -> None:
+    async with _page(place) as server:
         from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
 
         await LiveViewer(server, settings, gateway).run(waits)
 
 
-async def _serve_recording(recording: Path, address: tuple[str, int]) -> None:
+async def _serve_recording(recording: Path, place: _Place) -> None:
     with progress_bar(f"reading {recording.name}") as tell:
         arrays = open_recording(recording).skeleton_arrays(tell)
-    with _page(address) as server:
+    async with _page(place) as server:
         from gateway.viewer.playback import Playback  # noqa: PLC0415 - needs the extra
 
         await Playback(server, arrays, recording.stem).run()

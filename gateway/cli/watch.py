@@ -7,8 +7,7 @@ import contextlib
 import os
 import sys
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from rich.console import Console, Group, RenderableType
@@ -16,7 +15,7 @@ from rich.live import Live
 from rich.text import Text
 
 from devices.link import gateway_time_ns
-from gateway.cli.broker_options import broker_settings
+from gateway.cli import broker_options
 from gateway.cli.pose_table import PoseView, joint_table
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
@@ -138,14 +137,13 @@ def run_watch(settings: MqttSettings, wanted: Watch) -> int:
 
 
 def watch(
-    host: Annotated[str, typer.Option(help="Host of the MQTT broker.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the MQTT broker.")] = 1883,
-    username: Annotated[str | None, typer.Option(help="User name at the broker.")] = None,
-    password_file: Annotated[
-        Path | None, typer.Option(help="File with the password; else MOCAP_MQTT_PASSWORD is taken.")
-    ] = None,
-    protocol: Annotated[Literal["3.1.1", "5"], typer.Option(help="MQTT version.")] = "3.1.1",
-    base_topic: Annotated[str, typer.Option(help="First part of the topics.")] = "mocap",
+    host: broker_options.Host = "127.0.0.1",
+    port: broker_options.Port = 1883,
+    username: broker_options.Username = None,
+    password_file: broker_options.PasswordFile = None,
+    ca_file: broker_options.CaFile = None,
+    protocol: broker_options.Protocol = "3.1.1",
+    base_topic: broker_options.BaseTopic = "mocap",
     gateway: Annotated[str, typer.Option(help="Name of the gateway; + for all.")] = ANY_GATEWAY,
     once: Annotated[bool, typer.Option("--once", help="Print one pose and end.")] = False,
     count: Annotated[int | None, typer.Option(min=1, help="Print so many poses and end.")] = None,
@@ -167,11 +165,12 @@ def watch(
     count = 1 if once else count
     if timeout is None and count is not None:
         timeout = 10.0
-    settings = broker_settings(
+    settings = broker_options.broker_settings(
         host=host,
         port=port,
         username=username,
         password_file=password_file,
+        ca_file=ca_file,
         protocol=protocol,
         base_topic=base_topic,
     )

@@ -45,16 +45,22 @@ def conjugate(q_ab: FloatArray) -> FloatArray:
 @compiled
 def rotate(q_ab: FloatArray, v_b: FloatArray) -> FloatArray:
     """v_a; shapes (4,), (3,) -> (3,)."""
-    w, x, y, z = q_ab
+    v_a = np.empty(3)
+    rotate_into(v_a, q_ab, v_b)
+    return v_a
+
+
+@compiled
+def rotate_into(v_a: FloatArray, q_ab: FloatArray, v_b: FloatArray) -> None:
+    """v_a ← v_b rotated, as ``rotate`` does; v_a is not v_b."""
+    w, x, y, z = q_ab[0], q_ab[1], q_ab[2], q_ab[3]
     # t = 2 u × v;  v' = v + w t + u × t
     tx = 2.0 * (y * v_b[2] - z * v_b[1])
     ty = 2.0 * (z * v_b[0] - x * v_b[2])
     tz = 2.0 * (x * v_b[1] - y * v_b[0])
-    return vector(
-        v_b[0] + w * tx + y * tz - z * ty,
-        v_b[1] + w * ty + z * tx - x * tz,
-        v_b[2] + w * tz + x * ty - y * tx,
-    )
+    v_a[0] = v_b[0] + w * tx + y * tz - z * ty
+    v_a[1] = v_b[1] + w * ty + z * tx - x * tz
+    v_a[2] = v_b[2] + w * tz + x * ty - y * tx
 
 
 @compiled
@@ -123,7 +129,15 @@ def to_matrix(q_ab: FloatArray) -> FloatArray:
 
 @compiled
 def from_matrix(R_ab: FloatArray) -> FloatArray:
-    """q_ab, unit, w ≥ 0; shape (3, 3) -> (4,).
+    """q_ab, unit, w ≥ 0; shape (3, 3) -> (4,)."""
+    q = np.empty(4)
+    from_matrix_into(q, R_ab)
+    return q
+
+
+@compiled
+def from_matrix_into(q_ab: FloatArray, R_ab: FloatArray) -> None:
+    """The same into a given array.
 
     Shepperd's method: the largest of the four components is taken from the diagonal, the others
     from sums and differences, so nothing is divided by a small number.
@@ -131,14 +145,17 @@ def from_matrix(R_ab: FloatArray) -> FloatArray:
     R = R_ab
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     if trace > max(R[0, 0], R[1, 1], R[2, 2]):
-        q = quaternion(1.0 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
+        w, x, y, z = 1.0 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     elif R[0, 0] >= R[1, 1] and R[0, 0] >= R[2, 2]:
         x = 1.0 + R[0, 0] - R[1, 1] - R[2, 2]
-        q = quaternion(R[2, 1] - R[1, 2], x, R[0, 1] + R[1, 0], R[0, 2] + R[2, 0])
+        w, y, z = R[2, 1] - R[1, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]
     elif R[1, 1] >= R[2, 2]:
         y = 1.0 + R[1, 1] - R[0, 0] - R[2, 2]
-        q = quaternion(R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], y, R[1, 2] + R[2, 1])
+        w, x, z = R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], R[1, 2] + R[2, 1]
     else:
         z = 1.0 + R[2, 2] - R[0, 0] - R[1, 1]
-        q = quaternion(R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], z)
-    return canonical(normalise(q))
+        w, x, y = R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1]
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if w < 0.0:
+        length = -length
+    q_ab[0], q_ab[1], q_ab[2], q_ab[3] = w / length, x / length, y / length, z / length

@@ -55,11 +55,25 @@ def multiply_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
 
 
 @compiled
+def copy_into(C: FloatArray, A: FloatArray) -> None:
+    """C ← A; shapes (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            C[i, j] = A[i, j]
+
+
+@compiled
 def turn(E: FloatArray, v: FloatArray) -> None:
     """v ← E v in place; shapes (3, 3), (3,)."""
-    x, y, z = v[0], v[1], v[2]
+    rotate_into(v, E, v)
+
+
+@compiled
+def rotate_into(v_a: FloatArray, R_ab: FloatArray, v_b: FloatArray) -> None:
+    """v_a ← R_ab v_b; shapes (3,), (3, 3), (3,); v_a may be v_b."""
+    x, y, z = v_b[0], v_b[1], v_b[2]
     for i in range(3):
-        v[i] = E[i, 0] * x + E[i, 1] * y + E[i, 2] * z
+        v_a[i] = R_ab[i, 0] * x + R_ab[i, 1] * y + R_ab[i, 2] * z
 
 
 @compiled

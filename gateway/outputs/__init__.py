@@ -6,10 +6,11 @@ and ``topics`` where it is published. Reading order: ``messages``, ``topics``, `
 ``side_outputs``, ``latest``, ``datagrams``, ``unity``, ``vmc``, ``lsl``.
 """
 
+from gateway.credentials import CredentialError
 from gateway.outputs.broker_process import BrokerProcess, EmbeddedBrokerError
 from gateway.outputs.messages import BridgeInfo, ModuleInfo, PoseMessage
 from gateway.outputs.output import Output
-from gateway.outputs.settings import CredentialError, MqttSettings, PoseMap, TlsSettings
+from gateway.outputs.settings import MqttSettings, PoseMap, TlsSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
 from gateway.outputs.topics import Topics
 

@@ -18,9 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from gateway.outputs.settings import PASSWORD_VARIABLE, CredentialError, MqttSettings, TlsSettings
+from gateway.credentials import CredentialError
+from gateway.outputs.incoming import LARGEST_MESSAGE, MOST_MESSAGES, Inbox, refuse_huge_packets
+from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, TlsSettings
 
 if TYPE_CHECKING:  # paho has the name for type checkers only
     from paho.mqtt.client import SocketLike
@@ -130,10 +134,13 @@ def _client(settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Wi
         will=will,
         timeout=TIMEOUT_S,
         keepalive=settings.keepalive,
-        max_queued_incoming_messages=1000,
+        queue_type=Inbox,
+        max_queued_incoming_messages=MOST_MESSAGES,
+        properties=_wishes(settings),
         tls_params=_tls_parameters(settings.tls) if settings.tls is not None else None,
         socket_options=_SOCKET_OPTIONS,
     )
+    refuse_huge_packets(client._client)
     client._client.connect_timeout = TIMEOUT_S  # aiomqtt has no parameter for it; paho's 5 s is long
     _watch_open_sockets_only(client)
     _notice_early_hang_up(client)
@@ -181,6 +188,15 @@ def _watch_open_sockets_only(client: aiomqtt.Client) -> None:
         loop.call_soon_threadsafe(watch, sock)
 
     client._client.on_socket_register_write = asked_to_watch
+
+
+def _wishes(settings: MqttSettings) -> Properties | None:
+    """What a broker that speaks MQTT 5 is told on connecting: the largest packet that we take."""
+    if settings.spoken_protocol != "5":
+        return None
+    properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+    properties.MaximumPacketSize = LARGEST_MESSAGE
+    return properties
 
 
 def _tls_parameters(tls: TlsSettings) -> aiomqtt.TLSParameters:

@@ -34,6 +34,8 @@ class LatestOutput:
 
     def __init__(self, name: str, sink: Sink, rate: float) -> None:
         self.name = name
+        self.is_paused = False
+        """Frames offered meanwhile count as thinned."""
         self._sink = sink
         self._thinning = Thinning(rate)
         self._waiting: SkeletonFrame | None = None
@@ -54,7 +56,7 @@ class LatestOutput:
 
     def offer(self, frame: SkeletonFrame) -> None:
         """Take a frame. Never waits; one that still waits gives way."""
-        if not self._thinning.admits(frame.time_ns):
+        if self.is_paused or not self._thinning.admits(frame.time_ns):
             self._thinned += 1
             return
         if self._waiting is not None:

@@ -24,7 +24,7 @@ from gateway.outputs.properties import JSON, MSGPACK
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
-StatusName = Literal["measured", "interpolated", "held", "predicted", "warming_up", "missing"]
+StatusName = Literal["measured", "interpolated", "held", "predicted", "warming_up", "missing", "unaided"]
 
 STATUS_NAMES: tuple[str, ...] = tuple(status.name.lower() for status in Status)
 """Name of a status in messages, by its number."""
@@ -255,6 +255,31 @@ class SegmentMessage(Message):
     sigma: Number | None = Field(default=None, description="Standard deviation of the orientation, rad.")
 
 
+class ComparedSegment(Message):
+    """How far two gateways agree on one segment; null: no instant in common."""
+
+    frames: int = Field(ge=0, description="Instants at which both know it.")
+    rms_deg: Number | None = Field(description="Angle between the orientations, RMS, degrees.")
+    inclination_rms_deg: Number | None = Field(description="Of it against the vertical, RMS, degrees.")
+    heading_rms_deg: Number | None = Field(description="Of it about the vertical, RMS, degrees.")
+    axes_apart_deg: Number | None = Field(
+        description="Constant difference of the two's segment axes, taken off before, degrees."
+    )
+    position_rms_m: Number | None = Field(description="Between the proximal joints, RMS, m.")
+
+
+class ComparisonMessage(Message):
+    """How far this gateway and another agree on one motion; from `mocap-gateway compare --live`."""
+
+    t_ns: int = Field(description="Gateway time of this gateway's newest pose, ns.")
+    second: str = Field(description="The other gateway.")
+    window_s: Number = Field(description="So many seconds of both are compared.")
+    lag_s: Number = Field(description="The other's gateway time minus this one's, s.")
+    correlation: Number = Field(description="Of how fast the segments turn in the two, −1 to 1.")
+    heading_deg: Number = Field(description="From this world to the other's, about the vertical, degrees.")
+    segments: dict[str, ComparedSegment] = Field(description="By this gateway's segment names.")
+
+
 @dataclass(frozen=True)
 class Publication:
     """How a message is published."""
@@ -277,8 +302,9 @@ PUBLICATIONS: tuple[Publication, ...] = (
     Publication(topics.SEGMENT, SegmentMessage, qos=0, retain=False),
     Publication(topics.MODULE_STATE, ModuleState, qos=1, retain=True),
     Publication(topics.MODULE_AVAILABILITY, ModuleAvailability, qos=1, retain=True),
+    Publication(topics.COMPARISON, ComparisonMessage, qos=0, retain=False),
 )
-"""All that a gateway publishes."""
+"""All that a gateway publishes, and what ``compare --live`` adds below its name."""
 
 
 def describe_body(skeleton: Skeleton) -> BodyMessage:

@@ -16,6 +16,7 @@ from prometheus_client.registry import Collector
 
 from gateway.accounting import Balance
 from gateway.outputs.messages import BridgeInfo, ModuleState, OutputCounters, UtcAnchor
+from gateway.overload import LoadWatch
 
 _MODULE = ("module", "segment")
 _PER_MODULE_COUNTERS = {
@@ -67,6 +68,7 @@ class GatewayFigures:
     """Outputs that hold a connection: whether they do."""
     utc: UtcAnchor | None
     balances: Sequence[Balance] = ()
+    load: LoadWatch | None = None
 
 
 def registry_of(figures: GatewayFigures) -> CollectorRegistry:
@@ -88,6 +90,8 @@ class _Figures(Collector):
         yield from _outputs(figures)
         yield from _modules(figures.modules)
         yield from _balances(figures.balances)
+        if figures.load is not None:
+            yield from _load(figures.load)
 
 
 def _gateway(figures: GatewayFigures) -> Iterator[Metric]:
@@ -106,6 +110,13 @@ def _gateway(figures: GatewayFigures) -> Iterator[Metric]:
         yield GaugeMetricFamily("mocap_utc_offset_seconds", "UTC minus gateway time.", value=offset_s)
         steps = figures.utc.steps
         yield CounterMetricFamily("mocap_utc_steps", "How often the host's UTC was set.", value=steps)
+
+
+def _load(load: LoadWatch) -> Iterator[Metric]:
+    text = "What is given up since the machine cannot keep up; 0: nothing."
+    yield GaugeMetricFamily("mocap_load_stage", text, value=load.stage)
+    yield GaugeMetricFamily("mocap_lag_seconds", "How old what is handled now is.", value=load.lag_s)
+    yield CounterMetricFamily("mocap_load_changes", "Stages taken and given back.", value=load.changes)
 
 
 def _links(links: Sequence[LinkFigures]) -> Iterator[Metric]:

@@ -2,6 +2,9 @@
 
 What is served is gathered in the event loop that owns it. A loop that does not answer any more is what the
 health check is there to find out.
+
+With a token, whoever does not show it (``Authorization: Bearer TOKEN``) gets no metrics, and of the health
+the one word that a container's health check needs.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ import asyncio
 import json
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import TimeoutError as NoAnswer
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -19,6 +22,7 @@ from typing import Any, Self, TypeVar
 
 from prometheus_client.exposition import choose_encoder
 
+from gateway.credentials import AccessToken
 from gateway.errors import OutputError
 from gateway.outputs.metrics import GatewayFigures, registry_of
 
@@ -27,6 +31,8 @@ log = logging.getLogger(__name__)
 PATIENCE_S = 2.0
 """An event loop that takes longer to answer is stuck."""
 _SLOWEST_CLIENT_S = 5.0
+MOST_CLIENTS = 16
+"""At one time; the connection of any more is closed."""
 
 _Value = TypeVar("_Value")
 
@@ -44,7 +50,9 @@ class MetricsServer:
         port: int,
         figures: Callable[[], GatewayFigures],
         health: Callable[[], dict[str, Any]],
+        token: AccessToken | None = None,
     ) -> None:
+        self.token = token
         self.port = port
         """Of the server; with 0 asked for, the one that was found free."""
         self._host = host
@@ -98,19 +106,39 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
 
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self._free = threading.BoundedSemaphore(MOST_CLIENTS)
+        super().__init__(address, handler)
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Whether there is a thread left for one more client; a method name of the standard library's."""
+        return self._free.acquire(blocking=False)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer one client, in a thread of its own; a method name of the standard library's."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
 
 class _Handler(BaseHTTPRequestHandler):
     owner: MetricsServer
     timeout = _SLOWEST_CLIENT_S
+    server_version = "mocap-gateway"
+    sys_version = ""
 
     def do_GET(self) -> None:
         """Answer; a method name of the standard library's."""
         path = self.path.partition("?")[0]
         try:
-            if path == "/metrics":
+            if path == "/metrics" and not self._may_read:
+                self._refuse()
+            elif path == "/metrics":
                 self._answer(HTTPStatus.OK, *self.owner.metrics(self.headers.get("Accept", "")))
             elif path == "/healthz":
-                self._answer_json(HTTPStatus.OK, self.owner.health())
+                health = self.owner.health()
+                self._answer_json(HTTPStatus.OK, health if self._may_read else {"status": health["status"]})
             else:
                 self._answer_json(HTTPStatus.NOT_FOUND, {"error": "there are /metrics and /healthz"})
         except (NoAnswer, RuntimeError):
@@ -121,12 +149,31 @@ class _Handler(BaseHTTPRequestHandler):
         """A line of the log for every request, but for those who debug."""
         log.debug(format, *args)
 
+    @property
+    def _may_read(self) -> bool:
+        kind, _, shown = self.headers.get("Authorization", "").partition(" ")
+        token = self.owner.token
+        return token is None or (kind.lower() == "bearer" and token.matches(shown.strip()))
+
+    def _refuse(self) -> None:
+        error = {"error": "a token is wanted: Authorization: Bearer TOKEN (metrics.token_file has it)"}
+        self._answer(
+            HTTPStatus.UNAUTHORIZED,
+            "application/json",
+            json.dumps(error).encode(),
+            {"WWW-Authenticate": 'Bearer realm="mocap-gateway"'},
+        )
+
     def _answer_json(self, status: HTTPStatus, content: dict[str, Any]) -> None:
         self._answer(status, "application/json", json.dumps(content).encode())
 
-    def _answer(self, status: HTTPStatus, content_type: str, body: bytes) -> None:
+    def _answer(
+        self, status: HTTPStatus, content_type: str, body: bytes, more: Mapping[str, str] | None = None
+    ) -> None:
         self.send_response(status)
         self.send_header("Content-Type", content_type)
+        for name, value in (more or {}).items():
+            self.send_header(name, value)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)

@@ -100,6 +100,7 @@ class MqttOutput:
         self._others = others
         self._health_due = 0.0
         self._thinning = Thinning(settings.pose_rate)
+        self._relief = Thinning(None)
         self._queue: deque[SkeletonFrame] = deque()
         self._published = self._dropped = self._thinned = self._connections = 0
         self._complaints: set[str] = set()
@@ -127,7 +128,7 @@ class MqttOutput:
 
     def offer(self, frame: SkeletonFrame) -> None:
         """Take a frame for publishing. Never waits; the oldest queued frame gives way when full."""
-        if not self._thinning.admits(frame.time_ns):
+        if not (self._thinning.admits(frame.time_ns) and self._relief.admits(frame.time_ns)):
             self._thinned += 1
             return
         if len(self._queue) == self._settings.queue_length:
@@ -135,6 +136,12 @@ class MqttOutput:
             self._dropped += 1
         self._queue.append(frame)
         self._wake.set()
+
+    def relieve(self, poses_hz: float | None, *, has_segments: bool) -> None:
+        """Publish less for a while: at most so many poses a second (None: as configured), and no single
+        segments. What is not published counts as thinned."""
+        self._relief = Thinning(poses_hz)
+        self._publications.has_segments = has_segments
 
     def keep(self, topic: str, message: Message) -> None:
         """Have a message published below the gateway's topics, retained, again after every reconnection."""

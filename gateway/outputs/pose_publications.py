@@ -35,6 +35,8 @@ class PosePublications:
         self._topics = topics
         self._segment_topics = {name: topics.segment(name) for name in skeleton.segment_names}
         self._segments_due = None if settings.segment_rate is None else Thinning(settings.segment_rate)
+        self.has_segments = True
+        """Whether messages of single segments are made, where they are configured."""
         protocol, expiry_s = settings.spoken_protocol, settings.pose_expiry_s
         self._json = properties_of(protocol, JSON, expiry_s)
         self._msgpack = properties_of(protocol, MSGPACK, expiry_s)
@@ -46,6 +48,7 @@ class PosePublications:
             yield Outgoing(self._topics.pose, as_json(message), self._json)
         if PoseFormat.MSGPACK in self._formats:
             yield Outgoing(self._topics.pose_msgpack, as_msgpack(message), self._msgpack)
-        if self._segments_due is not None and self._segments_due.admits(frame.time_ns):
+        due = self._segments_due if self.has_segments else None
+        if due is not None and due.admits(frame.time_ns):
             for name, segment in segment_messages(message):
                 yield Outgoing(self._segment_topics[name], as_json(segment), self._json)

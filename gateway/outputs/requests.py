@@ -1,13 +1,16 @@
 """Requests to the gateway over MQTT: ``bridge/request/<verb>`` to ``bridge/response/<verb>``.
 
 It has a connection of its own, so that an answer never stands in the way of a pose. Requests are
-carried out one after another by one task; a queue too long is answered with an error at once.
+carried out one after another by one task; a queue too long is answered with an error at once. Faster than
+``MOST_A_SECOND`` they are dropped without an answer, and counted.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import math
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +29,7 @@ from gateway.outputs.connection import (
     explain,
     unique_identifier,
 )
+from gateway.outputs.incoming import Allowance
 from gateway.outputs.properties import JSON, properties_of
 from gateway.outputs.request_messages import (
     RequestProblem,
@@ -40,6 +44,11 @@ _log = logging.getLogger(__name__)
 
 _LONGEST_QUEUE = 8
 _LONGEST_VERB = 80
+_LONGEST_TOPIC = 256
+_LONGEST_CORRELATION = 1024
+MOST_A_SECOND = 100.0
+MOST_AT_ONCE = 200
+_COMPLAINT_INTERVAL_S = 10.0
 
 Perform = Callable[[str, Mapping[str, Any]], Awaitable[dict[str, Any]]]
 """Verb (below the family's name) and data to the data of the answer."""
@@ -64,6 +73,8 @@ class RequestResponder:
 
     def __init__(self, settings: MqttSettings, gateway: str, families: Mapping[str, Perform]) -> None:
         self.answered = 0
+        self.dropped = 0
+        """Came faster than they are taken."""
         self.is_connected = False
         self._settings = settings
         self._topics = Topics(settings.base_topic, gateway)
@@ -71,6 +82,12 @@ class RequestResponder:
         self._queue: asyncio.Queue[_Asked] = asyncio.Queue(_LONGEST_QUEUE)
         self._client: aiomqtt.Client | None = None
         self._tasks: list[asyncio.Task[None]] = []
+        self._allowance = Allowance(MOST_A_SECOND, MOST_AT_ONCE)
+        self._complained_s = -math.inf
+
+    def statistics(self) -> dict[str, object]:
+        """For the health message."""
+        return {"answered": self.answered, "dropped": self.dropped, "waiting": self._queue.qsize()}
 
     def start(self, port: int) -> None:
         """Begin to answer, at the broker on this port; returns at once."""
@@ -104,7 +121,7 @@ class RequestResponder:
     async def _take(self, message: aiomqtt.Message) -> None:
         verb = self._verb_of(message)
         # A retained request would be carried out again at every start.
-        if verb is None or message.retain:
+        if verb is None or message.retain or not self._is_in_time():
             return
         answer_to, correlation = self._way_back(message, verb)
         try:
@@ -118,6 +135,17 @@ class RequestResponder:
             self._queue.put_nowait(asked)
         except asyncio.QueueFull:
             await self._answer(asked, _error(asked, "too many requests are waiting: ask again later"))
+
+    def _is_in_time(self) -> bool:
+        """Whether one more request is taken now; if not, that is counted, and said now and then."""
+        now_s = time.monotonic()
+        if self._allowance.takes(now_s):
+            return True
+        self.dropped += 1
+        if now_s - self._complained_s > _COMPLAINT_INTERVAL_S:
+            self._complained_s = now_s
+            _log.warning("requests come faster than %g a second: %d dropped", MOST_A_SECOND, self.dropped)
+        return False
 
     async def _work(self) -> None:
         while True:
@@ -168,15 +196,16 @@ class RequestResponder:
         correlation = getattr(properties, "CorrelationData", None)
         if not isinstance(wanted, str) or not self._is_harmless(wanted):
             wanted = self._topics.response(verb)
-        return wanted, correlation if isinstance(correlation, bytes) else None
+        is_short = isinstance(correlation, bytes) and len(correlation) <= _LONGEST_CORRELATION
+        return wanted, correlation if is_short else None
 
     def _is_harmless(self, topic: str) -> bool:
         """Whether an answer there can be taken for nothing else: nobody may have poses published for him."""
-        is_ours = topic.startswith(f"{self._settings.base_topic}/")
-        is_response = topic.startswith(f"{self._topics.response('')}")
-        return (
-            bool(topic) and not set(topic) & set("+#\0") and topic[0] != "$" and (is_response or not is_ours)
-        )
+        if not 0 < len(topic) <= _LONGEST_TOPIC or topic[0] == "$" or set(topic) & set("+#\0"):
+            return False
+        ours = (self._settings.base_topic, self._settings.home_assistant)
+        is_ours = any(topic.startswith(f"{name}/") for name in ours if name is not None)
+        return topic.startswith(self._topics.response("")) or not is_ours
 
 
 def _error(asked: _Asked, error: str) -> ResponseMessage:

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gateway.errors import SettingsError
+from gateway.credentials import read_secret
 
 PASSWORD_VARIABLE = "MOCAP_MQTT_PASSWORD"
 """Environment variable that may hold the broker password."""
 
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost")
-
-
-class CredentialError(SettingsError, ValueError):
-    """A password or TLS file cannot be read. ``str(error)`` names the file, never its content."""
 
 
 class PoseMap(StrEnum):
@@ -191,14 +186,7 @@ class MqttSettings(BaseModel):
 
     def read_password(self) -> str | None:
         """The password: first line of ``password_file``, else the environment. Raises ``CredentialError``."""
-        if self.password_file is None:
-            return os.environ.get(PASSWORD_VARIABLE)
-        try:
-            lines = self.password_file.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-            raise CredentialError(f"cannot read password_file {self.password_file}: {reason}") from None
-        return lines[0] if lines else ""
+        return read_secret(self.password_file, PASSWORD_VARIABLE, "password_file")
 
     @property
     def spoken_protocol(self) -> Literal["3.1.1", "5"]:

@@ -46,6 +46,11 @@ class SideOutputs:
         for output in self._outputs:
             output.offer(frame)
 
+    def pause(self, is_paused: bool) -> None:
+        """Send nothing for a while, or go on: what is offered meanwhile counts as thinned."""
+        for output in self._outputs:
+            output.is_paused = is_paused
+
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Send until left. Raises ``OutputError`` when one cannot start."""

@@ -16,6 +16,8 @@ SEGMENT = "segment/{name}"
 MODULE_STATE = "module/{id}/state"
 MODULE_AVAILABILITY = "module/{id}/availability"
 
+COMPARISON = "comparison"
+
 ANY_GATEWAY = "+"
 
 
@@ -70,6 +72,11 @@ class Topics:
     def segment(self, name: str) -> str:
         """One segment of the poses, where configured."""
         return f"{self.root}/{SEGMENT.format(name=name)}"
+
+    @property
+    def comparison(self) -> str:
+        """How far this gateway and another agree, from ``compare --live``."""
+        return f"{self.root}/{COMPARISON}"
 
     def module_state(self, module: int) -> str:
         """Figures of one module; retained."""

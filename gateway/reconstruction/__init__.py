@@ -6,6 +6,8 @@ from collections.abc import Callable
 from functools import partial
 
 from gateway.body.skeleton import WornSuit
+from gateway.errors import SettingsError
+from gateway.frames import Quantity
 from gateway.reconstruction.fused import FusedReconstructor
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
@@ -26,12 +28,14 @@ from gateway.reconstruction.whole_body import (
 __all__ = [
     "FUSED",
     "NO_CONTACTS",
+    "OPTICAL",
     "RECONSTRUCTORS",
     "Reconstructor",
     "RootMode",
     "RootSettings",
     "WholeBodyReconstructor",
     "create_reconstructor",
+    "refuse_unreadable",
     "update_many",
 ]
 
@@ -48,8 +52,33 @@ RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {
 """Name to constructor; its arguments: the suit, and the nominal interval of the frames in s."""
 
 
+OPTICAL = "optical"
+"""Of markers and no modules: ``optical.reconstructor``; it needs a suit with markers."""
+
 FUSED = frozenset({"fused", "fused_neutral"})
 """Those that want orientations fused on the modules, and no raw values."""
+
+
+SEES_SUN = frozenset({"articulated", "independent", "joint", "outward"})
+"""Those that take the sun for their second field; beside the magnetometers only the chain filters do."""
+
+CHAINS = frozenset({"joint", "outward"})
+
+
+def refuse_unreadable(name: str, suit: WornSuit) -> None:
+    """Raises ``SettingsError`` where the suit has a sensor that the reconstructor of that name cannot use."""
+    if suit.sun is not None:
+        can = CHAINS if suit.sun.beside_magnetometer else SEES_SUN
+        word = "both" if suit.sun.beside_magnetometer else "sun"
+        if name not in can:
+            known = ", ".join(sorted(can))
+            raise SettingsError(
+                f"reconstructor '{name}' cannot use the rig's 'second_field: {word}'; these can: {known}"
+            )
+    if name == "articulated" and any(d.quantity is Quantity.AIR_VELOCITY for d in suit.local_devices[:1]):
+        raise SettingsError(
+            "reconstructor 'articulated' cannot use pressure tubes; these can: joint, outward"
+        )
 
 
 def create_reconstructor(
@@ -58,9 +87,10 @@ def create_reconstructor(
     """The reconstructor of that name; for the whole body, unless orientations come fused from the modules.
 
     Raises ``ValueError`` for an unknown one, naming those there are, and for a root that shall walk on a body
-    without contacts."""
+    without contacts; ``SettingsError`` where the suit has a sensor that this method cannot use."""
     if name not in RECONSTRUCTORS:
         known = ", ".join(sorted(RECONSTRUCTORS))
         raise ValueError(f"no reconstructor is called {name!r}; there are: {known}")
+    refuse_unreadable(name, suit)
     finder = RECONSTRUCTORS[name](suit, nominal_interval_s)
     return finder if name in FUSED else WholeBodyReconstructor(suit, finder, root)

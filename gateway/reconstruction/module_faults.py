@@ -2,7 +2,9 @@
 
 A sensor's noise changes its last bits all the time. A module whose specific force and rate have not changed
 in any bit for a while, though other modules' have, is stuck. (If none changes, they may be noise-free
-simulations at rest: nothing is said.)
+simulations at rest: nothing is said.) A single sensor is stuck when it repeats itself while it turns, or
+while the other one says that the module moves: sooner than in rest, where coarse sensors may repeat
+themselves.
 """
 
 from __future__ import annotations
@@ -13,22 +15,32 @@ import numpy as np
 
 from gateway.frames import FloatArray, StatusArray
 from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import norm
 
 STUCK_S = 0.5
 """Sensors of 16 bits at rest repeat a whole reading a few times in a row at most."""
 LIVELY_S = 0.1
+STUCK_IN_MOTION_S = 0.15
+"""In motion no reading of 16 bits comes twice on all three axes, but by rare chance."""
+TURNING = 0.05
+"""rad/s: a rate that stays exactly this large is no rest."""
+SWINGING = 1.0
+"""m/s²: change of specific force over that time that no rest has."""
 
 
 class RepeatState(NamedTuple):
     """By module, changed in place."""
 
     last: FloatArray  # (m, 6) specific force and rate
-    unchanged_s: FloatArray  # (m,)
+    unchanged_s: FloatArray  # (m,) all of it
+    rate_unchanged_s: FloatArray  # (m,)
+    force_unchanged_s: FloatArray  # (m,)
+    force_before: FloatArray  # (m, 3) when the rate changed last
 
 
 def initial_repeats(m: int) -> RepeatState:
     """Of m modules."""
-    return RepeatState(np.full((m, 6), np.nan), np.zeros(m))
+    return RepeatState(np.full((m, 6), np.nan), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((m, 3)))
 
 
 @compiled
@@ -38,19 +50,43 @@ def stuck_modules(
     """(m,) 1 for modules that are stuck. force, rate: (m, 3) as sent; dt: since the frame before, s."""
     m = len(status)
     stuck = np.zeros(m, np.uint8)
-    lively = 0
+    lively, lively_rates, lively_forces = 0, 0, 0
     for i in range(m):
         if status[i] > 1:  # held by the gateway, or missing: the assembler's matter
             continue
-        changed = False
+        force_changed, rate_changed = False, False
         for k in range(3):
             # NaN differs from itself: a sensor that is not there repeats nothing
-            changed = changed or (force[i, k] != state.last[i, k])
-            changed = changed or (rate[i, k] != state.last[i, 3 + k] and rate[i, k] == rate[i, k])
+            force_changed = force_changed or (force[i, k] != state.last[i, k])
+            rate_changed = rate_changed or (rate[i, k] != state.last[i, 3 + k] and rate[i, k] == rate[i, k])
             state.last[i, k], state.last[i, 3 + k] = force[i, k], rate[i, k]
-        state.unchanged_s[i] = 0.0 if changed else state.unchanged_s[i] + dt
+        state.unchanged_s[i] = 0.0 if force_changed or rate_changed else state.unchanged_s[i] + dt
+        state.force_unchanged_s[i] = 0.0 if force_changed else state.force_unchanged_s[i] + dt
+        state.rate_unchanged_s[i] = 0.0 if rate_changed else state.rate_unchanged_s[i] + dt
+        if rate_changed:
+            state.force_before[i] = force[i]
+        lively_rates += state.rate_unchanged_s[i] < LIVELY_S
+        lively_forces += state.force_unchanged_s[i] < LIVELY_S
         lively += state.unchanged_s[i] < LIVELY_S
-    if lively:
-        for i in range(m):
-            stuck[i] = state.unchanged_s[i] >= STUCK_S and status[i] <= 1
+    for i in range(m):
+        if status[i] <= 1:
+            stuck[i] = lively > 0 and state.unchanged_s[i] >= STUCK_S
+            stuck[i] |= lively_rates > 0 and _has_stuck_rate(state, i, force[i], rate[i])
+            stuck[i] |= lively_forces > 0 and _has_stuck_force(state, i, rate[i])
     return stuck
+
+
+@compiled
+def _has_stuck_rate(state: RepeatState, i: int, force: FloatArray, rate: FloatArray) -> bool:
+    """Whether module i's gyrometers repeat themselves while it turns, or swings."""
+    is_moving = norm(rate) > TURNING or norm(force - state.force_before[i]) > SWINGING
+    return bool(
+        is_moving and state.force_unchanged_s[i] == 0.0 and state.rate_unchanged_s[i] >= STUCK_IN_MOTION_S
+    )
+
+
+@compiled
+def _has_stuck_force(state: RepeatState, i: int, rate: FloatArray) -> bool:
+    """Whether module i's accelerometer repeats itself while it turns."""
+    is_turning = norm(rate) > TURNING and state.rate_unchanged_s[i] == 0.0
+    return bool(is_turning and state.force_unchanged_s[i] >= STUCK_IN_MOTION_S)

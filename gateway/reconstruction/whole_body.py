@@ -73,6 +73,18 @@ class OrientationFinder(Protocol):
     def reset(self) -> None: ...
 
 
+class Prepared(NamedTuple):
+    """An instant as the finder is given it."""
+
+    observation: ImuFrame
+    """Without modules that are stuck."""
+    observed: SegmentObservations
+    resting: FloatArray
+    """(n_segments,) for how long each stands still, s; 0: it does not."""
+    dt: float
+    """s since the frame before."""
+
+
 class _Memory(NamedTuple):
     """All that is remembered besides the finder."""
 
@@ -128,17 +140,27 @@ class WholeBodyReconstructor:
         """Instants in time order; the same as ``update`` of each, bit for bit."""
         if not observations:
             return []
-        clean, seen, rest, steps = [], [], [], []
-        for observation in observations:
-            steps.append(self._step(observation.time_ns))
-            clean.append(self._without_stuck(observation, steps[-1]))
-            seen.append(self._observer.observe(clean[-1]))
-            rest.append(self._watch(seen[-1], steps[-1]))
+        prepared = self.prepare(observations)
         if isinstance(self.finder, _BatchFinder):
-            found = self.finder.update_many(clean, np.stack(rest))
+            rest = np.stack([one.resting for one in prepared])
+            found = self.finder.update_many([one.observation for one in prepared], rest)
         else:
-            found = [self.finder.update(*one) for one in zip(clean, rest, strict=True)]
-        return [self._finish(*one) for one in zip(found, seen, rest, steps, strict=True)]
+            found = [self.finder.update(one.observation, one.resting) for one in prepared]
+        return [self.finish(*one) for one in zip(found, prepared, strict=True)]
+
+    def prepare(self, observations: Sequence[ImuFrame]) -> list[Prepared]:
+        """What is done before the finder, to instants in time order."""
+        prepared = []
+        for observation in observations:
+            dt = self._step(observation.time_ns)
+            clean = self._without_stuck(observation, dt)
+            observed = self.observe(clean)
+            prepared.append(Prepared(clean, observed, self._watch(observed, dt), dt))
+        return prepared
+
+    def observe(self, observation: ImuFrame) -> SegmentObservations:
+        """A frame by segment, segment axes."""
+        return self._observer.observe(observation)
 
     def _step(self, time_ns: int) -> float:
         """Seconds since the frame before."""
@@ -181,9 +203,9 @@ class WholeBodyReconstructor:
             observation, specific_force=force, angular_rate=rate, magnetic_field=field, status=status
         )
 
-    def _finish(
-        self, found: SkeletonFrame, observed: SegmentObservations, resting: FloatArray, dt: float
-    ) -> SkeletonFrame:
+    def finish(self, found: SkeletonFrame, prepared: Prepared) -> SkeletonFrame:
+        """What is done after the finder, to instants in time order."""
+        _, observed, resting, dt = prepared
         q_wb, rate = np.array(found.q_wb, np.float64), np.array(found.angular_rate, np.float64)
         sigma, status = np.array(found.sigma, np.float64), np.array(found.status, np.uint8)
         follow(self._rules, q_wb, rate, sigma, status)

@@ -78,6 +78,8 @@ class RecordingMeta:
         """The host's wall clock at the same instant, ns since 1970."""
         self.from_start = session.get("from_start") == "1" and head.part == 1
         """Whether it has all that the gateway was fed: then a replay is bit-identical."""
+        self.smoothed = session.get("smoothed") == "1"
+        """Whether its poses were made forward and backward through another recording of the same bytes."""
         self.links: dict[str, Framing] = parts.links
         self.n_parts = len(parts.files)
         self.size = parts.size
@@ -260,7 +262,7 @@ def decode_message(message: RecordedMessage) -> RecordedItem | None:
     try:
         decode = _DECODERS.get(topic)
         return None if decode is None else decode(message)
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 
 

@@ -6,8 +6,9 @@ import contextlib
 import tempfile
 import uuid
 from collections import deque
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from gateway.comparison import orientation_error
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import InputEvent, Pipeline
+from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.recording.reading import (
     Progress,
     RecordedEvent,
@@ -30,6 +32,7 @@ from gateway.recording.reading import (
     decode_message,
 )
 from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
+from gateway.recording.smoothing import SmoothedPoses
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
 
@@ -58,11 +61,13 @@ class Source:
 
     suit: WornSuit
     settings: GatewaySettings
+    smoothed: bool = False
+    """Forward and backward: see ``gateway.reconstruction.smoothing``."""
 
 
 def recorded_source(recording: Recording) -> Source:
     """What the recorded poses were made with. Raises ``SettingsError``."""
-    return Source(recording.meta.suit, recording.meta.settings)
+    return Source(recording.meta.suit, recording.meta.settings, recording.meta.smoothed)
 
 
 def recording_pipeline(recording: Recording, source: Source) -> Pipeline:
@@ -80,8 +85,26 @@ def solve(
     progress: Progress | None = None,
 ) -> Iterator[SkeletonFrame]:
     """Skeleton frames made anew from the recorded bytes; source: None for what was recorded."""
-    pipeline = recording_pipeline(recording, source or recorded_source(recording))
-    yield from pipeline.replay(map(_as_input, recording.inputs(progress)))
+    chosen = source or recorded_source(recording)
+    pipeline = recording_pipeline(recording, chosen)
+    if not chosen.smoothed:
+        yield from pipeline.replay(map(_as_input, recording.inputs(progress)))
+        return
+    with SmoothedPoses(pipeline) as smoothing:
+        for item in recording.inputs(_half(progress, 0)):
+            smoothing.take(_as_input(item))
+        yield from smoothing.poses(_half(progress, 1))
+
+
+def smoothed_arrays(recording: Recording, progress: Progress | None = None) -> SkeletonArrays:
+    """All poses made anew, forward and backward.
+
+    Raises ``GatewayError`` for a method that cannot go backward, ``RecordingError`` when there is no pose."""
+    source = replace(recorded_source(recording), smoothed=True)
+    arrays = arrays_of(solve(recording, source, progress), source.suit.skeleton)
+    if arrays is None:
+        raise RecordingError(f"{recording.parts.path} gives no pose")
+    return arrays
 
 
 def verify(recording: Recording, progress: Progress | None = None) -> Verification:
@@ -89,17 +112,17 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
 
     Raises ``RecordingError`` when no skeleton frames were recorded.
     """
-    pipeline = recording_pipeline(recording, recorded_source(recording))
     recomputed: deque[bytes] = deque()
     compared = 0
-    for message in _told(recording, progress):
-        if message.topic == fmt.SKELETON:
-            made = recomputed.popleft() if recomputed else None
-            if made != message.data:
-                return Verification(compared, _difference(compared, message.data, made), 0)
-            compared += 1
-        else:
-            recomputed.extend(encode_skeleton_frame(frame) for frame in _fed(pipeline, message))
+    with _poses_by_message(recording, recorded_source(recording), progress) as (poses_of, tell):
+        for message in _told(recording, tell):
+            if message.topic == fmt.SKELETON:
+                made = recomputed.popleft() if recomputed else None
+                if made != message.data:
+                    return Verification(compared, _difference(compared, message.data, made), 0)
+                compared += 1
+            else:
+                recomputed.extend(encode_skeleton_frame(frame) for frame in poses_of(message))
     if compared == 0:
         raise RecordingError(f"{recording.parts.path} has no skeleton frames to compare with")
     return Verification(compared, None, len(recomputed))
@@ -114,7 +137,6 @@ def write_solved(
     """A new recording of the same bytes, with poses made anew, and the suit and configuration they were made
     with. Returns how many. Raises ``RecordingError`` when ``target`` exists, OSError as ``open`` does.
     """
-    pipeline = recording_pipeline(recording, source)
     meta, frames = recording.meta, 0
     with with_recorded_table(recording, source.settings) as settings:
         attachments = attachments_of(settings, source.suit)
@@ -127,12 +149,16 @@ def write_solved(
         from_start=str(int(meta.from_start)),
         name=target.stem,
         solved_from=f"{meta.path.name} {meta.session}",
+        smoothed=str(int(source.smoothed)),
     )
-    with RecordingWriter(target, session, attachments, meta.begun_ns) as writer:
-        for count, message in enumerate(_told(recording, progress)):
+    with (
+        _poses_by_message(recording, source, progress) as (poses_of, tell),
+        RecordingWriter(target, session, attachments, meta.begun_ns) as writer,
+    ):
+        for count, message in enumerate(_told(recording, tell)):
             if message.topic != fmt.SKELETON:
                 writer.add(message.topic, message.time_ns, message.data, _metadata(recording, message.topic))
-            for frame in _fed(pipeline, message):
+            for frame in poses_of(message):
                 writer.add(fmt.SKELETON, message.time_ns, encode_skeleton_frame(frame))
                 frames += 1
             if count % _MESSAGES_A_TELLING == 0:
@@ -146,10 +172,40 @@ def _solved_session(solved_from: str, attachments: Mapping[str, bytes]) -> str:
     return uuid.uuid5(uuid.NAMESPACE_OID, f"{solved_from} {contents!r}").hex
 
 
+@contextlib.contextmanager
+def _poses_by_message(
+    recording: Recording, source: Source, progress: Progress | None
+) -> Iterator[tuple[Callable[[RecordedMessage], list[SkeletonFrame]], Progress | None]]:
+    """What gives the frames that each message completes, to be asked in their order; and who is to be told of
+    that second going through them: for smoothed poses they have been gone through before."""
+    pipeline = recording_pipeline(recording, source)
+    if not source.smoothed:
+        yield partial(_fed, pipeline), progress
+        return
+    with SmoothedPoses(pipeline) as smoothing:
+        for message in _told(recording, _half(progress, 0)):
+            if _is_input(message):
+                item = decode_message(message)
+                known = isinstance(item, Chunk | SentChunk | RecordedEvent)
+                smoothing.take(_as_input(item) if known else None)  # type: ignore[arg-type]  # just tested
+        groups = smoothing.groups(_half(progress, 1))
+        yield lambda message: next(groups) if _is_input(message) else [], None
+
+
+def _half(progress: Progress | None, which: int) -> Progress | None:
+    """Tells the whole of a stage as the first (0) or the second (1) half of the work."""
+    if progress is None:
+        return None
+    return lambda done, total: progress(which * total + done, 2 * total)
+
+
+def _is_input(message: RecordedMessage) -> bool:
+    return message.topic.startswith((fmt.CHUNKS, fmt.SENT)) or message.topic == fmt.EVENTS
+
+
 def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
     """The frames that a message completes."""
-    is_input = message.topic.startswith((fmt.CHUNKS, fmt.SENT)) or message.topic == fmt.EVENTS
-    return _fed_item(pipeline, decode_message(message)) if is_input else []
+    return _fed_item(pipeline, decode_message(message)) if _is_input(message) else []
 
 
 def _as_input(item: Chunk | SentChunk | RecordedEvent) -> Chunk | SentChunk | InputEvent:

@@ -85,6 +85,8 @@ def rig_of(suit: WornSuit) -> dict[str, Any]:
         if calibration is not None:
             entry = CalibrationEntry.of(calibration, digits=_DIGITS)
             module["calibration"] = entry.model_dump(mode="json", exclude_none=True)
+        if suit.sun is not None:
+            module["cells"] = suit.sun.normals[suit.module_ids.index(module["id"])].tolist()
     modules.sort(key=lambda module: suit.module_ids.index(module["id"]))
     devices = [
         {
@@ -92,6 +94,7 @@ def rig_of(suit: WornSuit) -> dict[str, Any]:
             "segment": names[device.segment],
             "device": device.device,
             "position": device.position.tolist(),
+            "device_to_segment": device.orientation.tolist(),
         }
         for device in suit.local_devices
     ]
@@ -105,4 +108,8 @@ def _world(suit: WornSuit) -> dict[str, Any]:
         "dip_deg": float(np.degrees(np.arctan2(-up, np.hypot(east, north)))),
         "declination_deg": float(np.degrees(np.arctan2(east, north))),
     }
-    return {"gravity": float(-suit.gravity[2]), "magnetic_field": field}
+    world: dict[str, Any] = {"gravity": float(-suit.gravity[2]), "magnetic_field": field}
+    if suit.sun is not None:
+        world["second_field"] = "both" if suit.sun.beside_magnetometer else "sun"
+        world["place"] = {"latitude_deg": suit.sun.latitude_deg, "longitude_deg": suit.sun.longitude_deg}
+    return world

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import json
+import re
 import types
 import typing
 from collections.abc import Mapping
@@ -31,7 +32,7 @@ def decode_suit(text: bytes) -> WornSuit:
     """The suit that ``text`` was made of. Raises ``SettingsError`` for a text that describes none."""
     try:
         return _built(WornSuit, json.loads(text))
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise SettingsError(f"the recorded suit cannot be read: {error}") from error
 
 
@@ -68,7 +69,7 @@ def _built(kind: type[_Dataclass], plain: dict[str, Any]) -> _Dataclass:
 def _value(hint: Any, plain: Any) -> Any:
     """A field's value of its plain form, by the field's type."""
     if isinstance(plain, dict) and set(plain) == {"dtype", "shape", "values"}:
-        return np.array(plain["values"], dtype=np.dtype(plain["dtype"])).reshape(plain["shape"])
+        return np.array(plain["values"], dtype=_number_type(plain["dtype"])).reshape(plain["shape"])
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin in {typing.Union, types.UnionType}:
         options = [option for option in inner if option is not type(None)]
@@ -79,6 +80,13 @@ def _value(hint: Any, plain: Any) -> Any:
     if origin in {dict, Mapping}:
         return {_value(inner[0], key): _value(inner[1], item) for key, item in plain.items()}
     return _scalar(hint, plain)
+
+
+def _number_type(name: object) -> np.dtype[Any]:
+    """Plain numbers only: numpy would also read objects, records and expressions from such a name."""
+    if not re.fullmatch(r"[<>|=][biuf][1248]", str(name)):
+        raise ValueError(f"{str(name)[:20]!r} is no type of a number")
+    return np.dtype(str(name))
 
 
 def _scalar(hint: Any, plain: Any) -> Any:

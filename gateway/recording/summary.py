@@ -7,14 +7,18 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.reader import SeekingReader
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 
 from devices import recording_format as fmt
-from devices.recording_file import RecordingError, RecordingFile
+from devices.recording_file import DAMAGE, LARGEST_RECORD, RecordingError, RecordingFile, chunk_records
 from gateway.recording.reading import Recording
+
+_LONGEST_ID = 10
 
 
 @dataclass
@@ -105,20 +109,31 @@ def _by_index(file: RecordingFile, figures: _Figures) -> bool:
     """Whether the file has an index; if so, its figures were taken."""
     try:
         with file.path.open("rb") as stream:
-            reader = make_reader(stream)
-            summary = reader.get_summary()
+            summary = SeekingReader(stream, record_size_limit=LARGEST_RECORD).get_summary()
             if summary is None or summary.statistics is None:
                 return False
             for number, count in summary.statistics.channel_message_counts.items():
                 figures.messages[summary.channels[number].topic] += count
             if summary.statistics.message_count:
                 figures.saw(summary.statistics.message_start_time, summary.statistics.message_end_time)
-            newest = next(iter(reader.iter_messages([fmt.STATISTICS], reverse=True)), None)
-            if newest is not None:
-                figures.statistics = json.loads(newest[2].data)
-    except (McapError, ValueError, KeyError, OSError):
+            figures.statistics = _newest_statistics(stream, summary) or figures.statistics
+    except (*DAMAGE, KeyError, StopIteration, OSError):
         return False
     return True
+
+
+def _newest_statistics(stream: BinaryIO, summary: Summary) -> dict[str, Any] | None:
+    """From the last chunk that has some; None: no chunk has. Raises one of ``DAMAGE``."""
+    numbers = {channel.id for channel in summary.channels.values() if channel.topic == fmt.STATISTICS}
+    holding = [index for index in summary.chunk_indexes if numbers & index.message_index_offsets.keys()]
+    if not holding:
+        return None
+    stream.seek(max(holding, key=lambda index: index.message_end_time).chunk_start_offset)
+    reader = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST_RECORD)
+    chunk = next(iter(reader.records))
+    found = chunk_records(chunk) if isinstance(chunk, Chunk) else []
+    told = [part.data for part in found if isinstance(part, Message) and part.channel_id in numbers]
+    return _plain(told[-1]) if told else None
 
 
 def _by_reading(file: RecordingFile, figures: _Figures) -> None:
@@ -126,12 +141,31 @@ def _by_reading(file: RecordingFile, figures: _Figures) -> None:
         figures.messages[message.topic] += 1
         figures.saw(message.time_ns, message.time_ns)
         if message.topic == fmt.STATISTICS:
-            figures.statistics = json.loads(message.data)
+            figures.statistics = _plain(message.data)
+
+
+def _plain(data: bytes) -> dict[str, Any]:
+    """The object in a message; empty for what is none."""
+    try:
+        found = json.loads(data)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _modules(statistics: dict[str, Any]) -> dict[str, dict[str, int]]:
-    modules = statistics.get("modules", {})
-    return {
-        name: {key: int(figures.get(key, 0)) for key in ("received", "lost")}
-        for name, figures in sorted(modules.items(), key=lambda item: int(item[0]))
+    """Counts by module id; what is not told as it should be is left out."""
+    modules = statistics.get("modules")
+    if not isinstance(modules, dict):
+        return {}
+    told = {
+        name: figures for name, figures in modules.items() if name.isdecimal() and isinstance(figures, dict)
     }
+    return {
+        name: {key: _count(told[name].get(key)) for key in ("received", "lost")}
+        for name in sorted(told, key=int)
+    }
+
+
+def _count(value: object) -> int:
+    return value if isinstance(value, int) else 0

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,13 @@ COLOURS: dict[str, Colour] = {
     "predicted": (165, 80, 195),
     "warming_up": (80, 100, 215),
     "missing": (210, 35, 30),
+    "unaided": (150, 160, 70),
 }
 """By status. A measured segment turns towards ``UNSURE`` as its sigma grows."""
 UNSURE: Colour = (235, 120, 15)
 STALE: Colour = (140, 140, 140)
+MOST_NAMED = 3
+"""More silent segments are only counted."""
 SURE_DEG, UNSURE_DEG = 2.0, 15.0
 """Up to the first a measured segment counts as sure, from the second on as unsure."""
 
@@ -45,6 +49,28 @@ def _colour(status: str, sigma_rad: float | None) -> Colour:
         round(sure + part * (unsure - sure)) for sure, unsure in zip(colour, UNSURE, strict=True)
     )
     return red, green, blue
+
+
+def silent_segments(statuses: Mapping[str, str], worn: Collection[str]) -> tuple[str, ...]:
+    """Those of which nothing is known: missing, or only predicted although a module is ``worn`` there."""
+    return tuple(
+        segment
+        for segment, status in statuses.items()
+        if status == "missing" or (status == "predicted" and segment in worn)
+    )
+
+
+def status_summary(statuses: Mapping[str, str], silent: Sequence[str]) -> str:
+    """How many segments have which status: ``16 measured, 1 missing; no data of head``."""
+    counts = Counter(statuses.values())
+    if counts["measured"] == len(statuses):
+        return f"all {len(statuses)} segments measured"
+    counted = ", ".join(f"{counts[kind]} {kind.replace('_', ' ')}" for kind in COLOURS if counts[kind])
+    if not silent:
+        return counted
+    return (
+        f"{counted}; no data of {', '.join(silent[:MOST_NAMED])}{', …' if len(silent) > MOST_NAMED else ''}"
+    )
 
 
 def legend() -> str:

@@ -10,18 +10,31 @@ from numpy.typing import NDArray
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray
 
-BONE_VERTICES: FloatArray = np.array(
-    [[0, 0, 0], [0.2, 1, 0], [0.2, 0, 1], [0.2, -1, 0], [0.2, 0, -1], [1, 0, 0]], dtype=np.float64
+_SIDES = 6
+_AROUND = 2 * np.pi * np.arange(_SIDES) / _SIDES
+_THICKEST_AT = 0.22
+BONE_VERTICES: FloatArray = np.vstack(
+    [
+        [0.0, 0.0, 0.0],
+        np.column_stack([np.full(_SIDES, _THICKEST_AT), np.cos(_AROUND), np.sin(_AROUND)]),
+        [1.0, 0.0, 0.0],
+    ]
 )
-"""A double pyramid along x: length 1, half width 1 at a fifth of it."""
+"""A double pyramid along x with a hexagon between: length 1, half width 1 at about a fifth of it."""
 BONE_FACES: IntArray = np.array(
-    [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [5, 1, 2], [5, 2, 3], [5, 3, 4], [5, 4, 1]], dtype=np.int64
+    [
+        face
+        for k in range(_SIDES)
+        for a, b in [(1 + k, 1 + (k + 1) % _SIDES)]
+        for face in ((0, b, a), (_SIDES + 1, a, b))
+    ],
+    dtype=np.int64,
 )
 SHORTEST_BONE_M = 0.01
 APART_M = 0.02
 """A carried joint nearer to the tip than that gets no bone of its own."""
-WIDTH_OF_LENGTH = 0.14
-THINNEST_M, THICKEST_M = 0.015, 0.06
+WIDTH_OF_LENGTH = 0.17
+THINNEST_M, THICKEST_M = 0.018, 0.07
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import Any
 
 import viser
@@ -17,13 +18,17 @@ from gateway.outputs.messages import BodyMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
 from gateway.outputs.topics import ANY_GATEWAY
+from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.module_table import module_rows, module_table
+from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper, skeleton_of
-from gateway.viewer.scene import BodyScene, prepare
+from gateway.viewer.scene import BodyScene
+from gateway.viewer.stage import Stage
 
-PICTURES_HZ = 30.0
 RETRY_S = 0.5
+RECORDED_AFTER_S = 10.0
+"""Older poses are told by their instant: they come from a recording."""
 TEXTS_EVERY = 10
 """Texts and plots are brought up to date with every so manyeth picture."""
 
@@ -43,8 +48,9 @@ class LiveViewer:
         self._body: BodyMessage | None = None
         self._scene: BodyScene | None = None
         self._keeper: PostureKeeper | None = None
+        self._worn: frozenset[str] = frozenset()
         self._requests: set[concurrent.futures.Future[None]] = set()
-        prepare(server)
+        self._stage = Stage(server)
         self._panel = Panel(
             server,
             (
@@ -80,14 +86,13 @@ class LiveViewer:
 
     async def _draw_for_ever(self, poses: PoseSubscriber) -> None:
         picture = 0
-        while True:
+        async for _ in pictures():
             if picture % TEXTS_EVERY == 0:
                 self._take_choices()
                 self._show_texts(poses)
             self._take_body(poses.bodies.get(self._gateway))
             self._draw()
             picture += 1
-            await asyncio.sleep(1.0 / PICTURES_HZ)
 
     def _take_body(self, body: BodyMessage | None) -> None:
         """The body as the gateway has it now; another one is built anew."""
@@ -97,7 +102,7 @@ class LiveViewer:
             self._scene.remove()
         skeleton = skeleton_of(body)
         self._body, self._drawn = body, None
-        self._scene, self._keeper = BodyScene(self._server, skeleton), PostureKeeper(skeleton)
+        self._scene, self._keeper = BodyScene(self._server, self._stage, skeleton), PostureKeeper(skeleton)
 
     def _draw(self) -> None:
         latest = self._latest
@@ -107,14 +112,16 @@ class LiveViewer:
         if latest is self._drawn and is_stale == self._was_stale:
             return
         self._drawn, self._was_stale = latest, is_stale
-        self._scene.draw(self._keeper.take(latest.pose), is_stale)
+        posture = self._keeper.take(latest.pose)
+        if self._panel.follow.value:
+            self._stage.follow(posture.place)
+        self._scene.draw(posture, is_stale, self._silent())
 
     def _take_choices(self) -> None:
         if self._scene is None:
             return
         self._scene.show_axes(self._panel.axes.value)
         self._scene.shows_names = self._panel.names.value
-        self._scene.follows = self._panel.follow.value
 
     def _show_texts(self, poses: PoseSubscriber) -> None:
         state = poses.states.get(self._gateway, "state unknown")
@@ -129,13 +136,23 @@ class LiveViewer:
                 f"NO DATA for {age:.0f} s", f"{name}; this is the last pose", is_alarm=True
             )
         else:
-            rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
-            self._panel.show_status(
-                name, f"{rate:.0f} poses/s, latency {latency * 1e3:.1f} ms", is_alarm=False
-            )
-        rows = module_rows(poses.healths.get(self._gateway), poses.infos.get(self._gateway))
+            self._panel.show_status(name, *self._pose_texts(), is_alarm=False)
+        info = poses.infos.get(self._gateway)
+        self._worn = frozenset() if info is None else frozenset(module.segment for module in info.modules)
+        rows = module_rows(poses.healths.get(self._gateway), info, self._silent())
         self._panel.show_modules(module_table(rows))
         self._panel.draw_plot()
+
+    def _pose_texts(self) -> tuple[str, ...]:
+        """Lines about poses that come."""
+        latest = self._latest
+        rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
+        when = f"latency {latency * 1e3:.1f} ms" if latency < RECORDED_AFTER_S else _instant(latest)
+        pace = f"{rate:.0f} poses/s, {when}"
+        return (pace,) if latest is None else (pace, status_summary(latest.pose.status, self._silent()))
+
+    def _silent(self) -> tuple[str, ...]:
+        return () if self._latest is None else silent_segments(self._latest.pose.status, self._worn)
 
     def _is_stale(self) -> bool:
         age = self._view.age_s(gateway_time_ns())
@@ -158,3 +175,11 @@ class LiveViewer:
             return
         told = ", ".join(f"{name} {value}" for name, value in answer.items())
         self._panel.show_answer(f"{wish}: done{'; ' + told if told else ''}")
+
+
+def _instant(received: ReceivedPose | None) -> str:
+    """When a pose was taken, for one that comes from a recording."""
+    if received is None:
+        return ""
+    taken = datetime.fromtimestamp(received.pose.t_ns * 1e-9, UTC)
+    return f"taken {taken:%Y-%m-%d %H:%M:%S} UTC"

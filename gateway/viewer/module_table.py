@@ -3,31 +3,37 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from pydantic import JsonValue
 
 from gateway.outputs.messages import BridgeHealth, BridgeInfo
 
-_COLUMNS = ("module", "segment", "lost %", "ppm", "residual µs", "battery %")
+_COLUMNS = ("id", "segment", "lost %", "ppm", "± µs", "bat. %")
 _LOSSY_PERCENT = 1.0
 
 
-def module_rows(health: BridgeHealth | None, info: BridgeInfo | None) -> list[tuple[str, ...]]:
-    """One row a module, as texts: those of the rig, and strangers that were heard."""
+def module_rows(
+    health: BridgeHealth | None, info: BridgeInfo | None, silent: Collection[str] = ()
+) -> list[tuple[str, ...]]:
+    """One row a module, as texts: those of the rig, and others that were heard.
+
+    silent: segments of which nothing comes now.
+    """
     modules = health.statistics.get("modules", {}) if health is not None else {}
     heard: Mapping[str, JsonValue] = modules if isinstance(modules, dict) else {}
     worn = {str(m.module): m.segment for m in info.modules} if info is not None else {}
     names = sorted({*heard, *worn}, key=lambda name: (len(name), name))
-    return [_row(name, worn.get(name, "not in the rig"), heard.get(name)) for name in names]
+    rows = ((name, worn.get(name, "other device")) for name in names)
+    return [_row(name, place, None if place in silent else heard.get(name)) for name, place in rows]
 
 
 def module_table(rows: list[tuple[str, ...]]) -> str:
     """The rows as an HTML table; modules that lose more than a per cent stand out."""
-    head = "".join(f'<th style="text-align:left;padding:1px 6px">{name}</th>' for name in _COLUMNS)
+    head = "".join(f'<th style="text-align:left;padding:1px 4px">{name}</th>' for name in _COLUMNS)
     body = "".join(_html_row(row) for row in rows)
     return (
-        '<div style="padding:0 8px;overflow-x:auto"><table style="font-size:11px;border-collapse:collapse">'
+        '<div style="padding:0 6px;overflow-x:auto"><table style="font-size:11px;border-collapse:collapse">'
         f"<tr>{head}</tr>{body}</table></div>"
     )
 
@@ -58,6 +64,6 @@ def _html_row(row: tuple[str, ...]) -> str:
     is_bad = lost == "silent" or float(lost) > _LOSSY_PERCENT
     colour = "color:rgb(225,60,50)" if is_bad else ""
     cells = "".join(
-        f'<td style="padding:1px 6px;white-space:nowrap">{html.escape(cell)}</td>' for cell in row
+        f'<td style="padding:1px 4px;white-space:nowrap">{html.escape(cell)}</td>' for cell in row
     )
     return f'<tr style="{colour}">{cells}</tr>'

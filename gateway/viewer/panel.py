@@ -70,13 +70,14 @@ class Panel:
         """Bring the plot up to date."""
         self._plot.draw()
 
-    def show_status(self, headline: str, detail: str, is_alarm: bool) -> None:
-        """The line on top: red when it is an alarm."""
+    def show_status(self, headline: str, *details: str, is_alarm: bool) -> None:
+        """The lines on top; the first is red when it is an alarm."""
         colour = "rgb(225,60,50)" if is_alarm else "inherit"
+        lines = "<br>".join(map(html.escape, details))
         self._set(
             self._status,
             f'<div style="padding:4px 12px"><div style="font-weight:600;font-size:15px;color:{colour}">'
-            f'{html.escape(headline)}</div><div style="font-size:12px">{html.escape(detail)}</div></div>',
+            f'{html.escape(headline)}</div><div style="font-size:12px">{lines}</div></div>',
         )
 
     def show_answer(self, answer: str) -> None:

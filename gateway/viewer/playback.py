@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import asyncio
 import bisect
-import time
 
 import viser
 
 from gateway.body.joint_angles import JointAngles
-from gateway.frames import SkeletonFrame
+from gateway.frames import SkeletonFrame, Status
 from gateway.outputs.messages import PoseMessage
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
+from gateway.viewer.appearance import silent_segments, status_summary
+from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
-from gateway.viewer.scene import BodyScene, prepare
+from gateway.viewer.scene import BodyScene
+from gateway.viewer.stage import Stage
 
-PICTURES_HZ = 30.0
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 TIME_LINE_STEP_S = 0.01
 
@@ -32,10 +32,12 @@ class Playback:
         self._position_s = 0.0
         self._is_playing = True
         self._name = name
+        measured = (arrays.status == Status.MEASURED).any(axis=0)
+        self._worn = {segment for segment, was in zip(arrays.segment_names, measured, strict=True) if was}
         skeleton = arrays.skeleton
         self._encoder = PoseEncoder(skeleton.segment_names, None, frozenset(PoseMap), JointAngles(skeleton))
-        prepare(server)
-        self._scene, self._keeper = BodyScene(server, skeleton), PostureKeeper(skeleton)
+        self._stage = Stage(server)
+        self._scene, self._keeper = BodyScene(server, self._stage, skeleton), PostureKeeper(skeleton)
         self._panel = Panel(server, (ButtonRow("Playback", ("play", "pause", "begin"), self._press),))
         self._speed = server.gui.add_dropdown("Speed ×", SPEEDS, initial_value="1")
         end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
@@ -45,12 +47,8 @@ class Playback:
 
     async def run(self) -> None:
         """For ever; begins anew at the end."""
-        before = time.monotonic()
-        while True:
-            await asyncio.sleep(1.0 / PICTURES_HZ)
-            now = time.monotonic()
-            self.advance(now - before)
-            before = now
+        async for elapsed_s in pictures():
+            self.advance(elapsed_s)
 
     def advance(self, elapsed_s: float) -> None:
         """Go on by so much real time, and draw."""
@@ -77,16 +75,19 @@ class Playback:
             return
         self._drawn = index
         pose = PoseMessage.model_validate_json(self._encoder.encode(self._frame(index)))
-        self._scene.draw(self._keeper.take(pose), is_stale=False)
+        posture = self._keeper.take(pose)
+        silent = silent_segments(pose.status, self._worn)
+        if self._panel.follow.value:
+            self._stage.follow(posture.place)
+        self._scene.draw(posture, is_stale=False, silent=silent)
         self._panel.add_pose(pose)
         self._panel.draw_plot()
-        frames = f"frame {index + 1} of {len(self._times_s)}"
-        self._panel.show_status(self._name, f"{self._times_s[index]:.2f} s, {frames}", is_alarm=False)
+        where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"
+        self._panel.show_status(self._name, where, status_summary(pose.status, silent), is_alarm=False)
 
     def _take_choices(self) -> None:
         self._scene.show_axes(self._panel.axes.value)
         self._scene.shows_names = self._panel.names.value
-        self._scene.follows = self._panel.follow.value
 
     def _press(self, what: str) -> None:
         self._is_playing = what != "pause"

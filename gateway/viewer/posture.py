@@ -18,6 +18,7 @@ class Posture:
 
     q_wb: FloatArray  # (s, 4)
     p_w: FloatArray  # (s, 3) m
+    place: FloatArray  # (3,) m, of the root's joint
     status: tuple[str, ...]
     sigma_rad: tuple[float | None, ...]
 
@@ -52,9 +53,11 @@ class PostureKeeper:
             if known is not None:
                 self._q_wb[s] = known
         sigma = pose.sigma or {}
+        p_w = self._positions(pose)
         return Posture(
             q_wb=self._q_wb.copy(),
-            p_w=self._positions(pose),
+            p_w=p_w,
+            place=p_w[self._root],
             status=tuple(pose.status.get(name, "missing") for name in names),
             sigma_rad=tuple(sigma.get(name) for name in names),
         )

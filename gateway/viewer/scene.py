@@ -1,8 +1,8 @@
-"""The body on the page: bones, axes, names of troubled segments, a floor, a camera that follows."""
+"""The body on the page: bones, axes, and names of segments, of silent ones always."""
 
 from __future__ import annotations
 
-import contextlib
+from collections.abc import Collection
 
 import numpy as np
 import viser
@@ -13,21 +13,18 @@ from gateway.geometry import quaternion
 from gateway.viewer.appearance import segment_colours
 from gateway.viewer.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.viewer.posture import Posture
+from gateway.viewer.stage import Stage
 
 AXES_LENGTH_M = 0.09
-FOLLOWED_STEP_M = 0.03
-"""The camera is moved when the body has moved by so much: every move costs a message to each page."""
-FIRST_CAMERA: tuple[float, float, float] = (1.9, -1.9, 1.4)
-FIRST_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, 0.85)
-FLOOR_M = 20.0
 _BODY = "/body"
 
 
 class BodyScene:
     """One body in the scene of a viser server; made anew when the body changes."""
 
-    def __init__(self, server: viser.ViserServer, skeleton: Skeleton) -> None:
+    def __init__(self, server: viser.ViserServer, stage: Stage, skeleton: Skeleton) -> None:
         self._server = server
+        self._stage = stage
         self._skeleton = skeleton
         self._bones = bones = bones_of(skeleton)
         n, n_bones = skeleton.n_segments, len(bones.segment)
@@ -58,11 +55,8 @@ class BodyScene:
             scene.add_label(f"{_BODY}/names/{name}", name, visible=False, anchor="bottom-left")
             for name in skeleton.segment_names
         ]
-        self._root = int(np.flatnonzero(skeleton.parents < 0)[0])
-        self._followed: FloatArray | None = None
         self._colours = np.zeros((0, 3), np.uint8)
         self.shows_names = False
-        self.follows = True
 
     def remove(self) -> None:
         """Take the body off the page."""
@@ -73,9 +67,9 @@ class BodyScene:
         """Segment axes, or none."""
         self._axes.visible = is_wanted
 
-    def draw(self, posture: Posture, is_stale: bool) -> None:
-        """Bring the page to a posture."""
-        segment = self._bones.segment
+    def draw(self, posture: Posture, is_stale: bool, silent: Collection[str] = ()) -> None:
+        """Bring the page to a posture; the silent segments are named."""
+        segment, p_w = self._bones.segment, posture.p_w - self._stage.middle
         wxyz = [
             quaternion.multiply(posture.q_wb[s], q)
             for s, q in zip(segment, self._bones.q_segment_from_bone, strict=True)
@@ -83,60 +77,22 @@ class BodyScene:
         colours = segment_colours(posture.status, posture.sigma_rad, is_stale)[segment]
         with self._server.atomic():
             self._bodies.batched_wxyzs = np.array(wxyz, np.float32)
-            self._bodies.batched_positions = posture.p_w[segment].astype(np.float32)
+            self._bodies.batched_positions = p_w[segment].astype(np.float32)
             if not np.array_equal(colours, self._colours):
                 self._bodies.batched_colors = self._colours = colours
             if self._axes.visible:
                 self._axes.batched_wxyzs = posture.q_wb.astype(np.float32)
-                self._axes.batched_positions = posture.p_w.astype(np.float32)
-            self._name_segments(posture)
-        self._follow(posture.p_w[self._root])
+                self._axes.batched_positions = p_w.astype(np.float32)
+            self._name_segments(p_w, posture.q_wb, silent)
 
-    def _name_segments(self, posture: Posture) -> None:
+    def _name_segments(self, p_w: FloatArray, q_wb: FloatArray, silent: Collection[str]) -> None:
         for s, label in enumerate(self._labels):
-            status, name = posture.status[s], self._skeleton.segment_names[s]
-            is_troubled = status in ("held", "missing")
-            text = f"{name}: {status}" if is_troubled else name
-            is_visible = self.shows_names or is_troubled
+            name = self._skeleton.segment_names[s]
+            text = f"{name}: no data" if name in silent else name
+            is_visible = self.shows_names or name in silent
             if label.visible != is_visible:
                 label.visible = is_visible
             if is_visible:
                 if label.text != text:
                     label.text = text
-                label.position = posture.p_w[s] + quaternion.rotate(
-                    posture.q_wb[s], 0.5 * self._skeleton.tips[s]
-                )
-
-    def _follow(self, root: FloatArray) -> None:
-        """Move every page's camera along with the body, over the floor."""
-        if self._followed is None:
-            self._followed = root.copy()
-        moved = root - self._followed
-        moved[2] = 0.0
-        if not self.follows or np.linalg.norm(moved) < FOLLOWED_STEP_M:
-            return
-        self._followed = self._followed + moved
-        for client in self._server.get_clients().values():
-            with contextlib.suppress(AssertionError):  # a page that has not told its camera yet
-                client.camera.position = client.camera.position + moved
-                client.camera.look_at = client.camera.look_at + moved
-
-
-def prepare(server: viser.ViserServer) -> None:
-    """Floor, light and the first look."""
-    server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
-    server.scene.set_up_direction("+z")
-    server.scene.configure_environment_map("studio", environment_intensity=0.35)
-    server.scene.add_grid(
-        "/floor",
-        width=FLOOR_M,
-        height=FLOOR_M,
-        cell_size=0.25,
-        section_size=1.0,
-        cell_color=(70, 74, 82),
-        section_color=(105, 110, 120),
-        shadow_opacity=0.0,
-    )
-    server.scene.add_frame("/world", axes_length=0.25, axes_radius=0.006)
-    server.initial_camera.position = FIRST_CAMERA
-    server.initial_camera.look_at = FIRST_LOOK_AT
+                label.position = p_w[s] + quaternion.rotate(q_wb[s], 0.5 * self._skeleton.tips[s])

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from simulated_body import angular_error_deg, arm, imu_frames, instants, simulate
 
-from benchmarks.fast_arm import Switches, fast_arm, fast_motion, sampled
+from benchmarks.fast_arm import Switches, carried_arm, carried_motion, fast_arm, fast_motion, sampled
 from benchmarks.offline import imu_frames as recorded_frames
 from benchmarks.offline import orientations
 from benchmarks.scoring import score
 from benchmarks.simulation import errors_deg
+from devices.emulators.motions import generic_motion
 from devices.emulators.recording_formats import read_ring_chain5
 from gateway.body.rig import load_rig
+from gateway.cli.emulated_rig import dress
 from gateway.reconstruction import create_reconstructor
-from gateway.reconstruction.inertial.joint import JointReconstructor
+from gateway.reconstruction.inertial.joint import ChainSettings, JointReconstructor
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -35,7 +37,7 @@ def test_ideal_sensors_are_followed_and_sigma_covers_the_error():
     assert np.mean(errors < 2.0 * sigma) > 0.95
 
 
-@pytest.mark.parametrize(("name", "ratio"), [("joint", 0.4), ("outward", 0.6)])
+@pytest.mark.parametrize(("name", "ratio"), [("joint", 0.35), ("outward", 0.6)])
 def test_a_fast_arm_with_wrong_lever_arms_is_far_better_than_vqf(name, ratio):
     suit = fast_arm()
     motion = fast_motion(suit, 1)
@@ -48,6 +50,18 @@ def test_a_fast_arm_with_wrong_lever_arms_is_far_better_than_vqf(name, ratio):
     assert means[0] < ratio * means[1]
 
 
+def test_an_arm_on_a_base_that_is_carried_about_is_far_better_still():
+    suit = carried_arm()
+    motion = carried_motion(suit, 1)
+    observed = sampled(suit, motion, Switches(), 1)
+    means = []
+    for method in ("joint", "independent"):
+        reconstructor = create_reconstructor(method, suit, 0.01)
+        frames = [reconstructor.update(frame) for frame in observed]
+        means.append(np.mean(errors_deg(frames, motion, 4.0)))
+    assert means[0] < 0.15 * means[1]
+
+
 def test_lever_arms_that_are_wrong_are_found_where_they_show():
     suit = fast_arm()
     motion = fast_motion(suit, 2)
@@ -58,6 +72,45 @@ def test_lever_arms_that_are_wrong_are_found_where_they_show():
     # to_joint is minus the lever arm: too small by 0.02 along y, on the links that turn about all axes
     found = reconstructor.state()["arm"][2:, 1]
     np.testing.assert_allclose(found, 0.02, atol=0.006)
+
+
+def test_with_perfect_sensors_little_is_left_of_the_error_of_integrating_rates():
+    suit = fast_arm()
+    motion = fast_motion(suit, 1)
+    reconstructor = create_reconstructor("joint", suit, 0.01)
+    frames = [reconstructor.update(frame) for frame in sampled(suit, motion, Switches(False, False, 0.0), 1)]
+    # the trapezoid alone leaves 0.2° on the last links, a sample's rate for a whole interval 2°
+    assert np.max(errors_deg(frames, motion, 4.0)) < 0.08
+
+
+def test_a_fixed_point_shows_the_error_of_the_accelerometer():
+    suit = carried_arm()
+    motion = generic_motion(dress(suit), 2, peak_angular_rate=8.0, peak_angular_acceleration=60.0)
+    suit = replace(suit, local_devices=fast_arm().local_devices)
+    wrong = np.zeros((5, 3))
+    wrong[0] = [0.05, -0.06, 0.04]
+    reconstructor = JointReconstructor(suit, 0.01)
+    for frame in sampled(suit, motion, Switches(False, False, 0.0), 2):
+        reconstructor.update(replace(frame, specific_force=frame.specific_force + wrong))
+    found = reconstructor.state()["force_bias"]
+    np.testing.assert_allclose(found[0], wrong[0], atol=0.025)
+    assert not found[1:].any()
+
+
+def test_a_heading_lost_by_a_saturated_gyrometer_is_open_until_motion_shows_it_again():
+    suit = fast_arm()
+    motion = fast_motion(suit, 1)
+    reconstructor = JointReconstructor(suit, 0.01, ChainSettings(uses_field=False))
+    frames, was_open = [], False
+    for frame in sampled(suit, motion, Switches(False, False, 0.0), 1):
+        if 10.0 <= frame.time_ns * 1e-9 < 10.4:
+            frame.angular_rate[3] = 40.0
+        frames.append(reconstructor.update(frame))
+        was_open |= frame.time_ns > 10e9 and bool(reconstructor.state()["is_open"][3])
+    assert was_open
+    assert not reconstructor.state()["is_open"][3]
+    errors = errors_deg(frames, motion, 14.0)
+    assert abs(errors[3] - errors[2]) < 2.0  # the chain's own heading is nobody's: there is no field
 
 
 @pytest.mark.skipif(not RING.is_dir(), reason=f"no recording in {RING}")

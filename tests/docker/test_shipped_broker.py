@@ -84,9 +84,10 @@ def client_of(user: str, port: int) -> aiomqtt.Client:
     return aiomqtt.Client("127.0.0.1", port, username=user, password=f"{user}-pw")
 
 
-async def heard_by_the_gateway(port: int, sender: str, topic: str) -> bool:
-    """Whether a message of ``sender`` reaches a subscriber of the topic."""
-    async with client_of("gateway", port) as listener, client_of(sender, port) as client:
+async def heard(port: int, sender: str, topic: str) -> bool:
+    """Whether a message of ``sender`` reaches whom it is for: requests the gateway, poses an app."""
+    whom = "gateway" if topic == REQUEST else "app"
+    async with client_of(whom, port) as listener, client_of(sender, port) as client:
         await listener.subscribe(topic)
         await client.publish(topic, b"{}", qos=1)
         with contextlib.suppress(TimeoutError):
@@ -98,11 +99,24 @@ async def heard_by_the_gateway(port: int, sender: str, topic: str) -> bool:
 
 async def test_only_the_named_user_may_send_requests(tmp_path, unused_port):
     with shipped_broker(tmp_path, unused_port):
-        assert await heard_by_the_gateway(unused_port, "operator", REQUEST)
-        assert not await heard_by_the_gateway(unused_port, "app", REQUEST)
-        assert not await heard_by_the_gateway(unused_port, "app", POSE)
-        assert not await heard_by_the_gateway(unused_port, "operator", POSE)
-        assert await heard_by_the_gateway(unused_port, "gateway", POSE)
+        assert await heard(unused_port, "operator", REQUEST)
+        assert not await heard(unused_port, "app", REQUEST)
+        assert not await heard(unused_port, "app", POSE)
+        assert not await heard(unused_port, "operator", POSE)
+        assert await heard(unused_port, "gateway", POSE)
+
+
+async def test_the_gateway_hears_requests_and_nothing_else(tmp_path, unused_port):
+    with shipped_broker(tmp_path, unused_port):
+        async with (
+            client_of("gateway", unused_port) as gateway,
+            client_of("operator", unused_port) as operator,
+        ):
+            await gateway.subscribe("#")
+            await gateway.publish(POSE, b"pose", qos=1)
+            await operator.publish(REQUEST, b"{}", qos=1)
+            async with asyncio.timeout(5):
+                assert (await anext(aiter(gateway.messages))).topic.value == REQUEST
 
 
 async def test_an_app_reads_poses_and_a_stranger_is_refused(tmp_path, unused_port):
@@ -128,8 +142,8 @@ async def test_tls_with_the_right_authority_only(tmp_path, unused_port, monkeypa
             port=unused_port, username="gateway", tls=TlsSettings(ca_file=tmp_path / "ca.crt")
         )
         async with broker_connection(trusted, unused_port, "tls-test") as client:
-            await client.subscribe(POSE)
-            await client.publish(POSE, b"secret")
+            await client.subscribe(REQUEST)
+            await client.publish(REQUEST, b"secret")
             async with asyncio.timeout(2):
                 assert (await anext(aiter(client.messages))).payload == b"secret"
         stranger = trusted.model_copy(update={"tls": TlsSettings()})

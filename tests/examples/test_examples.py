@@ -14,6 +14,7 @@ import sys
 import threading
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -111,6 +112,46 @@ async def test_node_subscriber(mosquitto, mqtt_js, until):
     topic, content_type, _, root, q = lines[0].split(" ", 4)
     assert (topic, content_type, root) == ("mocap/lab/pose", "application/json", "pelvis")
     np.testing.assert_allclose(json.loads(q), SKELETON.neutral, atol=1e-6)
+
+
+RAW_NODE = """import mqtt from "mqtt";
+const client = mqtt.connect(process.argv[2], { protocolVersion: 5 });
+client.subscribe("mocap/+/pose");
+client.on("message", (topic, payload) => {
+  console.log(payload.toString());
+  client.end(true);
+  process.exit(0);
+});
+"""
+
+
+def assert_poses(lines, count):
+    """Each line is a pose as the published schema says."""
+    schema = json.loads((EXAMPLES.parent / "docs" / "mqtt" / "schemas" / "PoseMessage.json").read_text())
+    assert len(lines) == count
+    for line in lines:
+        pose = json.loads(line)
+        jsonschema.validate(pose, schema)
+        np.testing.assert_allclose(pose["segments"]["pelvis"], SKELETON.neutral, atol=1e-6)
+
+
+async def test_mosquitto_sub_receives_what_the_schema_says(mosquitto, until):
+    program = shutil.which("mosquitto_sub")
+    if program is None:
+        pytest.skip("mosquitto_sub is not installed (apt install mosquitto-clients)")
+    async with MqttOutput(MqttSettings(port=mosquitto.port), SKELETON, INFO) as output:
+        await until(lambda: output.is_connected)
+        command = [program, "-p", str(mosquitto.port), "-t", "mocap/+/pose", "-C", "2"]
+        assert_poses(await lines_while_publishing(output, *command), 2)
+
+
+async def test_mqtt_js_receives_what_the_schema_says(mosquitto, mqtt_js, until):
+    (mqtt_js / "raw.mjs").write_text(RAW_NODE)
+    settings = MqttSettings(port=mosquitto.port, protocol="5")
+    async with MqttOutput(settings, SKELETON, INFO) as output:
+        await until(lambda: output.is_connected)
+        command = ["node", "raw.mjs", f"mqtt://127.0.0.1:{mosquitto.port}"]
+        assert_poses(await lines_while_publishing(output, *command, cwd=mqtt_js), 1)
 
 
 async def test_browser_page(mosquitto, mqtt_js, unused_port, until):

@@ -39,6 +39,7 @@ def examined(tmp_path, unused_port):
             "gateway": "lab",
             "links": [{"name": "suit", "url": url}],
             "rig": rig,
+            "reconstructor": "independent",
             "mqtt": mqtt or {"port": unused_port},
             "recording": {"folder": str(tmp_path)},
         }

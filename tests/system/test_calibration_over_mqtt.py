@@ -43,6 +43,7 @@ async def served(mosquitto, folder):
             gateway="lab",
             links=[LinkSettings(name="suit", url=emulated.transport.url)],
             rig="suit_lower_7",
+            reconstructor="independent",
             mqtt=mqtt,
             recording=RecordingSettings(at_start=True, folder=str(folder / "recordings")),
         ),

@@ -26,6 +26,7 @@ async def clock_errors_us(folder, broker_port, sync_rate_hz, seconds=5.0):
         gateway="lab",
         links=[{"name": "suit", "url": str(port)}],
         rig="robot_arm_4",
+        reconstructor="independent",
         clock={"sync_rate_hz": sync_rate_hz},
         mqtt={"port": broker_port},
     )

@@ -62,6 +62,7 @@ def write_config(folder, port, url, **changes):
         "gateway": "lab",
         "links": [{"name": "suit", "url": str(url)}],
         "rig": "robot_arm_4",
+        "reconstructor": "independent",
         "mqtt": {"port": port},
     }
     path = folder / "gateway.yaml"

@@ -282,6 +282,7 @@ async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_
     settings = GatewaySettings(
         links=[LinkSettings(name="card", url=f"recording://{target}?speed=max")],
         rig=RIG,
+        reconstructor="independent",
         mqtt=MqttSettings(broker="embedded", port=0),
     )
     service = Service(settings, load_rig(RIG))
@@ -296,6 +297,7 @@ async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, mosq
         gateway="lab",
         links=[LinkSettings(name="suit", url="/dev/null")],
         rig=RIG,
+        reconstructor="independent",
         mqtt=MqttSettings(port=mosquitto.port),
         allow_device_writes=True,
     )

@@ -42,6 +42,7 @@ def served(mosquitto, commanded_suit):
             gateway="lab",
             links=[LinkSettings(name="suit", url="/dev/null")],
             rig="robot_arm_4",
+            reconstructor="independent",
             mqtt=mqtt,
             allow_device_writes=allow_device_writes,
         )

@@ -53,6 +53,7 @@ async def gateway_of(suit, broker_port, **settings):
         gateway="lab",
         links=[{"name": "suit", "url": "loopback"}],
         rig="robot_arm_4",
+        reconstructor="independent",
         mqtt={"port": broker_port, "health_interval": 0.1},
         modules={"state_interval_s": 0.5, "silent_after_s": 0.5},
         **settings,
@@ -232,7 +233,7 @@ async def test_a_port_in_use_is_named(commanded_suit, mosquitto):
         port = other.getsockname()[1]
         async with commanded_suit() as suit:
             settings = GatewaySettings(
-                links=[{"name": "suit", "url": "x"}], rig="robot_arm_4",
+                links=[{"name": "suit", "url": "x"}], rig="robot_arm_4", reconstructor="independent",
                 mqtt={"port": mosquitto.port}, metrics={"port": port},
             )  # fmt: skip
             service = Service(settings, load_rig("robot_arm_4"), [suit.link])

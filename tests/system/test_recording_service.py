@@ -53,6 +53,7 @@ def settings_for(port, folder, broker_port, **recording):
         gateway="lab",
         links=[LinkSettings(name="suit", url=str(port))],
         rig=RIG,
+        reconstructor="independent",
         mqtt=MqttSettings(port=broker_port, health_interval=1),
         recording=RecordingSettings(**kept),
     )

@@ -21,6 +21,7 @@ CONFIG = """
 gateway: lab
 links: [{{name: suit, url: {folder}/absent}}]
 rig: {rig}
+reconstructor: independent
 mqtt: {{port: {port}, protocol: "5"}}
 outputs: {{udp_json: {{port: 39612}}}}
 """

@@ -21,6 +21,7 @@ CONFIG = """
 gateway: lab
 links: [{{name: suit, url: {folder}/absent}}]
 rig: single
+reconstructor: independent
 mqtt: {{port: {port}, base_topic: {base}}}
 """
 

@@ -46,6 +46,7 @@ class Capture:
             gateway="lab",
             links=[{"name": "suit", "url": url}],
             rig=RIG,
+            reconstructor="independent",
             clock={"mode": "trigger"},
             mqtt={"port": broker_port, "health_interval": 0.5},
         )

@@ -31,6 +31,7 @@ class CanBusTransport:
 
     @property
     def url(self) -> str:
+        """Where a host finds it, as a ``url`` of its configuration; empty while closed."""
         flags = "?fd=1" if self._options.get("fd") else ""
         channel, interface = self._options["channel"], self._options["interface"]
         return f"can://{interface}/{channel}{flags}" if self._bus is not None else ""

@@ -28,6 +28,7 @@ class LoopbackTransport:
 
     @property
     def url(self) -> str:
+        """Empty: only this process can reach it."""
         return ""
 
     async def open(self) -> None:

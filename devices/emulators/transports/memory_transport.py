@@ -19,6 +19,7 @@ class MemoryTransport:
 
     @property
     def url(self) -> str:
+        """Empty: only this process can reach it."""
         return ""
 
     async def open(self) -> None:

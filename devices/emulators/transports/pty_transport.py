@@ -41,6 +41,7 @@ class PtyTransport:
 
     @property
     def url(self) -> str:
+        """Where a host finds it, as a ``url`` of its configuration; empty while closed."""
         return self.path
 
     async def open(self) -> None:

@@ -42,6 +42,7 @@ class SlcanTransport:
 
     @property
     def url(self) -> str:
+        """Where a host finds it, as a ``url`` of its configuration; empty while closed."""
         return f"slcan://{self.path}" if self.path else ""
 
     async def open(self) -> None:

@@ -32,6 +32,7 @@ class TcpTransport:
 
     @property
     def url(self) -> str:
+        """Where a host finds it, as a ``url`` of its configuration; empty while closed."""
         return f"tcp://{self.host}:{self.port}" if self._server is not None else ""
 
     async def open(self) -> None:

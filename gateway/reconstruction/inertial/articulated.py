@@ -34,7 +34,11 @@ from gateway.frames import FloatArray, ImuFrame, SkeletonFrame, Status
 from gateway.geometry import quaternion
 from gateway.reconstruction.inertial.gyro_free import Weights
 from gateway.reconstruction.inertial.local_device import RootMotion
-from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
+from gateway.reconstruction.inertial.observations import (
+    SegmentObservations,
+    SegmentObserver,
+    with_sun_as_field,
+)
 from gateway.reconstruction.inertial.operators import Chain, advance, initial_state
 from gateway.reconstruction.inertial.static_start import StaticStart
 from gateway.reconstruction.inertial.travel import travel_from
@@ -124,6 +128,10 @@ class ArticulatedReconstructor:
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
         time_ns = observation.time_ns
+        sun = observation.sun
+        if sun is not None:
+            observation = with_sun_as_field(observation, sun)
+            self._chain = self._chain._replace(field=np.array(sun.world, np.float64))
         observed = self._observer.observe(observation)
         self._root_motion.add(observation.local)
         self._start(observed, time_ns)

@@ -89,3 +89,28 @@ def _inverse_into(M: FloatArray, A: FloatArray, n: int) -> None:
                 total += M[k, i] * M[k, j]
             M[i, j] = total
             M[j, i] = total
+
+
+@compiled
+def weakened_into(S: FloatArray, M: FloatArray, A: FloatArray, a: int, B: FloatArray, b: int) -> None:
+    """S ← (A⁻¹ + B)⁻¹ = (I + A B)⁻¹ A of symmetric blocks of three, of which either may be singular.
+
+    The blocks are A[a:a+3, a:a+3], B[b:b+3, b:b+3] and S[:3, :3], which is symmetric to the last bit; M is
+    used on the way: the inverse is the matrix of cofactors over the determinant.
+    """
+    for i in range(3):
+        for j in range(3):
+            S[i, j] = A[a + i, a] * B[b, b + j] + A[a + i, a + 1] * B[b + 1, b + j]
+            S[i, j] += A[a + i, a + 2] * B[b + 2, b + j]
+        S[i, i] += 1.0
+    for i in range(3):
+        k, m = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            M[i, j] = S[p, k] * S[q, m] - S[p, m] * S[q, k]
+    scale = 1.0 / (S[0, 0] * M[0, 0] + S[0, 1] * M[1, 0] + S[0, 2] * M[2, 0])
+    for j in range(3):
+        x, y, z = scale * A[a, a + j], scale * A[a + 1, a + j], scale * A[a + 2, a + j]
+        for i in range(j, 3):
+            S[i, j] = M[i, 0] * x + M[i, 1] * y + M[i, 2] * z
+            S[j, i] = S[i, j]

@@ -36,18 +36,22 @@ def average(
     rate: FloatArray,
     is_valid: FloatArray,
     dt: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Swing of each segment, (n, 3, 3) 1/s², world, and ‖[ω̇, ω]‖, (n,) 1/s². In place: the averages."""
-    n = len(body.parents)
-    K, motion, f_w, W = np.zeros((n, 3, 3)), np.zeros(n), np.empty(3), np.empty((3, 3))
+    K: FloatArray,
+    motion: FloatArray,
+) -> None:
+    """K, motion ← swing of each segment, (n, 3, 3) 1/s², world, and ‖[ω̇, ω]‖, (n,) 1/s², where its specific
+    force counts. In place, too: the averages."""
+    f, f_w, W = np.empty(3), np.empty(3), np.empty((3, 3))
     gain = 1.0 - math.exp(-dt / noise.smoothing_s)
     long_gain = 1.0 - math.exp(-dt / noise.unaided_window_s)
     per_s = gain / dt
-    for s in range(n):
+    for s in range(len(body.parents)):
         if is_valid[s] < 2.0:
             state.fresh_s[s] = 0.0
             continue
-        R, f = state.R[s], force[s]
+        R = state.R[s]
+        for i in range(3):
+            f[i] = force[s, i] - state.force_bias[s, i]
         x, y, z = (
             rate[s, 0] - state.bias[s, 0],
             rate[s, 1] - state.bias[s, 1],
@@ -74,18 +78,17 @@ def average(
                 square += K[s, i, j] ** 2
         motion[s] = math.sqrt(0.5 * square)
         state.fresh_s[s] += dt
-    return K, motion
 
 
 @compiled
-def felt_at(force: FloatArray, K: FloatArray, arm: FloatArray, error: FloatArray) -> FloatArray:
-    """(3,) m/s², world: specific force at ``arm + error`` (3,) from a module that feels ``force``."""
-    u = np.empty(3)
+def felt_into(
+    u: FloatArray, force: FloatArray, K: FloatArray, arm: FloatArray, error: FloatArray, first: int
+) -> None:
+    """u (3,) m/s², world ← specific force at ``arm + error[first:]`` from a module that feels ``force``."""
     for i in range(3):
         u[i] = force[i]
         for j in range(3):
-            u[i] += K[i, j] * (arm[j] + error[j])
-    return u
+            u[i] += K[i, j] * (arm[j] + error[first + j])
 
 
 @compiled

@@ -10,20 +10,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.body.kinematics import joint_positions
+from gateway.body.kinematics import joint_positions_into
 from gateway.body.skeleton import LocalDevice, WornSuit
-from gateway.frames import FloatArray, IntArray, Status, StatusArray
-from gateway.geometry import quaternion
+from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
+from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
+from gateway.reconstruction.inertial.chain_prediction import exceeds
+from gateway.reconstruction.inertial.chain_scratch import Scratch
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.chain_step import orientation_sigma, step
-from gateway.reconstruction.inertial.held_arguments import Held
+from gateway.reconstruction.inertial.chain_step import mark_unaided, note_sigma, step
 from gateway.reconstruction.inertial.local_rows import take_reading
-from gateway.reconstruction.inertial.observations import by_segment, sensor_to_segment_matrices
+from gateway.reconstruction.inertial.observations import by_segment_into, sensor_to_segment_matrices
+from gateway.reconstruction.inertial.sun_rows import sun_by_segment_into
 
 SHORTEST_STEP_S = 1e-5
-MISSING, PREDICTED = Status.MISSING.value, Status.PREDICTED.value
+MISSING, PREDICTED, UNAIDED = Status.MISSING.value, Status.PREDICTED.value, Status.UNAIDED.value
+AIR_VELOCITY = Quantity.AIR_VELOCITY.value
 
 
 class Wearing(NamedTuple):
@@ -33,7 +36,7 @@ class Wearing(NamedTuple):
     R_bs: FloatArray  # (n_segments, 3, 3) sensor to segment
     parents: IntArray  # (n_segments,) of the skeleton
     offsets: FloatArray  # (n_segments, 3) of the skeleton, m
-    root_device: IntArray  # (1,) segment whose device measures where the root is; −1: nothing does
+    root_device: IntArray  # (1,) segment whose device measures where it is; −1: nothing does
     root_arm: FloatArray  # (3,) that device on it, segment axes, m
     nominal_interval_ns: IntArray  # (1,)
 
@@ -47,6 +50,7 @@ class Constants(NamedTuple):
     fixed: IntArray  # (d,) see ``chain_state.fixed_points``
     is_joint: bool
     state: FilterState
+    scratch: Scratch
 
 
 class Inputs(NamedTuple):
@@ -60,6 +64,7 @@ class Inputs(NamedTuple):
     root_position: FloatArray  # (T, 3) measured, m; of no meaning without a device for it
     readings_end: IntArray  # (T,) how many of the readings have come with this instant
     readings: FloatArray  # (k, 8) device of the filter, s since the first frame, value, standard deviation
+    sun: FloatArray  # (T, m + 1, 4) direction and standard deviation, last row: in the world; (T, 0, 4): none
 
 
 Outputs = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, StatusArray]
@@ -68,7 +73,7 @@ Outputs = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, Stat
 
 
 def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval_s: float) -> Wearing:
-    """root_device: what measures where the skeleton's root is, if anything does."""
+    """root_device: what measures where a segment is, if anything does."""
     return Wearing(
         suit.module_of_segment.astype(np.int64),
         sensor_to_segment_matrices(suit),
@@ -82,7 +87,7 @@ def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval
 
 @compiled
 def advance(
-    held: Held,
+    held: Constants,
     time_ns: IntArray,
     specific_force: FloatArray,
     angular_rate: FloatArray,
@@ -91,33 +96,44 @@ def advance(
     root_position: FloatArray,
     readings_end: IntArray,
     readings: FloatArray,
+    sun: FloatArray,
     resting: FloatArray,
+    covariance: FloatArray,
 ) -> Outputs:
-    """All instants in turn; arguments after the first: the fields of ``Inputs``, and (T, n) for how long each
-    segment has stood still, s."""
-    constants = held.all
-    wearing, state, noise = constants.wearing, constants.state, constants.noise
-    n_frames, n = len(time_ns), len(wearing.parents)
+    """All instants in turn. held: see ``held_arguments``; then the fields of ``Inputs``, and (T, n) for how
+    long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that of the orientation
+    errors, world axes, rad²; empty: not wanted."""
+    wearing, state, scratch = held.wearing, held.state, held.scratch
+    n_frames, n, taken, sees_sun = len(time_ns), len(wearing.parents), 0, sun.shape[1] > 0
     q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
     acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
-    sigma, status_out = np.empty((n_frames, n)), np.empty((n_frames, n), np.uint8)
-    taken, none_valid = 0, np.zeros(n)
+    sigma, status_out = np.full((n_frames, n), np.nan), np.empty((n_frames, n), np.uint8)
     for t in range(n_frames):
-        observed = by_segment(
-            wearing.module_of_segment, wearing.R_bs, specific_force[t], angular_rate[t], magnetic_field[t],
-            status[t],
+        by_segment_into(
+            scratch.observed, wearing.module_of_segment, wearing.R_bs, specific_force[t], angular_rate[t],
+            magnetic_field[t], status[t],
         )  # fmt: skip
-        is_valid, dt = none_valid, _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
+        dt = _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
+        time_s = (time_ns[t] - state.time_ns[1]) * 1e-9
         if dt > SHORTEST_STEP_S:
-            _take(state, noise, readings[taken : readings_end[t]])
-            acceleration[t], is_valid = step(
-                constants.body, state, noise, constants.fixed, constants.is_joint, dt,
-                (time_ns[t] - state.time_ns[1]) * 1e-9, observed, resting[t],
+            _take(held.body, state, held.noise, time_s - dt, readings[taken : readings_end[t]])
+            if sees_sun:
+                sun_by_segment_into(scratch.sun, wearing.module_of_segment, wearing.R_bs, sun[t])
+            step(
+                held.body, state, held.noise, scratch, held.fixed, held.is_joint, sees_sun, dt, time_s,
+                resting[t], acceleration[t],
             )  # fmt: skip
+        else:
+            for s in range(n):
+                scratch.is_valid[s] = 0.0
         taken = readings_end[t]
-        _outputs(wearing, state, is_valid, observed.status, q_wb[t], rate[t], status_out[t])
-        sigma[t] = orientation_sigma(state)
-        p_w[t] = _positions(wearing, q_wb[t], root_position[t])
+        _outputs(wearing, state, scratch, held.noise.largest_rate, q_wb[t], rate[t], status_out[t])
+        mark_unaided(held.body, state, scratch, held.fixed, time_s, status_out[t])
+        note_sigma(sigma[t], state)
+        if len(covariance) > 0:
+            for s in range(n):
+                rotation_matrix.copy_into(covariance[t, s], state.P[s])
+        _place(p_w[t], wearing, q_wb[t], root_position[t])
     return q_wb, rate, acceleration, p_w, sigma, status_out
 
 
@@ -133,21 +149,36 @@ def _tick(clock: IntArray, time_ns: int, nominal_interval_ns: int) -> float:
 
 
 @compiled
-def _positions(wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> FloatArray:
-    """(n, 3) of the proximal joints: from the device on the skeleton's root, else from the origin."""
-    root, origin = wearing.root_device[0], np.zeros(3)
-    if root >= 0:
-        arm = quaternion.rotate(q_wb[root], wearing.root_arm)
+def _place(p_w: FloatArray, wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> None:
+    """p_w (n, 3) ← proximal joints: from the device that measures a place, else from the origin."""
+    carrier, shift = wearing.root_device[0], np.zeros(3)
+    joint_positions_into(p_w, wearing.parents, wearing.offsets, q_wb, shift)
+    if carrier >= 0:
+        quaternion.rotate_into(shift, q_wb[carrier], wearing.root_arm)
         for i in range(3):
-            origin[i] = root_position[i] - arm[i]
-    return joint_positions(wearing.parents, wearing.offsets, q_wb, origin)
+            shift[i] = root_position[i] - p_w[carrier, i] - shift[i]
+        for s in range(len(p_w)):
+            for i in range(3):
+                p_w[s, i] += shift[i]
 
 
 @compiled
-def _take(state: FilterState, noise: Noise, readings: FloatArray) -> None:
-    for reading in readings:
-        value, sigma = reading[2:5].copy(), 0.0
-        if is_finite(value):
+def _take(body: ChainBody, state: FilterState, noise: Noise, before_s: float, readings: FloatArray) -> None:
+    """before_s: of the frame that the orientations are of."""
+    turn, value = np.empty((3, 3)), np.empty(3)
+    for k in range(len(readings)):
+        reading, sigma, s = readings[k], 0.0, body.device_segment[int(readings[k, 0])]
+        for i in range(3):
+            value[i] = reading[2 + i]
+        is_own = body.device_kind[int(reading[0])] == AIR_VELOCITY
+        if is_own:
+            w, b, since = state.rate[s], state.bias[s], reading[1] - before_s
+            rotation_matrix.exponential_into(
+                turn, (w[0] - b[0]) * since, (w[1] - b[1]) * since, (w[2] - b[2]) * since
+            )
+            rotation_matrix.turn(turn, value)
+            rotation_matrix.turn(state.R[s], value)
+        if is_finite(value) and not (is_own and state.is_started[s] != 1):
             for i in range(5, 8):
                 if not math.isnan(reading[i]):
                     sigma = max(sigma, min(reading[i], np.finfo(np.float64).max))
@@ -158,25 +189,32 @@ def _take(state: FilterState, noise: Noise, readings: FloatArray) -> None:
 def _outputs(
     wearing: Wearing,
     state: FilterState,
-    is_valid: FloatArray,
-    measured_status: StatusArray,
+    scratch: Scratch,
+    largest_rate: float,
     q_wb: FloatArray,
     rate: FloatArray,
     status: StatusArray,
 ) -> None:
-    """Segments without module go with their parent; the others as the filter has them."""
+    """Segments without module go with their parent; the others as the filter has them. A saturated gyrometer
+    is none; with its accelerometer saturated, or off, a segment turns by its gyrometer alone."""
     for s in range(len(wearing.parents)):
         p = wearing.parents[s]
-        status[s] = measured_status[s]
+        status[s] = scratch.observed.status[s]
         if wearing.module_of_segment[s] < 0:
             status[s] = MISSING
             if p >= 0 and status[p] != MISSING:
-                q_wb[s], rate[s], status[s] = q_wb[p], rate[p], PREDICTED
+                status[s] = PREDICTED
+                for i in range(4):
+                    q_wb[s, i] = q_wb[p, i]
+                for i in range(3):
+                    rate[s, i] = rate[p, i]
         elif state.is_started[s] == 0:
             status[s] = MISSING
         else:
-            q_wb[s] = quaternion.from_matrix(state.R[s])
+            quaternion.from_matrix_into(q_wb[s], state.R[s])
             for i in range(3):
                 rate[s, i] = state.rate[s, i] - state.bias[s, i]
-            if is_valid[s] == 0.0:
+            if scratch.is_valid[s] == 0.0 or exceeds(state.rate[s], largest_rate):
                 status[s] = PREDICTED
+            elif scratch.is_valid[s] == 1.0:
+                status[s] = UNAIDED

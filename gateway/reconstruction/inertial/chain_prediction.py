@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray, StatusArray
+from gateway.frames import FloatArray, Quantity, StatusArray
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite, norm
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.tree_filter import propagate
 
+AIR_VELOCITY = Quantity.AIR_VELOCITY.value
 LONGEST_COAST_S = 0.1
 """A silent segment keeps its rate for about that long."""
 LONGEST_SILENCE_S = 1.0
@@ -23,32 +24,42 @@ SATURATED_NOISE = 5.0
 
 @compiled
 def predict(
-    body: ChainBody, state: FilterState, noise: Noise, rate: FloatArray, is_valid: FloatArray, dt: float
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    rate: FloatArray,
+    is_valid: FloatArray,
+    dt: float,
+    before: FloatArray,
 ) -> None:
-    """Turns every started segment over dt by the mean of its last two rates (n, 3), in place."""
-    n = len(body.parents)
-    before, turn, w = np.zeros((n, 3, 3)), np.empty((3, 3)), np.empty(3)
-    for s in range(n):
+    """Turns every started segment over dt by the mean of its last two rates (n, 3), in place.
+
+    before: (n, 3, 3) to be used on the way.
+    """
+    turn, w = np.empty((3, 3)), np.empty(3)
+    for s in range(len(body.parents)):
         if state.is_started[s] == 0:
             continue
-        before[s] = state.R[s]
+        rotation_matrix.copy_into(before[s], state.R[s])
         if is_valid[s] > 0.0:
-            for i in range(3):
-                w[i] = 0.5 * (rate[s, i] + state.rate[s, i]) - state.bias[s, i]
+            _mean_rate(w, state, s, rate[s], dt)
             speed = norm(w)
             density = noise.gyrometer**2 + (noise.gyrometer_scale * speed) ** 2 * noise.scale_memory_s
-            if _exceeds(rate[s], noise.largest_rate):
+            if exceeds(rate[s], noise.largest_rate):
                 density += SATURATED_NOISE**2
                 state.silent_s[s] += dt
             else:
                 state.silent_s[s] = 0.0
-            state.rate[s] = rate[s]
+            for i in range(3):
+                state.slope[s, i] = (rate[s, i] - state.rate[s, i]) / dt
+                state.rate[s, i] = rate[s, i]
         else:
             for i in range(3):
                 w[i] = (state.rate[s, i] - state.bias[s, i]) * math.exp(-dt / LONGEST_COAST_S)
                 state.rate[s, i] = state.bias[s, i] + w[i]
             state.silent_s[s] += dt
             density = noise.dead_rate**2 * LONGEST_COAST_S
+            state.slope[s] = np.nan
         if state.silent_s[s] > LONGEST_SILENCE_S:
             state.is_started[s] = 2
         rotation_matrix.exponential_into(turn, w[0] * dt, w[1] * dt, w[2] * dt)
@@ -63,22 +74,42 @@ def predict(
 
 
 @compiled
-def _exceeds(v: FloatArray, limit: float) -> bool:
+def _mean_rate(w: FloatArray, state: FilterState, s: int, rate: FloatArray, dt: float) -> None:
+    """w ← what turns segment s over dt, rad/s: from its last three rates, error O(dt³) of the angle.
+
+    The trapezoid, less its error by Euler and Maclaurin's formula, and the coning of an axis that moves
+    (Bortz 1971). At 100 Hz the trapezoid alone is off by up to a degree in fast motion.
+    """
+    bias, last = state.bias[s], state.rate[s]
+    a, b = np.empty(3), np.empty(3)
+    for i in range(3):
+        a[i], b[i] = last[i] - bias[i], rate[i] - bias[i]
+        w[i] = 0.5 * (a[i] + b[i])
+        if math.isfinite(state.slope[s, i]):
+            w[i] -= (b[i] - a[i] - state.slope[s, i] * dt) / 12.0
+    w[0] += (a[1] * b[2] - a[2] * b[1]) * dt / 12.0
+    w[1] += (a[2] * b[0] - a[0] * b[2]) * dt / 12.0
+    w[2] += (a[0] * b[1] - a[1] * b[0]) * dt / 12.0
+
+
+@compiled
+def exceeds(v: FloatArray, limit: float) -> bool:
+    """Whether a component of v (3,) is that large."""
     return bool(abs(v[0]) >= limit or abs(v[1]) >= limit or abs(v[2]) >= limit)
 
 
 @compiled
-def valid_rows(noise: Noise, force: FloatArray, rate: FloatArray, status: StatusArray) -> FloatArray:
-    """(n,) 0: no sample; 1: turns by its gyrometer; 2: its specific force counts too."""
-    n = len(status)
-    is_valid = np.zeros(n)
-    for s in range(n):
+def note_valid_rows(
+    is_valid: FloatArray, noise: Noise, force: FloatArray, rate: FloatArray, status: StatusArray
+) -> None:
+    """is_valid (n,) ← 0: no sample; 1: turns by its gyrometer; 2: its specific force counts too."""
+    for s in range(len(status)):
+        is_valid[s] = 0.0
         if status[s] <= 1 and is_finite(rate[s]):
             is_valid[s] = 1.0
-            usable = is_finite(force[s]) and not _exceeds(force[s], noise.largest_force)
-            if usable and not _exceeds(rate[s], noise.largest_rate):
+            usable = is_finite(force[s]) and not exceeds(force[s], noise.largest_force)
+            if usable and not exceeds(rate[s], noise.largest_rate):
                 is_valid[s] = 2.0
-    return is_valid
 
 
 @compiled
@@ -94,7 +125,7 @@ def start(
     R = rotation_matrix.from_two_vectors(f, secondary, -body.gravity, secondary_w)
     if not is_finite(R[0]):
         return
-    state.R[s], state.bias[s], state.rate[s] = R, 0.0, w
+    state.R[s], state.bias[s], state.rate[s], state.slope[s] = R, 0.0, w, np.nan
     state.P[s], state.C[s] = 0.0, 0.0
     for i in range(3):
         state.P[s, i, i] = noise.start_tilt**2
@@ -110,9 +141,11 @@ def start(
 
 
 @compiled
-def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray) -> None:
-    """World rotations (n, 3) of segments, and of all remembered that turns with them, in place."""
-    E = np.empty((len(body.parents), 3, 3))
+def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray, E: FloatArray) -> None:
+    """Rotations of segments, and of all remembered that turns with them, in place.
+
+    turns: (n, 3 or more) rotation vectors, world; E: (n, 3, 3) to be used on the way.
+    """
     for s in range(len(body.parents)):
         if _is_turn(turns[s]):
             rotation_matrix.exponential_into(E[s], turns[s, 0], turns[s, 1], turns[s, 2])
@@ -124,6 +157,9 @@ def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray) -> Non
     for d in range(len(body.device_segment)):
         s = body.device_segment[d]
         if _is_turn(turns[s]):
+            if body.device_kind[d] == AIR_VELOCITY:
+                for j in range(state.n_readings[d, 0]):
+                    rotation_matrix.turn(E[s], state.readings[d, j, 1:4])
             for j in range(state.history.shape[1]):
                 if state.history[d, j, 0] > -np.inf:
                     rotation_matrix.turn(E[s], state.history[d, j, 1:4])
@@ -136,16 +172,8 @@ def _is_turn(v: FloatArray) -> bool:
 
 
 @compiled
-def velocity(R: FloatArray, w: FloatArray, arm: FloatArray) -> FloatArray:
-    """R (ω × r), (3,) world, m/s: of a point at ``arm`` relative to the module."""
-    v = np.empty(3)
-    velocity_into(v, R, w, arm)
-    return v
-
-
-@compiled
 def velocity_into(v: FloatArray, R: FloatArray, w: FloatArray, arm: FloatArray) -> None:
-    """v ← R (ω × r); see ``velocity``."""
+    """v ← R (ω × r), (3,) world, m/s: of a point at ``arm`` relative to the module."""
     v[0] = w[1] * arm[2] - w[2] * arm[1]
     v[1] = w[2] * arm[0] - w[0] * arm[2]
     v[2] = w[0] * arm[1] - w[1] * arm[0]

@@ -8,6 +8,7 @@ import numpy as np
 
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, IntArray, Quantity
+from gateway.reconstruction.inertial.chain_bridges import bridges_of
 
 N_READINGS = 12
 """Readings of a local device that a derivative is fitted to, at most."""
@@ -27,6 +28,8 @@ class Noise(NamedTuple):
     """m: by how much a lever arm changes while the body moves (soft tissue), times ‖[ω̇, ω]‖."""
     lever_arm_offset: float = 0.02
     """m: how far a lever arm was measured wrong; what of it shows in the motion is found out."""
+    force_bias: float = 0.05
+    """m/s²: constant error of an accelerometer after its calibration; found where a fixed point shows it."""
     row_memory_s: float = 0.1
     """For how long a row stays off to the same side: denser rows say no more in all."""
     huber: float = 2.0
@@ -75,10 +78,13 @@ class Noise(NamedTuple):
 class ChainBody(NamedTuple):
     """Constant."""
 
-    parents: IntArray  # (n,) nearest segment towards the root if both carry modules, else −1
+    parents: IntArray  # (n,) nearest one towards the root with a module; −1: none, or has none itself
     opens: IntArray  # (n,) 1 where motion can show the heading: against the parent, or by a device on a root
     to_joint: FloatArray  # (n, 3) module to proximal joint, own axes, m
     from_parent: FloatArray  # (n, 3) parent's module to this joint, parent's axes, m
+    is_bridged: IntArray  # (n,) 1 where segments without module lie between; see ``chain_bridges``
+    beyond: FloatArray  # (n, 3) of those, what turns with this segment, own axes, m
+    slack: FloatArray  # (n,) by how much the joint beyond them may be elsewhere, m
     device_segment: IntArray  # (d,)
     device_kind: IntArray  # (d,) Quantity
     device_arm: FloatArray  # (d, 3) module to device, segment axes, m
@@ -98,9 +104,11 @@ class FilterState(NamedTuple):
     fresh_s: FloatArray  # (n,) since the averages were begun
     R: FloatArray  # (n, 3, 3)
     bias: FloatArray  # (n, 3)
+    force_bias: FloatArray  # (n, 3) found error of the accelerometer, m/s², of segments held by a fixed point
     P: FloatArray  # (n, 6, 6)
     C: FloatArray  # (n, 6, 6)
     rate: FloatArray  # (n, 3) last measured, bias included
+    slope: FloatArray  # (n, 3) its change over the last step, rad/s²; NaN: not known
     force: FloatArray  # (n, 3) average of R f
     last_force: FloatArray  # (n, 3) R f of the frame before
     long_force: FloatArray  # (n, 3) the same over the unaided window
@@ -110,13 +118,14 @@ class FilterState(NamedTuple):
     compass_s: FloatArray  # (n,) for how long an undisturbed field has been seen
     field_seen: FloatArray  # (n, 4) field's mean norm µT and dip rad, mean square of their changes, seconds
     heading: FloatArray  # (n, 3) cosine and sine sums of an open heading, and their possible length
-    rest: FloatArray  # (n, 9) average rate, force, their variances, and seconds at rest
+    rest: FloatArray  # (n, 10) average rate, force, their variances, seconds at rest, and see ``rest_rows``
     device_shift: FloatArray  # (d, 3) found error of a fixed point's arm, m
-    device_covariance: FloatArray  # (d, 3, 3) its covariance
+    device_covariance: FloatArray  # (d, 6, 6) its covariance and that of the accelerometer's error
     device_age_s: FloatArray  # (d,) since the device last told something
     readings: FloatArray  # (d, N_READINGS, 5) seconds of frame time, value, standard deviation
     n_readings: IntArray  # (d, 2) how many; 1 while the last one waits for its frames
     history: FloatArray  # (d, N_HISTORY, 7) time, R f, R r or R (ω × r) towards the device
+    sun: FloatArray  # (n, 3) cosine and sine sums of the headings that the sun showed, their length; seconds
 
 
 def initial_state(n: int, d: int) -> FilterState:
@@ -127,11 +136,13 @@ def initial_state(n: int, d: int) -> FilterState:
 
     return FilterState(
         np.full(2, -1, np.int64), np.zeros(n, np.int64), np.ones(n, np.int64), z(n), z(n),
-        z(n, 3, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
-        z(n, 6), z(n, 6, 6), z(n), z(n, 4), z(n, 3), z(n, 9), z(d, 3), z(d, 3, 3), np.full(d, np.inf),
+        z(n, 3, 3), z(n, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6),
+        z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
+        z(n, 6), z(n, 6, 6), z(n), z(n, 4), z(n, 3), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf),
         z(d, N_READINGS, 5),
         np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, 7), -np.inf),
+        z(n, 3),
     )  # fmt: skip
 
 
@@ -139,22 +150,25 @@ def chain_body(suit: WornSuit, uses_field: bool) -> ChainBody:
     """The suit as the filters see it. Devices on segments without module tell nothing and are left out."""
     skeleton = suit.skeleton
     has_module = suit.module_of_segment >= 0
-    parents = skeleton.parents.astype(np.int64)
-    joined = (parents >= 0) & has_module & has_module[parents]
+    bridges = bridges_of(suit)
+    parents, joined = bridges.parents, bridges.parents >= 0
     devices = [device for device in suit.local_devices if has_module[device.segment]]
     lever_arms = np.asarray(suit.lever_arms, np.float64)
     opens = joined.astype(np.int64)
     for device in devices:
-        if device.quantity is not Quantity.FIXED_POINT:
+        if device.quantity not in {Quantity.FIXED_POINT, Quantity.AIR_VELOCITY}:  # these turn with the body
             opens[device.segment] = 1
     carries = np.zeros(skeleton.n_segments, np.int64)
     carries[[segment for segment, _ in skeleton.contacts]] = 1
     arms = [np.asarray(device.position, np.float64) - lever_arms[device.segment] for device in devices]
     return ChainBody(
-        parents=np.where(joined, parents, -1),
+        parents=parents,
         opens=opens,
         to_joint=-lever_arms,
-        from_parent=np.where(joined[:, None], skeleton.offsets - lever_arms[parents], 0.0),
+        from_parent=np.where(joined[:, None], bridges.before - lever_arms[parents], 0.0),
+        is_bridged=bridges.is_bridged,
+        beyond=bridges.beyond,
+        slack=bridges.slack,
         device_segment=np.array([device.segment for device in devices], np.int64),
         device_kind=np.array([int(device.quantity) for device in devices], np.int64),
         device_arm=np.array(arms, np.float64).reshape(len(devices), 3),

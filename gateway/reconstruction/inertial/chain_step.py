@@ -6,38 +6,44 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray, IntArray
+from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial import chain_rows
 from gateway.reconstruction.inertial.chain_averages import (
     REST_WINDOW_S,
     SETTLED,
     average,
-    felt_at,
+    felt_into,
     watch_rest,
 )
-from gateway.reconstruction.inertial.chain_prediction import predict, start, turn_segments, valid_rows
+from gateway.reconstruction.inertial.chain_prediction import note_valid_rows, predict, start, turn_segments
+from gateway.reconstruction.inertial.chain_scratch import Scratch
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.heading_start import (
     compass_turn,
     gather_heading,
+    reopen_headings,
     shown_heading,
     tilt_spread,
     turn_evidence,
 )
 from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
 from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
-from gateway.reconstruction.inertial.observations import SegmentObservations
-from gateway.reconstruction.inertial.rest_rows import rest_rows
+from gateway.reconstruction.inertial.rest_rows import note_rolling, rest_rows
+from gateway.reconstruction.inertial.sun_rows import follow_sun
 from gateway.reconstruction.inertial.tree_filter import (
     Evidence,
     add_edge,
     add_own,
-    no_evidence,
+    clear,
     update_outward,
     update_tree,
 )
 
+AIR_VELOCITY = Quantity.AIR_VELOCITY.value
+INTERPOLATED, UNAIDED = Status.INTERPOLATED.value, Status.UNAIDED.value
+STARTING_S = 2.0
+"""So long a device may take to say its first."""
 AIDED_S = 0.5
 """A local device that has been silent for longer no longer holds up its chain."""
 
@@ -47,54 +53,77 @@ def step(
     body: ChainBody,
     state: FilterState,
     noise: Noise,
+    scratch: Scratch,
     fixed: IntArray,
     is_joint: bool,
+    sees_sun: bool,
     dt: float,
     time_s: float,
-    observed: SegmentObservations,
     resting: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+    acceleration: FloatArray,
+) -> None:
     """dt: since the frame before, s (> 0); time_s: of the frame since the first. resting: (n,) s for how
-    long each segment has stood still, 0: not. ``state`` changes in place.
+    long each segment has stood still, 0: not. What was observed is in ``scratch``; ``state`` changes.
 
-    Returns the accelerations of all proximal joints (n, 3), world, NaN where not known; and (n,) whether the
-    segment's module counted: 0 no, 1 its gyrometer, 2 all of it.
+    acceleration: (n, 3) is given those of all proximal joints, world; it is left as it was where none is
+    known. ``scratch.is_valid`` tells whether a segment's module counted.
     """
-    n = len(body.parents)
+    observed, is_valid, K, motion = scratch.observed, scratch.is_valid, scratch.K, scratch.motion
+    evidence, turns = scratch.evidence, scratch.turns
     force, rate, field = observed.specific_force, observed.angular_rate, observed.magnetic_field
-    is_valid = valid_rows(noise, force, rate, observed.status)
-    predict(body, state, noise, rate, is_valid, dt)
-    for s in range(n):
-        if state.is_started[s] != 1:
-            if is_valid[s] == 2.0:
-                start(body, state, noise, s, force[s], rate[s], field[s])
-            if state.is_started[s] != 1:
-                is_valid[s] = 0.0
-    K, motion = average(body, state, noise, force, rate, is_valid, dt)
-    evidence = no_evidence(n)
-    turns = np.zeros((n, 3))
+    note_valid_rows(is_valid, noise, force, rate, observed.status)
+    note_rolling(scratch.rolling, state, rate, resting, dt)
+    predict(body, state, noise, rate, is_valid, dt, scratch.before)
+    _start_segments(body, state, noise, scratch)
+    reopen_headings(body, state)
+    average(body, state, noise, force, rate, is_valid, dt, K, motion)
+    _forget(scratch)
     if body.uses_field:
         _follow_field(evidence, body, state, noise, is_valid, field, dt, turns)
-    anchored = _device_rows(
-        evidence, body, state, noise, fixed, is_valid, force, rate, K, motion, dt, time_s, turns
-    )
-    rest_rows(evidence, body, state, noise, is_valid, force, resting, dt, anchored)
-    U = _joint_rows(evidence, body, state, noise, is_valid, K, motion, dt, anchored, turns)
-    for s in range(n):
+    if sees_sun:
+        follow_sun(evidence, body, state, noise, is_valid, scratch.sun, dt, turns)
+    _device_rows(body, state, noise, scratch, fixed, dt, time_s)
+    rest_rows(evidence, body, state, noise, is_valid, force, resting, scratch.rolling, dt, scratch.anchored)
+    _joint_rows(body, state, noise, scratch, dt)
+    for s in range(len(is_valid)):
         if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):
             chain_rows.rest_row(evidence, state, s, REST_WINDOW_S, dt)
-    turn_segments(body, state, turns)
+    turn_segments(body, state, turns, scratch.rotations)
     if is_joint:
-        errors = update_tree(body.parents, state.P, state.C, evidence)
+        update_tree(body.parents, state.P, state.C, evidence, scratch.tree)
     else:
-        errors = update_outward(body.parents, state.P, evidence)
-    state.bias[:] += errors[:, 3:]
-    turn_segments(body, state, errors[:, :3].copy())
-    acceleration = np.full((n, 3), np.nan)
-    for s in range(n):
-        if is_valid[s] == 2.0:
-            acceleration[s] = U[s] + body.gravity
-    return acceleration, is_valid
+        update_outward(body.parents, state.P, evidence, scratch.tree)
+    turn_segments(body, state, scratch.tree.x, scratch.rotations)
+    for s in range(len(is_valid)):
+        for i in range(3):
+            state.bias[s, i] += scratch.tree.x[s, 3 + i]
+            if is_valid[s] == 2.0:
+                acceleration[s, i] = scratch.U[s, i] + body.gravity[i]
+
+
+@compiled
+def _start_segments(body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch) -> None:
+    """Where a first sample has come; until then what a module says does not count."""
+    observed, is_valid = scratch.observed, scratch.is_valid
+    for s in range(len(is_valid)):
+        if state.is_started[s] != 1:
+            if is_valid[s] == 2.0:
+                start(
+                    body, state, noise, s, observed.specific_force[s], observed.angular_rate[s],
+                    observed.magnetic_field[s],
+                )  # fmt: skip
+            if state.is_started[s] != 1:
+                is_valid[s] = 0.0
+
+
+@compiled
+def _forget(scratch: Scratch) -> None:
+    """What the instant before has left."""
+    clear(scratch.evidence)
+    for s in range(len(scratch.anchored)):
+        scratch.anchored[s] = 0.0
+        for i in range(3):
+            scratch.turns[s, i] = 0.0
 
 
 @compiled
@@ -126,33 +155,27 @@ def _follow_field(
 
 @compiled
 def _device_rows(
-    evidence: Evidence,
     body: ChainBody,
     state: FilterState,
     noise: Noise,
+    scratch: Scratch,
     fixed: IntArray,
-    is_valid: FloatArray,
-    force: FloatArray,
-    rate: FloatArray,
-    K: FloatArray,
-    motion: FloatArray,
     dt: float,
     time_s: float,
-    turns: FloatArray,
-) -> FloatArray:
-    """Rows of all local devices; (n,) 1 for segments that one of them holds up."""
-    anchored = np.zeros(len(body.parents))
+) -> None:
+    """Rows of all local devices; marks the segments that one of them holds up."""
+    evidence, turns, motion, anchored = scratch.evidence, scratch.turns, scratch.motion, scratch.anchored
     for d in range(len(fixed)):
         s = body.device_segment[d]
         state.device_age_s[d] += dt
-        if is_valid[s] < 2.0:
+        if scratch.is_valid[s] < 2.0:
             continue
         if fixed[d]:
             if state.fresh_s[s] > SETTLED * noise.smoothing_s:
-                _fixed_row(evidence, body, state, noise, d, s, K[s], motion[s], dt)
+                _fixed_row(evidence, body, state, noise, d, s, scratch.K[s], motion[s], dt)
                 anchored[s] = 1.0
             continue
-        note_frame(body, state, noise, d, time_s, force[s], rate[s] - state.bias[s])
+        note_frame(body, state, noise, scratch.observed, d, time_s)
         is_new, u, y, variance, span = local_pair(body, state, noise, d, time_s)
         if is_new:
             interval = min(state.device_age_s[d], span)
@@ -160,6 +183,9 @@ def _device_rows(
             # overlapping windows share their readings, and frames with their errors
             variance += noise.specific_force**2 + (noise.lever_arm * motion[s]) ** 2
             variance *= max(1.0, span / interval)
+            if body.device_kind[d] == AIR_VELOCITY:
+                # both sides turn with the segment: all that the row shows is where down is
+                u, y = u - y - body.gravity, -body.gravity
             if body.parents[s] < 0 and state.is_open[s]:
                 gather_heading(state, s, u, y, variance + tilt_spread(state, s, interval), interval)
                 _open_root(evidence, body, state, noise, s, turns)
@@ -168,7 +194,25 @@ def _device_rows(
             )
         if state.device_age_s[d] < AIDED_S:
             anchored[s] = 1.0
-    return anchored
+
+
+@compiled
+def mark_unaided(
+    body: ChainBody, state: FilterState, scratch: Scratch, fixed: IntArray, time_s: float, status: StatusArray
+) -> None:
+    """Tells in ``status`` (n,), in place, which chains have lost all their local devices."""
+    n, chain, held_up = len(body.parents), scratch.chain, scratch.sharing
+    for s in range(n):
+        chain[s], held_up[s] = s, 0.0  # 1: by nothing any more, 2: by a device
+        if body.parents[s] >= 0:
+            chain[s] = chain[body.parents[s]]
+    for d in range(len(fixed)):
+        c, age_s = chain[body.device_segment[d]], state.device_age_s[d]
+        is_heard = age_s < AIDED_S or (age_s == np.inf and time_s < STARTING_S)
+        held_up[c] = max(held_up[c], 2.0 if is_heard or fixed[d] else 1.0)
+    for s in range(n):
+        if held_up[chain[s]] == 1.0 and status[s] <= INTERPOLATED:
+            status[s] = UNAIDED
 
 
 @compiled
@@ -187,7 +231,9 @@ def _fixed_row(
     if state.device_covariance[d, 0, 0] == 0.0:
         for i in range(3):
             state.device_covariance[d, i, i] = noise.lever_arm_offset**2
-    u = felt_at(state.force[s], K, body.device_arm[d], state.device_shift[d])
+            state.device_covariance[d, 3 + i, 3 + i] = noise.force_bias**2
+    u = np.empty(3)
+    felt_into(u, state.force[s], K, body.device_arm[d], state.device_shift[d], 0)
     variance = chain_rows.row_variance(noise, motion, dt)
     at_once = variance * dt / noise.row_memory_s
     variance += learn_device_arm(state, noise, d, s, u, -body.gravity, K, variance, at_once, dt)
@@ -221,76 +267,54 @@ def _turn_beyond(body: ChainBody, s: int, angle: float, turns: FloatArray) -> No
 
 
 @compiled
-def _joint_rows(
-    evidence: Evidence,
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    is_valid: FloatArray,
-    K: FloatArray,
-    motion: FloatArray,
-    dt: float,
-    anchored: FloatArray,
-    turns: FloatArray,
-) -> FloatArray:
-    """Rows of all joints; chains that no device holds up get an unaided row.
-
-    Returns the specific force at the proximal joints as their own segments see it, (n, 3), world.
-    """
-    n, settled_s = len(body.parents), SETTLED * noise.smoothing_s
-    chain, U = np.arange(n), np.zeros((n, 3))
-    for s in range(n):
-        p = body.parents[s]
-        U[s] = felt_at(state.force[s], K[s], body.to_joint[s], state.arm[s, :3])
+def _joint_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, dt: float) -> None:
+    """Rows of all joints, and ``scratch.U``; chains that no device holds up get an unaided row."""
+    settled_s = SETTLED * noise.smoothing_s
+    is_valid, chain, anchored = scratch.is_valid, scratch.chain, scratch.anchored
+    for s in range(len(body.parents)):
+        p, chain[s] = body.parents[s], s
+        felt_into(scratch.U[s], state.force[s], scratch.K[s], body.to_joint[s], state.arm[s], 0)
         if p < 0 or is_valid[s] < 2.0 or is_valid[p] < 2.0:
             continue
         if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
             continue
         chain[s] = chain[p]
         anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
-        _joint_row(evidence, body, state, noise, s, p, U[s], K, motion, dt, turns)
-    _unaided_rows(evidence, body, state, noise, is_valid, chain, anchored, dt)
-    return U
+        _joint_row(body, state, noise, scratch, s, p, dt)
+    _unaided_rows(body, state, noise, scratch, dt)
 
 
 @compiled
-def _unaided_rows(
-    evidence: Evidence,
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    is_valid: FloatArray,
-    chain: IntArray,
-    anchored: FloatArray,
-    dt: float,
-) -> None:
+def _unaided_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, dt: float) -> None:
     """All segments of a chain that nothing holds up share one: that averages their accelerometers' errors."""
-    sharing = np.zeros(len(chain))
+    is_valid, chain, sharing = scratch.is_valid, scratch.chain, scratch.sharing
+    for s in range(len(chain)):
+        sharing[s] = 0.0
     for s in range(len(chain)):
         if is_valid[s] == 2.0:
             sharing[chain[s]] += 1.0
     for s in range(len(chain)):
-        if anchored[chain[s]] == 0.0 and is_valid[s] == 2.0:
-            chain_rows.unaided_row(evidence, state, noise, s, body.gravity, sharing[chain[s]], dt)
+        if scratch.anchored[chain[s]] == 0.0 and is_valid[s] == 2.0:
+            chain_rows.unaided_row(scratch.evidence, state, noise, s, body.gravity, sharing[chain[s]], dt)
 
 
 @compiled
 def _joint_row(
-    evidence: Evidence,
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    s: int,
-    p: int,
-    u: FloatArray,
-    K: FloatArray,
-    motion: FloatArray,
-    dt: float,
-    turns: FloatArray,
+    body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, s: int, p: int, dt: float
 ) -> None:
-    """Of segment s and its parent p; u (3,), which corrected lever arms change."""
-    u_p = felt_at(state.force[p], K[p], body.from_parent[s], state.arm[s, 3:])
-    variance = chain_rows.row_variance(noise, math.hypot(motion[s], motion[p]), dt)
+    """Of segment s and its parent p; changes ``scratch.U[s]`` where it corrects lever arms."""
+    K, motion, evidence, turns = scratch.K, scratch.motion, scratch.evidence, scratch.turns
+    u, u_p = scratch.U[s], scratch.U_parent[s]
+    felt_into(u_p, state.force[p], K[p], body.from_parent[s], state.arm[s], 3)
+    moved = math.hypot(motion[s], motion[p])
+    variance = chain_rows.row_variance(noise, moved, dt)
+    if body.is_bridged[s]:
+        u = scratch.U_beyond[s]
+        for i in range(3):
+            u[i] = scratch.U[s, i]
+            for j in range(3):
+                u[i] -= K[s, i, j] * body.beyond[s, j]
+        variance += (body.slack[s] * moved) ** 2 * noise.row_memory_s / dt
     if state.is_open[s]:
         uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
         gather_heading(state, s, u, u_p, uncertain, dt)
@@ -317,11 +341,9 @@ def _settle(evidence: Evidence, s: int, variance: float) -> None:
 
 
 @compiled
-def orientation_sigma(state: FilterState) -> FloatArray:
-    """(n,) rad: root of the expected square of the angle of error."""
-    sigma = np.full(len(state.is_started), np.nan)
+def note_sigma(sigma: FloatArray, state: FilterState) -> None:
+    """sigma (n,) rad ← root of the expected square of the angle of error; as it was where there is none."""
     for s in range(len(sigma)):
         if state.is_started[s]:
             P = state.P[s]
             sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), 2.0 * OPEN_SIGMA)
-    return sigma

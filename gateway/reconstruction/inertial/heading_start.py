@@ -13,7 +13,7 @@ import math
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.chain_state import FilterState, Noise
+from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
 
 FORGET_S = 20.0
 """Evidence older than this counts less: gyrometers drift."""
@@ -21,6 +21,8 @@ COMPASS_S = 10.0
 """The field leads an open heading with its mean over at most that long."""
 COMPASS_TRUSTED_S = 0.3
 """Having seen an undisturbed field for so long, its heading counts beside the motion."""
+LOST_SIGMA = 1.0
+"""rad: a heading less certain than that is open again."""
 GRAVITY = 9.81
 TILT_MEMORY_S = 1.0
 DENSE = 5.0
@@ -64,6 +66,23 @@ def shown_heading(state: FilterState, noise: Noise, s: int) -> tuple[float, floa
     if concentration < noise.heading_evidence or concentration < noise.heading_coherence * possible:
         return 0.0, 0.0
     return DENSE / concentration, math.atan2(across, along)
+
+
+@compiled
+def reopen_headings(body: ChainBody, state: FilterState) -> None:
+    """Headings that the filter itself no longer knows (gyrometers saturated, long unseen) are open again.
+
+    A linearised filter would not find them; the next motion does, in closed form.
+    """
+    for s in range(len(body.parents)):
+        if state.is_open[s] == 1 or body.opens[s] == 0 or state.is_started[s] != 1:
+            continue
+        p, variance = body.parents[s], state.P[s, 2, 2]
+        if p >= 0:
+            variance += state.P[p, 2, 2] - 2.0 * state.C[s, 2, 2]
+        if variance > LOST_SIGMA**2:
+            state.is_open[s], state.compass_s[s] = 1, 0.0
+            state.heading[s] = 0.0
 
 
 @compiled

@@ -20,7 +20,7 @@ from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame, Status
 from gateway.geometry import derivatives, quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import norm
-from gateway.reconstruction.inertial.observations import SegmentObserver
+from gateway.reconstruction.inertial.observations import SegmentObserver, with_sun_as_field
 
 HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
 
@@ -54,8 +54,7 @@ class IndependentReconstructor:
         self._rows = [int(suit.module_of_segment[s]) for s in self._observed]
         self._filters = [VQF(nominal_interval_s) for _ in self._observed]
         self._q_sb = _inverse_alignment(suit)
-        declination = math.atan2(suit.magnetic_field[0], suit.magnetic_field[1])
-        self._q_world = quaternion.from_rotation_vector(np.array([0.0, 0.0, -declination]))
+        self._q_world = _facing(np.asarray(suit.magnetic_field))
         n = len(suit.module_ids)
         self.reset()
         ones = np.ones((n, 3))
@@ -76,6 +75,10 @@ class IndependentReconstructor:
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant."""
+        sun = observation.sun
+        if sun is not None:
+            observation = with_sun_as_field(observation, sun)
+            self._q_world = _facing(sun.world)
         status = self._step_filters(observation)
         observed = self._observer.observe(observation)
         dt = (observation.time_ns - self._time_ns) * 1e-9
@@ -141,6 +144,12 @@ def _has_values(*sensors: FloatArray) -> NDArray[np.bool_]:
     """(n_modules,) whether all the sensors gave finite values."""
     has: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(np.hstack(sensors)), axis=1)
     return has
+
+
+def _facing(field: FloatArray) -> FloatArray:
+    """(4,) from the filter's world, whose y points where the field (3,) does, to ENU."""
+    declination = math.atan2(field[0], field[1])
+    return quaternion.from_rotation_vector(np.array([0.0, 0.0, -declination]))
 
 
 def _inverse_alignment(suit: WornSuit) -> FloatArray:

@@ -24,6 +24,7 @@ from gateway.reconstruction.inertial.chain_frames import (
     advance,
     wearing_of,
 )
+from gateway.reconstruction.inertial.chain_scratch import scratch
 from gateway.reconstruction.inertial.chain_state import (
     FilterState,
     Noise,
@@ -32,7 +33,10 @@ from gateway.reconstruction.inertial.chain_state import (
     initial_state,
 )
 from gateway.reconstruction.inertial.held_arguments import hold
-from gateway.reconstruction.inertial.local_device import RootMotion
+from gateway.reconstruction.inertial.local_device import RootMotion, in_segment_axes
+from gateway.reconstruction.inertial.place_keeper import PlaceKeeper
+from gateway.reconstruction.inertial.sun_rows import stacked_sights
+from gateway.reconstruction.inertial.two_ways import turned_back
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +55,8 @@ class ChainReconstructor:
 
     Every segment's orientation is defined from its module's first sample on. status: the module's, PREDICTED
     while it is silent (the orientation coasts, then stays) and for segments without module (as the
-    parent), MISSING before the first sample. sigma: root of the expected square of the error's angle, rad;
+    parent), UNAIDED where all local devices of the chain have fallen silent or the accelerometer is
+    saturated, MISSING before the first sample. sigma: root of the expected square of the error's angle, rad;
     above 1.6 while the heading is not known. angular_rate: bias taken off. joint_acceleration: after the
     low-pass of the rows; NaN where the module is silent or saturated. A module needs its gyrometers.
     A frame that is not later than the one before changes nothing.
@@ -63,6 +68,7 @@ class ChainReconstructor:
         self, suit: WornSuit, nominal_interval_s: float, settings: ChainSettings | None = None
     ) -> None:
         self._settings = settings = settings or ChainSettings()
+        self._suit, self._nominal_interval_s = suit, nominal_interval_s
         self._n = suit.skeleton.n_segments
         self._body = chain_body(suit, settings.uses_field)
         self._fixed = fixed_points(self._body)
@@ -70,14 +76,14 @@ class ChainReconstructor:
         self._device = device
         self._root = device.segment if device else int(np.flatnonzero(suit.skeleton.parents < 0)[0])
         self._devices = [d for d in suit.local_devices if suit.module_of_segment[d.segment] >= 0]
-        self._root_motion = RootMotion(device, settings.longest_hold_s)
-        self._measures_root = (
-            device is not None
-            and device.quantity is Quantity.POSITION
-            and int(suit.skeleton.parents[device.segment]) < 0
-        )
-        self._wearing = wearing_of(suit, device if self._measures_root else None, nominal_interval_s)
+        placing = [d for d in suit.local_devices if d.quantity is Quantity.POSITION]
+        placing.sort(key=lambda d: int(suit.skeleton.parents[d.segment]) >= 0)  # best on the root itself
+        self._measures_place = bool(placing)
+        self._root_motion = RootMotion(placing[0] if placing else None, settings.longest_hold_s)
+        self._place = PlaceKeeper()
+        self._wearing = wearing_of(suit, placing[0] if placing else None, nominal_interval_s)
         self._no_readings = np.zeros((0, 8))
+        self._no_covariance = np.zeros((0, self._n, 3, 3))
         self._compile(len(suit.module_ids))
         self.reset()
 
@@ -85,6 +91,7 @@ class ChainReconstructor:
         """Forget everything but the parameters."""
         self._use(initial_state(self._n, len(self._devices)))
         self._root_motion.reset()
+        self._place.reset()
 
     def state(self) -> dict[str, NDArray[np.generic]]:
         """All that is remembered, as arrays; a position that is being interpolated is not part of it."""
@@ -100,10 +107,18 @@ class ChainReconstructor:
             array[...] = state[name]
         self._use(FilterState(**fresh))
 
+    def turned_back(self) -> ChainReconstructor:
+        """The same estimator, to go backward from where this one is; see ``two_ways``."""
+        back = type(self)(self._suit, self._nominal_interval_s, self._settings)
+        back._use(turned_back(self._state))
+        return back
+
     def _use(self, state: FilterState) -> None:
         self._state = state
         noise = self._settings.noise
-        constants = Constants(self._wearing, self._body, noise, self._fixed, self.is_joint, state)
+        constants = Constants(
+            self._wearing, self._body, noise, self._fixed, self.is_joint, state, scratch(self._n)
+        )
         self._held = hold(constants)
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
@@ -114,16 +129,21 @@ class ChainReconstructor:
         return self.update_many((observation,), None if resting is None else resting[None])[0]
 
     def update_many(
-        self, observations: Sequence[ImuFrame], resting: FloatArray | None = None
+        self,
+        observations: Sequence[ImuFrame],
+        resting: FloatArray | None = None,
+        covariance: FloatArray | None = None,
     ) -> list[SkeletonFrame]:
         """Instants in time order, in one call: the same as ``update`` of each, bit for bit, and faster.
 
-        resting: (T, n_segments) as there.
+        resting: (T, n_segments) as there. covariance: (T, n_segments, 3, 3) is filled with that of the
+        orientation errors, world axes, rad².
         """
         if not observations:
             return []
         rest = np.zeros((len(observations), self._n)) if resting is None else resting
-        arrays = advance(self._held, *self._inputs(observations), rest)
+        wanted = self._no_covariance if covariance is None else covariance
+        arrays = advance(self._held, *self._inputs(observations), rest, wanted)
         return [
             SkeletonFrame(o.sequence, o.time_ns, q_wb, rate, acceleration, p_w, sigma, status, self._root)
             for o, q_wb, rate, acceleration, p_w, sigma, status in zip(observations, *arrays, strict=True)
@@ -143,6 +163,7 @@ class ChainReconstructor:
             self._root_positions(observations),
             readings_end,
             readings,
+            stacked_sights(observations),
         )
 
     def _readings(self, observations: Sequence[ImuFrame]) -> tuple[FloatArray, IntArray]:
@@ -155,7 +176,7 @@ class ChainReconstructor:
             for reading in observation.local:
                 time_s = (reading.time_ns - first_ns) * 1e-9
                 rows.extend(
-                    (d, time_s, *reading.value, *reading.sigma)
+                    (d, time_s, *in_segment_axes(device, reading.value), *reading.sigma)
                     for d, device in enumerate(self._devices)
                     if reading.device == device.device and reading.quantity == device.quantity
                 )
@@ -163,15 +184,16 @@ class ChainReconstructor:
         return np.array(rows, np.float64).reshape(-1, 8), np.array(ends, np.int64)
 
     def _root_positions(self, observations: Sequence[ImuFrame]) -> FloatArray:
-        """(T, 3) where the device on the skeleton's root is; without one, zeros."""
+        """(T, 3) where the device that measures a place is; without one, zeros."""
         positions = np.zeros((len(observations), 3))
-        if self._measures_root:
+        if self._measures_place:
             latest_ns = int(self._state.time_ns[0])
             for position, observation in zip(positions, observations, strict=True):
                 if (observation.time_ns - latest_ns) * 1e-9 > SHORTEST_STEP_S:
                     latest_ns = observation.time_ns
                     self._root_motion.add(observation.local)
-                position[:] = self._root_motion.position(observation.time_ns)
+                measured = self._root_motion.position(observation.time_ns)
+                position[:] = self._place.at(measured, observation.time_ns)
         return positions
 
     def _compile(self, n_modules: int) -> None:

@@ -5,6 +5,8 @@ by ``e`` leave ``u − u_p = … − K e + K_p e_p``: linear in e with coefficie
 time, so orientation and arms can be told apart. Each joint has a small Kalman filter of its own for its
 six components; the orientation error enters it as noise that stays for ``ORIENTATION_MEMORY_S``, and what the
 arms are still uncertain of enters the orientation's rows. Directions that never show stay as measured.
+Where a fixed point holds a segment, the constant error ``b`` of its accelerometer shows too, as ``R b``
+through the low-pass; between two modules it does not show well enough to be of use.
 """
 
 from __future__ import annotations
@@ -89,15 +91,24 @@ def learn_device_arm(
     at_once: float,
     dt: float,
 ) -> float:
-    """The same of fixed point d of segment s, at which u must be the known y."""
+    """The same of fixed point d of segment s, at which u must be the known y; and ``state.force_bias[s]``."""
     off = spread(y, state.P[s, :3, :3])
-    before = state.device_shift[d].copy()
-    added = _learn(
-        state.device_shift[d], state.device_covariance[d], -K, u - y, off, variance, at_once, noise.huber, dt
-    )
+    rows, x = np.empty((3, 6)), np.empty(6)
     for i in range(3):
+        x[i], x[3 + i] = state.device_shift[d, i], state.force_bias[s, i]
         for j in range(3):
-            u[i] += K[i, j] * (state.device_shift[d, j] - before[j])
+            rows[i, j] = -K[i, j]
+            # R through the low-pass, whose derivative went through it as the swing
+            rows[i, 3 + j] = state.R[s, i, j] - noise.smoothing_s * state.swing[s, i, j]
+    before = x.copy()
+    added = _learn(x, state.device_covariance[d], rows, u - y, off, variance, at_once, noise.huber, dt)
+    for i in range(3):
+        state.device_shift[d, i], state.force_bias[s, i] = x[i], x[3 + i]
+        for j in range(6):
+            u[i] -= rows[i, j] * (x[j] - before[j])
+        for j in range(3, 6):  # the averages as if the accelerometer's error had always been known so
+            state.force[s, i] -= rows[i, j] * (x[j] - before[j])
+            state.last_force[s, i] -= state.R[s, i, j - 3] * (x[j] - before[j])
     return added * noise.row_memory_s / dt
 
 

@@ -16,12 +16,20 @@ import numpy as np
 
 from gateway.body.skeleton import LocalDevice
 from gateway.frames import FloatArray, LocalReading, Quantity
+from gateway.geometry import quaternion
 from gateway.reconstruction.inertial.differentiation import Differentiator
 
 _N_DERIVATIVES = {Quantity.ACCELERATION: 0, Quantity.VELOCITY: 1, Quantity.POSITION: 2}
 WANTED_SIGMA = 1.0
 """m/s²: readings that allow it are differentiated over a shorter window."""
 _KEPT = 8  # readings; frames lag the newest reading by a few at most
+
+
+def in_segment_axes(device: LocalDevice, value: FloatArray) -> FloatArray:
+    """(3,) as read: turned into its segment's axes if the device measures along its own, else as it is."""
+    if device.quantity is Quantity.AIR_VELOCITY:
+        return quaternion.rotate(device.orientation, value)
+    return value
 
 
 @dataclass(frozen=True, slots=True)

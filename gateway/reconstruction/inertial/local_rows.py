@@ -17,7 +17,7 @@ import numpy as np
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.chain_prediction import velocity
+from gateway.reconstruction.inertial.chain_prediction import velocity_into
 from gateway.reconstruction.inertial.chain_state import (
     N_HISTORY,
     N_READINGS,
@@ -25,6 +25,7 @@ from gateway.reconstruction.inertial.chain_state import (
     FilterState,
     Noise,
 )
+from gateway.reconstruction.inertial.observations import SegmentObservations
 
 ACCELERATION, POSITION = Quantity.ACCELERATION.value, Quantity.POSITION.value
 LEAST_READINGS = 4
@@ -56,21 +57,27 @@ def take_reading(
 
 @compiled
 def note_frame(
-    body: ChainBody, state: FilterState, noise: Noise, d: int, time_s: float, f: FloatArray, w: FloatArray
+    body: ChainBody, state: FilterState, noise: Noise, observed: SegmentObservations, d: int, time_s: float
 ) -> None:
-    """Remembers what device d's segment felt; f, w (3,) bias taken off, segment axes."""
-    history, R = state.history[d], state.R[body.device_segment[d]]
+    """Remembers what device d's segment felt."""
+    s = body.device_segment[d]
+    history, R = state.history[d], state.R[s]
     if time_s - history[N_HISTORY - 1, 0] < noise.local_window_s / HISTORY_PER_WINDOW:
         return
     for j in range(N_HISTORY - 1):
         for i in range(7):
             history[j, i] = history[j + 1, i]
-    history[N_HISTORY - 1, 0] = time_s
-    history[N_HISTORY - 1, 1:4] = rotation_matrix.rotate(R, f)
+    newest = history[N_HISTORY - 1]
+    newest[0] = time_s
+    f, w = np.empty(3), np.empty(3)
+    for i in range(3):
+        f[i] = observed.specific_force[s, i] - state.force_bias[s, i]
+        w[i] = observed.angular_rate[s, i] - state.bias[s, i]
+    rotation_matrix.rotate_into(newest[1:4], R, f)
     if body.device_kind[d] == POSITION:
-        history[N_HISTORY - 1, 4:7] = rotation_matrix.rotate(R, body.device_arm[d])
+        rotation_matrix.rotate_into(newest[4:7], R, body.device_arm[d])
     else:
-        history[N_HISTORY - 1, 4:7] = velocity(R, w, body.device_arm[d])
+        velocity_into(newest[4:7], R, w, body.device_arm[d])
 
 
 @compiled

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, ImuFrame, IntArray, Status, StatusArray
+from gateway.frames import FloatArray, ImuFrame, IntArray, Status, StatusArray, SunSight
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
+
+MISSING = Status.MISSING.value
 
 
 class SegmentObservations(NamedTuple):
@@ -35,7 +38,20 @@ class SegmentObserver:
         rows = (imu_frame.specific_force, imu_frame.angular_rate, imu_frame.magnetic_field)
         f, w, x = (np.array(row, np.float64, order="C") for row in rows)
         status = np.array(imu_frame.status, np.uint8)
-        return by_segment(self._module_of_segment, self._R_bs, f, w, x, status)
+        observed = no_observations(len(self._module_of_segment))
+        by_segment_into(observed, self._module_of_segment, self._R_bs, f, w, x, status)
+        return observed
+
+
+def no_observations(n: int) -> SegmentObservations:
+    """Of n segments."""
+    f, w, x = (np.full((n, 3), np.nan) for _ in range(3))
+    return SegmentObservations(f, w, x, np.full(n, MISSING, np.uint8))
+
+
+def with_sun_as_field(imu_frame: ImuFrame, sun: SunSight) -> ImuFrame:
+    """The direction of the sun in the place of the magnetic field; its world vector is then ``sun.world``."""
+    return replace(imu_frame, magnetic_field=np.array(sun.direction, np.float64))
 
 
 def sensor_to_segment_matrices(suit: WornSuit) -> FloatArray:
@@ -44,26 +60,24 @@ def sensor_to_segment_matrices(suit: WornSuit) -> FloatArray:
 
 
 @compiled
-def by_segment(
+def by_segment_into(
+    observed: SegmentObservations,
     module_of_segment: IntArray,
     R_bs: FloatArray,
     specific_force: FloatArray,
     angular_rate: FloatArray,
     magnetic_field: FloatArray,
     status: StatusArray,
-) -> SegmentObservations:
-    """Rows by module, (m, 3) and (m,), turned by R_bs (n, 3, 3) and sorted by segment."""
-    n = len(module_of_segment)
-    f_b, w_b, x_b = np.full((n, 3), np.nan), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
-    status_b = np.full(n, Status.MISSING.value, np.uint8)
-    for s in range(n):
+) -> None:
+    """Rows by module, (m, 3) and (m,), turned by R_bs (n, 3, 3) and sorted by segment.
+
+    observed: of segments without module it must say so already; the others' rows are written.
+    """
+    for s in range(len(module_of_segment)):
         row = module_of_segment[s]
-        if row < 0:
-            continue
-        f_b[s], w_b[s], x_b[s] = specific_force[row], angular_rate[row], magnetic_field[row]
-        rotation_matrix.turn(R_bs[s], f_b[s])
-        rotation_matrix.turn(R_bs[s], w_b[s])
-        rotation_matrix.turn(R_bs[s], x_b[s])
-        if is_finite(f_b[s]):
-            status_b[s] = status[row]
-    return SegmentObservations(f_b, w_b, x_b, status_b)
+        if row >= 0:
+            rotation_matrix.rotate_into(observed.specific_force[s], R_bs[s], specific_force[row])
+            rotation_matrix.rotate_into(observed.angular_rate[s], R_bs[s], angular_rate[row])
+            rotation_matrix.rotate_into(observed.magnetic_field[s], R_bs[s], magnetic_field[row])
+            is_measured = is_finite(observed.specific_force[s])
+            observed.status[s] = status[row] if is_measured else MISSING

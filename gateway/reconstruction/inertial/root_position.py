@@ -45,8 +45,8 @@ class PositionSettings(NamedTuple):
     """Two feet that are held share out what they contradict each other."""
     push_off_s: float = 0.3
     """A foot counts as what the body stands on for so long after it began to roll."""
-    floor_s: float = 0.3
-    """Time constant with which a contact is drawn to the floor."""
+    floor_s: float = 0.05
+    """Time constant with which a contact is drawn to the floor: a running foot is on it for 0.1 s."""
 
 
 class PositionState(NamedTuple):
@@ -57,6 +57,7 @@ class PositionState(NamedTuple):
     acceleration: FloatArray  # (3,) of the frame before, world, m/s²
     anchor: FloatArray  # (c, 3) where a contact is held, m; NaN: it is not
     rolling_s: FloatArray  # (c,) since its segment last rested
+    has_slipped: FloatArray  # (c,) 1: moves against what the body stands on, whatever its module says
     clock: FloatArray  # (2,) 1 once begun; seconds since anything rested
     standing: IntArray  # (1,) contact segment that the body stands on, −1: none
 
@@ -84,6 +85,7 @@ def initial_position(n_contacts: int) -> PositionState:
         np.zeros((2, 3, 3)),
         np.zeros(3),
         np.full((n_contacts, 3), np.nan),
+        np.zeros(n_contacts),
         np.zeros(n_contacts),
         np.zeros(2),
         np.full(1, -1, np.int64),
@@ -117,7 +119,7 @@ def advance_position(
     n_held = 0
     for c in range(len(contacts.segments)):
         resting_s = resting[contacts.segments[c]]
-        if _holds(settings, state, c, resting_s, r[c], v_r[c], dt):
+        if _holds(contacts, settings, state, c, resting_s, r[c], v_r[c], dt):
             n_held += 1
             _stand(contacts, settings, state, c, r[c], v_r[c], resting_s, dt)
         else:
@@ -214,6 +216,7 @@ def _predict(
 
 @compiled
 def _holds(
+    contacts: Contacts,
     settings: PositionSettings,
     state: PositionState,
     c: int,
@@ -222,14 +225,31 @@ def _holds(
     v_r: FloatArray,
     dt: float,
 ) -> bool:
-    """Whether contact c is on the ground and does not move."""
+    """Whether contact c is on the ground and does not move.
+
+    One that slips while another segment stands is not taken back until it moves with that or its module has
+    seen it move: a module that is stuck in rest would else pull the body along.
+    """
     state.rolling_s[c] = 0.0 if resting_s > 0.0 else state.rolling_s[c] + dt
     if not (is_finite(r) and is_finite(v_r)):
         return False
+    slips = norm(state.x[:, 1] + v_r) >= settings.slip_speed
+    if resting_s == 0.0 or not slips:
+        state.has_slipped[c] = 0.0
     if not is_finite(state.anchor[c]):
-        return resting_s > 0.0
-    slip = norm(state.x[:, 1] + v_r)
-    return slip < settings.slip_speed and state.rolling_s[c] < settings.push_off_s
+        return resting_s > 0.0 and not (state.has_slipped[c] > 0.0 and _stands_elsewhere(contacts, state, c))
+    if slips and resting_s > 0.0 and _stands_elsewhere(contacts, state, c):
+        state.has_slipped[c] = 1.0
+    return not slips and state.rolling_s[c] < settings.push_off_s
+
+
+@compiled
+def _stands_elsewhere(contacts: Contacts, state: PositionState, c: int) -> bool:
+    """Whether a contact of another segment than that of contact c is held."""
+    for other in range(len(contacts.segments)):
+        if contacts.segments[other] != contacts.segments[c] and is_finite(state.anchor[other]):
+            return True
+    return False
 
 
 @compiled

@@ -16,15 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from gateway.frames import FloatArray, IntArray
-from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import cross, dot
+from gateway.geometry.vectors import dot
 from gateway.reconstruction.inertial.blocks import (
-    inverse_3_into,
     inverse_into,
     product_into,
     symmetric_sum_into,
     times_vector_into,
+    weakened_into,
 )
 
 
@@ -41,7 +40,6 @@ class Evidence(NamedTuple):
     p: FloatArray  # (n, 3)
 
 
-@compiled
 def no_evidence(n: int) -> Evidence:
     """Of n segments."""
     return Evidence(
@@ -53,6 +51,20 @@ def no_evidence(n: int) -> Evidence:
         np.zeros((n, 3)),
         np.zeros((n, 3)),
     )
+
+
+@compiled
+def clear(evidence: Evidence) -> None:
+    """As ``no_evidence``, in place."""
+    for s in range(len(evidence.own)):
+        for i in range(6):
+            evidence.own_vector[s, i] = 0.0
+            for j in range(6):
+                evidence.own[s, i, j] = 0.0
+        for i in range(3):
+            evidence.c[s, i], evidence.p[s, i] = 0.0, 0.0
+            for j in range(3):
+                evidence.cc[s, i, j], evidence.cp[s, i, j], evidence.pp[s, i, j] = 0.0, 0.0, 0.0
 
 
 @compiled
@@ -84,11 +96,12 @@ def add_joint(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, v
 
     In closed form, with ``[m]×ᵀ [m]× = (m · m) I − m mᵀ``.
     """
-    weight = 1.0 / variance
-    across, square = cross(residual, m), dot(m, m)
+    weight, square = 1.0 / variance, dot(m, m)
     for i in range(3):
-        evidence.c[s, i] += weight * across[i]
-        evidence.p[s, i] -= weight * across[i]
+        j, k = (i + 1) % 3, (i + 2) % 3
+        across = residual[j] * m[k] - residual[k] * m[j]
+        evidence.c[s, i] += weight * across
+        evidence.p[s, i] -= weight * across
         for j in range(3):
             information = weight * ((square if i == j else 0.0) - m[i] * m[j])
             evidence.cc[s, i, j] += information
@@ -99,10 +112,10 @@ def add_joint(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, v
 @compiled
 def add_known(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, variance: float) -> None:
     """``residual = [m]× δ``, of segment s; (3,), variance of each component."""
-    weight = 1.0 / variance
-    across, square = cross(residual, m), dot(m, m)
+    weight, square = 1.0 / variance, dot(m, m)
     for i in range(3):
-        evidence.own_vector[s, i] += weight * across[i]
+        j, k = (i + 1) % 3, (i + 2) % 3
+        evidence.own_vector[s, i] += weight * (residual[j] * m[k] - residual[k] * m[j])
         for j in range(3):
             evidence.own[s, i, j] += weight * ((square if i == j else 0.0) - m[i] * m[j])
 
@@ -120,9 +133,11 @@ def propagate(P: FloatArray, R: FloatArray, R_other: FloatArray, dt: float) -> N
             P[i, j] -= x * R_other[j, 0] + y * R_other[j, 1] + z * R_other[j, 2]
 
 
-class _Workspace(NamedTuple):
-    """What one update needs besides its arguments; by segment, then blocks that are used again and again."""
+class Workspace(NamedTuple):
+    """What one update needs besides its arguments, and what it finds."""
 
+    x: FloatArray  # (n, 6) the errors found
+    is_known: IntArray  # (n,) 1: the prior has been inverted
     known: FloatArray  # (n, 6, 6) prior information, of segments with children
     G: FloatArray  # (n, 6, 6) of a segment on its parent
     W: FloatArray  # (n, 6, 6) covariance given the parent
@@ -132,29 +147,33 @@ class _Workspace(NamedTuple):
     X: FloatArray  # (6, 6)
 
 
+def workspace(n: int) -> Workspace:
+    """Of n segments, to be used again and again."""
+    blocks, six = (n, 6, 6), (6, 6)
+    return Workspace(
+        np.zeros((n, 6)), np.zeros(n, np.int64), np.zeros(blocks), np.zeros(blocks), np.zeros(blocks),
+        np.zeros((n, 6)), np.zeros(six), np.zeros(six), np.zeros(six),
+    )  # fmt: skip
+
+
 @compiled
-def update_tree(parents: IntArray, P: FloatArray, C: FloatArray, evidence: Evidence) -> FloatArray:
-    """The errors found, (n, 6); P (n, 6, 6) and C (n, 6, 6; child rows, parent columns) change in place.
+def update_tree(parents: IntArray, P: FloatArray, C: FloatArray, evidence: Evidence, work: Workspace) -> None:
+    """Finds the errors, ``work.x``; P (n, 6, 6) and C (n, 6, 6; child rows, parent columns) change in place.
 
     ``evidence`` is used up. parents: (n,), parents first, −1 for the root of a tree (several may be).
     """
-    n = len(parents)
-    blocks, six = (n, 6, 6), (6, 6)
-    work = _Workspace(
-        np.empty(blocks), np.empty(blocks), np.empty(blocks), np.empty((n, 6)), np.empty(six), np.empty(six),
-        np.empty(six),
-    )  # fmt: skip
-    is_known = np.zeros(n, np.bool_)  # whose prior has been inverted
+    n, x = len(parents), work.x
+    for s in range(n):
+        work.is_known[s] = 0
     for s in range(n - 1, -1, -1):
         p = parents[s]
-        if p < 0 and not is_known[s]:
+        if p < 0 and not work.is_known[s]:
             inverse_into(work.known[s], P[s])
         if p >= 0:
-            if not is_known[p]:
+            if not work.is_known[p]:
                 inverse_into(work.known[p], P[p])
-                is_known[p] = True
+                work.is_known[p] = 1
             _gather(s, p, P, C, evidence, work)
-    x = np.empty((n, 6))
     for s in range(n):
         if parents[s] < 0:
             _add_into(work.X, work.known[s], evidence.own[s])
@@ -162,11 +181,10 @@ def update_tree(parents: IntArray, P: FloatArray, C: FloatArray, evidence: Evide
             times_vector_into(x[s], P[s], evidence.own_vector[s])
         else:
             _hand_down(s, parents[s], P, C, x, work)
-    return x
 
 
 @compiled
-def _gather(s: int, p: int, P: FloatArray, C: FloatArray, evidence: Evidence, work: _Workspace) -> None:
+def _gather(s: int, p: int, P: FloatArray, C: FloatArray, evidence: Evidence, work: Workspace) -> None:
     """All that is known beyond the edge is told to the parent.
 
     A priori ``x_s = A x_p + noise of covariance Σ``. With Λ the information about x_s and B that about
@@ -210,7 +228,7 @@ def _gather(s: int, p: int, P: FloatArray, C: FloatArray, evidence: Evidence, wo
 
 
 @compiled
-def _hand_down(s: int, p: int, P: FloatArray, C: FloatArray, x: FloatArray, work: _Workspace) -> None:
+def _hand_down(s: int, p: int, P: FloatArray, C: FloatArray, x: FloatArray, work: Workspace) -> None:
     """What the parent has been found to be is told to the child."""
     times_vector_into(x[s], work.G[s], x[p])
     for i in range(6):
@@ -227,51 +245,54 @@ def _add_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
 
 
 @compiled
-def update_outward(parents: IntArray, P: FloatArray, evidence: Evidence) -> FloatArray:
-    """The same with every segment for itself, its parent taken as found; (n, 6). P changes in place.
+def update_outward(parents: IntArray, P: FloatArray, evidence: Evidence, work: Workspace) -> None:
+    """The same with every segment for itself, its parent taken as found. P changes in place.
 
     The parent's orientation error is known to ``P_p``, which is handed down: integrated out of the edge's
-    evidence it leaves the information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child.
+    evidence it leaves the information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child. What is then known of
+    the orientation, and at rest of the bias, are blocks of three of the six states.
     """
-    n = len(parents)
-    x, J, X = np.empty((n, 6)), np.empty((6, 6)), np.empty((6, 6))
-    known, gain = np.empty((3, 3)), np.empty((3, 3))
-    for s in range(n):
-        p = parents[s]
-        inverse_into(X, P[s])
-        _add_into(J, X, evidence.own[s])
+    for s in range(len(parents)):
+        p, own = parents[s], evidence.own[s]
         if p >= 0 and evidence.cc[s, 0, 0] + evidence.cc[s, 1, 1] + evidence.cc[s, 2, 2] > 0.0:
-            _hear_parent(s, P[p], x[p], evidence, J, known, gain)
-        inverse_into(P[s], J)
-        times_vector_into(x[s], P[s], evidence.own_vector[s])
-    return x
+            _hear_parent(s, p, P, evidence, work)
+        for first in range(0, 6, 3):
+            if own[first, first] + own[first + 1, first + 1] + own[first + 2, first + 2] > 0.0:
+                _learn_three(P[s], own, first, work)
+        times_vector_into(work.x[s], P[s], evidence.own_vector[s])
 
 
 @compiled
-def _hear_parent(
-    s: int,
-    P_p: FloatArray,
-    x_p: FloatArray,
-    evidence: Evidence,
-    J: FloatArray,
-    known: FloatArray,
-    gain: FloatArray,
-) -> None:
-    """Adds to J and to ``own_vector`` of s what the edge tells once the parent is integrated out."""
-    pp, cp, vector = evidence.pp[s], evidence.cp[s], evidence.own_vector[s]
-    inverse_3_into(gain, P_p[:3, :3])
+def _hear_parent(s: int, p: int, P: FloatArray, evidence: Evidence, work: Workspace) -> None:
+    """Adds to what is told of s itself what the edge tells once the parent is integrated out."""
+    pp, cp, vector, x, gain = evidence.pp[s], evidence.cp[s], evidence.own_vector[s], work.x[p], work.T
+    weakened_into(work.A, work.X, P[p], 0, pp, 0)
     for i in range(3):
         for j in range(3):
-            gain[i, j] += pp[i, j]
-    inverse_3_into(known, gain)
-    rotation_matrix.multiply_into(gain, cp, known)
+            gain[i, j] = cp[i, 0] * work.A[0, j] + cp[i, 1] * work.A[1, j] + cp[i, 2] * work.A[2, j]
     for i in range(3):
         vector[i] += evidence.c[s, i]
         for k in range(3):
-            vector[i] -= cp[i, k] * x_p[k]
-            innovation = evidence.p[s, k] - pp[k, 0] * x_p[0] - pp[k, 1] * x_p[1] - pp[k, 2] * x_p[2]
-            vector[i] -= gain[i, k] * innovation
+            innovation = evidence.p[s, k] - pp[k, 0] * x[0] - pp[k, 1] * x[1] - pp[k, 2] * x[2]
+            vector[i] -= cp[i, k] * x[k] + gain[i, k] * innovation
         for j in range(i + 1):
             shared = gain[i, 0] * cp[j, 0] + gain[i, 1] * cp[j, 1] + gain[i, 2] * cp[j, 2]
-            J[i, j] += evidence.cc[s, i, j] - shared
-            J[j, i] = J[i, j]
+            evidence.own[s, i, j] += evidence.cc[s, i, j] - shared
+            evidence.own[s, j, i] = evidence.own[s, i, j]
+
+
+@compiled
+def _learn_three(P: FloatArray, information: FloatArray, first: int, work: Workspace) -> None:
+    """P ← (P⁻¹ + Λ)⁻¹ with Λ (6, 6) not zero only for three states from ``first`` on: ``P − P (Λ⁻¹ + P)⁻¹ P``
+    of them, in place."""
+    S, G = work.A, work.X
+    weakened_into(S, work.T, information, first, P, first)
+    for i in range(6):
+        a, b, c = P[i, first], P[i, first + 1], P[i, first + 2]
+        for j in range(3):
+            G[i, j] = a * S[0, j] + b * S[1, j] + c * S[2, j]
+            G[i, 3 + j] = P[i, first + j]
+    for i in range(6):
+        for j in range(i + 1):
+            P[i, j] -= G[i, 0] * G[j, 3] + G[i, 1] * G[j, 4] + G[i, 2] * G[j, 5]
+            P[j, i] = P[i, j]

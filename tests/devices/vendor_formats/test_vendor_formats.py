@@ -272,3 +272,26 @@ def test_whatever_is_cut_or_changed_gives_a_recording_or_one_clear_line(tmp_path
     else:
         assert isinstance(recording, Recording)
         assert list(play(recording))
+
+
+@pytest.mark.parametrize("rate", ["0", "0.0001", "99999999"])
+def test_found_by_fuzzing_a_rate_that_no_module_has(tmp_path, rate):
+    """It rounded to 0 Hz, by which others then divided."""
+    path = tmp_path / "MT_1.txt"
+    path.write_text(xsens_text(range(4)).replace("100.0Hz", f"{rate}Hz"))
+    with pytest.raises(FormatError, match=r"samples a second; from 0\.5 to 20000 are read"):
+        read_xsens_text([path])
+
+
+def test_a_rate_with_two_points_is_read_as_far_as_it_is_a_number(tmp_path):
+    path = tmp_path / "MT_1.txt"
+    path.write_text(xsens_text(range(4)).replace("100.0Hz", "1.2.3Hz"))
+    assert read_xsens_text([path]).sampling_rate_hz == 1.2
+
+
+def test_found_by_fuzzing_samples_half_a_minute_apart(tmp_path):
+    path = tmp_path / "dot.csv"
+    rows = "\n".join(f"{k},{k * 30_000_000},0,0,9.8" for k in range(4))
+    path.write_text(f"DeviceTag:,a\nPacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z\n{rows}\n")
+    with pytest.raises(FormatError, match=r"0\.0333333 samples a second.*another unit"):
+        read_movella_dot([path])

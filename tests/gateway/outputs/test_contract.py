@@ -101,7 +101,9 @@ def test_schemas_of_asyncapi_are_draft_7_and_take_a_real_pose():
 
 
 def test_every_request_that_a_gateway_answers_is_in_the_contract():
-    settings = GatewaySettings(links=[{"name": "suit", "url": "tcp://127.0.0.1:1"}], rig="robot_arm_4")
+    settings = GatewaySettings(
+        links=[{"name": "suit", "url": "tcp://127.0.0.1:1"}], rig="robot_arm_4", reconstructor="independent"
+    )
     service = Service(settings, load_rig("robot_arm_4"))
     assert set(service.requests._families) == set(REQUEST_FAMILIES)
     assert set(service.recording._verbs) == set(REQUEST_FAMILIES["recording"])

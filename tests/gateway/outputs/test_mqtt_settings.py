@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from gateway.outputs.settings import PASSWORD_VARIABLE, CredentialError, MqttSettings
+from gateway.credentials import CredentialError
+from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings
 
 SECRET = "correct horse battery"
 

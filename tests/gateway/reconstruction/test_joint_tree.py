@@ -66,8 +66,9 @@ def test_two_sweeps_equal_the_dense_update(seed):
     H, R = np.array(rows), np.diag(variances)
     gain = dense @ H.T @ np.linalg.inv(H @ dense @ H.T + R)
     after = dense - gain @ H @ dense
-    x = tree_filter.update_tree(PARENTS, P, C, evidence)
-    np.testing.assert_allclose(x.ravel(), gain @ residuals, atol=1e-10)
+    work = tree_filter.workspace(n)
+    tree_filter.update_tree(PARENTS, P, C, evidence, work)
+    np.testing.assert_allclose(work.x.ravel(), gain @ residuals, atol=1e-10)
     P_after, C_after = blocks(after)
     np.testing.assert_allclose(P, P_after, atol=1e-10)
     np.testing.assert_allclose(C, C_after, atol=1e-10)
@@ -76,8 +77,9 @@ def test_two_sweeps_equal_the_dense_update(seed):
 def test_without_evidence_nothing_changes():
     _, P, C = random_tree(np.random.default_rng(1))
     P_before, C_before = P.copy(), C.copy()
-    x = tree_filter.update_tree(PARENTS, P, C, tree_filter.no_evidence(len(PARENTS)))
-    np.testing.assert_array_equal(x, 0.0)
+    work = tree_filter.workspace(len(PARENTS))
+    tree_filter.update_tree(PARENTS, P, C, tree_filter.no_evidence(len(PARENTS)), work)
+    np.testing.assert_array_equal(work.x, 0.0)
     np.testing.assert_allclose(P, P_before, atol=1e-12)
     np.testing.assert_allclose(C, C_before, atol=1e-12)
 
@@ -110,6 +112,45 @@ def test_inverse_of_ill_conditioned_blocks(size):
     np.testing.assert_array_equal(M, M.T)
     unscaled = np.linalg.inv(scale)
     np.testing.assert_allclose(scale @ M @ scale @ unscaled @ A @ unscaled, np.eye(size), atol=1e-12)
+
+
+def test_evidence_of_three_states_is_taken_as_by_inverting_the_whole_block():
+    """Of an open heading, a tilt known well, and a row that says nothing about one direction."""
+    rng, n = np.random.default_rng(6), len(PARENTS)
+    _, P, _ = random_tree(rng)
+    P[0] = np.diag([1e-4, 1e-4, 2.56, 1e-8, 1e-8, 1e-8])
+    evidence, work = tree_filter.no_evidence(n), tree_filter.workspace(n)
+    for s in range(n):
+        tree_filter.add_known(evidence, s, rng.standard_normal(3), rng.standard_normal(3), 0.01)
+        if s % 2:
+            evidence.own[s, 3:, 3:] += 50.0 * np.eye(3)
+            evidence.own_vector[s, 3:] += rng.standard_normal(3)
+    expected = np.linalg.inv(np.linalg.inv(P) + evidence.own)
+    vectors = evidence.own_vector.copy()
+    tree_filter.update_outward(PARENTS, P, evidence, work)
+    np.testing.assert_allclose(P, expected, atol=1e-9)
+    np.testing.assert_allclose(work.x, np.einsum("sij,sj->si", expected, vectors), atol=1e-8)
+
+
+def test_outward_a_child_learns_what_its_edge_tells_with_the_parent_integrated_out():
+    """Against the dense update of the two, whose errors are independent to this filter."""
+    rng = np.random.default_rng(7)
+    _, P, _ = random_tree(rng)
+    P, parents = P[:2].copy(), np.array([-1, 0])
+    rows, residuals = rng.standard_normal((3, 2, 3)), rng.standard_normal(3)
+    evidence, work = tree_filter.no_evidence(2), tree_filter.workspace(2)
+    H = np.zeros((3, 12))
+    for k in range(3):
+        tree_filter.add_edge(evidence, 1, rows[k, 0], rows[k, 1], residuals[k], 0.5)
+        H[k, 6:9], H[k, :3] = rows[k]
+    dense = np.zeros((12, 12))
+    dense[:6, :6], dense[6:, 6:] = P
+    gain = dense @ H.T @ np.linalg.inv(H @ dense @ H.T + 0.5 * np.eye(3))
+    after, x = dense - gain @ H @ dense, gain @ residuals
+    tree_filter.update_outward(parents, P, evidence, work)
+    np.testing.assert_allclose(P[1], after[6:, 6:], atol=1e-10)
+    np.testing.assert_allclose(work.x[1], x[6:], atol=1e-10)
+    np.testing.assert_array_equal(work.x[0], 0.0)
 
 
 def test_propagation_is_that_of_the_turning_error():

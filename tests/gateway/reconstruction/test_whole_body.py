@@ -288,3 +288,21 @@ def test_who_does_not_move_gets_no_score(suit):
     for frame in observed(suit, state):
         reconstructor.update(frame)
     assert reconstructor.joint_agreement() == {}
+
+
+@pytest.mark.parametrize("sensor", ["specific_force", "angular_rate"])
+def test_a_single_stuck_sensor_makes_its_module_silent_in_motion(suit, walked, sensor):
+    state, frames = walked
+    finder = Seen(state)
+    reconstructor = WholeBodyReconstructor(suit, finder)
+    silent = []
+    for k, frame in enumerate(frames[300:420]):
+        values = getattr(frame, sensor).copy()
+        if k >= 20:
+            values[4] = getattr(frames[320], sensor)[4]
+        reconstructor.update(replace(frame, **{sensor: values}))
+        silent.append((finder.observation.status == Status.MISSING).copy())
+    silent = np.array(silent)
+    assert not np.delete(silent, 4, axis=1).any()
+    assert np.flatnonzero(silent[:, 4])[0] == pytest.approx(35, abs=3)
+    assert silent[40:, 4].mean() > 0.8  # all but moments at which it hardly moves

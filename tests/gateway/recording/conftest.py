@@ -52,7 +52,7 @@ def record(tmp_path: Path, arm_chunks: list[Chunk]) -> Callable[..., Path]:
     ) -> Path:
         kept = settings.model_copy(update={"folder": str(tmp_path / "recordings")})
         links = [LinkSettings(name=link, url="/dev/null") for link in ("left", "right")]
-        whole = GatewaySettings(links=links, rig=RIG, recording=kept)
+        whole = GatewaySettings(links=links, rig=RIG, reconstructor="independent", recording=kept)
         suit = load_rig(RIG)
         framings = {"left": Framing.BYTE_STREAM, "right": Framing.BYTE_STREAM}
         contents = Contents(framings, attachments_of(whole, suit), "1.2.3", from_start)

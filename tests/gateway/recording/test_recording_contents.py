@@ -96,7 +96,9 @@ def test_calibrations_come_back_in_both_forms(tmp_path):
     suit = dataclasses.replace(suit, calibrations={module: calibration})
     back = decode_suit(encode_suit(suit)).calibrations
     assert back[module].accelerometer_bias.tobytes() == calibration.accelerometer_bias.tobytes()
-    settings = GatewaySettings(links=[LinkSettings(name="suit", url="/dev/x")], rig="single")
+    settings = GatewaySettings(
+        links=[LinkSettings(name="suit", url="/dev/x")], rig="single", reconstructor="independent"
+    )
     for name, data in attachments_of(settings, suit).items():
         (tmp_path / name).write_bytes(data)
     edited = load_rig(str(tmp_path / "rig.yaml")).calibrations
@@ -113,7 +115,9 @@ def test_a_suit_of_a_newer_version_is_refused_in_words():
 @pytest.mark.parametrize("rig", RIGS)
 def test_rig_and_body_are_files_that_can_be_loaded(rig, tmp_path):
     suit = load_rig(rig)
-    settings = GatewaySettings(links=[LinkSettings(name="suit", url="/dev/x")], rig=rig)
+    settings = GatewaySettings(
+        links=[LinkSettings(name="suit", url="/dev/x")], rig=rig, reconstructor="independent"
+    )
     for name, data in attachments_of(settings, suit).items():
         (tmp_path / name).write_bytes(data)
     again = load_rig(str(tmp_path / "rig.yaml"))
@@ -134,6 +138,7 @@ def test_no_secret_is_recorded(monkeypatch):
     settings = GatewaySettings(
         links=[LinkSettings(name="suit", url="tcp://anna:hush-hush@host:7000")],
         rig="single",
+        reconstructor="independent",
         mqtt=MqttSettings(username="anna", password_file="/etc/password"),
     )
     attachments = attachments_of(settings, load_rig("single"))

@@ -1,25 +1,39 @@
-"""The difference of two results as a picture, or as one self-contained page."""
+"""Angles between two results by segment, as a picture or as one self-contained page."""
 
 from __future__ import annotations
 
 import base64
 import html
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.recording.difference import Difference
 
 _MOST_POINTS = 2000
 """Of a curve: more cannot be seen."""
 
-HEADS = ("segment", "frames", "mean °", "RMS °", "95 % °", "max °", "inclination RMS °", "heading RMS °")
+
+@dataclass(frozen=True)
+class AnglePage:
+    """What is shown: S curves over T instants, and a table."""
+
+    title: str
+    notes: tuple[str, ...]
+    """Sentences above the table."""
+    time_s: FloatArray  # (T,)
+    angle_deg: FloatArray  # (T, S)
+    names: tuple[str, ...]
+    """Of the segments."""
+    heads: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    """Of the table, in the columns of ``heads``."""
 
 
-def save_plot(found: Difference, path: Path, title: str) -> None:
+def save_page(page: AnglePage, path: Path) -> None:
     """Write ``path``, whose ending says as what: .png, .svg, .pdf or .html.
 
     Raises ``GatewayError`` for another ending, without matplotlib, or when it cannot be written.
@@ -27,52 +41,30 @@ def save_plot(found: Difference, path: Path, title: str) -> None:
     kind = path.suffix.lower().lstrip(".")
     if kind not in {"png", "svg", "pdf", "html"}:
         raise GatewayError(f"{path}: a plot is written as .png, .svg, .pdf or .html")
-    picture = _picture(found, title, "png" if kind == "html" else kind)
-    content = _page(found, title, picture).encode() if kind == "html" else picture
+    picture = _picture(page, "png" if kind == "html" else kind)
+    content = _html(page, picture).encode() if kind == "html" else picture
     try:
         path.write_bytes(content)
     except OSError as error:
         raise GatewayError(f"{path} cannot be written: {error.strerror}") from error
 
 
-def rows(found: Difference) -> list[tuple[str, ...]]:
-    """The table, in the columns of ``HEADS``, numbers as text."""
-    return [
-        (
-            figures.segment,
-            str(figures.frames),
-            *(
-                f"{value:.3f}"
-                for value in (
-                    figures.mean_deg,
-                    figures.rms_deg,
-                    figures.p95_deg,
-                    figures.max_deg,
-                    figures.inclination_rms_deg,
-                    figures.heading_rms_deg,
-                )
-            ),
-        )
-        for figures in found.segments
-    ]
-
-
-def _picture(found: Difference, title: str, kind: str) -> bytes:
+def _picture(page: AnglePage, kind: str) -> bytes:
     try:
         from matplotlib.figure import Figure  # noqa: PLC0415 - an extra, and slow to import
     except ImportError:
         raise GatewayError("plots need matplotlib: pip install 'mocap-gateway[plot]'") from None
-    n = len(found.segments)
+    n = len(page.names)
     figure = Figure(figsize=(10, 1.2 + 0.9 * n), layout="constrained")
     axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
-    for axis, name, angles in zip(axes, found.segment_names, found.angle_deg.T, strict=True):
-        times, peaks = _thinned(found.time_s, angles)
+    for axis, name, angles in zip(axes, page.names, page.angle_deg.T, strict=True):
+        times, peaks = _thinned(page.time_s, angles)
         axis.plot(times, peaks, linewidth=0.8)
         axis.set_ylabel(f"{name}\n[°]", rotation=0, ha="right", va="center", fontsize=8)
         axis.set_ylim(bottom=0)
         axis.grid(alpha=0.3)
     axes[-1].set_xlabel("time [s]")
-    figure.suptitle(title, fontsize=10)
+    figure.suptitle(page.title, fontsize=10)
     written = io.BytesIO()
     figure.savefig(written, format=kind, dpi=110)
     return written.getvalue()
@@ -89,17 +81,18 @@ def _thinned(time_s: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatA
     return time_s[:n:stretch], np.where(np.isinf(peaks), np.nan, peaks)
 
 
-def _page(found: Difference, title: str, picture: bytes) -> str:
-    head = "".join(f"<th>{html.escape(text)}</th>" for text in HEADS)
+def _html(page: AnglePage, picture: bytes) -> str:
+    head = "".join(f"<th>{html.escape(text)}</th>" for text in page.heads)
     body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows(found)
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in page.rows
     )
+    notes = "".join(f"<p>{html.escape(note)}</p>" for note in page.notes)
     image = base64.b64encode(picture).decode()
     return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(page.title)}</title>'
         "<style>body{font:14px sans-serif;margin:2em}table{border-collapse:collapse}"
         "td,th{padding:.2em .8em;border-bottom:1px solid #ccc;text-align:right}"
         "td:first-child,th:first-child{text-align:left}img{max-width:100%}</style>"
-        f"<h1>{html.escape(title)}</h1><table><tr>{head}</tr>{body}</table>"
+        f"<h1>{html.escape(page.title)}</h1>{notes}<table><tr>{head}</tr>{body}</table>"
         f'<img alt="angle between the two by segment over time" src="data:image/png;base64,{image}"></html>\n'
     )

@@ -1,0 +1,52 @@
+"""Checks of files that people write."""
+
+from __future__ import annotations
+
+from benchmarks.fuzzing.files import in_a_file, refused_or_read
+from gateway.body.rig import load_body, load_rig
+from gateway.body.urdf import import_urdf
+from gateway.clocks.table import load_clock_table
+from gateway.imports.map_files import read_maps
+from gateway.settings import load_gateway_settings
+
+
+def gateway_file(data: bytes) -> None:
+    """A configuration is taken whole or refused."""
+    path = in_a_file("gateway.yaml", data)
+    refused_or_read(lambda: load_gateway_settings(path))
+
+
+def rig_file(data: bytes) -> None:
+    """A rig, on a shipped body."""
+    path = in_a_file("rig.yaml", data)
+    refused_or_read(lambda: load_rig(str(path)))
+
+
+def body_file(data: bytes) -> None:
+    """A body."""
+    path = in_a_file("body.yaml", data)
+    refused_or_read(lambda: load_body(str(path)))
+
+
+def clock_table(data: bytes) -> None:
+    """A clock table, and every module's rate from it."""
+    path = in_a_file("clocks.yaml", data)
+
+    def read() -> None:
+        table = load_clock_table(path)
+        for module in table.alpha:
+            table.skew_ppm(module)
+
+    refused_or_read(read)
+
+
+def urdf(data: bytes) -> None:
+    """A robot's description, as text."""
+    text = data.decode("utf-8", errors="replace")
+    refused_or_read(lambda: import_urdf(text))
+
+
+def map_file(data: bytes) -> None:
+    """YAML, or XML if it begins so."""
+    path = in_a_file("map.xml" if data[:1] == b"<" else "map.yaml", data)
+    refused_or_read(lambda: read_maps([str(path)]))

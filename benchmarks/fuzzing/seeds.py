@@ -1,0 +1,242 @@
+"""``python -m benchmarks.fuzzing.seeds``: a first corpus for every target, from what is known to be good.
+
+Inputs that the fuzzer found stay beside them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import firmware_protocol
+from benchmarks.fuzzing.targets import CORPORA, TARGETS
+from benchmarks.fuzzing.vendors import PARTS
+from devices.link import Chunk, Framing
+from devices.recording_file import RecordingFile
+from devices.recording_writer import RecordingWriter, session_record
+from firmware_protocol import CanFrame, pack_can_records
+from firmware_protocol.device_settings import factory_settings
+from firmware_protocol.flash_slots import encode_slot
+from gateway.body.rig import load_rig
+from gateway.frames import SkeletonFrame
+from gateway.recording.skeleton_encoding import encode_skeleton_frame
+from gateway.recording.snapshot import attachments_of
+from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings_files import shipped_folder
+
+_VECTORS = Path(firmware_protocol.__file__).parent / "vectors"
+_DATA = Path(os.environ.get("MOCAP_DATA", CORPORA.parent.parent.parent.parent / "shared" / "data"))
+_ROWS = 6
+_GATEWAY = b"""gateway: g
+links: [{name: a, url: 'tcp://h:1'}]
+rig: arm_4
+mqtt: {tls: {}, include: [sigma]}
+"""
+
+
+def main() -> None:
+    """Write what is missing."""
+    for name, inputs in _all().items():
+        folder = CORPORA / name
+        folder.mkdir(parents=True, exist_ok=True)
+        for number, data in enumerate(inputs):
+            if len(data) <= TARGETS[name].largest:
+                (folder / f"seed_{number:02}").write_bytes(data)
+
+
+def _all() -> dict[str, list[bytes]]:
+    return {
+        **_of_the_wire(),
+        **_of_files(),
+        **_of_recordings(),
+        **_of_vendors(),
+        "requests": list(_requests()),
+        "published": [bytes([n]) + text for n, text in enumerate(_published())],
+    }
+
+
+def _vectors(name: str) -> list[dict[str, Any]]:
+    vectors: list[dict[str, Any]] = json.loads((_VECTORS / f"{name}.json").read_text())["vectors"]
+    return vectors
+
+
+def _of_the_wire() -> dict[str, list[bytes]]:
+    packets, asked = _vectors("packets"), _vectors("commands")
+    streams = [bytes.fromhex(each["byte_stream"]) for each in packets]
+    buses = [_can(each["can_classic"]["frames"]) for each in packets if each["can_classic"]]
+    slot = encode_slot(7, factory_settings())
+    return {
+        "wire_stream": [*streams, b"".join(streams[:8])],
+        "can_stream": [*buses, b"".join(buses[:4])],
+        "slcan_text": [b"T0c400c4081100d01213000d05\rt1232ab01\rd1239" + b"00" * 12 + b"\r\x07V1013\r"],
+        "can_transfers": [bytes([1, 0]) + bytes.fromhex(each["body"])[:14] for each in packets],
+        "commands": [
+            bytes([each["verb"]]) + bytes.fromhex(each[part]["bytes"])
+            for each in asked
+            for part in ("arguments", "payload")
+            if each.get(part)
+        ]
+        + [bytes([each["kind"]]) + bytes.fromhex(each["body"]) for each in packets],
+        "flash_slots": [slot + slot, slot[:-1] + slot],
+        "gnss": _satellites(),
+        "card_file": [b"".join(streams), streams[0]],
+    }
+
+
+def _can(frames: list[dict[str, Any]]) -> bytes:
+    return pack_can_records(
+        CanFrame(int(each["identifier"], 16), bytes.fromhex(each["data"])) for each in frames
+    )
+
+
+def _satellites() -> list[bytes]:
+    sentences = (
+        "GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,",
+        "GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W",
+        "GPGST,123519,1.5,2.0,1.0,30.0,1.1,1.2,2.3",
+    )
+    lines = []
+    for text in sentences:
+        check = 0
+        for letter in text.encode():
+            check ^= letter
+        lines.append(f"${text}*{check:02X}\r\n".encode())
+    body = b"\x01\x07\x5c\x00" + bytes(92)
+    first = second = 0
+    for value in body:
+        first = (first + value) & 255
+        second = (second + first) & 255
+    ubx = b"\xb5\x62" + body + bytes([first, second])
+    return [*lines, b"".join(lines), ubx, ubx + lines[0]]
+
+
+def _of_files() -> dict[str, list[bytes]]:
+    config = shipped_folder()
+
+    def texts(*paths: Path) -> list[bytes]:
+        return [path.read_bytes() for path in paths]
+
+    return {
+        "gateway_file": [*texts(*sorted(config.glob("*.yaml")), *Path("docker").glob("*.yaml")), _GATEWAY],
+        "rig_file": texts(*sorted((config / "rigs").glob("*.yaml"))),
+        "body_file": texts(*sorted((config / "bodies").glob("*.yaml"))),
+        "clock_table": [
+            b"reference: 1\ninterval_s: 1.0\nrepetitions: 2\nranking: [1, 2]\n"
+            b"alpha: {1: [0.0, 0.0], 2: [1.0, 1.0]}\n"
+        ],
+        "urdf": texts(Path("tests/data/arm6.urdf")),
+        "map_file": [
+            b"00B42279: pelvis\n00B42268: thorax\n",
+            b'<x><ExperimentalSensor name="_00B42279"><name_in_model>pelvis_imu</name_in_model>'
+            b"</ExperimentalSensor></x>",
+        ],
+    }
+
+
+def _of_recordings() -> dict[str, list[bytes]]:
+    suit = load_rig("arm_4")
+    settings = GatewaySettings(links=[LinkSettings(name="suit", url="tcp://127.0.0.1:1")], rig="arm_4")
+    attachments = dict(attachments_of(settings, suit))
+    n = suit.skeleton.n_segments
+    frame = SkeletonFrame(
+        sequence=1,
+        time_ns=10,
+        q_wb=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        angular_rate=np.zeros((n, 3)),
+        joint_acceleration=np.zeros((n, 3)),
+        p_w=np.full((n, 3), np.nan),
+        sigma=np.zeros(n),
+        status=np.zeros(n, np.uint8),
+        root=0,
+    )
+    encoded = encode_skeleton_frame(frame)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "seed.mcap"
+        links = {"suit": Framing.BYTE_STREAM}
+        session = session_record(links, session="s", part="1", begun_ns="0", name="seed")
+        with RecordingWriter(path, session, attachments, 0) as writer:
+            stream = bytes.fromhex(_vectors("packets")[0]["byte_stream"])
+            writer.add_chunk(Chunk(stream, 5, "suit"), Framing.BYTE_STREAM)
+            writer.add("/skeleton", 10, encoded, {})
+            writer.add("/events", 11, b'{"time_ns": 11, "name": "reset", "data": {"kind": "heading"}}', {})
+            writer.add("/statistics", 12, b"{}", {})
+        RecordingFile(path)
+        whole = path.read_bytes()
+    return {
+        "recording": [whole, whole[: len(whole) // 2]],
+        "recorded_suit": [attachments["suit.json"].replace(b"\n", b"").replace(b"  ", b"")],
+        "recorded_frame": [encoded],
+    }
+
+
+def _of_vendors() -> dict[str, list[bytes]]:
+    mvnx = (
+        b'<mvnx version="4"><subject label="a" frameRate="60" segmentCount="1"><segments>'
+        b'<segment label="Pelvis" id="1"/></segments><frames>'
+        + b"".join(
+            b'<frame time="%d" index="%d" type="normal"><orientation>1 0 0 0</orientation>'
+            b"<position>0 0 1</position></frame>" % (n, n)
+            for n in range(3)
+        )
+        + b"</frames></subject></mvnx>"
+    )
+    columns = (
+        b"rate_hz: 100\nmodules:\n- name: pelvis\n  specific_force: {columns: [x, y, z], unit: g}\n"
+        b"  orientation: {columns: [a, b, c, d], order: xyzw, world: nwu, inverse: true}\n"
+    )
+    table = b"x,y,z,a,b,c,d\n" + b"0,0,1,0,0,0,1\n" * 4
+    timed = columns.replace(b"rate_hz: 100", b"time: {column: t, unit: ms}")
+    rows = b"".join(b"%d,0,0,1,0,0,0,1\n" % (10 * n) for n in range(4))
+    return {
+        "import_mvnx": [mvnx],
+        "import_csv": [columns + PARTS + table, timed + PARTS + b"t,x,y,z,a,b,c,d\n" + rows],
+        "import_xsens": _heads("hipose_mtw17/*.csv", "opensense_gait8/IMUData/**/*.txt"),
+        "import_movella_dot": _heads("movella_dot_pairs/**/*.csv"),
+        "import_ximu3": [PARTS.join(_heads("xio_lower_body7/**/Inertial.csv")[:1] or [b""])],
+    }
+
+
+def _heads(*patterns: str) -> list[bytes]:
+    """The first rows of one file each of the shared recordings."""
+    found: list[bytes] = []
+    for pattern in patterns:
+        for path in sorted(_DATA.glob(pattern))[:1]:
+            lines = path.read_bytes().splitlines(keepends=True)
+            wide = (i for i, line in enumerate(lines) if max(map(line.count, (b",", b"\t", b";"))) > 5)
+            found.append(b"".join(lines[: next(wide, 0) + _ROWS]))
+    return found
+
+
+def _requests() -> Iterator[bytes]:
+    asked: Iterable[tuple[str, str]] = (
+        ("gateway/health", ""),
+        ("gateway/reload", "{}"),
+        ("recording/start", '{"name": "../x", "transaction": 1}'),
+        ("recording/stop", '{"transaction": "a"}'),
+        ("modules/set", '{"device": "3", "settings": {"rate_hz": 100}}'),
+        ("modules/card_read", '{"file": 1, "offset": 0, "length": 100}'),
+        ("calibration/step", '{"step": "stand", "countdown_s": 1}'),
+        ("reset/heading", '{"facing_deg": 90}'),
+    )
+    for verb, payload in asked:
+        yield f"{verb}\n\n{payload}".encode()
+    yield b"gateway/info\nmy/answers\n{}"
+
+
+def _published() -> list[bytes]:
+    return [
+        b'{"v":1,"t_ns":1,"seq":1,"segments":{"a":[1,0,0,0]},"status":{}}',
+        b'{"state":"online"}',
+        b'{"version":"0","gateway":"g","reconstructor":"r","frame_rate":100,"modules":[]}',
+        b'{"t_ns":1,"uptime_s":1,"mqtt":{"published":0,"dropped":0}}',
+        b'{"name":"a","segments":[]}',
+    ]
+
+
+main()

@@ -1,0 +1,257 @@
+"""Checks of what comes over links. Decoders never raise; what they give must not depend on how it was cut."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import operator
+import struct
+import tempfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+from devices.card_recording import convert_card_file
+from devices.emulators.command_responder import CommandResponder
+from devices.emulators.emulated_card import EmulatedCard
+from devices.emulators.emulated_flash import EmulatedFlash
+from devices.emulators.stored_settings import StoredSettings
+from devices.slcan import SlcanDecoder
+from devices.transactions import Transactions
+from firmware_protocol import (
+    MAX_FRAME_SIZE,
+    PACKETS,
+    VERBS,
+    Acknowledgement,
+    CanFrameDecoder,
+    Command,
+    Defect,
+    FrameDecoder,
+    Packet,
+    PacketDecoder,
+    SlotStore,
+    TransferReceiver,
+    TransferToHost,
+    TransferToModule,
+    Verb,
+    WireFrame,
+    WireFrameDecoder,
+    decode_arguments,
+    decode_body,
+    decode_payload,
+    encode_frame,
+    encode_packet,
+    encode_payload,
+    fragment,
+    pack_can_records,
+    unpack_can_records,
+)
+from firmware_protocol.flash_slots import SLOT_MAGIC, SLOT_SIZE
+from firmware_protocol.messages import ANYONE
+from gateway.gnss.sentences import GnssDecoder
+
+_SCRATCH = Path(tempfile.mkdtemp(prefix="mocap-fuzz-"))
+_PATIENCE_NS = 50_000_000
+
+
+def wire_stream(data: bytes) -> None:
+    """Cut in two at a place that the input names, a stream gives what it gives in one piece.
+
+    And the input as a header and a body, under the checksum that chance would never find.
+    """
+    _same_however_cut(data, FrameDecoder)
+    frame = _framed(data)
+    if frame is not None:
+        decoder = PacketDecoder(FrameDecoder())
+        decoder.feed(encode_frame(frame))
+        assert not decoder.dropped[Defect.BAD_CRC]
+
+
+def can_stream(data: bytes) -> None:
+    """Records are whole in a chunk, so a stream of them is cut between two."""
+    frames = unpack_can_records(data)
+    pieces = [pack_can_records([each]) for each in frames if _can_be_sent(each.identifier, each.is_extended)]
+    if len(pieces) != len(frames):
+        PacketDecoder(CanFrameDecoder()).feed(data)
+        return
+    whole, cut = PacketDecoder(CanFrameDecoder()), PacketDecoder(CanFrameDecoder())
+    together = whole.feed(b"".join(pieces))
+    one_by_one = [packet for piece in pieces for packet in cut.feed(piece)]
+    assert repr(together) == repr(one_by_one), "reassembly depends on chunks"
+    assert whole.dropped == cut.dropped, (whole.dropped, cut.dropped)
+    PacketDecoder(CanFrameDecoder()).feed(data)
+    frame = _framed(data)
+    if frame is not None:
+        with contextlib.suppress(ValueError):  # a body that CAN does not carry
+            PacketDecoder(CanFrameDecoder()).feed(pack_can_records(fragment(frame)))
+
+
+def slcan_text(data: bytes) -> None:
+    """Lines of text to CAN frames that can be packed."""
+    whole, cut = SlcanDecoder(), SlcanDecoder()
+    frames = whole.feed(data)
+    pack_can_records(frames)
+    at = data[0] % len(data) if data else 0
+    assert len(cut.feed(data[:at]) + cut.feed(data[at:])) == len(frames)
+
+
+def can_transfers(data: bytes) -> None:
+    """Pieces in any order from any module; time goes on with the input."""
+    receiver, now_ns = TransferReceiver(), 0
+    for at in range(0, len(data), 16):
+        block = data[at : at + 16]
+        module, kind = block[0] % 64, TransferToHost.KIND if block[0] & 64 else TransferToModule.KIND
+        piece = decode_body(kind, block[2:])
+        now_ns += block[1] * _PATIENCE_NS if len(block) > 1 else 0
+        if isinstance(piece, TransferToHost | TransferToModule):
+            receiver.receive(module, piece, now_ns)
+        for _, answer in receiver.due(now_ns):
+            encode_packet(answer)
+    assert receiver.accepted + sum(receiver.dropped.values()) <= len(data)
+
+
+class _Device:
+    """A device that does as it is told, and has a card with two files."""
+
+    unique_id = bytes(12)
+    is_locked = False
+    fixed_settings: frozenset[int] = frozenset()
+
+    def __init__(self) -> None:
+        self.settings = StoredSettings(EmulatedFlash())
+        self.card: EmulatedCard | None = EmulatedCard()
+        for start_us in (0, 1000):
+            self.card.begin(start_us)
+            self.card.write(bytes(300))
+            self.card.end()
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def blink(self, seconds: int) -> None: ...
+
+    def introduction(self) -> tuple[Packet, ...]:
+        return ()
+
+    def act_by_settings(self) -> None: ...
+
+
+def commands(data: bytes) -> None:
+    """A command to a device whose answer the host takes; and any bytes as an answer."""
+    if len(data) < 2:
+        return
+    verb, body = data[0], data[1:]
+    decode_arguments(verb, body)
+    answer = decode_payload(verb, body)
+    if answer is not None:
+        assert encode_payload(verb, *answer) == body, f"{verb}: {body!r} is read as {answer}"
+    responder = CommandResponder(_Device())
+    for packet in responder.answer(Command(transaction=1, verb=verb, arguments=body[:200])):
+        encode_packet(packet)
+    for kind in PACKETS:
+        packet_or_defect = decode_body(kind, body)
+        if isinstance(packet_or_defect, Command):
+            responder.answer(packet_or_defect)
+        elif isinstance(packet_or_defect, Acknowledgement):
+            waiting = Transactions(packet_or_defect.transaction)
+            asked = packet_or_defect.verb if packet_or_defect.verb in VERBS else Verb.HELLO
+            waiting.begin(Verb(asked), 1, ANYONE, b"", 0.0)
+            waiting.take(packet_or_defect, 1, "link")
+        elif not isinstance(packet_or_defect, Defect):
+            encode_packet(packet_or_defect)
+
+
+class _Image:
+    """A flash that holds the input."""
+
+    def __init__(self, data: bytes) -> None:
+        self.content = bytearray(data[: 2 * SLOT_SIZE].ljust(2 * SLOT_SIZE, b"\xff"))
+
+    def read(self, address: int, n: int) -> bytes:
+        return bytes(self.content[address : address + n])
+
+    def erase(self, slot: int) -> None:
+        self.content[slot * SLOT_SIZE : (slot + 1) * SLOT_SIZE] = b"\xff" * SLOT_SIZE
+
+    def program(self, address: int, data: bytes) -> None:
+        self.content[address : address + len(data)] = data
+
+
+def flash_slots(data: bytes) -> None:
+    """Whatever stands in the flash, settings can be loaded, stored, and loaded again."""
+    half = len(data) // 2
+    _stored_and_loaded(data[:half], data[half:])
+    _stored_and_loaded(_slot(data), b"")
+
+
+def _slot(entries: bytes) -> bytes:
+    """A slot whose checksum is right, whatever its entries are."""
+    head = struct.pack("<IIHH", SLOT_MAGIC, 1, len(entries), 0)
+    return head + entries + zlib.crc32(head + entries).to_bytes(4, "little")
+
+
+def _stored_and_loaded(first: bytes, second: bytes) -> None:
+    store = SlotStore(_Image(first.ljust(SLOT_SIZE, b"\xff")[:SLOT_SIZE] + second))
+    settings = store.load()
+    store.commit(settings)
+    assert repr(store.load()) == repr(settings)
+
+
+def gnss(data: bytes) -> None:
+    """Cut anywhere, fixes are the same; and with the checksums that belong to it."""
+    _same_fixes_however_cut(data)
+    _same_fixes_however_cut(b"\r\n".join(_with_checksum(line) for line in data.split(b"\n")) + b"\r\n")
+    if data[:2] == _UBX_HEAD:
+        _same_fixes_however_cut(_ubx(data[2:4], data[6:]))
+
+
+_UBX_HEAD = b"\xb5\x62"
+
+
+def _with_checksum(line: bytes) -> bytes:
+    content = line.strip().partition(b"*")[0].removeprefix(b"$")
+    return b"$%s*%02X" % (content, functools.reduce(operator.xor, content, 0))
+
+
+def _ubx(kind: bytes, payload: bytes) -> bytes:
+    content = kind + len(payload).to_bytes(2, "little") + payload
+    first = second = 0
+    for value in content:
+        first = (first + value) & 255
+        second = (second + first) & 255
+    return _UBX_HEAD + content + bytes([first, second])
+
+
+def _same_fixes_however_cut(data: bytes) -> None:
+    whole, cut = GnssDecoder(), GnssDecoder()
+    fixes = whole.feed(data)
+    at = data[0] % len(data) if data else 0
+    assert repr(cut.feed(data[:at]) + cut.feed(data[at:])) == repr(fixes), "fixes depend on chunks"
+
+
+def card_file(data: bytes) -> None:
+    """Anything on a card becomes a recording of what is whole in it."""
+    source = _SCRATCH / "card.bin"
+    source.write_bytes(data)
+    convert_card_file(source, _SCRATCH / "card.mcap")
+
+
+def _same_however_cut(data: bytes, frames: Callable[[], WireFrameDecoder]) -> None:
+    whole, cut = PacketDecoder(frames()), PacketDecoder(frames())
+    at = data[0] * 17 % len(data) if data else 0
+    packets = whole.feed(data)
+    assert repr(cut.feed(data[:at]) + cut.feed(data[at:])) == repr(packets), "packets depend on chunks"
+    assert whole.dropped == cut.dropped, (whole.dropped, cut.dropped)
+
+
+def _framed(data: bytes) -> WireFrame | None:
+    """The input as a wire frame: kind, module, sequence, time, body; None for one too short or too long."""
+    if not 8 <= len(data) <= MAX_FRAME_SIZE - 32:
+        return None
+    sequence, time_us = int.from_bytes(data[2:4], "little"), int.from_bytes(data[4:8], "little")
+    return WireFrame(data[0], data[1], sequence, time_us, data[8:])
+
+
+def _can_be_sent(identifier: int, is_extended: bool) -> bool:
+    return is_extended or identifier < 1 << 11

@@ -1,0 +1,40 @@
+"""Poses without a suit, for measuring outputs and the page: a person, or a chain of any length."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from devices.link import gateway_time_ns
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import Skeleton
+from gateway.frames import SkeletonFrame
+from gateway.outputs import BridgeInfo
+
+RATE_HZ = 100.0
+GATEWAY = "bench"
+INFO = BridgeInfo(version="0", gateway=GATEWAY, reconstructor="none", frame_rate=RATE_HZ)
+
+
+def skeleton_of_size(n: int) -> Skeleton:
+    """The person for 17 segments, else a chain."""
+    person = load_rig("suit_17").skeleton
+    if n == person.n_segments:
+        return person
+    offsets = np.tile([0.0, -0.1, 0.0], (n, 1))
+    return Skeleton("chain", tuple(f"segment_{i}" for i in range(n)), np.arange(n) - 1, offsets, offsets)
+
+
+def frames_of(skeleton: Skeleton) -> Callable[[int], SkeletonFrame]:
+    """Makes the k-th frame, of this instant; orientations are not simpler than real ones."""
+    n = skeleton.n_segments
+    q_wb = np.random.default_rng(1).normal(size=(n, 4))
+    q_wb *= np.copysign(1.0, q_wb[:, :1]) / np.linalg.norm(q_wb, axis=1, keepdims=True)
+    zeros = np.zeros((n, 3))
+    status = np.zeros(n, np.uint8)
+
+    def frame(k: int) -> SkeletonFrame:
+        return SkeletonFrame(k, gateway_time_ns(), q_wb, zeros, zeros, zeros, zeros[:, 0], status, 0)
+
+    return frame

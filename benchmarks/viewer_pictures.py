@@ -1,0 +1,135 @@
+"""Pictures of the live page for docs/viewer.md: ``python -m benchmarks.viewer_pictures [--speed 0.5]``.
+
+An emulated person walks and one module loses its power; the recording of it is played to a broker, and the
+page is looked at in Chromium, all by the commands that a user types. A busy machine needs a lower speed.
+Needs mosquitto, chromium, playwright and the extra ``viewer``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import sys
+import tempfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from playwright.async_api import Page, async_playwright
+
+from benchmarks.emulated_recording import LINK, record_walk
+from benchmarks.local_broker import free_port, mosquitto
+from benchmarks.viewer_browser import browser_page
+from devices.emulators.fault_plan import FaultPlan
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import PoseSubscriber
+from gateway.settings import GatewaySettings, LinkSettings
+
+FOLDER = Path(__file__).parent.parent / "docs" / "pictures"
+SECONDS = 60.0
+UNPLUGGED_S = (20.0, 55.0)
+MODULE = 5
+"""On the left forearm."""
+SEED = 1
+GATEWAY = "demo"
+DESKTOP, PHONE = (1100, 700), (390, 780)
+
+
+async def main(speed: str) -> None:
+    """Make all pictures."""
+    FOLDER.mkdir(exist_ok=True)
+    page_port = free_port()
+    with tempfile.TemporaryDirectory() as folder, mosquitto() as (broker_port, _):
+        recording = _record(Path(folder), broker_port)
+        page = ("view", "--port", str(broker_port), "--page-port", str(page_port))
+        url = f"http://127.0.0.1:{page_port}"
+        async with _command("replay", str(recording), "--speed", speed, "--json"), _command(*page):
+            await _live(url, broker_port)
+        async with _command("view", str(recording), "--page-port", str(page_port)):
+            await _playback(url)
+
+
+def _record(folder: Path, broker_port: int) -> Path:
+    settings = GatewaySettings(
+        gateway=GATEWAY,
+        links=[LinkSettings(name=LINK, url="/dev/null")],
+        rig="suit_17",
+        mqtt=MqttSettings(port=broker_port, include=["position", "joint_angles", "sigma"]),
+    )
+    begin_s, end_s = UNPLUGGED_S
+    fault = {"kind": "reset", "module": MODULE, "at": begin_s, "lasts": end_s - begin_s}
+    plan = FaultPlan.model_validate({"seed": SEED, "faults": [fault]})
+    return record_walk(folder, SECONDS, settings, plan, SEED)
+
+
+async def _live(url: str, broker_port: int) -> None:
+    async with (
+        PoseSubscriber(MqttSettings(port=broker_port), GATEWAY) as poses,
+        async_playwright() as play,
+    ):
+        async with browser_page(play, url, DESKTOP) as page:
+            await _come_to(poses, 8.0)
+            await _shot(page, "viewer_walking")
+            await page.get_by_role("tab", name="Plot").click()
+            await _choose(page, "angles of left_knee")
+            await _come_to(poses, UNPLUGGED_S[0] - 2)
+            await _shot(page, "viewer_plot")
+            await page.get_by_role("tab", name="View").click()
+            await _come_to(poses, UNPLUGGED_S[0] + 8)
+            await _shot(page, "viewer_unplugged")
+            await page.get_by_role("tab", name="Modules").click()
+            await _shot(page, "viewer_modules")
+        async with browser_page(play, url, PHONE) as page:
+            await asyncio.sleep(4)
+            await _shot(page, "viewer_phone")
+            await _come_to(poses, SECONDS - 0.1)
+            await page.get_by_text("NO DATA for").wait_for()
+            await _shot(page, "viewer_no_data")
+
+
+async def _playback(url: str) -> None:
+    async with async_playwright() as play, browser_page(play, url, DESKTOP) as page:
+        await asyncio.sleep(6)
+        await page.get_by_text("pause", exact=True).click()
+        await _shot(page, "viewer_playback")
+
+
+async def _come_to(poses: PoseSubscriber, seconds: float) -> None:
+    """Wait until what is played has come so far."""
+    first_ns = None
+    async for received in poses:
+        first_ns = first_ns or received.pose.t_ns - received.pose.seq * 10_000_000
+        if received.pose.t_ns - first_ns >= seconds * 1e9:
+            return
+
+
+async def _choose(page: Page, series: str) -> None:
+    chooser = page.locator("input[role=combobox]").filter(visible=True).first
+    await chooser.click()
+    await chooser.fill(series)
+    await page.get_by_role("option", name=series).click()
+
+
+async def _shot(page: Page, name: str) -> None:
+    target = FOLDER / f"{name}.png"
+    await asyncio.sleep(1.5)
+    await page.screenshot(path=target)
+    sys.stdout.write(f"written to {target}\n")
+
+
+@contextlib.asynccontextmanager
+async def _command(*arguments: str) -> AsyncIterator[None]:
+    """``mocap-gateway`` with these arguments, ended with the block."""
+    process = await asyncio.create_subprocess_exec(sys.executable, "-m", "gateway", *arguments)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.terminate()
+        await process.wait()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.viewer_pictures", description=__doc__)
+    parser.add_argument("--speed", default="1", help="of the replay")
+    asyncio.run(main(parser.parse_args().speed))

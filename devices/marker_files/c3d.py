@@ -1,0 +1,148 @@
+"""C3D: the points of a trial, from any of the format's byte orders, as integers or as floats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from devices.marker_files.c3d_parameters import BLOCK, MIPS, Parameter, floats, read_parameters
+from devices.marker_files.trial import METRES, FloatArray, MarkerTrial
+from devices.vendor_formats.sheets import FormatError
+
+_MAGIC = 0x50
+_LABEL_LISTS = 64
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the points lie, and how."""
+
+    n_points: int
+    analog_per_frame: int
+    n_frames: int
+    scale: float
+    """Negative: floats; else what integers are multiplied with."""
+    start: int
+    """Byte of the first frame."""
+    processor: int
+
+    @property
+    def value_bytes(self) -> int:
+        return 4 if self.scale < 0 else 2
+
+    @property
+    def frame_bytes(self) -> int:
+        return (4 * self.n_points + self.analog_per_frame) * self.value_bytes
+
+
+def read_c3d(path: Path) -> MarkerTrial:
+    """All points of a file. Raises ``FormatError`` with what was found, and where in the file.
+
+    A point is missing where its residual is negative, and where all its coordinates are exactly zero, as
+    some systems write it.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read: {error.strerror}") from error
+    if len(content) < BLOCK:
+        raise FormatError(f"{path}: {len(content)} bytes, which is less than the header of a C3D file (512)")
+    if content[1] != _MAGIC:
+        raise FormatError(f"{path}: not a C3D file: byte 1 is {content[1]:#04x} and not 0x50")
+    processor, parameters = read_parameters(content, content[0], str(path))
+    layout = _layout(content, processor, parameters, path)
+    factor = _metres_per_unit(parameters, path)
+    return MarkerTrial(
+        name=path.stem,
+        labels=_labels(parameters, layout.n_points),
+        rate_hz=_rate(content, parameters, processor, path),
+        positions=_points(content, layout, path) * factor,
+        parameters=_scalars(parameters),
+        metres_per_unit=factor,
+    )
+
+
+def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], path: Path) -> _Layout:
+    words = np.frombuffer(content[:BLOCK], ">u2" if processor == MIPS else "<u2")
+    header_scale = floats(content[12:16], processor)[0]
+    scale = _number(parameters, "POINT:SCALE", float(header_scale))
+    first, last = int(words[3]), int(words[4])
+    n_frames = last - first + 1
+    if last == 0xFFFF or n_frames <= 0:  # more frames than the header can tell
+        n_frames = int(_number(parameters, "POINT:FRAMES", n_frames))
+        n_frames = int(_number(parameters, "POINT:LONG_FRAMES", n_frames))
+    n_points = int(_number(parameters, "POINT:USED", float(words[1])))
+    start = int(_number(parameters, "POINT:DATA_START", float(words[8])))
+    if n_points == 0 or n_frames <= 0:
+        raise FormatError(f"{path}: {n_points} points in {n_frames} frames: no marker trajectories")
+    if scale == 0 or not np.isfinite(scale) or start < 1:
+        raise FormatError(f"{path}: POINT:SCALE {scale:g}, POINT:DATA_START {start}: the file is damaged")
+    return _Layout(n_points, int(words[2]), n_frames, scale, (start - 1) * BLOCK, processor)
+
+
+def _points(content: bytes, layout: _Layout, path: Path) -> FloatArray:
+    """(F, M, 3) in the file's unit."""
+    end = layout.start + layout.n_frames * layout.frame_bytes
+    if len(content) < end:
+        whole = max(0, len(content) - layout.start) // layout.frame_bytes
+        raise FormatError(
+            f"{path}: cut off: its {layout.n_frames} frames end at byte {end}, it has {len(content)} "
+            f"({whole} whole frames)"
+        )
+    data = content[layout.start : end]
+    if layout.scale < 0:
+        values = floats(data, layout.processor)
+    else:
+        values = np.frombuffer(data, ">i2" if layout.processor == MIPS else "<i2").astype(np.float64)
+    rows = values.reshape(layout.n_frames, -1)[:, : 4 * layout.n_points]
+    points = rows.reshape(layout.n_frames, layout.n_points, 4)
+    places: FloatArray = points[:, :, :3] * (1.0 if layout.scale < 0 else layout.scale)
+    unseen = (points[:, :, 3] < 0) | (places == 0).all(axis=2) | ~np.isfinite(places).all(axis=2)
+    places[unseen] = np.nan
+    return places
+
+
+def _rate(content: bytes, parameters: dict[str, Parameter], processor: int, path: Path) -> float:
+    rate = _number(parameters, "POINT:RATE", float(floats(content[20:24], processor)[0]))
+    if not 0 < rate < 1e5:
+        raise FormatError(f"{path}: POINT:RATE is {rate:g}: a number of frames a second is wanted")
+    return rate
+
+
+def _metres_per_unit(parameters: dict[str, Parameter], path: Path) -> float:
+    texts = parameters["POINT:UNITS"].texts() if "POINT:UNITS" in parameters else []
+    unit = texts[0].lower() if texts and texts[0] else "mm"
+    if unit not in METRES:
+        raise FormatError(f"{path}: POINT:UNITS is '{unit}': one of {', '.join(METRES)} is wanted")
+    return METRES[unit]
+
+
+def _labels(parameters: dict[str, Parameter], n_points: int) -> tuple[str, ...]:
+    """Lists of labels hold 255 at most: longer ones go on in LABELS2, LABELS3, …"""
+    labels: list[str] = []
+    for number in ["", *range(2, _LABEL_LISTS)]:
+        parameter = parameters.get(f"POINT:LABELS{number}")
+        if parameter is None:
+            break
+        labels += parameter.texts()
+    plain = [label.rpartition(":")[2].strip() for label in labels[:n_points]]
+    return tuple(plain + [""] * (n_points - len(plain)))
+
+
+def _scalars(parameters: dict[str, Parameter]) -> dict[str, float]:
+    """Single numbers of the groups that processing programs write measurements to."""
+    found = {}
+    for name, parameter in parameters.items():
+        group, _, key = name.partition(":")
+        if group in {"PROCESSING", "SUBJECT", "SUBJECTS"} and parameter.kind == 4:
+            numbers = parameter.numbers()
+            if len(numbers) == 1 and np.isfinite(numbers[0]):
+                found[key] = float(numbers[0])
+    return found
+
+
+def _number(parameters: dict[str, Parameter], name: str, default: float) -> float:
+    numbers = parameters[name].numbers() if name in parameters else np.zeros(0)
+    return float(numbers[0]) if len(numbers) else default

@@ -1,0 +1,85 @@
+"""TRC: marker trajectories as text with tabs (Motion Analysis, OpenSim)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from devices.marker_files.trial import METRES, FloatArray, MarkerTrial
+from devices.vendor_formats.sheets import FormatError
+
+_HEAD_LINES = 5
+_LEADING = 2  # frame number, time
+
+
+def read_trc(path: Path) -> MarkerTrial:
+    """All markers of a file. Raises ``FormatError`` naming the line, and what was found there.
+
+    Empty fields, and three zeros, are a marker that was not seen.
+    """
+    try:
+        lines = path.read_text(encoding="latin-1").splitlines()
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read: {error.strerror}") from error
+    if not lines or not lines[0].lstrip("\ufeff").startswith("PathFileType"):
+        raise FormatError(f"{path}: line 1: not a TRC file: it begins with 'PathFileType'")
+    if len(lines) < _HEAD_LINES:
+        raise FormatError(f"{path}: cut off: {len(lines)} lines, of which a header alone takes {_HEAD_LINES}")
+    head = _head(lines, path)
+    labels = tuple(name for name in (part.strip() for part in lines[3].split("\t")[_LEADING:]) if name)
+    rows = [
+        _row(line, number, 3 * len(labels), path)
+        for number, line in enumerate(lines[_HEAD_LINES:], _HEAD_LINES + 1)
+        if line.strip()
+    ]
+    expected = int(_positive(head, "NumFrames", path))
+    if len(rows) < expected:
+        raise FormatError(f"{path}: cut off: {len(rows)} frames of the {expected} that its header tells")
+    if len(labels) != int(_positive(head, "NumMarkers", path)):
+        raise FormatError(
+            f"{path}: line 4 names {len(labels)} markers, NumMarkers in line 3 is {head['NumMarkers']}"
+        )
+    factor = _metres_per_unit(head, path)
+    places: FloatArray = np.array(rows).reshape(len(rows), len(labels), 3) * factor
+    places[(places == 0).all(axis=2) | ~np.isfinite(places).all(axis=2)] = np.nan
+    return MarkerTrial(path.stem, labels, _positive(head, "DataRate", path), places, {}, factor)
+
+
+def _head(lines: list[str], path: Path) -> dict[str, str]:
+    head = dict(zip(lines[1].split(), lines[2].split(), strict=False))  # some write more than one tab
+    for name in ("DataRate", "NumFrames", "NumMarkers", "Units"):
+        if name not in head:
+            raise FormatError(f"{path}: lines 2 and 3 do not tell {name}: not a TRC file, or damaged")
+    return head
+
+
+def _positive(head: dict[str, str], name: str, path: Path) -> float:
+    try:
+        value = float(head[name])
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e9:
+        raise FormatError(f"{path}: line 3: {name} is '{head[name]}': a number above 0 is wanted")
+    return value
+
+
+def _metres_per_unit(head: dict[str, str], path: Path) -> float:
+    unit = head["Units"].lower()
+    if unit not in METRES:
+        raise FormatError(f"{path}: line 3: Units is '{head['Units']}': one of {', '.join(METRES)} is wanted")
+    return METRES[unit]
+
+
+def _row(line: str, number: int, n_values: int, path: Path) -> list[float]:
+    fields = line.rstrip("\r\n").split("\t")[_LEADING:]
+    while len(fields) > n_values and not fields[-1].strip():
+        fields.pop()
+    # a row may leave out the tabs of markers at its end that were not seen
+    fields += [""] * (-len(fields) % 3 if len(fields) < n_values else 0)
+    if len(fields) != n_values:
+        raise FormatError(f"{path}: line {number}: {len(fields)} coordinates where {n_values} are wanted")
+    try:
+        return [float(field) if field.strip() else np.nan for field in fields]
+    except ValueError as error:
+        raise FormatError(f"{path}: line {number}: {error}") from error

@@ -1,0 +1,53 @@
+"""Marker trajectories of one trial, whatever file they came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MarkerTrial:
+    """F frames of M points, in the axes of the file."""
+
+    name: str
+    labels: tuple[str, ...]
+    """As in the file, without a subject's prefix. Those of unlabelled points are empty or begin with ``*``."""
+    rate_hz: float
+    positions: FloatArray
+    """(F, M, 3) m; NaN where a marker was not seen."""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """Numbers that the file tells beside the points, names in capitals, in the file's own units."""
+    metres_per_unit: float = 1.0
+    """Of the file's lengths."""
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.positions)
+
+    @property
+    def duration_s(self) -> float:
+        return self.n_frames / self.rate_hz
+
+    def columns(self, labels: tuple[str, ...]) -> FloatArray:
+        """(F, len(labels), 3) of the named points, m; NaN columns for those that the trial does not have."""
+        chosen = np.full((self.n_frames, len(labels), 3), np.nan)
+        index = {label: i for i, label in reversed(list(enumerate(self.labels)))}
+        for k, label in enumerate(labels):
+            if label in index:
+                chosen[:, k] = self.positions[:, index[label]]
+        return chosen
+
+    def unlabelled(self) -> FloatArray:
+        """(F, U, 3) m of the points that the system could not name."""
+        chosen = [i for i, label in enumerate(self.labels) if not label or label.startswith("*")]
+        return self.positions[:, chosen]
+
+
+METRES = {"m": 1.0, "meters": 1.0, "metres": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+"""Of the units that marker files name."""

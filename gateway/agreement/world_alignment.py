@@ -1,0 +1,85 @@
+"""One heading between two worlds, one constant rotation between two axes of a segment.
+
+Both worlds have Z up; where north lies is each source's own affair. Two sources need not put a segment's axes
+alike, nor sit straight on it: that difference is constant, and told apart from what varies.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gateway.frames import FloatArray
+
+ROUNDS = 20
+
+
+class WorldAlignment(NamedTuple):
+    """What takes the first's orientations to the second's: ``heading ⊗ q_wb ⊗ mounting``."""
+
+    heading_rad: float
+    """About the vertical, counter-clockwise seen from above."""
+    mounting: FloatArray
+    """(S, 4) the second's segment axes to the first's."""
+
+
+def align_world(q: FloatArray, q_reference: FloatArray, with_mounting: bool = True) -> WorldAlignment:
+    """Heading, common to all segments, and mounting of each, that bring ``q`` (T, S, 4) nearest to the other.
+
+    Alternates between the two, each solved exactly. with_mounting: else all mountings are the identity.
+    Instants at which either is NaN are left out; a segment that has no other keeps the identity.
+    """
+    n = q.shape[1]
+    known = np.isfinite(q + q_reference).all(axis=2).reshape(-1, n)
+    columns = [s for s in range(n) if known[:, s].any()]
+    estimates = [Rotation.from_quat(q[known[:, s], s], scalar_first=True) for s in columns]
+    wanted = [Rotation.from_quat(q_reference[known[:, s], s], scalar_first=True) for s in columns]
+    mountings = [Rotation.identity() for _ in columns]
+    heading = Rotation.identity()
+    for _ in range(ROUNDS if with_mounting else 1):
+        off = [w * (e * m).inv() for w, e, m in zip(wanted, estimates, mountings, strict=True)]
+        heading = _mean_heading(np.concatenate([o.as_quat(scalar_first=True) for o in off]))
+        if with_mounting:
+            mountings = [(e.inv() * heading.inv() * w).mean() for e, w in zip(estimates, wanted, strict=True)]
+    mounting = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    for s, rotation in zip(columns, mountings, strict=True):
+        mounting[s] = rotation.as_quat(scalar_first=True)
+    return WorldAlignment(float(heading.as_rotvec()[2]), mounting)
+
+
+def aligned(q: FloatArray, alignment: WorldAlignment) -> FloatArray:
+    """``q`` (T, S, 4) in the other's world and axes; NaN stays."""
+    heading = Rotation.from_rotvec([0.0, 0.0, alignment.heading_rad])
+    result = np.full_like(q, np.nan)
+    for s in range(q.shape[1]):
+        known = np.isfinite(q[:, s]).all(axis=1)
+        if known.any():
+            mounting = Rotation.from_quat(alignment.mounting[s], scalar_first=True)
+            own = Rotation.from_quat(q[known, s], scalar_first=True)
+            result[known, s] = (heading * own * mounting).as_quat(scalar_first=True)
+    return result
+
+
+def _mean_heading(q: FloatArray) -> Rotation:
+    """The rotation about the vertical nearest to all of (N, 4): largest eigenvector of the w–z scatter."""
+    wz = q[:, [0, 3]]
+    w, z = np.linalg.eigh(wz.T @ wz)[1][:, -1]
+    return Rotation.from_rotvec([0.0, 0.0, 2.0 * np.arctan2(z, w)])
+
+
+def place_aligned(p: FloatArray, p_reference: FloatArray) -> FloatArray:
+    """Points (T, S, 3) turned about the vertical and moved as a whole, as near as can be to the others."""
+    known = np.isfinite(p).all(axis=2) & np.isfinite(p_reference).all(axis=2)
+    if not known.any():
+        return np.full_like(p, np.nan)
+    a, b = p[known], p_reference[known]
+    mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
+    x, y = (a - mean_a)[:, :2], (b - mean_b)[:, :2]
+    angle = np.arctan2(
+        np.sum(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]), np.sum(x[:, 0] * y[:, 0] + x[:, 1] * y[:, 1])
+    )
+    turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    moved: FloatArray = (p - mean_a) @ turn.T + mean_b
+    return moved

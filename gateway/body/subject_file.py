@@ -1,0 +1,104 @@
+"""A fitted subject as a file: the body of one person and where markers sit on it. It stands in a rig's place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field
+
+from gateway.body.markers import BodyMarkers
+from gateway.body.rig import BodyFile, Vector, WorldSettings, skeleton_of, worn_without_modules
+from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.errors import SettingsError, nearest
+from gateway.settings_files import load_settings
+
+_DIGITS = 9
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MarkerEntry(_Strict):
+    """One marker."""
+
+    label: str = Field(min_length=1, description="name by which the optical system sends it")
+    segment: str
+    position: Vector = Field(description="from the segment's proximal joint, segment axes, m")
+    sigma_mm: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] = 5.0
+
+
+class SubjectFile(_Strict):
+    """What `optical fit` writes."""
+
+    subject: str
+    marker_set: str = Field(description="name of the marker set it was fitted with")
+    vertical: Literal["x", "y", "z"] = Field(default="z", description="axis of the optical system that points up")
+    measurements_m: dict[str, float] = {}
+    fit: dict[str, Any] = Field(default={}, description="how the fit came about; for the reader")
+    markers: list[MarkerEntry] = Field(min_length=3)
+    body: BodyFile
+    world: WorldSettings = WorldSettings()
+
+
+def is_subject(content: object) -> bool:
+    """Whether the content of a YAML file is a subject, and not a rig."""
+    return isinstance(content, dict) and "subject" in content and "markers" in content
+
+
+def load_subject(path: Path) -> WornSuit:
+    """A suit of markers and no modules. Raises ``SettingsError`` naming the file, the entry and the remedy."""
+    file = load_settings(path, SubjectFile)
+    skeleton = skeleton_of(file.body, path)
+    labels = [entry.label for entry in file.markers]
+    for entry in file.markers:
+        if entry.segment not in skeleton.segment_names:
+            raise SettingsError(
+                f"{path}: marker '{entry.label}' sits on '{entry.segment}', which the body does not have"
+                + nearest(entry.segment, skeleton.segment_names)
+            )
+        if labels.count(entry.label) > 1:
+            raise SettingsError(f"{path}: marker '{entry.label}' stands twice")
+    markers = BodyMarkers(
+        labels=tuple(labels),
+        segments=np.array([skeleton.index(entry.segment) for entry in file.markers], dtype=np.int64),
+        positions=np.array([entry.position for entry in file.markers], dtype=np.float64),
+        sigmas=np.array([entry.sigma_mm * 1e-3 for entry in file.markers]),
+        vertical=file.vertical,
+    )
+    return worn_without_modules(skeleton, markers, file.world)
+
+
+def subject_content(
+    name: str, marker_set: str, body: dict[str, Any], skeleton: Skeleton, markers: BodyMarkers, fit: dict[str, Any],
+    lengths: dict[str, float],
+) -> dict[str, Any]:  # fmt: skip
+    """The content of a subject file. body: the skeleton as the content of a body file."""
+    return {
+        "subject": name,
+        "marker_set": marker_set,
+        "vertical": markers.vertical,
+        "measurements_m": {key: round(value, 6) for key, value in lengths.items()},
+        "fit": fit,
+        "markers": [
+            {
+                "label": label,
+                "segment": skeleton.segment_names[segment],
+                "position": np.round(position, _DIGITS).tolist(),
+                "sigma_mm": round(1e3 * float(sigma), 3),
+            }
+            for label, segment, position, sigma in zip(
+                markers.labels, markers.segments.tolist(), markers.positions, markers.sigmas, strict=True
+            )
+        ],
+        "body": body,
+    }
+
+
+def write_subject(path: Path, content: dict[str, Any]) -> None:
+    """Raises OSError as ``open`` does."""
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
+    path.write_text(text, encoding="utf-8")

@@ -1,0 +1,166 @@
+"""``mocap-gateway compare``: two sources of one motion, aligned in time and in the world, by segment."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import orjson
+import typer
+
+from gateway.agreement import Agreement, agreement, tracks_of
+from gateway.cli import broker_options
+from gateway.cli.diff import print_figures, recorded_arrays
+from gateway.errors import GatewayError
+from gateway.report.angle_page import AnglePage, save_page
+
+HEADS = (
+    "segment", "frames", "as defined RMS °", "axes apart °", "RMS °", "inclination °", "heading °", "95 % °",
+    "max °", "joint RMS °", "position mm",
+)  # fmt: skip
+_DOUBTFUL = 0.7
+"""A correlation below it: perhaps not the same motion."""
+
+
+def compare(
+    first: Annotated[str, typer.Argument(help="Recording; with --live the name of a gateway.")],
+    second: Annotated[str, typer.Argument(help="Recording of the same motion; with --live a gateway.")],
+    pair: Annotated[
+        list[str] | None,
+        typer.Option(help="Segments of other names, first=second, such as thigh=left_thigh; repeatable."),
+    ] = None,
+    largest_lag: Annotated[
+        float | None, typer.Option(min=0.0, help="Clocks are no further apart than this, s.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Write a picture (.png, .svg, .pdf) or a page with table (.html).")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Compare two running gateways, and publish the figures.")
+    ] = False,
+    window: Annotated[float, typer.Option(min=5.0, max=600.0, help="With --live: seconds compared.")] = 20.0,
+    count: Annotated[int | None, typer.Option(min=1, help="With --live: end after so many.")] = None,
+    host: broker_options.Host = "127.0.0.1",
+    port: broker_options.Port = 1883,
+    username: broker_options.Username = None,
+    password_file: broker_options.PasswordFile = None,
+    ca_file: broker_options.CaFile = None,
+    protocol: broker_options.Protocol = "3.1.1",
+    base_topic: broker_options.BaseTopic = "mocap",
+) -> None:
+    """Compare two sources of one motion, such as optical and inertial: angles and places by segment.
+
+    The clocks are aligned by how fast the segments turn, the worlds by one heading; a constant difference of
+    a segment's axes is shown and taken off. With --live the figures go to mocap/FIRST/comparison, too.
+    """
+    renamed = _renamed(pair or [])
+    if live:
+        from gateway.cli.compare_live import Live, run_live  # noqa: PLC0415 - only here a broker is spoken to
+
+        settings = broker_options.broker_settings(
+            host=host,
+            port=port,
+            username=username,
+            password_file=password_file,
+            ca_file=ca_file,
+            protocol=protocol,
+            base_topic=base_topic,
+        )
+        raise typer.Exit(
+            run_live(settings, Live(first, second, renamed, largest_lag, window, count, as_json))
+        )
+    found = _of_files(Path(first), Path(second), renamed, largest_lag, not as_json)
+    if plot is not None:
+        save_page(_page(found, f"{Path(first).name} against {Path(second).name}"), plot)
+    if as_json:
+        typer.echo(as_json_text(found))
+        return
+    for note in notes(found):
+        typer.echo(note)
+    print_figures(HEADS, rows(found))
+    for name, only in ((first, found.only_in_first), (second, found.only_in_second)):
+        if only:
+            typer.echo(f"only in {Path(name).name}: {', '.join(only)}", err=True)
+    if plot is not None:
+        typer.echo(f"plot written to {plot}")
+
+
+def _renamed(pairs: list[str]) -> dict[str, str]:
+    """Raises ``GatewayError`` for what is not ``first=second``."""
+    split = [pair.split("=") for pair in pairs]
+    for pair, names in zip(pairs, split, strict=True):
+        if len(names) != 2 or not all(names):
+            raise GatewayError(f"--pair {pair}: write first=second, such as --pair thigh=left_thigh")
+    return dict(split)
+
+
+def _of_files(
+    first: Path, second: Path, renamed: dict[str, str], largest_lag_s: float | None, is_shown: bool
+) -> Agreement:
+    arrays = [recorded_arrays(path, is_shown) for path in (first, second)]
+    origin_ns = int(arrays[0].time_ns[0]) if len(arrays[0].time_ns) else 0
+    tracks = [
+        tracks_of(each, origin_ns, str(path)) for each, path in zip(arrays, (first, second), strict=True)
+    ]
+    return agreement(tracks[0], tracks[1], renamed, largest_lag_s)
+
+
+def notes(found: Agreement) -> list[str]:
+    """What was aligned, as sentences."""
+    drift = f", and runs {found.time.drift_ppm:+.1f} ppm against it" if found.time.drift_ppm else ""
+    said = [
+        f"The second's clock shows {found.time.lag_s:+.4f} s more than the first's{drift} "
+        f"(correlation {found.time.correlation:.3f}); the second's world is turned by "
+        f"{found.heading_deg:+.1f}° about the vertical; {len(found.time_s)} instants."
+    ]
+    if found.time.correlation < _DOUBTFUL:
+        said.append("The two correlate poorly: perhaps they are not of the same motion.")
+    return said
+
+
+def rows(found: Agreement) -> list[tuple[str, ...]]:
+    """The table, in the columns of ``HEADS``, numbers as text."""
+    return [
+        (
+            figures.segment,
+            str(figures.frames),
+            *(
+                f"{value:.2f}"
+                for value in (
+                    figures.as_defined_rms_deg,
+                    figures.axes_apart_deg,
+                    figures.rms_deg,
+                    figures.inclination_rms_deg,
+                    figures.heading_rms_deg,
+                    figures.p95_deg,
+                    figures.max_deg,
+                    figures.joint_rms_deg,
+                )
+            ),
+            f"{1e3 * figures.position_rms_m:.1f}",
+        )
+        for figures in found.segments
+    ]
+
+
+def as_json_text(found: Agreement) -> str:
+    """All figures; what is not known is null."""
+    return orjson.dumps(
+        {
+            "time": asdict(found.time),
+            "heading_deg": found.heading_deg,
+            "instants": len(found.time_s),
+            "segments": [asdict(figures) for figures in found.segments],
+            "only_in_first": found.only_in_first,
+            "only_in_second": found.only_in_second,
+        },
+        option=orjson.OPT_INDENT_2,
+    ).decode()
+
+
+def _page(found: Agreement, title: str) -> AnglePage:
+    return AnglePage(
+        title, tuple(notes(found)), found.time_s, found.angle_deg, found.segment_names, HEADS, rows(found)
+    )

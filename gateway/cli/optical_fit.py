@@ -1,0 +1,156 @@
+"""``mocap-gateway optical fit``: the body of a person from calibration trials."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from devices.marker_files import read_markers
+from gateway.body.subject_file import subject_content, write_subject
+from gateway.cli.progress import progress_bar
+from gateway.errors import GatewayError
+from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
+from gateway.reconstruction.optical.marker_set import load_marker_set
+from gateway.recording.suit_files import body_of
+
+
+def fit(
+    files: Annotated[
+        list[Path], typer.Argument(help="Calibration trials, C3D or TRC: a static one first, then motion.")
+    ],
+    marker_set: Annotated[
+        str, typer.Option("--set", metavar="SET", help="Marker set: a shipped one, or a file.")
+    ] = "plug_in_gait",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The subject file; default: after the first trial.")
+    ] = None,
+    measure: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=METRES", help="A length of the person; without: as the files tell."),
+    ] = None,
+    up: Annotated[str | None, typer.Option(help="Axis of the files that points up: x, y or z.")] = None,
+    neutral: Annotated[
+        str | None,
+        typer.Option(metavar="FROM:TO", help="Seconds of neutral standing in the first trial: sets the axes."),
+    ] = None,
+    functional: Annotated[
+        bool, typer.Option("--functional", help="Joint centres where the motion has them, whatever rules say.")
+    ] = False,
+    rules_only: Annotated[
+        bool, typer.Option("--rules-only", help="Joint centres where the rules have them, whatever moves.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing subject file.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:
+    """Fit a body to marker trials: bone lengths, joint centres, where markers sit. Writes a subject file.
+
+    Joint centres come from the marker set's rules (published regressions) and, as far as the trials move the
+    joints, from the motion.
+    """
+    target = output or files[0].with_suffix(".yaml")
+    if target.exists() and not force:
+        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    if functional and rules_only:
+        raise GatewayError("--functional and --rules-only contradict each other: leave one out")
+    chosen = load_marker_set(marker_set)
+    options = FitOptions(
+        vertical=_axis(up),
+        lengths=dict(map(_measurement, measure or [])),
+        neutral=None if neutral is None else _span(neutral),
+        centres="motion" if functional else "rules" if rules_only else "both",
+    )
+    with progress_bar("reading", is_shown=not as_json) as tell:
+        trials = []
+        for done, file in enumerate(files):
+            tell(done, len(files))
+            trials.append(read_markers(file))
+    with progress_bar("fitting the body", is_shown=not as_json) as tell:
+        found = fit_body(chosen, trials, options, tell)
+    outcome = _outcome(found, files, target)
+    content = subject_content(
+        target.stem, found.marker_set, body_of(found.skeleton), found.skeleton, found.markers,
+        {key: outcome[key] for key in ("trials", "frames", "rmse_mm")}, dict(found.lengths),
+    )  # fmt: skip
+    try:
+        write_subject(target, content)
+    except OSError as error:
+        raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+    if as_json:
+        typer.echo(json.dumps(outcome, indent=2))
+    else:
+        _print(found, outcome)
+
+
+def _axis(text: str | None) -> str | None:
+    if text is not None and text not in {"x", "y", "z"}:
+        raise GatewayError(f"--up {text}: x, y or z is wanted")
+    return text
+
+
+def _measurement(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        length = float(value)
+    except ValueError:
+        length = 0.0
+    if not 0.001 < length < 2:
+        raise GatewayError(f"--measure {text}: NAME=METRES is wanted, such as left_knee_width=0.105")
+    return name, length
+
+
+def _span(text: str) -> tuple[float, float]:
+    span = re.fullmatch(r"(\d+\.?\d*):(\d+\.?\d*)", text)
+    if span is None or float(span[1]) >= float(span[2]):
+        raise GatewayError(f"--neutral {text}: seconds FROM:TO are wanted, such as 0.5:3")
+    return float(span[1]), float(span[2])
+
+
+def _outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
+    names = found.skeleton.segment_names
+    return {
+        "file": str(target),
+        "marker_set": found.marker_set,
+        "trials": [file.name for file in files],
+        "frames": found.frames,
+        "rmse_mm": round(1e3 * found.rmse, 2),
+        "markers": len(found.markers.labels),
+        "assumed": list(found.assumed),
+        "up": found.markers.vertical,
+        "lengths_mm": {
+            name: round(1e3 * float(np.linalg.norm(tip)), 1)
+            for name, tip in zip(names, found.skeleton.tips, strict=True)
+        },
+        "moved_mm": {name: round(1e3 * float(d), 1) for name, d in zip(names, found.moved, strict=True)},
+        "sigma_mm": {
+            label: round(1e3 * float(s), 1)
+            for label, s in zip(found.markers.labels, found.markers.sigmas, strict=True)
+        },
+    }
+
+
+def _print(found: Fit, outcome: dict[str, object]) -> None:
+    lengths, moved = outcome["lengths_mm"], outcome["moved_mm"]
+    assert isinstance(lengths, dict)
+    assert isinstance(moved, dict)
+    table = Table("segment", "length mm", "joint moved by motion mm", "markers")
+    for s, name in enumerate(found.skeleton.segment_names):
+        worn = [
+            label for label, on in zip(found.markers.labels, found.markers.segments, strict=True) if on == s
+        ]
+        table.add_row(name, f"{lengths[name]:.0f}", f"{moved[name]:.0f}", " ".join(worn) or "–")
+    Console().print(table)
+    typer.echo(
+        f"{outcome['file']}: {outcome['markers']} markers, {outcome['frames']} frames, rest {outcome['rmse_mm']} mm "
+        f"RMS, {found.markers.vertical} up"
+    )
+    for name in found.assumed:
+        typer.echo(
+            f"note: {name} is told by no file: {found.lengths[name]} m taken (--measure {name}=…)", err=True
+        )

@@ -1,0 +1,9 @@
+"""The sun as sensor X: photoelectric cells on the modules, and where the sun stands."""
+
+from __future__ import annotations
+
+from gateway.light.cells import CellArray, CellSolution
+from gateway.light.sun_compass import Rejected, SunCompass
+from gateway.light.sun_position import sun_direction
+
+__all__ = ["CellArray", "CellSolution", "Rejected", "SunCompass", "sun_direction"]

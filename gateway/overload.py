@@ -1,0 +1,131 @@
+"""More samples than the machine can handle: what gives way, in which order, and how it comes back.
+
+The measure is the lag: how long ago the bytes arrived that have just been handled. A machine that keeps up
+has some milliseconds; one that does not falls behind by more and more. Stage by stage, ``SHED`` takes away
+what can best be spared, until the lag stops growing. Decoding, clocks, and the recording of all that arrives
+are never touched. Time is an argument.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the order."""
+
+    name: str
+    meaning: str
+    poses_hz: float | None = None
+    """Most poses published a second from here on; None: as configured."""
+    solve_every: int = 1
+    """Of the frames, how many are reconstructed: every so manyeth."""
+
+
+SHED: tuple[Stage, ...] = (
+    Stage("nothing", "everything is done"),
+    Stage("side_outputs", "no poses for avatars, UDP and LSL"),
+    Stage("segment_topics", "and no messages of single segments"),
+    Stage("published_poses", "and at most 25 poses a second over MQTT, and so on the live page", 25.0),
+    Stage("half_the_frames", "and every second frame is reconstructed", 25.0, 2),
+    Stage("most_frames", "and every fifth frame is reconstructed", 10.0, 5),
+)
+"""In this order; each with all that the ones before it have taken away."""
+SIDE_OUTPUTS, SEGMENT_TOPICS = 1, 2
+"""Places in ``SHED`` from which on these are given up."""
+
+TICK_S = 0.1
+LATE_S = 0.05
+"""A lag that never falls below this within a tick is too much for one."""
+CALM_S = 0.02
+"""A lag that falls below this in every tick is none: what waits is worked off again and again."""
+DRAINED_S = 0.005
+"""A lag that is so much less than a tick before is being worked off: no reason to give up more."""
+LATE_TICKS = 5
+"""So many in a row, and the next stage is taken: a hiccup of the machine passes by itself."""
+CALM_S_FIRST = 5.0
+"""So long calm, and one stage is given back."""
+CALM_S_LONGEST = 80.0
+"""The wait doubles whenever a stage that was given back had to be taken again, up to this."""
+
+
+class LoadWatch:
+    """Told of every chunk that was handled; says which stage of ``SHED`` holds."""
+
+    def __init__(self) -> None:
+        self.stage = 0
+        """Index into ``SHED``."""
+        self.changes = 0
+        """How often a stage was taken or given back."""
+        self.lag_s = 0.0
+        """Worst link, least within the last tick."""
+        self.worst_s = 0.0
+        """Greatest since the start."""
+        self._tick_ends_s = -math.inf
+        self._least_s: dict[str, float] = {}  # by link, within this tick
+        self._late_ticks = 0
+        self._before_s = 0.0
+        self._calm_since_s: float | None = None
+        self._patience_s = CALM_S_FIRST
+        self._given_back_s = -math.inf
+
+    def observe(self, link: str, lag_s: float, now_s: float) -> bool:
+        """A chunk was handled that had arrived so long ago. Whether the stage has changed."""
+        self._least_s[link] = min(self._least_s.get(link, math.inf), lag_s)
+        self.worst_s = max(self.worst_s, lag_s)
+        return self.look(now_s)
+
+    def look(self, now_s: float) -> bool:
+        """Time goes on, also when nothing comes. Whether the stage has changed."""
+        if now_s < self._tick_ends_s:
+            return False
+        is_first = self._tick_ends_s == -math.inf
+        self._tick_ends_s = now_s + TICK_S
+        self.lag_s = max(self._least_s.values(), default=0.0)
+        self._least_s.clear()
+        return not is_first and self._decide(self.lag_s, now_s)
+
+    @property
+    def holds(self) -> Stage:
+        """What is given up now."""
+        return SHED[self.stage]
+
+    def statistics(self) -> Mapping[str, object]:
+        """For the health message."""
+        return {
+            "stage": self.stage,
+            "shed": [stage.name for stage in SHED[1 : self.stage + 1]],
+            "lag_ms": round(self.lag_s * 1e3, 1),
+            "worst_lag_ms": round(self.worst_s * 1e3, 1),
+            "changes": self.changes,
+        }
+
+    def _decide(self, least: float, now_s: float) -> bool:
+        is_draining = least < self._before_s - DRAINED_S
+        self._before_s = least
+        self._late_ticks = self._late_ticks + 1 if least > LATE_S and not is_draining else 0
+        if least > CALM_S:
+            self._calm_since_s = None
+        elif self._calm_since_s is None:
+            self._calm_since_s = now_s
+        if self._late_ticks >= LATE_TICKS and self.stage < len(SHED) - 1:
+            if now_s - self._given_back_s < self._patience_s:
+                self._patience_s = min(2.0 * self._patience_s, CALM_S_LONGEST)
+            return self._change(+1, now_s)
+        is_calm = self._calm_since_s is not None and now_s - self._calm_since_s >= self._patience_s
+        if is_calm and self.stage > 0:
+            self._given_back_s = now_s
+            return self._change(-1, now_s)
+        if is_calm:
+            self._patience_s = CALM_S_FIRST
+        return False
+
+    def _change(self, by: int, now_s: float) -> bool:
+        self.stage += by
+        self.changes += 1
+        self._late_ticks = 0
+        self._calm_since_s = now_s if by < 0 else None
+        return True

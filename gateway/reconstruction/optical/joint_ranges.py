@@ -1,0 +1,67 @@
+"""What the joints of a person did while calibrating: limits and freedom of the fitted body.
+
+Rules for axes are not perfect: a wand marker that sits askew makes a knee appear to adduct by 30°. A body whose
+joints may not do what its own calibration shows would pull against its markers ever after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gateway.body.joints import Angle, Joint
+from gateway.body.skeleton import Skeleton
+from gateway.frames import FloatArray
+from gateway.reconstruction.optical.kernels import cardan
+from gateway.reconstruction.optical.pose_solver import FIXED_SIGMA, BodyModel, Pose
+
+MARGIN = np.radians(10.0)
+"""Beyond what the calibration shows."""
+_OUTLIERS = 2.0
+"""Percent of the frames at either end that do not count."""
+
+
+def shown_joints(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) -> tuple[Joint, ...]:
+    """The skeleton's joints with limits wide enough for the poses; angles that leave their neutral place by
+    more than ``FIXED_SIGMA`` count as free from now on."""
+    rows = {int(distal): row for row, distal in enumerate(model.distals)}
+    joints = []
+    for joint in skeleton.joints:
+        row = rows.get(joint.distal)
+        if row is None or joint.proximal != skeleton.parents[joint.distal] or len(joint.angles) != 3:
+            joints.append(joint)
+            continue
+        if len(set(joint.sequence)) != 3:
+            joints.append(joint)
+            continue
+        joints.append(_widened(joint, _angles(model, row, poses)))
+    return tuple(joints)
+
+
+def _angles(model: BodyModel, row: int, poses: Sequence[Pose]) -> FloatArray:
+    """(K, 3) rad, each growing with its named movement; without poses near the singularity."""
+    distal = model.distals[row]
+    found = [
+        cardan(pose.R[model.parents[distal]], pose.R[distal], model.axes[row]) for pose in poses
+    ]
+    regular = [angles * model.signs[row] for angles, _, is_regular in found if is_regular]
+    return np.array(regular).reshape(-1, 3)
+
+
+def _widened(joint: Joint, shown: FloatArray) -> Joint:
+    if not len(shown):
+        return joint
+    low, high = np.percentile(shown, [_OUTLIERS, 100.0 - _OUTLIERS], axis=0)
+    angles = tuple(_wider(angle, low[k], high[k]) for k, angle in enumerate(joint.angles))
+    moving = {
+        angle.name for k, angle in enumerate(joint.angles) if max(abs(low[k]), abs(high[k])) > FIXED_SIGMA
+    }
+    free = tuple(angle.name for angle in joint.angles if angle.name in {*joint.free, *moving})
+    return replace(joint, angles=angles, free=free)
+
+
+def _wider(angle: Angle, low: float, high: float) -> Angle:
+    limits = min(angle.limits[0], float(low - MARGIN)), max(angle.limits[1], float(high + MARGIN))
+    return replace(angle, limits=limits)

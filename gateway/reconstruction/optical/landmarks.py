@@ -1,0 +1,246 @@
+"""Markers of a trial to points and axes of the body, by the rules of a marker set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from devices.marker_files import MarkerTrial
+from gateway.errors import GatewayError, nearest
+from gateway.frames import FloatArray
+from gateway.reconstruction.optical import point_rules as rules
+from gateway.reconstruction.optical.marker_set import (
+    BelowLine,
+    Between,
+    Chord,
+    DavisHip,
+    HarringtonHip,
+    Length,
+    MarkerSet,
+    Perpendicular,
+    PointRule,
+    RightTriangle,
+    ScaledOffset,
+    Shifted,
+    names_in,
+)
+
+_UP = {
+    "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "z": np.eye(3),
+}
+"""From the axes of the optical system to the world, Z up, by the axis that points up there."""
+
+
+def to_world(positions: FloatArray, vertical: str) -> FloatArray:
+    """Positions (…, 3) of a system whose axis ``vertical`` points up, in the world, Z up."""
+    turned: FloatArray = positions @ _UP[vertical].T
+    return turned
+
+
+def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
+    """The axis of the file along which high markers lie above low ones.
+
+    Raises ``GatewayError`` where the markers that would tell are not there, or lie the other way round.
+    """
+    low, high = (
+        np.nanmean(trial.columns(tuple(labels)).reshape(-1, 3), axis=0)
+        if np.isfinite(trial.columns(tuple(labels))).any()
+        else np.full(3, np.nan)
+        for labels in marker_set.file.vertical
+    )
+    if not np.isfinite(high - low).all():
+        raise GatewayError(
+            f"{trial.name}: which axis points up is not seen without {' or '.join(marker_set.file.vertical[0])}"
+            f" and {' or '.join(marker_set.file.vertical[1])}: tell it with --up"
+        )
+    axis = int(np.argmax(np.abs(high - low)))
+    if (high - low)[axis] < 0:
+        raise GatewayError(f"{trial.name}: the body is upside down along {'xyz'[axis]}: tell the axis with --up")
+    return "xyz"[axis]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Lengths of a person, and which of them nobody told."""
+
+    lengths: Mapping[str, float]  # m
+    assumed: tuple[str, ...]
+
+
+def measurements(marker_set: MarkerSet, trials: list[MarkerTrial], given: Mapping[str, float]) -> Measured:
+    """Lengths for the rules: as given, else from the files, else the marker set's defaults.
+
+    Raises ``GatewayError`` for one given that the marker set does not have.
+    """
+    known = marker_set.file.measurements
+    for name in given:
+        if name not in known:
+            raise GatewayError(f"marker set '{marker_set.file.name}' has no measurement '{name}'{nearest(name, known)}")
+    lengths, assumed = dict(given), []
+    for name, entry in known.items():
+        told = [
+            trial.parameters[parameter] * trial.metres_per_unit
+            for trial in trials
+            for parameter in entry.parameters
+            if trial.parameters.get(parameter, 0.0) > 0
+        ]
+        if name in lengths:
+            continue
+        if told:
+            lengths[name] = float(np.mean(told))
+        elif entry.default_m is not None:
+            lengths[name] = entry.default_m
+            assumed.append(name)
+    return Measured(lengths, tuple(assumed))
+
+
+@dataclass(frozen=True)
+class SegmentPlaces:
+    """Where rules find the segments: F frames, S segments of the body. NaN where markers were missing."""
+
+    origins: FloatArray  # (F, S, 3) m, proximal joints, world
+    axes: FloatArray  # (F, S, 3, 3) segment to world
+    tips: FloatArray  # (F, S, 3) m; NaN where no rule tells
+
+
+class Landmarks:
+    """Points of a trial, each worked out when it is first asked for."""
+
+    def __init__(self, marker_set: MarkerSet, markers: Mapping[str, FloatArray], lengths: Mapping[str, float]):
+        """markers: label to (F, 3) m, world."""
+        self._set = marker_set
+        self._lengths = lengths
+        self._points: dict[str, FloatArray] = dict(markers)
+        self._n_frames = len(next(iter(markers.values())))
+
+    def point(self, name: str) -> FloatArray:
+        """(F, 3) m; NaN where its markers are missing."""
+        if name not in self._points:
+            self._points[name] = self._worked_out(name)
+        return self._points[name]
+
+    def axes(self, segment: str) -> FloatArray | None:
+        """(F, 3, 3) of a segment; None where the marker set tells none."""
+        rule = self._set.file.segments[segment].axes
+        if rule is None:
+            return None
+        (first, a, b), (second, c, d) = rule.primary, rule.secondary
+        return rules.frame_axes((first, self.point(a), self.point(b)), (second, self.point(c), self.point(d)))
+
+    def places(self) -> SegmentPlaces:
+        """All segments; one without axes of its own is turned as its parent."""
+        body = self._set.body
+        shape = (self._n_frames, body.n_segments, 3)
+        origins, tips, axes = np.full(shape, np.nan), np.full(shape, np.nan), np.full((*shape, 3), np.nan)
+        for s, name in enumerate(body.segment_names):
+            entry = self._set.file.segments[name]
+            origins[:, s] = self.point(entry.origin)
+            found = self.axes(name)
+            axes[:, s] = axes[:, body.parents[s]] if found is None else found
+            if entry.tip is not None:
+                tips[:, s] = self.point(entry.tip)
+        return SegmentPlaces(origins, axes, tips)
+
+    def _worked_out(self, name: str) -> FloatArray:
+        if name not in self._set.file.points:
+            return np.full((self._n_frames, 3), np.nan)  # a marker that this trial does not have
+        for rule in self._set.rules(name):
+            if set(names_in(getattr(rule, rule.kind))) & set(self._set.file.measurements) <= set(self._lengths):
+                found = self._by_rule(rule)
+                if np.isfinite(found).all(axis=1).any():
+                    return found
+        return np.full((self._n_frames, 3), np.nan)
+
+    def _by_rule(self, rule: PointRule) -> FloatArray:
+        if rule.midpoint is not None:
+            return rules.midpoint([self.point(name) for name in rule.midpoint])
+        return _APPLY[rule.kind](self, getattr(rule, rule.kind))
+
+    def line(self, ends: tuple[str, str]) -> tuple[FloatArray, FloatArray]:
+        """The two points of a line."""
+        return self.point(ends[0]), self.point(ends[1])
+
+    def length(self, value: Length) -> float:
+        """In m: a number, or a measurement by name."""
+        return self._lengths[value] if isinstance(value, str) else value
+
+    def inside(self, width: Length) -> float:
+        """From a marker's middle to the middle of a joint of that width, m."""
+        return 0.5 * self.length(width) + self.marker_radius
+
+    @property
+    def marker_radius(self) -> float:
+        """m."""
+        return self._set.file.marker_radius_m
+
+
+def _chord(at: Landmarks, rule: Chord) -> FloatArray:
+    points = at.point(rule.proximal), at.point(rule.marker), at.point(rule.plane)
+    if rule.offset is not None:
+        return rules.chord(*points, at.length(rule.offset) + at.marker_radius)
+    return rules.chord(*points, at.inside(rule.width or 0.0))
+
+
+def _davis_hip(at: Landmarks, rule: DavisHip) -> FloatArray:
+    legs = at.length(rule.legs[0]), at.length(rule.legs[1])
+    return rules.davis_hip(at.line(rule.asis), at.point(rule.sacrum), legs, at.marker_radius, rule.side)
+
+
+def _harrington_hip(at: Landmarks, rule: HarringtonHip) -> FloatArray:
+    return rules.harrington_hip(at.line(rule.asis), at.point(rule.sacrum), rule.side)
+
+
+def _between(at: Landmarks, rule: Between) -> FloatArray:
+    return rules.between(*at.line(rule.line), rule.fraction)
+
+
+def _shifted(at: Landmarks, rule: Shifted) -> FloatArray:
+    return rules.shifted(at.point(rule.point), *at.line(rule.along), at.length(rule.by))
+
+
+def _perpendicular(at: Landmarks, rule: Perpendicular) -> FloatArray:
+    by = at.length(rule.by) if rule.by is not None else at.inside(rule.width or 0.0)
+    return rules.perpendicular(at.point(rule.point), at.line(rule.first), at.line(rule.second), by)
+
+
+def _scaled_offset(at: Landmarks, rule: ScaledOffset) -> FloatArray:
+    axes = at.axes(rule.segment)
+    origin = at.point(rule.origin)
+    if axes is None:
+        return np.full_like(origin, np.nan)
+    return rules.scaled_offset(origin, axes, rule.fractions, at.line(rule.of))
+
+
+def _below_line(at: Landmarks, rule: BelowLine) -> FloatArray:
+    return rules.below_line(at.point(rule.point), at.line(rule.line), rule.fraction)
+
+
+def _right_triangle(at: Landmarks, rule: RightTriangle) -> FloatArray:
+    points = at.point(rule.proximal), at.point(rule.marker), at.point(rule.distal)
+    return rules.right_triangle(*points, at.inside(rule.width))
+
+
+_APPLY: dict[str, Callable[..., FloatArray]] = {
+    "between": _between,
+    "shifted": _shifted,
+    "perpendicular": _perpendicular,
+    "chord": _chord,
+    "davis_hip": _davis_hip,
+    "harrington_hip": _harrington_hip,
+    "scaled_offset": _scaled_offset,
+    "below_line": _below_line,
+    "right_triangle": _right_triangle,
+}
+
+
+def landmarks_of(
+    marker_set: MarkerSet, trial: MarkerTrial, vertical: str, lengths: Mapping[str, float]
+) -> Landmarks:
+    """The landmarks of a trial in the world."""
+    world = to_world(trial.columns(marker_set.labels), vertical)
+    markers = {label: world[:, m] for m, label in enumerate(marker_set.labels)}
+    return Landmarks(marker_set, markers, lengths)

@@ -1,0 +1,281 @@
+"""Marker sets as files: which marker sits on which segment, and how joints and axes follow from markers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from gateway.body.rig import load_body
+from gateway.body.skeleton import Skeleton
+from gateway.errors import SettingsError, nearest
+from gateway.settings_files import find_file, load_settings
+
+Line = tuple[str, str]
+Axis = Literal["x", "y", "z"]
+Side = Literal["left", "right"]
+Length = float | str
+"""In m, or the name of a measurement."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Measurement(_Strict):
+    """A length of the person that rules need."""
+
+    parameters: list[str] = Field(default=[], description="names under which C3D files tell it, file units")
+    default_m: float | None = Field(
+        default=None, gt=0, lt=2, description="taken, with a note, where nobody tells it; none: rules wait"
+    )
+
+
+class Between(_Strict):
+    """A point on a line."""
+
+    line: Line
+    fraction: float
+
+
+class Shifted(_Strict):
+    """A point moved along a line's direction."""
+
+    point: str
+    along: Line
+    by: Length
+
+
+class Perpendicular(_Strict):
+    """A point moved across two lines."""
+
+    point: str
+    first: Line
+    second: Line
+    by: Length | None = None
+    width: Length | None = Field(default=None, description="by half of it and the marker's radius")
+
+    @model_validator(mode="after")
+    def _tells_one(self) -> Perpendicular:
+        if (self.by is None) == (self.width is None):
+            raise ValueError("either 'by' or 'width' is wanted")
+        return self
+
+
+class Chord(_Strict):
+    """Joint centre inside a marker, by proximal joint and a third point."""
+
+    proximal: str
+    marker: str
+    plane: str
+    width: Length | None = Field(default=None, description="of the joint: half of it lies between")
+    offset: Length | None = Field(default=None, description="from the skin to the joint's centre")
+
+    @model_validator(mode="after")
+    def _tells_one(self) -> Chord:
+        if (self.width is None) == (self.offset is None):
+            raise ValueError("either 'width' or 'offset' is wanted")
+        return self
+
+
+class DavisHip(_Strict):
+    """Hip by pelvis width and leg length."""
+
+    asis: Line
+    sacrum: str
+    side: Side
+    legs: Line = Field(description="measurements of both legs' lengths: this side, the other")
+
+
+class HarringtonHip(_Strict):
+    """Hip by width and depth of the pelvis."""
+
+    asis: Line
+    sacrum: str
+    side: Side
+
+
+class ScaledOffset(_Strict):
+    """A point at fractions of a length along a segment's axes."""
+
+    origin: str
+    segment: str
+    fractions: tuple[float, float, float]
+    of: Line
+
+
+class BelowLine(_Strict):
+    """A point moved down by a fraction of a line's length."""
+
+    point: str
+    line: Line
+    fraction: float
+
+
+class RightTriangle(_Strict):
+    """A point half a width beside a marker, across the plane of two bones."""
+
+    proximal: str
+    marker: str
+    distal: str
+    width: Length
+
+
+class PointRule(_Strict):
+    """How a point follows from others: exactly one of these."""
+
+    midpoint: list[str] | None = None
+    between: Between | None = None
+    shifted: Shifted | None = None
+    perpendicular: Perpendicular | None = None
+    chord: Chord | None = None
+    davis_hip: DavisHip | None = None
+    harrington_hip: HarringtonHip | None = None
+    scaled_offset: ScaledOffset | None = None
+    below_line: BelowLine | None = None
+    right_triangle: RightTriangle | None = None
+
+    @model_validator(mode="after")
+    def _is_one(self) -> PointRule:
+        given = list(self.model_fields_set)
+        if len(given) != 1:
+            raise ValueError(f"one rule is wanted, there are {len(given)}: {', '.join(given) or 'none'}")
+        return self
+
+    @property
+    def kind(self) -> str:
+        """Name of the rule."""
+        return next(iter(self.model_fields_set))
+
+
+class AxesRule(_Strict):
+    """A segment's axes: two lines from point to point, the second made perpendicular to the first."""
+
+    primary: tuple[Axis, str, str]
+    secondary: tuple[Axis, str, str]
+
+    @model_validator(mode="after")
+    def _differ(self) -> AxesRule:
+        if self.primary[0] == self.secondary[0]:
+            raise ValueError(f"primary and secondary are both {self.primary[0]}: two axes are wanted")
+        return self
+
+
+class SegmentRule(_Strict):
+    """Where a segment is, by points."""
+
+    origin: str = Field(description="point of its proximal joint")
+    tip: str | None = Field(default=None, description="point where it ends; none: as long as in the body file")
+    axes: AxesRule | None = Field(default=None, description="none: turned as its parent is")
+    trust_mm: Annotated[float, Field(gt=0, le=500)] = Field(
+        default=5, description="how far the motion may move the joint from where the rule has it, 1 σ"
+    )
+
+
+class MarkerSetFile(_Strict):
+    """Markers, points, segments."""
+
+    name: str
+    body: str = Field(description="name of a shipped body, or path of a body file")
+    vertical: tuple[list[str], list[str]] = Field(
+        description="markers low on the standing body, markers high on it: finds the axis that points up"
+    )
+    marker_radius_m: float = Field(default=0.007, ge=0, lt=0.1)
+    measurements: dict[str, Measurement] = {}
+    markers: dict[str, list[str]] = Field(description="segment to the markers on it")
+    points: dict[str, PointRule | list[PointRule]] = Field(
+        default={}, description="in order; of several rules the first whose markers and measurements are there"
+    )
+    segments: dict[str, SegmentRule]
+
+
+class MarkerSet(_Strict):
+    """A checked marker set with its body."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+    file: MarkerSetFile
+    body: Skeleton
+    path: Path
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """All markers, segment by segment."""
+        return tuple(label for labels in self.file.markers.values() for label in labels)
+
+    @property
+    def carriers(self) -> dict[str, str]:
+        """Marker to the segment it sits on."""
+        return {label: segment for segment, labels in self.file.markers.items() for label in labels}
+
+    def rules(self, point: str) -> list[PointRule]:
+        """The rules of a point, in order of preference."""
+        rules = self.file.points[point]
+        return rules if isinstance(rules, list) else [rules]
+
+
+def load_marker_set(name: str) -> MarkerSet:
+    """A marker set by name or path. Raises ``SettingsError`` naming file, entry and remedy."""
+    path = find_file(name, "marker_sets")
+    file = load_settings(path, MarkerSetFile)
+    found = MarkerSet(file=file, body=load_body(file.body, path), path=path)
+    _check_segments(found)
+    _check_points(found)
+    return found
+
+
+def names_in(value: object) -> Iterable[str]:
+    """All texts in a rule: points and markers, and measurements."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, BaseModel):
+        for each in value.__dict__.values():
+            yield from names_in(each)
+    elif isinstance(value, list | tuple):
+        for each in value:
+            yield from names_in(each)
+
+
+def _check_segments(marker_set: MarkerSet) -> None:
+    known, file, path = marker_set.body.segment_names, marker_set.file, marker_set.path
+    for segment in (*file.markers, *file.segments):
+        if segment not in known:
+            raise SettingsError(
+                f"{path}: there is no segment '{segment}' in body '{marker_set.body.name}'"
+                + nearest(segment, known)
+            )
+    missing = [segment for segment in known if segment not in file.segments]
+    if missing:
+        raise SettingsError(f"{path}: 'segments' does not tell where {', '.join(missing)} begin")
+    repeated = sorted({label for label in marker_set.labels if marker_set.labels.count(label) > 1})
+    if repeated:
+        raise SettingsError(f"{path}: marker '{repeated[0]}' sits on two segments")
+    if file.segments[known[0]].axes is None:
+        raise SettingsError(f"{path}: segments.{known[0]} is the root: it needs 'axes'")
+
+
+def _check_points(marker_set: MarkerSet) -> None:
+    file, path = marker_set.file, marker_set.path
+    known = {*marker_set.labels}
+    fixed = {"left", "right", *marker_set.body.segment_names, *file.measurements}
+    for point in file.points:
+        for rule in marker_set.rules(point):
+            _refuse_unknown(path, f"points.{point}", names_in(getattr(rule, rule.kind)), known | fixed)
+        if point in known:
+            raise SettingsError(f"{path}: points.{point} has the name of a marker, or stands twice")
+        known.add(point)
+    axes = {"x", "y", "z"}
+    for name, segment in file.segments.items():
+        _refuse_unknown(path, f"segments.{name}", names_in(segment), known | axes)
+    _refuse_unknown(path, "vertical", names_in(list(file.vertical)), known)
+
+
+def _refuse_unknown(path: Path, where: str, names: Iterable[str], known: set[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise SettingsError(
+                f"{path}: {where} names '{name}', which is no marker and no point before it"
+                + nearest(name, known)
+            )

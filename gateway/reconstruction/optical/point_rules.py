@@ -1,0 +1,167 @@
+"""Points of the body from markers: joint centres by published rules. Arrays (F, 3), m; NaN carries on.
+
+A rule is a function of points and lengths. Marker-set files name them (``marker_set``), so that another set of
+markers, an animal or a robot needs another file and no other program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gateway.frames import FloatArray
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """Vectors of length one; NaN where the length is zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scaled: FloatArray = np.where(length > 0, vectors / length, np.nan)
+    return scaled
+
+
+def midpoint(points: Sequence[FloatArray]) -> FloatArray:
+    """The mean of points: of two, the middle between them."""
+    mean: FloatArray = np.mean(np.stack(points), axis=0)
+    return mean
+
+
+def between(start: FloatArray, end: FloatArray, fraction: float) -> FloatArray:
+    """The point at a fraction of the way."""
+    return start + fraction * (end - start)
+
+
+def shifted(point: FloatArray, start: FloatArray, end: FloatArray, by: float) -> FloatArray:
+    """The point moved by ``by`` m in the direction from start to end."""
+    return point + by * unit(end - start)
+
+
+def perpendicular(
+    point: FloatArray, first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray], by: float
+) -> FloatArray:
+    """The point moved by ``by`` m across two lines, each from its first point to its second (right-handed)."""
+    return point + by * unit(np.cross(unit(first[1] - first[0]), unit(second[1] - second[0])))
+
+
+def chord(proximal: FloatArray, marker: FloatArray, plane: FloatArray, distance: float) -> FloatArray:
+    """The joint centre ``distance`` m from a marker on its side, by the chord function of Plug-in-Gait.
+
+    Proximal joint centre, marker and sought centre c make a right angle at c, in the plane through the third
+    point, on the other side than that: Davis et al. 1991 (Hum. Mov. Sci. 10: 575–587), Kadaba et al. 1990
+    (J. Orthop. Res. 8: 383–392). NaN where the marker is nearer than ``distance`` to the proximal joint.
+    """
+    along = proximal - marker
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    direction = unit(along)
+    side = plane - marker
+    across = unit(side - np.sum(side * direction, axis=-1, keepdims=True) * direction)
+    with np.errstate(invalid="ignore"):
+        cosine = distance / length
+        sine = np.sqrt(1.0 - cosine**2)
+    return marker + distance * (cosine * direction - sine * across)
+
+
+def davis_hip(
+    asis: tuple[FloatArray, FloatArray],
+    sacrum: FloatArray,
+    legs: tuple[float, float],
+    marker_radius: float,
+    side: str,
+) -> FloatArray:
+    """The hip's centre from pelvis width and leg length: Davis et al. 1991, with the distance of trochanter
+    and ASIS by leg length as Plug-in-Gait has it (0.1288 L − 48.56 mm).
+
+    asis: left, right. legs: lengths of this side's leg and the other's, m.
+    """
+    left, right = asis
+    middle = midpoint(asis)
+    lateral = unit(left - right)
+    forward = middle - sacrum
+    forward = unit(forward - np.sum(forward * lateral, axis=-1, keepdims=True) * lateral)
+    up = np.cross(forward, lateral)
+    half_width = 0.5 * np.nanmean(np.linalg.norm(left - right, axis=-1))
+    theta, beta = 0.5, 0.314  # rad, of 25 hip studies
+    c = 0.115 * 0.5 * (legs[0] + legs[1]) - 0.0153
+    depth = 0.1288 * legs[0] - 0.04856 + marker_radius
+    x = c * np.cos(theta) * np.sin(beta) - depth * np.cos(beta)
+    y = half_width - c * np.sin(theta)
+    z = -c * np.cos(theta) * np.cos(beta) - depth * np.sin(beta)
+    sign = 1.0 if side == "left" else -1.0
+    centre: FloatArray = middle + x * forward + sign * y * lateral + z * up
+    return centre
+
+
+def harrington_hip(asis: tuple[FloatArray, FloatArray], sacrum: FloatArray, side: str) -> FloatArray:
+    """The hip's centre from width and depth of the pelvis: Harrington et al. 2007 (J. Biomech. 40: 595–602),
+    the equations of one predictor each (mm): −0.24 PD − 9.9; −0.30 PW − 10.9; 0.33 PW + 7.3.
+    """
+    left, right = asis
+    middle = midpoint(asis)
+    to_right = unit(right - left)
+    forward = middle - sacrum
+    forward = forward - np.sum(forward * to_right, axis=-1, keepdims=True) * to_right
+    depth = np.nanmean(np.linalg.norm(middle - sacrum, axis=-1))
+    width = np.nanmean(np.linalg.norm(right - left, axis=-1))
+    x = unit(forward)
+    up = np.cross(to_right, x)
+    sign = 1.0 if side == "right" else -1.0
+    centre: FloatArray = (
+        middle
+        + (-0.24 * depth - 0.0099) * x
+        + (-0.30 * width - 0.0109) * up
+        + sign * (0.33 * width + 0.0073) * to_right
+    )
+    return centre
+
+
+def scaled_offset(
+    origin: FloatArray, axes: FloatArray, fractions: Sequence[float], ends: tuple[FloatArray, FloatArray]
+) -> FloatArray:
+    """A point at fractions of a length, along a segment's axes (F, 3, 3): regressions on a body's width."""
+    length = np.nanmean(np.linalg.norm(ends[1] - ends[0], axis=-1))
+    return origin + length * (axes @ np.asarray(fractions, dtype=np.float64))
+
+
+def below_line(point: FloatArray, line: tuple[FloatArray, FloatArray], fraction: float) -> FloatArray:
+    """The point moved down, across a line, by a fraction of the line's length.
+
+    The shoulder of CN1766831A: a tenth of the shoulder width below the marker. Down is against world z.
+    """
+    along = line[1] - line[0]
+    direction = unit(along)
+    down = np.array([0.0, 0.0, -1.0])
+    across = unit(down - np.sum(down * direction, axis=-1, keepdims=True) * direction)
+    return point + fraction * np.linalg.norm(along, axis=-1, keepdims=True) * across
+
+
+def right_triangle(
+    proximal: FloatArray, marker: FloatArray, distal: FloatArray, half_width: float
+) -> FloatArray:
+    """The centre beside a marker, half the joint's width away, at a right angle to the line to the proximal joint.
+
+    The elbow, knee and ankle of CN1766831A: marker, centre and proximal joint make a right-angled triangle in
+    the plane across the two bones that meet there. As ``chord``, with that plane's normal in place of a wand.
+    """
+    normal = np.cross(unit(marker - proximal), unit(distal - marker))
+    return chord(proximal, marker, marker + normal, half_width)
+
+
+def frame_axes(
+    primary: tuple[str, FloatArray, FloatArray], secondary: tuple[str, FloatArray, FloatArray]
+) -> FloatArray:
+    """Axes (F, 3, 3) of a segment, columns x y z: one along a line, one as near another line as it can be.
+
+    Each is the axis' name (x, y or z) and the two points it runs between.
+    """
+    first, second = "xyz".index(primary[0]), "xyz".index(secondary[0])
+    third = 3 - first - second
+    a = unit(primary[2] - primary[1])
+    b = secondary[2] - secondary[1]
+    b = unit(b - np.sum(b * a, axis=-1, keepdims=True) * a)
+    c = np.cross(a, b)
+    if (second - first) % 3 == 2:
+        c = -c
+    axes = np.empty((*a.shape, 3))
+    axes[..., first], axes[..., second], axes[..., third] = a, b, c
+    return axes

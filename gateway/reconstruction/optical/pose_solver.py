@@ -1,0 +1,239 @@
+"""One pose from one frame of markers: damped Gauss–Newton over the whole body, with weights that forgive.
+
+Levenberg–Marquardt (Marquardt 1963) on ½ Σ ρ(|r_m| / σ_m) plus what the joints are allowed, by the normal
+equations of ``kernels``. ρ is the Geman–McClure function (Black & Rangarajan 1996, Int. J. Comput. Vis. 19(1)):
+a marker far from where the body can have it loses its say, so that swapped and ghost markers do no harm.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gateway.body.joints import Decomposition
+from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import Skeleton
+from gateway.frames import FloatArray, IntArray
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import dot, is_finite, norm
+from gateway.reconstruction.optical import kernels
+
+FREE_SIGMA = np.radians(60.0)
+"""How far angles that a joint has may be from their neutral ones before it counts, rad."""
+FIXED_SIGMA = np.radians(12.0)
+"""The same of angles that a joint does not really have (a knee's adduction), rad."""
+LIMIT_SIGMA = np.radians(8.0)
+"""How far beyond its limits an angle may be before it counts, rad."""
+_SMALLEST_STEP = 1e-6  # m and rad: under what any marker can tell
+_SMALLEST_GAIN = 1e-6  # of the cost, relative: what is left are turns that no marker sees
+_FIRST_DAMPING = 1e-6
+_WORST_DAMPING = 1e6
+
+
+class BodyModel(NamedTuple):
+    """A body with markers as the kernels take it: S segments, M markers, J joints."""
+
+    parents: IntArray  # (S,)
+    offsets: FloatArray  # (S, 3) m
+    segments: IntArray  # (M,)
+    positions: FloatArray  # (M, 3) m
+    sigmas: FloatArray  # (M,) m
+    distals: IntArray  # (J,) segment that a joint turns against its parent
+    axes: IntArray  # (J, 3)
+    signs: FloatArray  # (J, 3)
+    stiffness: FloatArray  # (J, 3) 1/rad²
+    limits: FloatArray  # (J, 3, 2) rad
+    limit_stiffness: float  # 1/rad²
+
+
+class Pose(NamedTuple):
+    """A pose, and how well it explains the markers."""
+
+    R: FloatArray  # (S, 3, 3) segment to world
+    root: FloatArray  # (3,) m
+    residuals: FloatArray  # (M,) m, distance of measured and virtual marker; NaN: not seen
+    weights: FloatArray  # (M,) 0 … 1: the say that a marker had
+    factor: FloatArray  # (3 + 3 S, 3 + 3 S) lower Cholesky factor of the normal matrix
+    iterations: int
+
+
+def body_model(skeleton: Skeleton, markers: BodyMarkers) -> BodyModel:
+    """The arrays of a body. Joints between neighbours that have Cardan angles bring their limits along; all
+    others are only drawn, weakly, to the neutral posture."""
+    described = {
+        joint.distal: joint
+        for joint in skeleton.joints
+        if joint.proximal == skeleton.parents[joint.distal]
+        and joint.decomposition is Decomposition.CARDAN
+        and len(set(joint.sequence)) == 3
+    }
+    distals = np.flatnonzero(skeleton.parents >= 0)
+    n = len(distals)
+    axes, signs = np.tile(np.array([2, 0, 1]), (n, 1)), np.ones((n, 3))
+    stiffness = np.full((n, 3), FREE_SIGMA**-2)
+    limits = np.tile([-np.inf, np.inf], (n, 3, 1))
+    for row, segment in enumerate(distals.tolist()):
+        joint = described.get(segment)
+        if joint is None:
+            continue
+        for k, angle in enumerate(joint.angles):
+            axes[row, k], signs[row, k], limits[row, k] = angle.axis_index, angle.sign, angle.limits
+            if angle.name not in joint.free:
+                stiffness[row, k] = FIXED_SIGMA**-2
+    return BodyModel(
+        skeleton.parents, skeleton.offsets, markers.segments, markers.positions, markers.sigmas, distals,
+        axes, signs, stiffness, limits, LIMIT_SIGMA**-2,
+    )  # fmt: skip
+
+
+@compiled
+def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray) -> float:
+    """½ Σ w r² of the markers, with the weights of the step before, plus the joints."""
+    total = 0.0
+    for m in range(len(observed)):
+        if say[m] > 0.0:
+            s = model.segments[m]
+            r = observed[m] - p[s]
+            for i in range(3):
+                r[i] -= (
+                    R[s, i, 0] * model.positions[m, 0]
+                    + R[s, i, 1] * model.positions[m, 1]
+                    + R[s, i, 2] * model.positions[m, 2]
+                )
+            total += 0.5 * say[m] * dot(r, r) / model.sigmas[m] ** 2
+    return total
+
+
+@compiled
+def normal_equations(
+    model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """H (upper triangle), g, and the cost of the joints."""
+    n = 3 + 3 * len(model.parents)
+    H, g = np.zeros((n, n)), np.zeros(n)
+    y = kernels.marker_places(model.segments, model.positions, R, p)
+    for m in range(len(observed)):
+        if say[m] > 0.0:
+            weight = say[m] / model.sigmas[m] ** 2
+            kernels.add_marker(
+                H, g, model.parents, p, model.segments[m], y[m], observed[m] - y[m], weight
+            )
+    cost = 0.0
+    for j in range(len(model.distals)):
+        d = model.distals[j]
+        cost += kernels.add_joint(
+            H, g, R[model.parents[d]], R[d], d, model.axes[j], model.signs[j],
+            model.stiffness[j], model.limits[j], model.limit_stiffness,
+        )  # fmt: skip
+    return H, g, cost
+
+
+@compiled
+def _say(model: BodyModel, observed: FloatArray, trust: FloatArray, y: FloatArray, scale: float) -> FloatArray:
+    """Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
+
+    c: ``scale`` (m), and four times a marker's own σ at the least.
+    """
+    say = np.zeros(len(observed))
+    for m in range(len(observed)):
+        if is_finite(observed[m]) and trust[m] > 0.0:
+            c = max(scale, 4.0 * model.sigmas[m])
+            r = norm(observed[m] - y[m]) / c
+            say[m] = trust[m] / (1.0 + r * r) ** 2
+    return say
+
+
+@compiled
+def solve_pose(
+    model: BodyModel,
+    observed: FloatArray,
+    trust: FloatArray,
+    R: FloatArray,
+    root: FloatArray,
+    scale: float,
+    longest: int,
+) -> Pose:
+    """The pose that explains the markers best, near the one given.
+
+    observed: (M, 3) m, NaN rows for markers not seen; trust: (M,) 0 leaves a marker out, 1 takes it.
+    R (S, 3, 3), root (3,): where to begin. scale: distance at which a marker begins to lose its say, m.
+    longest: most steps.
+    """
+    p = kernels.places(model.parents, model.offsets, R, root)
+    y = kernels.marker_places(model.segments, model.positions, R, p)
+    say = _say(model, observed, trust, y, scale)
+    H, g, joints = normal_equations(model, observed, say, R, p)
+    damping = _FIRST_DAMPING
+    steps = 0
+    while steps < longest and damping < _WORST_DAMPING:
+        steps += 1
+        L = H.copy()
+        kernels.mirrored(L)
+        for i in range(len(L)):
+            L[i, i] += damping * L[i, i] + 1e-9
+        if not kernels.cholesky(L):
+            damping = max(10.0 * damping, 1e-4)
+            continue
+        delta = kernels.substituted(L, g)
+        R_new, root_new = kernels.moved(model.parents, R, root, delta)
+        p_new = kernels.places(model.parents, model.offsets, R_new, root_new)
+        before = _cost(model, observed, say, R, p) + joints
+        H_new, g_new, joints_new = normal_equations(model, observed, say, R_new, p_new)
+        after = _cost(model, observed, say, R_new, p_new) + joints_new
+        if after > before * (1.0 + 1e-12):
+            damping = max(10.0 * damping, 1e-4)
+            continue
+        R, root, p, joints = R_new, root_new, p_new, joints_new
+        damping = max(_FIRST_DAMPING, 0.2 * damping)
+        y = kernels.marker_places(model.segments, model.positions, R, p)
+        say = _say(model, observed, trust, y, scale)
+        H, g, joints = normal_equations(model, observed, say, R, p)
+        if np.max(np.abs(delta)) < _SMALLEST_STEP or before - after < _SMALLEST_GAIN * before:
+            break
+    return _finished(model, observed, say, R, root, y, H, steps)
+
+
+@compiled
+def _finished(
+    model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, root: FloatArray, y: FloatArray,
+    H: FloatArray, steps: int,
+) -> Pose:  # fmt: skip
+    residuals = np.full(len(observed), np.nan)
+    for m in range(len(observed)):
+        if is_finite(observed[m]):
+            residuals[m] = norm(observed[m] - y[m])
+    L = H.copy()
+    kernels.mirrored(L)
+    for i in range(len(L)):
+        L[i, i] += 1e-9
+    if not kernels.cholesky(L):
+        L[:] = np.nan
+    return Pose(R, root, residuals, say, L, steps)
+
+
+@compiled
+def orientation_sigmas(parents: IntArray, factor: FloatArray, variance: float) -> FloatArray:
+    """(S,) rad: standard deviation of every segment's orientation, from the factor of the normal matrix.
+
+    The turn of a segment is the sum of those of its chain, so its covariance is A H⁻¹ Aᵀ with A the rows of
+    that sum. variance: of the markers' residuals in units of their σ².
+    """
+    n = len(factor)
+    sigmas = np.empty(len(parents))
+    for s in range(len(parents)):
+        trace = 0.0
+        for i in range(3):
+            b = np.zeros(n)
+            a = s
+            while a >= 0:
+                b[3 + 3 * a + i] = 1.0
+                a = parents[a]
+            # only L z = b is needed: b H⁻¹ b = z · z
+            for k in range(n):
+                for j in range(k):
+                    b[k] -= factor[k, j] * b[j]
+                b[k] /= factor[k, k]
+                trace += b[k] * b[k]
+        sigmas[s] = np.sqrt(variance * trace)
+    return sigmas

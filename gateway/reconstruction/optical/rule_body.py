@@ -1,0 +1,144 @@
+"""A first body from rules alone: bones as long as joint centres lie apart on average, markers where they are.
+
+The result of steps 2 to 5 of CN1766831A, with whatever joint-centre rules the marker set names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gateway.body.markers import BodyMarkers
+from gateway.body.skeleton import Skeleton
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray
+from gateway.geometry import quaternion
+from gateway.reconstruction.optical.landmarks import SegmentPlaces
+from gateway.reconstruction.optical.marker_set import MarkerSet
+
+FIRST_SIGMA = 0.005
+"""How far a marker strays from its place until the fit knows better, m."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """The markers of one trial in the world, and where rules find the segments."""
+
+    name: str
+    markers: FloatArray  # (F, M, 3) m, in the order of the marker set
+    places: SegmentPlaces
+
+
+def from_rules(
+    marker_set: MarkerSet, sightings: Sequence[Sighting], vertical: str
+) -> tuple[Skeleton, BodyMarkers]:
+    """The body with the mean over all frames of every length and every marker's place.
+
+    Raises ``GatewayError`` naming the segments that have axes in no frame, and the markers those need.
+    """
+    origins = np.concatenate([sighting.places.origins for sighting in sightings])
+    axes = np.concatenate([sighting.places.axes for sighting in sightings])
+    tips = np.concatenate([sighting.places.tips for sighting in sightings])
+    seen = np.concatenate([sighting.markers for sighting in sightings])
+    _refuse_unseen(marker_set, axes)
+    body = marker_set.body
+    scale = _scale(body, origins)
+    offsets, new_tips = body.offsets * scale, body.tips * scale
+    for s, parent in enumerate(body.parents.tolist()):
+        if parent >= 0:
+            offsets[s] = _mean_within(axes[:, parent], origins[:, s] - origins[:, parent], offsets[s])
+        new_tips[s] = _mean_within(axes[:, s], tips[:, s] - origins[:, s], new_tips[s])
+    labels = marker_set.labels
+    segments = np.array([body.index(marker_set.carriers[label]) for label in labels], dtype=np.int64)
+    places = np.stack(
+        [
+            _mean_within(axes[:, s], seen[:, m] - origins[:, s], np.full(3, np.nan))
+            for m, s in enumerate(segments.tolist())
+        ]
+    )
+    kept = np.isfinite(places).all(axis=1)
+    markers = BodyMarkers(
+        tuple(label for label, keep in zip(labels, kept, strict=True) if keep),
+        segments[kept],
+        places[kept],
+        np.full(int(kept.sum()), FIRST_SIGMA),
+        vertical,
+    )
+    return resized(marker_set, offsets, new_tips), markers
+
+
+def resized(marker_set: MarkerSet, offsets: FloatArray, tips: FloatArray) -> Skeleton:
+    """The marker set's body with other lengths; a segment that ends in the next joint ends there exactly."""
+    body, entries = marker_set.body, marker_set.file.segments
+    names = body.segment_names
+    tips = tips.copy()
+    for s, parent in enumerate(body.parents.tolist()):
+        if parent >= 0 and entries[names[parent]].tip == entries[names[s]].origin:
+            tips[parent] = offsets[s]
+    ratio = np.linalg.norm(tips, axis=1) / np.linalg.norm(body.tips, axis=1)
+    contacts = tuple((s, point * ratio[s]) for s, point in body.contacts)
+    return replace(body, offsets=offsets, tips=tips, contacts=contacts, stature_m=None)
+
+
+def neutral_axes(body: Skeleton, axes: FloatArray, standing: FloatArray) -> FloatArray:
+    """Axes (F, S, 3, 3) turned, each segment by a constant, so that ``standing`` is the neutral posture.
+
+    standing: (S, 3, 3) mean axes while the person stood neutral. All segments then have the axes of an
+    upright root that faces where the root faced.
+    """
+    root = int(np.flatnonzero(body.parents < 0)[0])
+    forward = standing[root][:, 0]
+    heading = np.arctan2(forward[1], forward[0])
+    turn = np.array([np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)])
+    upright = quaternion.to_matrix(quaternion.multiply(turn, body.neutral))
+    corrections = np.einsum("sji,jk->sik", standing, upright)
+    turned: FloatArray = axes @ corrections
+    return turned
+
+
+def mean_rotation(rotations: FloatArray) -> FloatArray:
+    """The rotation nearest the mean of (F, 3, 3), NaN left out: (3, 3), by singular values (Markley 2007)."""
+    u, _, vt = np.linalg.svd(np.nanmean(rotations, axis=0))
+    nearest: FloatArray = u @ np.diag([1.0, 1.0, float(np.linalg.det(u @ vt))]) @ vt
+    return nearest
+
+
+def _mean_within(axes: FloatArray, vectors: FloatArray, otherwise: FloatArray) -> FloatArray:
+    """(3,) mean of vectors (F, 3) as seen in axes (F, 3, 3); ``otherwise`` where no frame knows it."""
+    local = np.einsum("fij,fi->fj", axes, vectors)
+    known = np.isfinite(local).all(axis=1)
+    mean: FloatArray = local[known].mean(axis=0) if known.any() else otherwise
+    return mean
+
+
+def _scale(body: Skeleton, origins: FloatArray) -> float:
+    """How much larger than the body file the person is, by the bones that can be compared."""
+    pairs = [(s, p) for s, p in enumerate(body.parents.tolist()) if p >= 0]
+    found = np.array([np.linalg.norm(origins[:, s] - origins[:, p], axis=1) for s, p in pairs])
+    known = np.isfinite(found)
+    if not known.any():
+        return 1.0
+    own = np.linalg.norm(body.offsets[[s for s, _ in pairs]], axis=1)
+    means = np.array([row[ok].mean() if ok.any() else np.nan for row, ok in zip(found, known, strict=True)])
+    return float(np.nansum(means) / own[np.isfinite(means)].sum())
+
+
+def _refuse_unseen(marker_set: MarkerSet, axes: FloatArray) -> None:
+    entries = marker_set.file.segments
+    never = [
+        name
+        for s, name in enumerate(marker_set.body.segment_names)
+        if entries[name].axes is not None and not np.isfinite(axes[:, s]).all(axis=(1, 2)).any()
+    ]
+    if never:
+        name = never[0]
+        rule = entries[name].axes
+        assert rule is not None
+        needed = dict.fromkeys([*rule.primary[1:], *rule.secondary[1:]])
+        raise GatewayError(
+            f"marker set '{marker_set.file.name}': no frame tells how {', '.join(never)} lie: {name} needs "
+            f"{', '.join(needed)} and what these rest on (see {marker_set.path.name}): take another trial, "
+            "or another marker set"
+        )

@@ -1,0 +1,53 @@
+"""Whether a method can start at once, or its kernels have to be compiled first, and the compiling beforehand.
+
+The filters over the whole body take half a minute to a minute to compile, once after an installation. What is
+compiled lies on the disk; a mark beside it says so. ``python -m gateway.reconstruction.readiness joint``
+compiles in a process of its own: numba holds the interpreter while it does, and nothing else would run well.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from pathlib import Path
+
+import numba
+
+from gateway.body.rig import load_rig
+from gateway.geometry import compiled
+from gateway.reconstruction import RECONSTRUCTORS, create_reconstructor
+
+FALLBACK = "independent"
+"""Compiles in seconds, and serves until then."""
+LONG_COMPILED = frozenset({"joint", "outward"})
+_RIG = "suit_17"
+
+
+def is_ready(name: str) -> bool:
+    """Whether a method starts within seconds."""
+    return name not in LONG_COMPILED or _mark(name).exists()
+
+
+def make_ready(name: str) -> None:
+    """Compile it, if that is still to be done; takes up to a minute then."""
+    if is_ready(name):
+        return
+    create_reconstructor(name, load_rig(_RIG), 0.01)
+    with contextlib.suppress(OSError):  # then it will be looked up again, which does no harm
+        _mark(name).touch()
+
+
+def command(name: str) -> list[str]:
+    """What does ``make_ready`` in a process of its own."""
+    return [sys.executable, "-m", "gateway.reconstruction.readiness", name]
+
+
+def _mark(name: str) -> Path:
+    return compiled.CACHE_DIRECTORY / f"ready-{name}-numba-{numba.__version__}"
+
+
+if __name__ == "__main__":
+    for wanted in sys.argv[1:]:
+        if wanted not in RECONSTRUCTORS:
+            sys.exit(f"no method is called '{wanted}'")
+        make_ready(wanted)

@@ -1,0 +1,201 @@
+"""A whole recording at once: every orientation from what was felt before it and after it.
+
+Forward through the frames with the filter of ``inertial.joint``, backward with the same (``two_ways``), and
+forward once more for what stands around the filter (segments without module, the place in the world). In
+between, blocks of frames lie in files of a temporary folder: memory does not grow with the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gateway.errors import GatewayError
+from gateway.frames import (
+    FloatArray,
+    ImuFrame,
+    IntArray,
+    LocalReading,
+    Quantity,
+    SkeletonFrame,
+    Status,
+    StatusArray,
+)
+from gateway.reconstruction.inertial.joint import ChainReconstructor
+from gateway.reconstruction.inertial.sun_rows import sight_of, stacked_sights
+from gateway.reconstruction.inertial.two_ways import put_together, seen_backward
+from gateway.reconstruction.reconstructor import Reconstructor
+from gateway.reconstruction.whole_body import Prepared, WholeBodyReconstructor
+
+FRAMES_A_BLOCK = 1024
+SMOOTHED = ("joint", "outward")
+"""Reconstructors that can go backward."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass
+class _Block:
+    """Some successive frames: what was observed, and what the forward filter made of it. T frames, m modules,
+    n segments, k readings of local devices; as in ``ImuFrame`` and ``SkeletonFrame``."""
+
+    sequence: IntArray  # (T,)
+    time_ns: IntArray  # (T,)
+    specific_force: FloatArray  # (T, m, 3)
+    observed_rate: FloatArray  # (T, m, 3)
+    magnetic_field: FloatArray  # (T, m, 3)
+    observed_status: StatusArray  # (T, m)
+    sights: FloatArray  # (T, m + 1, 4) see ``stacked_sights``
+    resting: FloatArray  # (T, n)
+    step_s: FloatArray  # (T,)
+    reading_of: IntArray  # (k, 4) frame, device, time ns, quantity
+    readings: FloatArray  # (k, 2, 3) value and standard deviation
+    q_wb: FloatArray  # (T, n, 4)
+    angular_rate: FloatArray  # (T, n, 3)
+    joint_acceleration: FloatArray  # (T, n, 3)
+    p_w: FloatArray  # (T, n, 3)
+    sigma: FloatArray  # (T, n)
+    status: StatusArray  # (T, n)
+    root: IntArray  # (T,)
+    covariance: FloatArray  # (T, n, 3, 3)
+
+    def frames(self) -> list[ImuFrame]:
+        """What was observed, stuck modules left out."""
+        local: list[list[LocalReading]] = [[] for _ in self.time_ns]
+        for (t, device, time_ns, quantity), (value, sigma) in zip(
+            self.reading_of.tolist(), self.readings, strict=True
+        ):
+            local[t].append(LocalReading(device, time_ns, Quantity(quantity), value, sigma))
+        nothing = np.zeros(self.observed_status.shape[1], np.int64)
+        return [
+            ImuFrame(
+                int(self.sequence[t]), int(self.time_ns[t]), self.specific_force[t], self.observed_rate[t],
+                self.magnetic_field[t], self.observed_status[t], nothing, tuple(local[t]),
+                sun=sight_of(self.sights[t]),
+            )
+            for t in range(len(self.time_ns))
+        ]  # fmt: skip
+
+    def found(self, t: int) -> SkeletonFrame:
+        """What the filter made of frame t."""
+        return SkeletonFrame(
+            int(self.sequence[t]), int(self.time_ns[t]), self.q_wb[t], self.angular_rate[t],
+            self.joint_acceleration[t], self.p_w[t], self.sigma[t], self.status[t], int(self.root[t]),
+        )  # fmt: skip
+
+
+class Smoother:
+    """``add`` all frames, in time order, then take ``smoothed``."""
+
+    def __init__(self, body: Reconstructor, folder: Path) -> None:
+        """body: a reconstructor that has seen nothing yet; folder: empty, for the blocks. Raises
+        ``GatewayError`` for a method that cannot go backward."""
+        if not isinstance(body, WholeBodyReconstructor) or not isinstance(body.finder, ChainReconstructor):
+            raise GatewayError(
+                f"smoothing is for the methods {' and '.join(SMOOTHED)}: add --reconstructor {SMOOTHED[0]}"
+            )
+        self._body, self._forward, self._folder = body, body.finder, folder
+        self._waiting: list[ImuFrame] = []
+        self._n_blocks = 0
+        self._end_ns = 0
+
+    def add(self, frames: Sequence[ImuFrame]) -> None:
+        """Frames in time order, after those before. Raises ``OSError`` where the disk is full."""
+        self._waiting.extend(frames)
+        while len(self._waiting) >= FRAMES_A_BLOCK:
+            self._go_forward(self._waiting[:FRAMES_A_BLOCK])
+            del self._waiting[:FRAMES_A_BLOCK]
+
+    def smoothed(self, progress: Progress | None = None) -> Iterator[SkeletonFrame]:
+        """All frames added, in time order. progress: told of blocks done, of twice as many."""
+        if self._waiting:
+            self._go_forward(self._waiting)
+            self._waiting = []
+        tell = progress or (lambda done, total: None)
+        total = 2 * self._n_blocks
+        backward = self._forward.turned_back()
+        later: list[LocalReading] = []
+        for k in reversed(range(self._n_blocks)):
+            later = self._go_backward(k, backward, later)
+            tell(self._n_blocks - k, total)
+        for k in range(self._n_blocks):
+            yield from self._finished(k)
+            tell(self._n_blocks + k + 1, total)
+
+    def _go_forward(self, frames: Sequence[ImuFrame]) -> None:
+        prepared = self._body.prepare(frames)
+        clean = [one.observation for one in prepared]
+        resting = np.stack([one.resting for one in prepared])
+        covariance = np.empty((*resting.shape, 3, 3))
+        found = self._forward.update_many(clean, resting, covariance)
+        readings = [(t, reading) for t, frame in enumerate(clean) for reading in frame.local]
+        block = _Block(
+            sequence=np.array([frame.sequence for frame in clean], np.int64),
+            time_ns=np.array([frame.time_ns for frame in clean], np.int64),
+            specific_force=np.stack([frame.specific_force for frame in clean]),
+            observed_rate=np.stack([frame.angular_rate for frame in clean]),
+            magnetic_field=np.stack([frame.magnetic_field for frame in clean]),
+            observed_status=np.stack([frame.status for frame in clean]),
+            sights=stacked_sights(clean),
+            resting=resting,
+            step_s=np.array([one.dt for one in prepared]),
+            reading_of=np.array(
+                [(t, r.device, r.time_ns, int(r.quantity)) for t, r in readings], np.int64
+            ).reshape(-1, 4),
+            readings=np.array([(r.value, r.sigma) for _, r in readings], np.float64).reshape(-1, 2, 3),
+            q_wb=np.stack([frame.q_wb for frame in found]),
+            angular_rate=np.stack([frame.angular_rate for frame in found]),
+            joint_acceleration=np.stack([frame.joint_acceleration for frame in found]),
+            p_w=np.stack([frame.p_w for frame in found]),
+            sigma=np.stack([frame.sigma for frame in found]),
+            status=np.stack([frame.status for frame in found]),
+            root=np.array([frame.root for frame in found], np.int64),
+            covariance=covariance,
+        )
+        self._end_ns = int(block.time_ns[-1])
+        self._write(self._n_blocks, block)
+        self._n_blocks += 1
+
+    def _go_backward(
+        self, k: int, backward: ChainReconstructor, later: list[LocalReading]
+    ) -> list[LocalReading]:
+        block = self._read(k)
+        frames, earlier = seen_backward(block.frames(), self._end_ns, later)
+        covariance = np.empty_like(block.covariance)
+        found = backward.update_many(frames, np.ascontiguousarray(block.resting[::-1]), covariance)[::-1]
+        q_back = np.stack([frame.q_wb for frame in found])
+        known_later = np.isnan(block.q_wb[..., 0]) & np.isfinite(q_back[..., 0])
+        put_together(block.q_wb, block.covariance, q_back, covariance[::-1].copy(), block.sigma)
+        block.status[known_later] = Status.PREDICTED
+        block.angular_rate = _mean(block.angular_rate, -np.stack([frame.angular_rate for frame in found]))
+        block.joint_acceleration = _mean(
+            block.joint_acceleration, np.stack([frame.joint_acceleration for frame in found])
+        )
+        self._write(k, block)
+        return earlier
+
+    def _finished(self, k: int) -> Iterator[SkeletonFrame]:
+        block = self._read(k)
+        for t, frame in enumerate(block.frames()):
+            observed = self._body.observe(frame)
+            prepared = Prepared(frame, observed, block.resting[t], float(block.step_s[t]))
+            yield self._body.finish(block.found(t), prepared)
+
+    def _path(self, k: int) -> Path:
+        return self._folder / f"{k:06d}.npz"
+
+    def _write(self, k: int, block: _Block) -> None:
+        np.savez(self._path(k), **asdict(block))
+
+    def _read(self, k: int) -> _Block:
+        with np.load(self._path(k)) as arrays:
+            return _Block(**arrays)
+
+
+def _mean(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Of what is known: both are off in time, one as late as the other is early."""
+    mean: FloatArray = np.where(np.isnan(a), b, np.where(np.isnan(b), a, 0.5 * (a + b)))
+    return mean

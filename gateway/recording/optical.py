@@ -1,0 +1,134 @@
+"""A marker trial solved into a recording: it replays, exports and reports like any other."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import gateway
+from devices import recording_format as fmt
+from devices.link import Framing
+from devices.marker_file_link import trial_chunks
+from devices.marker_files import MarkerTrial
+from devices.recording_writer import RecordingWriter, session_record
+from gateway.body.skeleton import WornSuit
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray, SkeletonFrame
+from gateway.pipeline import Pipeline
+from gateway.reconstruction import OPTICAL
+from gateway.recording.reading import Progress
+from gateway.recording.skeleton_encoding import encode_skeleton_frame
+from gateway.recording.snapshot import attachments_of
+from gateway.settings import AssemblySettings, GatewaySettings, LinkSettings
+
+LINK = "markers"
+_CHUNKS_A_TELLING = 64
+
+
+@dataclass(frozen=True)
+class SolvedTrial:
+    """What came of it."""
+
+    path: Path
+    frames: int
+    labels: tuple[str, ...]
+    residuals: FloatArray
+    """(F, M) m; NaN where a marker was not seen, or there was no pose."""
+    used: FloatArray
+    """(F, M) bool: had a say in the pose."""
+    renamed: tuple[tuple[int, str, str], ...]
+    """(frame, marker, whose point it had been; empty: a nameless one)."""
+    counts: dict[str, int]
+    ms_per_frame: float
+    """Processor time, with decoding the markers and all else that a live frame costs."""
+
+    @property
+    def rmse(self) -> float:
+        """m, of all markers seen."""
+        return float(np.sqrt(np.nanmean(self.residuals**2))) if np.isfinite(self.residuals).any() else float("nan")
+
+
+def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optical") -> GatewaySettings:
+    """A configuration that plays markers."""
+    return GatewaySettings(
+        gateway=name,
+        links=[LinkSettings(name=LINK, url=url, carries="markers")],
+        rig=subject,
+        reconstructor=OPTICAL,
+        assembly=AssemblySettings(rate_hz=rate_hz),
+    )
+
+
+def write_solved_trial(
+    trial: MarkerTrial, source: Path, suit: WornSuit, subject: str, target: Path, progress: Progress | None = None
+) -> SolvedTrial:
+    """Every frame through the pipeline into ``target``. Raises ``RecordingError`` when that exists, OSError as
+    ``open`` does, ``GatewayError`` when the trial has none of the subject's markers."""
+    markers = suit.markers
+    if markers is None:
+        raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")
+    if not set(markers.labels) & set(trial.labels):
+        raise GatewayError(
+            f"{source} has none of the markers of {subject} ({', '.join(markers.labels[:6])}, …); it has "
+            + ", ".join(label for label in trial.labels[:6] if label)
+        )
+    settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
+    pipeline = Pipeline.from_settings(settings, suit)
+    pipeline.add_link(LINK, Framing.MARKERS)
+    optical = pipeline.optical
+    assert optical is not None  # the suit has markers
+    begun_ns = 10**9
+    residuals = np.full((trial.n_frames, len(markers.labels)), np.nan)
+    used = np.zeros(residuals.shape, dtype=bool)
+    renamed: list[tuple[int, str, str]] = []
+    spent = 0.0
+    frames = 0
+    with RecordingWriter(target, _session(target, begun_ns), attachments_of(settings, suit), begun_ns) as writer:
+        writer.add(fmt.EVENTS, begun_ns, _origin(source, begun_ns))
+        for index, chunk in enumerate(trial_chunks(trial, begun_ns, LINK)):
+            began = time.process_time()
+            made: list[SkeletonFrame] = pipeline.feed(chunk)
+            spent += time.process_time() - began
+            writer.add_chunk(chunk, Framing.MARKERS)
+            for frame in made:
+                writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(frame))
+                frames += 1
+            if optical.last is not None:
+                residuals[index], used[index] = optical.last.residuals, optical.last.used
+                renamed += [
+                    (index, markers.labels[m], "" if s < 0 else markers.labels[s]) for m, s in optical.last.renamed
+                ]
+            if progress is not None and index % _CHUNKS_A_TELLING == 0:
+                progress(index, trial.n_frames)
+        end_ns = begun_ns + round(trial.duration_s * 1e9)
+        writer.add(fmt.STATISTICS, end_ns, json.dumps(pipeline.statistics()).encode())
+    return SolvedTrial(
+        target, frames, markers.labels, residuals, used, tuple(renamed), dict(optical.counts),
+        1e3 * spent / max(trial.n_frames, 1),
+    )  # fmt: skip
+
+
+def _session(target: Path, begun_ns: int) -> dict[str, str]:
+    return session_record(
+        {LINK: Framing.MARKERS},
+        session=uuid.uuid4().hex,
+        software=gateway.__version__,
+        begun_ns=str(begun_ns),
+        begun_utc_ns="0",
+        from_start="1",
+        name=target.stem,
+        imported_from="optical",
+    )
+
+
+def _origin(source: Path, time_ns: int) -> bytes:
+    """The event that tells where it all came from."""
+    files = {source.name: hashlib.sha256(source.read_bytes()).hexdigest()}
+    data = {"format": source.suffix.lstrip(".").lower(), "files": files}
+    return json.dumps({"time_ns": time_ns, "name": "imported", "data": data}).encode()

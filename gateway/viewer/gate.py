@@ -1,0 +1,239 @@
+"""What stands before the page: who may come in, and from where.
+
+The page's own server asks for nothing. It listens on loopback at a port that nobody is told, and this gate
+passes on what may pass:
+
+* With a token: ``http://HOST:PORT/?token=TOKEN`` once, or ``Authorization: Bearer TOKEN``. The answer sets a
+  cookie that stands for it, so that the token does not stay in the browser's address line.
+* A WebSocket only from the page itself: any other site open in the same browser could otherwise press its
+  buttons (``Origin`` and ``Host`` must name the same place).
+* Without a token only under a name of this machine, against names that are made to point here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.cookies
+import logging
+import secrets
+import urllib.parse
+from collections.abc import Coroutine
+from types import TracebackType
+from typing import Self
+
+from gateway.credentials import AccessToken, is_loopback
+from gateway.errors import OutputError
+
+LARGEST_HEAD = 16 * 1024
+"""Bytes of a request, before its body; none has a body."""
+MOST_CLIENTS = 64
+"""Connections at one time. A browser takes up to six while it loads."""
+PATIENCE_S = 10.0
+"""For a request to be told, and for the page's own server to answer."""
+_LAST_WORDS_S = 1.0
+_BLOCK = 64 * 1024
+_log = logging.getLogger(__name__)
+
+
+class Refused(Exception):
+    """An answer that is not the page: status line, and a line for people."""
+
+    def __init__(self, status: str, text: str, *headers: str) -> None:
+        self.answer = "\r\n".join(
+            (
+                f"HTTP/1.1 {status}",
+                "Content-Type: text/plain; charset=utf-8",
+                f"Content-Length: {len(text.encode()) + 1}",
+                "Connection: close",
+                *headers,
+                "",
+                f"{text}\n",
+            )
+        ).encode()
+        super().__init__(status)
+
+
+class Request:
+    """The head of an HTTP request. Raises ``Refused`` for what is none."""
+
+    def __init__(self, head: bytes) -> None:
+        try:
+            first, *lines = head.decode("ascii").split("\r\n")
+            method, self.path, version = first.split(" ")
+            pairs = [line.split(":", 1) for line in lines if line]
+            self.headers = {name.strip().lower(): value.strip() for name, value in pairs}
+            self.host = self.headers.get("host", "").lower()
+            """Name and port under which the browser knows the page."""
+            place = urllib.parse.urlsplit(f"//{self.host}")
+            self.host_name, self.host_port = place.hostname or "", place.port or 80
+        except ValueError:
+            raise Refused("400 Bad Request", "this is no HTTP request") from None
+        has_body = self.headers.keys() & {"transfer-encoding", "content-length"}
+        if (
+            method != "GET"
+            or not version.startswith("HTTP/1.")
+            or has_body
+            or len(pairs) != len(self.headers)
+        ):
+            raise Refused("405 Method Not Allowed", "the page is read with GET", "Allow: GET")
+
+    @property
+    def is_websocket(self) -> bool:
+        """Whether it asks for the connection that poses go and buttons come over."""
+        return self.headers.get("upgrade", "").lower() == "websocket"
+
+
+class Door:
+    """Decides about requests. No I/O."""
+
+    def __init__(self, token: AccessToken | None, session: str | None = None) -> None:
+        """session: what the cookie holds; none: made up, so that a new start asks for the token again."""
+        self._token = token
+        self._session = session or secrets.token_urlsafe(32)
+        self._sessions = AccessToken(self._session)
+
+    def admit(self, request: Request) -> None:
+        """Raises ``Refused`` for whoever may not come in, and to set the cookie for who shows the token."""
+        if self._token is None:
+            if not is_loopback(request.host_name):
+                raise Refused(
+                    "403 Forbidden", "without a token this page is served as localhost and 127.0.0.1 only"
+                )
+        else:
+            self._identify(request, self._token)
+        origin = request.headers.get("origin", request.host).lower()
+        if request.is_websocket and origin.rpartition("/")[2] != request.host:
+            raise Refused("403 Forbidden", "another site may not use this page")
+
+    def _identify(self, request: Request, token: AccessToken) -> None:
+        kind, _, shown = request.headers.get("authorization", "").partition(" ")
+        if kind.lower() == "bearer" and token.matches(shown.strip()):
+            return
+        cookie = http.cookies.SimpleCookie()
+        with contextlib.suppress(http.cookies.CookieError):
+            cookie.load(request.headers.get("cookie", ""))
+        if (kept := cookie.get(self._cookie_name(request))) and self._sessions.matches(kept.value):
+            return
+        path, _, query = request.path.partition("?")
+        (shown, *_) = urllib.parse.parse_qs(query).get("token", [""])
+        if token.matches(shown):
+            name = self._cookie_name(request)
+            raise Refused(
+                "303 See Other",
+                "welcome",
+                "Location: /" + urllib.parse.quote(path.lstrip("/\\")),  # two slashes would be another host
+                f"Set-Cookie: {name}={self._session}; HttpOnly; SameSite=Strict; Path=/",
+                "Referrer-Policy: no-referrer",
+                "Cache-Control: no-store",
+            )
+        raise Refused(
+            "401 Unauthorized",
+            "this page needs its token: open it as …/?token=TOKEN",
+            'WWW-Authenticate: Bearer realm="mocap-gateway"',
+        )
+
+    def _cookie_name(self, request: Request) -> str:
+        """One for each port: browsers do not tell ports apart."""
+        return f"mocap_page_{request.host_port}"
+
+
+class Gate:
+    """Listens at ``host:port`` and lets through to ``inner_port`` on loopback. Belongs to one event loop."""
+
+    def __init__(self, host: str, port: int, inner_port: int, door: Door) -> None:
+        self._address = host, port
+        self._inner_port = inner_port
+        self._door = door
+        self._clients: set[asyncio.Task[None]] = set()
+        self._server: asyncio.Server | None = None
+
+    @property
+    def port(self) -> int:
+        """Where it listens; with 0 asked for, the one that was found free."""
+        assert self._server is not None
+        port: int = self._server.sockets[0].getsockname()[1]
+        return port
+
+    async def __aenter__(self) -> Self:
+        try:
+            self._server = await asyncio.start_server(self._take, *self._address, limit=LARGEST_HEAD)
+        except OSError as error:
+            host, port = self._address
+            raise OutputError(
+                f"the page cannot listen on {host}:{port} ({error.strerror}): name another one with "
+                "--page-port or --page-host"
+            ) from error
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._server is not None:
+            self._server.close()
+        for client in self._clients:
+            client.cancel()
+        await asyncio.gather(*self._clients, return_exceptions=True)
+
+    def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        client = asyncio.create_task(self._serve(reader, writer), name="client of the page")
+        self._clients.add(client)
+        client.add_done_callback(self._clients.discard)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            if len(self._clients) > MOST_CLIENTS:
+                raise Refused("503 Service Unavailable", f"{MOST_CLIENTS} connections are open already")
+            await self._pass_on(reader, writer)
+        except Refused as refused:
+            with contextlib.suppress(OSError, TimeoutError):
+                await _answer(reader, writer, refused.answer)
+        except (OSError, EOFError, TimeoutError) as error:
+            _log.debug("a client of the page went: %r", error)
+        finally:
+            writer.close()
+
+    async def _pass_on(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                head = await reader.readuntil(b"\r\n\r\n")
+        except asyncio.LimitOverrunError:
+            raise Refused("431 Request Header Fields Too Large", "the request is too long") from None
+        request = Request(head)
+        self._door.admit(request)
+        inner_reader, inner_writer = await asyncio.open_connection("127.0.0.1", self._inner_port)
+        try:
+            inner_writer.write(head)
+            if request.is_websocket:
+                await _either(_copy(reader, inner_writer), _copy(inner_reader, writer))
+            else:  # one request a connection: nothing that comes after it was looked at
+                await _copy(inner_reader, writer)
+        finally:
+            inner_writer.close()
+
+
+async def _answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, answer: bytes) -> None:
+    """Whole, to whoever listens: closed with a request half read, it would be lost on the way."""
+    async with asyncio.timeout(_LAST_WORDS_S):
+        writer.write(answer)
+        await writer.drain()
+        writer.write_eof()
+        await reader.read(LARGEST_HEAD)
+
+
+async def _copy(source: asyncio.StreamReader, target: asyncio.StreamWriter) -> None:
+    """Until the source ends; whoever does not read is waited for, so nothing piles up."""
+    while block := await source.read(_BLOCK):
+        target.write(block)
+        await target.drain()
+
+
+async def _either(*ways: Coroutine[None, None, None]) -> None:
+    """Until one of both directions ends."""
+    tasks = [asyncio.create_task(way) for way in ways]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)

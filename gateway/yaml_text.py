@@ -1,0 +1,71 @@
+"""YAML from files that anybody may have written: plain values only, and no more of them than a person writes.
+
+``yaml.SafeLoader`` runs no code, but lets a few lines stand for billions of values by aliases of aliases, and
+nests as deep as Python's stack.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import yaml
+from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+LARGEST_TEXT = 4 << 20
+"""Bytes of a file."""
+MOST_VALUES = 200_000
+"""In a file, each counted as often as aliases repeat it."""
+DEEPEST = 40
+"""Lists and maps within each other."""
+
+
+def load(text: str) -> Any:
+    """The value of a YAML text. Raises ``yaml.YAMLError``, also for one beyond the limits."""
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        return None if node is None else loader.construct_document(node)
+    except RecursionError:
+        raise yaml.YAMLError("nested too deeply") from None
+    except ValueError as error:  # a date that no calendar has, or a number too long to read
+        raise _problem(f"a value cannot be read ({error})", None) from error
+    finally:
+        loader.dispose()
+
+
+class _Loader(yaml.SafeLoader):
+    """Counts while it composes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = 0
+        self._sizes: dict[int, int] = {}  # by the identity of a node
+
+    def compose_node(self, parent: Node | None, index: Any) -> Node | None:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise _problem(f"lists and maps are nested more than {DEEPEST} deep", self.peek_event())  # type: ignore[no-untyped-call]
+        is_alias = self.check_event(yaml.AliasEvent)
+        node: Node | None = super().compose_node(parent, index)
+        if is_alias and id(node) not in self._sizes:
+            raise _problem("an alias stands inside what it names", node)
+        self._depth -= 1
+        if node is not None and id(node) not in self._sizes:
+            self._sizes[id(node)] = self._size(node)
+            if self._sizes[id(node)] > MOST_VALUES:
+                raise _problem(f"more than {MOST_VALUES} values, aliases counted as often as used", node)
+        return node
+
+    def _size(self, node: Node) -> int:
+        children: list[Node] = []
+        if isinstance(node, SequenceNode):
+            children = node.value
+        elif isinstance(node, MappingNode):
+            children = [each for pair in node.value for each in pair]
+        elif not isinstance(node, ScalarNode):
+            raise _problem("no plain value", node)
+        return 1 + sum(self._sizes[id(child)] for child in children)
+
+
+def _problem(text: str, at: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=text, problem_mark=getattr(at, "start_mark", None))

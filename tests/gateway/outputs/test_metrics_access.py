@@ -1,0 +1,81 @@
+"""Who may read the metrics."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import urllib.error
+import urllib.request
+
+import pytest
+
+from gateway.credentials import AccessToken
+from gateway.outputs import metrics_server
+from gateway.outputs.messages import BridgeInfo
+from gateway.outputs.metrics import GatewayFigures
+from gateway.outputs.metrics_server import MetricsServer
+
+TOKEN = "0123456789abcdef"
+HEALTH = {"status": "degraded", "links_down": ["suit"]}
+
+
+def figures():
+    info = BridgeInfo(version="1", gateway="g", reconstructor="joint", frame_rate=100.0, modules=())
+    return GatewayFigures(info, (), (), 7, {}, {}, {}, None)
+
+
+async def get(port, path, authorization=None):
+    def ask():
+        headers = {} if authorization is None else {"Authorization": authorization}
+        try:
+            asked = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers=headers)
+            with urllib.request.urlopen(asked, timeout=20) as answer:
+                return answer.status, answer.read().decode(), answer.headers
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode(), error.headers
+
+    return await asyncio.to_thread(ask)
+
+
+@pytest.mark.parametrize(
+    "shown", [None, "Bearer wrong-wrong-wrong", "Basic " + TOKEN, TOKEN, "Bearer " + TOKEN[:-1]]
+)
+async def test_without_the_token_one_word_of_health_and_no_metrics(shown):
+    async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH, AccessToken(TOKEN)) as server:
+        status, text, headers = await get(server.port, "/metrics", shown)
+        assert status == 401
+        assert headers["WWW-Authenticate"].startswith("Bearer")
+        assert "mocap_skeleton" not in text
+        assert TOKEN not in text
+        status, text, headers = await get(server.port, "/healthz", shown)
+        assert (status, json.loads(text)) == (200, {"status": "degraded"})
+        assert headers["Server"].strip() == "mocap-gateway"
+
+
+@pytest.mark.parametrize("token", [None, AccessToken(TOKEN)])
+async def test_with_the_token_all_of_it(token):
+    async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH, token) as server:
+        status, text, _ = await get(server.port, "/metrics", f"Bearer {TOKEN}")
+        assert status == 200
+        assert "mocap_skeleton_frames_total 7.0" in text
+        status, text, _ = await get(server.port, "/healthz", f"bearer {TOKEN}")
+        assert (status, json.loads(text)) == (200, HEALTH)
+
+
+async def test_clients_that_only_hold_connections_open_are_bounded(monkeypatch):
+    monkeypatch.setattr(metrics_server, "MOST_CLIENTS", 2)
+    async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH) as server:
+        idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(2)]
+        await asyncio.sleep(0.5)
+        with pytest.raises((OSError, urllib.error.URLError)):
+            await get(server.port, "/healthz")
+        for _, writer in idle:
+            writer.close()
+        for _ in range(100):
+            try:
+                assert (await get(server.port, "/healthz"))[0] == 200
+                break
+            except OSError:
+                await asyncio.sleep(0.1)
+        else:
+            pytest.fail("the places of clients that left were not given back")

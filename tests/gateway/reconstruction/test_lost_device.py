@@ -1,0 +1,108 @@
+"""Local devices that fall silent and come back, and pressure tubes, in the joint filter."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.simulation import ideal_frames
+from devices.emulators.ideal_sensors import POSITION, VELOCITY, measure_point
+from devices.emulators.motions import generic_motion
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import LocalDevice
+from gateway.cli.emulated_rig import dress
+from gateway.comparison import orientation_error
+from gateway.frames import LocalReading, Quantity, Status
+from gateway.geometry import quaternion
+from gateway.reconstruction import create_reconstructor, update_many
+
+N, DEVICE, POINT = 1000, 60, np.array([0.0, 0.02, 0.05])
+TUBES = np.array([0.0, 0.6, 0.0, 0.8])  # tubes' axes to segment axes
+
+
+def worn(quantity):
+    device = LocalDevice(quantity, 0, POINT, DEVICE, TUBES)
+    return replace(load_rig("robot_arm_4"), local_devices=(device,))
+
+
+@pytest.fixture(scope="module")
+def moved():
+    """An arm whose base is carried about, 10 s at 100 Hz: its motion's state and noise-free frames."""
+    body = dress(worn(Quantity.POSITION))
+    motion = generic_motion(body, 5, root_travel_m=1.2)
+    times_ns = np.arange(N) * 10_000_000
+    frames = list(ideal_frames(worn(Quantity.POSITION), body, motion, times_ns, True))
+    rng = np.random.default_rng(5)
+    noisy = [
+        replace(
+            frame,
+            specific_force=frame.specific_force + 0.03 * rng.standard_normal((4, 3)),
+            angular_rate=frame.angular_rate + 0.002 * rng.standard_normal((4, 3)),
+        )
+        for frame in frames
+    ]
+    return motion.state(times_ns * 1e-9), noisy
+
+
+def with_readings(moved, quantity, silent=range(0)):
+    """The frames with a reading of the device each, but not in the silent ones."""
+    state, frames = moved
+    wire = POSITION if quantity is Quantity.POSITION else VELOCITY
+    values = measure_point(state, np.tile(POINT, (4, 1)), wire)[:, 0]
+    if quantity is Quantity.AIR_VELOCITY:
+        R_bd = quaternion.to_matrix(TUBES)
+        values = np.einsum("tji,tj->ti", state.R_wb[:, 0] @ R_bd, values)
+    return [
+        frame
+        if k in silent
+        else replace(frame, local=(LocalReading(DEVICE, frame.time_ns, quantity, v, np.full(3, 0.01)),))
+        for k, (frame, v) in enumerate(zip(frames, values, strict=True))
+    ]
+
+
+def solved(suit, frames):
+    return update_many(create_reconstructor("joint", suit, 0.01), frames)
+
+
+def test_a_lost_device_is_told_and_taken_up_again_without_a_jump(moved):
+    lost, back = 500, 700
+    suit = worn(Quantity.POSITION)
+    found = solved(suit, with_readings(moved, Quantity.POSITION, range(lost, back)))
+    is_unaided = np.array([(frame.status == Status.UNAIDED).all() for frame in found])
+    assert not is_unaided[:lost].any()
+    assert np.flatnonzero(is_unaided)[0] - lost == pytest.approx(50, abs=3)
+    assert np.flatnonzero(is_unaided)[-1] - back < 20
+    sigma = np.array([frame.sigma.mean() for frame in found])
+    assert sigma[back - 1] > 1.05 * sigma[lost - 1]
+    q_wb = np.stack([frame.q_wb for frame in found])
+    assert np.isfinite(q_wb).all()
+    tilt = np.degrees(orientation_error(q_wb, moved[0].q_wb).inclination)
+    assert np.abs(np.diff(tilt[back - 5 : back + 100], axis=0)).max() < 0.5
+    place = np.stack([frame.p_w[0] for frame in found])
+    assert np.isfinite(place).all()
+    assert np.ptp(place[lost + 60 : back], axis=0).max() < 0.1  # stands still; the arm below the device turns
+    true = moved[0].joint_position[:, 0]
+    assert np.linalg.norm(place[-1] - true[-1]) < 0.05
+    step = np.linalg.norm(np.diff(place[back - 5 :], axis=0), axis=1)
+    assert step.max() < 0.2 * np.linalg.norm(place[back - 1] - true[back])
+
+
+def test_without_the_device_from_the_start_it_is_told_too(moved):
+    suit = worn(Quantity.POSITION)
+    found = solved(suit, with_readings(moved, Quantity.POSITION, range(N)))
+    assert (found[100].status == Status.MEASURED).all()
+    assert (found[-1].status == Status.UNAIDED).all()
+
+
+def test_tubes_tell_inclination(moved):
+    tubes = solved(worn(Quantity.AIR_VELOCITY), with_readings(moved, Quantity.AIR_VELOCITY))
+    silent = solved(worn(Quantity.AIR_VELOCITY), with_readings(moved, Quantity.AIR_VELOCITY, range(N)))
+    errors = [
+        np.degrees(
+            orientation_error(np.stack([f.q_wb for f in frames]), moved[0].q_wb).inclination[400:]
+        ).mean()
+        for frames in (tubes, silent)
+    ]
+    assert errors[0] < 1.0
+    assert errors[0] < 0.6 * errors[1]
+    assert (tubes[-1].status == Status.MEASURED).all()

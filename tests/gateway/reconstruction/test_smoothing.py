@@ -1,0 +1,144 @@
+"""Forward and backward through a recording: better than forward, the same however it is cut into blocks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from simulated_body import angular_error_deg, arm, imu_frames, instants, simulate
+
+from gateway.errors import GatewayError
+from gateway.frames import ImuFrame, LocalReading, Quantity, Status
+from gateway.reconstruction import create_reconstructor, smoothing, update_many
+from gateway.reconstruction.inertial.chain_state import initial_state
+from gateway.reconstruction.inertial.two_ways import put_together, seen_backward, turned_back
+from gateway.reconstruction.smoothing import Smoother
+
+RATE_HZ = 100
+SLOW = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+
+def quaternions(*rotation_vectors):
+    return Rotation.from_rotvec(rotation_vectors).as_quat(scalar_first=True, canonical=True)
+
+
+def test_two_orientations_are_put_together_by_their_covariances():
+    q_wb = quaternions([0.2, 0.0, 0.0])[None]
+    q_back = quaternions([0.2, 0.0, 0.3])[None]
+    wide, sigma = np.diag([1e-4, 1e-4, 0.02]), np.full((1, 1), 0.2)
+    put_together(q_wb, np.array([[wide]]), q_back, np.array([[wide / 2.0]]), sigma)
+    turned = Rotation.from_quat(q_wb[0, 0], scalar_first=True)
+    difference = turned * Rotation.from_rotvec([0.2, 0.0, 0.0]).inv()
+    full = Rotation.from_quat(q_back[0, 0], scalar_first=True) * Rotation.from_rotvec([0.2, 0, 0]).inv()
+    # twice as sure: two thirds of the way, about the one axis that is uncertain
+    np.testing.assert_allclose(difference.as_rotvec(), full.as_rotvec() * 2.0 / 3.0, atol=1e-12)
+    assert sigma[0, 0] == pytest.approx(np.sqrt(np.trace(wide) / 2.0))
+
+
+@pytest.mark.parametrize("known", ["forward", "backward"])
+def test_where_only_one_knows_it_counts(known):
+    q_wb, q_back = quaternions([0.1, 0.2, 0.3])[None], quaternions([0.1, 0.2, 0.3])[None]
+    expected = q_wb.copy()
+    (q_back if known == "forward" else q_wb)[:] = np.nan
+    P, sigma = np.tile(0.01 * np.eye(3), (1, 1, 1, 1)), np.full((1, 1), np.sqrt(0.03))
+    put_together(q_wb, P, q_back, P, sigma)
+    np.testing.assert_array_equal(q_wb, expected)
+    assert sigma[0, 0] == pytest.approx(np.sqrt(0.03))
+
+
+def frame(time_ns, *local):
+    ones, none = np.ones((1, 3)), np.zeros(1, np.int64)
+    return ImuFrame(0, time_ns, ones, 2.0 * ones, ones, none.astype(np.uint8), none, tuple(local))
+
+
+def reading(time_ns, quantity):
+    return LocalReading(60, time_ns, quantity, np.ones(3), 0.1 * np.ones(3))
+
+
+def test_a_motion_seen_backward_turns_rates_and_velocities_and_waits_for_readings():
+    late = reading(15, Quantity.VELOCITY)
+    frames = [frame(10), frame(20, reading(5, Quantity.POSITION)), frame(30, late)]
+    turned, left = seen_backward(frames, 30, [reading(28, Quantity.POSITION)])
+    assert [f.time_ns for f in turned] == [0, 10, 20]
+    assert all((f.angular_rate == -2.0).all() and (f.specific_force == 1.0).all() for f in turned)
+    # each in the first frame that is not before it, going backward
+    assert [[r.time_ns for r in f.local] for f in turned] == [[], [2], [15]]
+    np.testing.assert_array_equal(turned[2].local[0].value, -np.ones(3))
+    np.testing.assert_array_equal(turned[1].local[0].value, np.ones(3))
+    assert [r.time_ns for r in left] == [5]
+
+
+def test_turning_a_state_back_twice_keeps_what_it_knows():
+    state, rng = initial_state(3, 1), np.random.default_rng(1)
+    for name in ("bias", "arm", "C", "field_seen", "device_shift"):
+        getattr(state, name)[...] = rng.normal(size=getattr(state, name).shape)
+    again = turned_back(turned_back(state))
+    for name in ("bias", "arm", "C", "field_seen", "device_shift"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
+
+
+def test_a_method_that_cannot_go_backward_says_so(tmp_path):
+    reconstructor = create_reconstructor("independent", arm(on_joint=False).suit(), 0.01)
+    with pytest.raises(GatewayError, match="smoothing is for the methods joint and outward"):
+        Smoother(reconstructor, tmp_path)
+
+
+class TestSmoothing:
+    pytestmark = SLOW
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def moving():
+        """An arm with noise, biases and a module that is silent for half a second."""
+        body = arm(on_joint=False)
+        truth = simulate(body, instants(RATE_HZ, 12.0))
+        rng, frames = np.random.default_rng(1), imu_frames(body, truth, gyrometers=True)
+        bias = rng.normal(0.0, 0.005, frames[0].angular_rate.shape)
+        noisy = [
+            replace(
+                f,
+                specific_force=f.specific_force + rng.normal(0.0, 0.1, f.specific_force.shape),
+                angular_rate=f.angular_rate + bias + rng.normal(0.0, 0.01, f.angular_rate.shape),
+            )
+            for f in frames
+        ]
+        for k in range(600, 650):
+            status = noisy[k].status.copy()
+            status[1] = Status.MISSING
+            rate = noisy[k].angular_rate.copy()
+            rate[1] = np.nan
+            noisy[k] = replace(noisy[k], status=status, angular_rate=rate)
+        return body, truth, noisy
+
+    def solved(self, body, frames, folder):
+        folder.mkdir()
+        smoother = Smoother(create_reconstructor("joint", body.suit(), 1.0 / RATE_HZ), folder)
+        for k in range(0, len(frames), 100):
+            smoother.add(frames[k : k + 100])
+        return list(smoother.smoothed())
+
+    def test_it_is_nearer_to_the_truth_than_the_filter(self, moving, tmp_path):
+        body, truth, frames = moving
+        smoothed = self.solved(body, frames, tmp_path / "s")
+        forward = update_many(create_reconstructor("joint", body.suit(), 1.0 / RATE_HZ), frames)
+        errors = [
+            np.sqrt(np.mean(np.square([angular_error_deg(f.q_wb, truth.q_wb[k]) for k, f in enumerate(way)])))
+            for way in (smoothed, forward)
+        ]
+        assert errors[0] < 0.8 * errors[1]
+        gap = [
+            np.max([angular_error_deg(way[k].q_wb, truth.q_wb[k])[1] for k in range(600, 650)])
+            for way in (smoothed, forward)
+        ]
+        assert gap[0] < 0.6 * gap[1]
+        assert smoothed[620].status[1] == Status.PREDICTED
+
+    def test_how_it_is_cut_into_blocks_changes_no_bit(self, moving, tmp_path, monkeypatch):
+        body, _, frames = moving
+        whole = self.solved(body, frames, tmp_path / "a")
+        monkeypatch.setattr(smoothing, "FRAMES_A_BLOCK", 170)
+        cut = self.solved(body, frames, tmp_path / "b")
+        assert len(list((tmp_path / "b").iterdir())) == -(-len(frames) // 170)
+        for a, b in zip(whole, cut, strict=True):
+            for name in ("q_wb", "angular_rate", "joint_acceleration", "sigma", "p_w", "status"):
+                np.testing.assert_array_equal(getattr(a, name), getattr(b, name))

@@ -1,0 +1,96 @@
+"""Recordings that somebody made to do harm, or that were damaged so."""
+
+from __future__ import annotations
+
+import json
+import resource
+import struct
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.records import Chunk
+
+from devices.recording_file import DAMAGE, LARGEST_CHUNK, chunk_records
+from gateway.body.rig import load_rig
+from gateway.errors import SettingsError
+from gateway.recording.suit_snapshot import decode_suit, encode_suit
+
+
+def chunk_of(data, compression="zstd", declared=None, size_of=None):
+    packed = zstandard.ZstdCompressor().compress(data) if compression == "zstd" else data
+    return Chunk(
+        compression=compression,
+        data=packed,
+        message_end_time=0,
+        message_start_time=0,
+        uncompressed_crc=0,
+        uncompressed_size=len(data) if declared is None else declared,
+    )
+
+
+def unknown_record(n):
+    return struct.pack("<BQ", 0x81, n) + bytes(n)
+
+
+def test_an_honest_chunk_is_read_packed_or_not():
+    for compression in ("zstd", ""):
+        assert chunk_records(chunk_of(unknown_record(1000), compression)) == []
+
+
+@pytest.mark.parametrize(
+    "bomb",
+    [
+        chunk_of(bytes(LARGEST_CHUNK + 1)),
+        chunk_of(bytes(LARGEST_CHUNK + 1), declared=1000),
+        chunk_of(bytes(1 << 20), declared=100),
+        chunk_of(unknown_record(100), declared=1 << 60),
+        chunk_of(unknown_record(100), declared=50),
+        chunk_of(unknown_record(100), compression="lz4"),
+        chunk_of(unknown_record(100), compression="", declared=5),
+    ],
+    ids=["too large", "lies, too large", "lies", "says too much", "says too little", "lz4", "plain lies"],
+)
+def test_a_chunk_that_unpacks_to_more_than_it_says_is_damaged(bomb):
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(DAMAGE):
+        chunk_records(bomb)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 2 * LARGEST_CHUNK / 1024
+
+
+SUIT = json.loads(encode_suit(load_rig("single")))
+
+
+def array(dtype, values=(0.0, 0.0, -9.8), shape=(3,)):
+    return {"dtype": dtype, "shape": list(shape), "values": list(values)}
+
+
+@pytest.mark.parametrize(
+    "gravity",
+    [
+        array("3*(f8,i4"),
+        array("O"),
+        array("V1000000000"),
+        array("U9"),
+        array("(1000000,1000000)f8"),
+        array(["f8"]),
+        array("<f8", shape=(1 << 40,)),
+        array("<f8", shape=("x",)),
+        array("<i8", values=(1e300, 0, 0)),
+        3,
+    ],
+    ids=lambda gravity: str(gravity)[:40],
+)
+def test_found_by_fuzzing_a_type_of_numbers_that_is_an_expression(gravity):
+    """numpy read it as one: SyntaxError came out of ``decode_suit``."""
+    text = json.dumps({**SUIT, "gravity": gravity}).encode()
+    try:
+        suit = decode_suit(text)
+    except SettingsError:
+        return
+    assert not isinstance(suit.gravity, np.ndarray)
+
+
+def test_json_that_nests_as_deep_as_the_stack():
+    with pytest.raises(SettingsError):
+        decode_suit(b"[" * 200_000)

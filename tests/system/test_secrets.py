@@ -1,0 +1,177 @@
+"""Credentials in every place that takes some; then everything that was written is searched for them."""
+
+from __future__ import annotations
+
+import ast
+import asyncio
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+
+import aiomqtt
+import orjson
+import pytest
+
+from gateway.errors import GatewayError
+from gateway.settings import load_gateway_settings
+from tests.conftest import REPOSITORY, free_port
+
+pytestmark = pytest.mark.system
+
+PASSWORD, METRICS, URL_SECRET = "broker-pw-5fa1", "metrics-token-c0ffee-1", "link-pw-77aa"
+CONFIG = """
+gateway: lab
+links: [{{name: suit, url: {url}}}]
+rig: single
+mqtt: {{port: {port}, username: gateway, password_file: {password}, health_interval: 0.2}}
+metrics: {{port: {metrics}, host: 0.0.0.0, token_file: {token}}}
+recording: {{folder: {folder}, at_start: true}}
+log: {{level: debug, format: json}}
+"""
+
+
+@pytest.fixture
+def set_up(mosquitto, tmp_path, request):
+    """(configuration file, the folder with all that is written) of a broker that asks for a password."""
+    program = shutil.which("mosquitto_passwd", path=f"{os.environ['PATH']}:/usr/bin:/usr/sbin")
+    if program is None:
+        pytest.skip("mosquitto_passwd is not installed (apt install mosquitto)")
+    passwords = tmp_path / "passwords"
+    passwords.touch(0o600)
+    subprocess.run([program, "-b", passwords, "gateway", PASSWORD], check=True, capture_output=True)
+    mosquitto.configure(f"allow_anonymous false\npassword_file {passwords}")
+    mosquitto.is_for_gateways_only = False
+    mosquitto.restart()
+    written = tmp_path / "written"
+    written.mkdir()
+    for name, text in (("password", PASSWORD), ("token", METRICS)):
+        (tmp_path / name).write_text(text + "\n")
+    places = {
+        "port": mosquitto.port,
+        "password": tmp_path / "password",
+        "token": tmp_path / "token",
+        "metrics": free_port(),
+        "folder": written,
+    }
+
+    def configured(**changes):
+        config = tmp_path / "gateway.yaml"
+        config.write_text(CONFIG.format(**({**places, "url": "tcp://127.0.0.1:1"} | changes)))
+        return config
+
+    return configured, written, places
+
+
+def command(*arguments):
+    return (sys.executable, "-m", "gateway", *map(str, arguments))
+
+
+def assert_kept(*texts):
+    for text in texts:
+        for secret in (PASSWORD, METRICS, URL_SECRET):
+            assert secret.encode() not in text, f"'{secret}' stands in {text[:2000]!r}"
+
+
+@contextlib.asynccontextmanager
+async def writing_to(path, *arguments):
+    """A command under way, both its outputs in a file."""
+    with path.open("wb") as file:
+        process = await asyncio.create_subprocess_exec(
+            *command(*arguments), stdout=file, stderr=file, env={**os.environ, "COLUMNS": "300"}
+        )
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.terminate()
+        await process.wait()
+
+
+def fetched(port, path):
+    """What the metrics' server answers to whoever has the token."""
+    headers = {"Authorization": f"Bearer {METRICS}"}
+    request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return answer.read()
+    except urllib.error.HTTPError as error:
+        return error.read()
+
+
+async def heard(port, topic, seconds):
+    """All that a subscriber hears."""
+    messages = []
+    async with aiomqtt.Client("127.0.0.1", port, username="gateway", password=PASSWORD) as client:
+        await client.subscribe(topic)
+        for verb in ("gateway/info", "gateway/health", "recording/status", "gateway/reload"):
+            await client.publish(f"mocap/lab/bridge/request/{verb}", b"{}", qos=1)
+        try:
+            async with asyncio.timeout(seconds):
+                async for message in client.messages:
+                    messages.append(message.payload)  # noqa: PERF401 - until the time is over
+        except TimeoutError:
+            return messages
+
+
+async def test_nothing_that_a_gateway_writes_holds_a_secret(set_up, until):
+    configured, written, places = set_up
+    log = written / "log"
+    async with writing_to(log, "run", "-c", configured()):
+        await until(lambda: b"connected to the MQTT broker" in log.read_bytes(), 60)
+        messages = await heard(places["port"], "#", 3.0)
+        paths = ("/metrics", "/healthz", "/elsewhere")
+        served = [await asyncio.to_thread(fetched, places["metrics"], path) for path in paths]
+    assert any(orjson.loads(text).get("status") == "ok" for text in messages if text.startswith(b"{"))
+    assert b"mocap_skeleton_frames" in served[0]
+    recordings = list(written.glob("*.mcap"))
+    assert recordings
+    assert_kept(*messages, *served, *(path.read_bytes() for path in written.iterdir()))
+
+
+async def test_what_is_said_of_wrong_credentials_does_not_repeat_them(set_up, tmp_path, until):
+    configured, *_ = set_up
+    wrong = tmp_path / "wrong"
+    wrong.write_text(f"{URL_SECRET}\n")
+    config = configured(password=wrong)
+    for verb in ("run", "doctor"):
+        said = tmp_path / f"{verb}.log"
+        async with writing_to(said, verb, "-c", config):
+            await until(lambda said=said: b"refuses user" in b" ".join(said.read_bytes().split()), 60)
+        assert_kept(said.read_bytes())
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"url": f"tcp://user:{URL_SECRET}@127.0.0.1:1"}, "leave out what stands before the @"),
+        ({"port": f"1883, password: {PASSWORD}"}, "a password does not belong in the settings"),
+        ({"token": f"[{METRICS}]"}, "token_file"),
+        ({"token": "/nowhere/at/all"}, "cannot read metrics.token_file /nowhere/at/all"),
+    ],
+)
+def test_a_configuration_that_is_refused_is_not_repeated(set_up, changes, said):
+    configured, *_ = set_up
+    with pytest.raises(GatewayError) as caught:
+        load_gateway_settings(configured(**changes)).metrics.token()
+    assert said in str(caught.value)
+    assert_kept(str(caught.value).encode())
+
+
+def test_no_secret_on_a_command_line():
+    """What stands there, every user of the machine reads with ``ps``."""
+    sources = sorted((REPOSITORY / "gateway" / "cli").glob("*.py"))
+    assert sources
+    taken = {
+        argument.arg
+        for path in sources
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef)
+        for argument in (*node.args.args, *node.args.kwonlyargs)
+        if argument.annotation is not None and "typer." in ast.unparse(argument.annotation)
+    }
+    assert "token_file" in taken
+    assert not {name for name in taken if name.endswith(("password", "token", "secret"))}
