@@ -9,7 +9,7 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -127,6 +127,7 @@ class Bench:
         self.watch = Watch()
         self.service._outputs = (*self.service._outputs, self.watch)  # type: ignore[assignment]
         self._tasks: list[asyncio.Task[None]] = []
+        self._lost_before: Counter[str] = Counter()
 
     async def __aenter__(self) -> Bench:
         self._tasks = [
@@ -167,15 +168,23 @@ class Bench:
         """Gateway time."""
         return gateway_time_ns()
 
+    def begin(self) -> None:
+        """What is lost from now on counts as the fault's."""
+        self._lost_before = self._lost()
+
     def outcome(self, name: str, recovery_s: float, limit_s: float) -> Outcome:
-        """With the losses so far."""
-        lost = {
-            part: count
-            for balance in self.service.balances()
-            for part, count in balance.parts.items()
-            if count and (balance.name, part) not in _NO_LOSS and balance.name in _OF_LOSSES
-        }
-        return Outcome(name, recovery_s, limit_s, lost, self.left_over)
+        """With the losses since ``begin``."""
+        lost = self._lost()
+        lost.subtract(self._lost_before)
+        told = {what: count for what, count in lost.items() if count}
+        return Outcome(name, recovery_s, limit_s, told, self.left_over)
+
+    def _lost(self) -> Counter[str]:
+        lost: Counter[str] = Counter()
+        for balance in self.service.balances():
+            if balance.name in _OF_LOSSES:
+                lost.update({p: n for p, n in balance.parts.items() if (balance.name, p) not in _NO_LOSS})
+        return lost
 
 
 _OF_LOSSES = frozenset({"samples_sent", "readings", "output_mqtt", "recorded_chunks"})

@@ -44,6 +44,7 @@ async def _running(folder: Path | None = None) -> AsyncIterator[_Set]:
             Bench(proxy.port, FaultPlan(), Path(own), recordings=folder) as bench,
         ):
             await bench.until(BEGIN_S)
+            bench.begin()
             yield _Set(bench, broker, proxy)
 
 

@@ -11,6 +11,8 @@ import math
 import os
 import tempfile
 import time
+from collections.abc import Coroutine
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +66,7 @@ SEVERAL: dict[str, tuple[dict[str, Any], ...]] = {
     ),
     "host suspended: 1 s lost, module clocks 60 s ahead": (
         {"kind": "stall", "at": BEGIN_S, "lasts": 1.0},
-        *({"kind": "clock_jump", "at": BEGIN_S + 0.5, "module": m, "by": 60.0} for m in range(1, 18)),
+        *({"kind": "clock_jump", "at": BEGIN_S + 0.5, "module": m, "by": 60.0} for m in range(17)),
     ),
 }
 """Faults made of several."""
@@ -72,9 +74,9 @@ SEVERAL: dict[str, tuple[dict[str, Any], ...]] = {
 
 def run() -> Report:
     """All faults, then cycles of the broker and of the cable."""
-    outcomes = [asyncio.run(_one(fault)) for fault in FAULTS]
-    outcomes += [asyncio.run(_planned(name, faults)) for name, faults in SEVERAL.items()]
-    outcomes += [asyncio.run(fault()) for fault in (*SURROUNDINGS, *PROCESS_FAULTS)]
+    to_do = [partial(_one, fault) for fault in FAULTS]
+    to_do += [partial(_planned, name, faults) for name, faults in SEVERAL.items()]
+    outcomes = [_told(fault()) for fault in (*to_do, *SURROUNDINGS, *PROCESS_FAULTS)]
     broker, broker_rss = asyncio.run(_broker_cycles())
     cable, cable_rss = asyncio.run(_cable_cycles())
     everything = [*outcomes, broker, cable]
@@ -103,6 +105,13 @@ def run() -> Report:
     return report
 
 
+def _told(doing: Coroutine[Any, Any, Outcome]) -> Outcome:
+    """The outcome, printed too: all of them take minutes."""
+    outcome = asyncio.run(doing)
+    print(" | ".join(_row(outcome)), flush=True)
+    return outcome
+
+
 def _worst(name: str, limit_s: float, outcomes: list[Outcome], word: str, what: str) -> Figure:
     """The longest recovery of the faults whose limit this is and whose name has the word in it."""
     of_it = [o.recovery_s for o in outcomes if o.limit_s == limit_s and word in o.name and not o.note]
@@ -129,6 +138,8 @@ async def _planned(name: str, faults: tuple[dict[str, Any], ...]) -> Outcome:
     end_s = max(fault.at + fault.lasts for fault in plan.faults)
     with tempfile.TemporaryDirectory() as folder, Broker() as broker:
         async with Bench(broker.port, plan, Path(folder)) as bench:
+            await bench.until(BEGIN_S)
+            bench.begin()
             await bench.until(end_s + WATCHED_S)
             end_ns = bench.suit.instant_ns(end_s)
             module = faults[0].get("module") if len(faults) == 1 else None
@@ -145,6 +156,7 @@ async def _broker_cycles() -> tuple[Outcome, float]:
     with tempfile.TemporaryDirectory() as folder, Broker() as broker:
         async with Bench(broker.port, FaultPlan(), Path(folder)) as bench:
             await bench.until(BEGIN_S)
+            bench.begin()
             for cycle in range(CYCLES):
                 broker.kill()
                 while bench.service.mqtt.is_connected:
@@ -166,6 +178,7 @@ async def _cable_cycles() -> tuple[Outcome, float]:
     with tempfile.TemporaryDirectory() as folder, Broker() as broker:
         async with Bench(broker.port, FaultPlan(), Path(folder)) as bench:
             await bench.until(BEGIN_S)
+            bench.begin()
             for cycle in range(CYCLES):
                 await bench.suit.transport.close()
                 await asyncio.sleep(0.3)
