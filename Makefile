@@ -46,18 +46,18 @@ $(VENV)/.dev: requirements/dev.lock $(VENV)/.runtime
 install: $(VENV)/.runtime
 install-dev: $(VENV)/.dev
 
-# What tests need from the system: a broker and a browser. NAME=PACKAGE
-SYSTEM_TOOLS := mosquitto=mosquitto mosquitto_sub=mosquitto-clients chromium=chromium
+# What tests need from the system: a broker, and a browser with what drives it. NAME=PACKAGE+PACKAGE
+SYSTEM_TOOLS := mosquitto=mosquitto mosquitto_sub=mosquitto-clients chromium=chromium+libatomic1
 
 system-tools:
 	@for tool in $(SYSTEM_TOOLS); do \
-		program=$${tool%%=*}; package=$${tool##*=}; \
+		program=$${tool%%=*}; packages=$${tool##*=}; packages=$${packages//+/ }; \
 		command -v $$program >/dev/null || [ -x /usr/sbin/$$program ] && continue; \
 		if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then sudo=""; \
 		elif sudo -n true 2>/dev/null && command -v apt-get >/dev/null; then sudo="sudo"; \
-		else echo "$$program is not installed and may not be: the tests that need it will be skipped (apt install $$package)"; continue; fi; \
+		else echo "$$program is not installed and may not be: the tests that need it will be skipped (apt install $$packages)"; continue; fi; \
 		echo "Installing $$program ..."; \
-		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive RUNLEVEL=1 apt-get install -y -qq --no-install-recommends $$package >/dev/null \
+		$$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive RUNLEVEL=1 apt-get install -y -qq --no-install-recommends $$packages >/dev/null \
 			|| echo "$$program could not be installed: the tests that need it will be skipped"; \
 	done
 

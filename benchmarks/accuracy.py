@@ -21,9 +21,8 @@ from benchmarks.figures import Figure, Report, table
 from benchmarks.gyro_free import add_gyro_free
 from benchmarks.offline import imu_frames, orientations
 from benchmarks.optical_reference import WINDOW_S, gyrometer_disagreement, in_time
-from benchmarks.peers import NO_FIELD, solved
+from benchmarks.peers import NO_FIELD, SMOOTHED, solved
 from benchmarks.scoring import Score, score
-from benchmarks.simulation import SMOOTHED
 from devices.emulators.recording_formats import (
     read_broad,
     read_repoimu_pendulum,

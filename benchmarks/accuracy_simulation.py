@@ -19,9 +19,9 @@ from benchmarks.fast_arm import (
     sampled,
 )
 from benchmarks.figures import Figure, Report, table
-from benchmarks.peers import solved
+from benchmarks.peers import NO_FIELD, SMOOTHED, solved
 from benchmarks.scoring import coverage_percent
-from benchmarks.simulation import PLACEMENTS, SMOOTHED, arm, errors_deg, ideal_frames
+from benchmarks.simulation import PLACEMENTS, arm, errors_deg, ideal_frames
 from devices.emulators.motions import BodyMotion, robot_arm_motion
 from devices.emulators.waves import Fade
 from gateway.body.skeleton import WornSuit
@@ -54,12 +54,13 @@ class Arm(NamedTuple):
     motion: Callable[[WornSuit, int], BodyMotion]
     rate_hz: float
     switched: tuple[str, ...]
+    methods: tuple[str, ...] = METHODS
 
 
 ARMS = {
     "fixed base": Arm(fast_arm, fast_motion, RATE_HZ, tuple(SWITCHED)),
     "fixed base, 50 Hz": Arm(fast_arm, fast_motion, 0.5 * RATE_HZ, (STANDARD,)),
-    "carried base": Arm(carried_arm, carried_motion, RATE_HZ, (STANDARD, "all of it")),
+    "carried base": Arm(carried_arm, carried_motion, RATE_HZ, (STANDARD, "all of it"), (*METHODS, NO_FIELD)),
 }
 RATIOS = (
     ("sim_arm_ratio_vqf", "fixed base", STANDARD, "independent", "<=0.15"),
@@ -126,7 +127,7 @@ def add_fast_arm(report: Report) -> None:
                 motion = arm_.motion(suit, seed)
                 observed = sampled(suit, motion, SWITCHED[name], seed, arm_.rate_hz)
                 forces = felt(observed)
-                for method, errors, coverage in _fast_arm_errors(suit, motion, observed, arm_.rate_hz):
+                for method, errors, coverage in _fast_arm_errors(arm_, suit, motion, observed):
                     means.setdefault((place, name, method), []).append(float(np.mean(errors)))
                     if name == STANDARD and method == "joint":
                         covered.append(coverage)
@@ -151,21 +152,26 @@ def add_fast_arm(report: Report) -> None:
     )
     note = "`joint` smoothed over `joint` as it runs live, mean error, simulated fast arm, all switches"
     report.figures.append(Figure("smoothed_sim_arm_total_ratio", float(smoothed / live), "", "<1.0", note))
+    with_field, without = (np.mean(means["carried base", STANDARD, m]) for m in ("joint", NO_FIELD))
+    note = "`joint` without magnetometers over `joint` with them, simulated fast arm, carried base"
+    report.figures.append(
+        Figure("sim_arm_magnetometer_free_ratio", float(without / with_field), "", "<=1.2", note)
+    )
     note = "share of errors of `joint` within two sigma, simulated fast arms; 95 is honest"
     report.figures.append(Figure("sigma_coverage_sim_arm_percent", float(np.mean(covered)), "%", "", note))
 
 
 def _fast_arm_errors(
-    suit: WornSuit, motion: BodyMotion, observed: list[ImuFrame], rate_hz: float
+    arm_: Arm, suit: WornSuit, motion: BodyMotion, observed: list[ImuFrame]
 ) -> Iterator[tuple[str, FloatArray, float]]:
     """Method, RMSE of each segment in degrees, coverage of sigma in percent."""
-    for method in METHODS:
-        frames = solved(method, suit, 1.0 / rate_hz, observed)
+    for method in arm_.methods:
+        frames = solved(method, suit, 1.0 / arm_.rate_hz, observed)
         settled = [frame for frame in frames if frame.time_ns * 1e-9 >= SETTLING_S]
         times_s = np.array([frame.time_ns for frame in settled]) * 1e-9
         q_wb = np.stack([frame.q_wb for frame in settled])
         error = orientation_error(q_wb, motion.state(times_s).q_wb).total
         yield method, rmse_deg(error), coverage_percent(error, np.stack([f.sigma for f in settled]))
         if method == "independent":
-            later = motion.state(times_s + 0.5 / rate_hz).q_wb
+            later = motion.state(times_s + 0.5 / arm_.rate_hz).q_wb
             yield HALF_LATER, rmse_deg(orientation_error(q_wb, later).total), float("nan")

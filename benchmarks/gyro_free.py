@@ -10,7 +10,6 @@ from scipy.io import loadmat
 
 from benchmarks.figures import Figure, Report, table
 from benchmarks.offline import imu_frames, orientations
-from benchmarks.optical_reference import in_time
 from benchmarks.scoring import reference_at
 from devices.emulators.recording_formats import read_broad
 from devices.emulators.recordings import Recording
@@ -30,8 +29,7 @@ def add_gyro_free(report: Report, folder: Path) -> None:
     suit = load_rig("single")
     rows, errors = [], {method: [] for method in METHODS}
     for path in sorted(folder.glob("*.mat")):
-        recording, _ = in_time(read_broad(path))
-        is_moving = loadmat(path, squeeze_me=True)["movement"].astype(bool)
+        recording, is_moving = read_broad(path), loadmat(path, squeeze_me=True)["movement"].astype(bool)
         frames = [_without_gyrometers(frame) for frame in imu_frames(recording, suit)]
         for method in METHODS:
             times, q_wb = _solve(method, suit, recording, frames)
@@ -43,9 +41,8 @@ def add_gyro_free(report: Report, folder: Path) -> None:
         return
     report.tables.append(
         "### Without gyrometers: RMSE, degrees\n\nBROAD, position as local device, gyrometers hidden, "
-        "movement phases only, nothing aligned but time (see above). `gyro_free` is causal, "
-        "`gyro_free_delayed` half a second late; `per sample, unaided`: accelerometer and magnetometer "
-        "alone (TRIAD).\n\n"
+        "movement phases only, nothing aligned. `gyro_free` is causal, `gyro_free_delayed` half a second "
+        "late; `per sample, unaided`: accelerometer and magnetometer alone (TRIAD).\n\n"
         + table(["trial", "method", "total", "tilt"], rows)
     )
     names = ((DELAYED, "broad_gyrofree_deg", "<=5"), (CAUSAL, "broad_gyrofree_causal_deg", ""))

@@ -10,7 +10,6 @@ import imufusion
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.simulation import SMOOTHED
 from gateway.body.skeleton import WornSuit
 from gateway.frames import ImuFrame, SkeletonFrame
 from gateway.reconstruction import Reconstructor, create_reconstructor
@@ -20,6 +19,7 @@ from gateway.reconstruction.reconstructor import update_many
 from gateway.reconstruction.smoothing import Smoother
 
 NO_FIELD = "joint, no field"
+SMOOTHED = "joint, smoothed"
 GRAVITY = 9.81
 NWU_TO_ENU = Rotation.from_euler("z", 90.0, degrees=True)
 TIMEOUT_S = 5.0

@@ -20,12 +20,9 @@ from gateway.body.skeleton import WornSuit, field_vector
 from gateway.comparison import orientation_error, rmse_deg
 from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame
 from gateway.pipeline import Pipeline
-from gateway.recording.smoothing import SmoothedPoses
 from gateway.stream import ClockMode
 
 LINK = "simulated"
-SMOOTHED = "joint, smoothed"
-"""Name of a method in tables: ``joint`` forward and backward."""
 SENSORS = Imperfections(
     accelerometer_noise=0.03,
     gyrometer_noise=np.radians(0.1),
@@ -82,6 +79,15 @@ def ideal_frames(
         )
 
 
+def assembled(
+    suit: WornSuit, motion: BodyMotion, imperfections: Imperfections, seconds: float, seed: int
+) -> list[ImuFrame]:
+    """Frames of an emulated suit at 100 Hz with all its errors, bytes and all: for several methods."""
+    pipeline = _pipeline(suit, "independent")
+    sent = _sent(suit, motion, imperfections, seconds, seed)
+    return [frame for chunk in sent for frame in pipeline.imu_frames(chunk)]
+
+
 def through_the_wire(
     suit: WornSuit,
     motion: BodyMotion,
@@ -90,23 +96,26 @@ def through_the_wire(
     seconds: float,
     seed: int,
 ) -> list[SkeletonFrame]:
-    """Skeleton frames of an emulated suit at 100 Hz with all its errors, bytes and all.
+    """The same, solved as they come."""
+    pipeline = _pipeline(suit, reconstructor)
+    sent = _sent(suit, motion, imperfections, seconds, seed)
+    return [frame for chunk in sent for frame in pipeline.feed(chunk)]
 
-    reconstructor: by name, or ``SMOOTHED``: joint, forward and backward.
-    """
+
+def _pipeline(suit: WornSuit, reconstructor: str) -> Pipeline:
+    params = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
+    pipeline = Pipeline(suit, params, reconstructor, ClockMode.ESTIMATED)
+    pipeline.add_link(LINK, Framing.BYTE_STREAM)
+    return pipeline
+
+
+def _sent(
+    suit: WornSuit, motion: BodyMotion, imperfections: Imperfections, seconds: float, seed: int
+) -> Iterator[Chunk]:
     settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field, is_fine=True)
     traffic = SuitTraffic(motion, settings, imperfections, seed)
-    params = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
-    is_smoothed = reconstructor == SMOOTHED
-    pipeline = Pipeline(suit, params, "joint" if is_smoothed else reconstructor, ClockMode.ESTIMATED)
-    pipeline.add_link(LINK, Framing.BYTE_STREAM)
-    chunks = (Chunk(sent.data, round(sent.time_s * 1e9), LINK) for sent in traffic.transmissions(seconds))
-    if not is_smoothed:
-        return [frame for chunk in chunks for frame in pipeline.feed(chunk)]
-    with SmoothedPoses(pipeline) as smoothing:
-        for chunk in chunks:
-            smoothing.take(chunk)
-        return list(smoothing.poses())
+    for sent in traffic.transmissions(seconds):
+        yield Chunk(sent.data, round(sent.time_s * 1e9), LINK)
 
 
 def errors_deg(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float) -> FloatArray:

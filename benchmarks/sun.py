@@ -27,7 +27,7 @@ from gateway.pipeline import Pipeline
 MORNING_NS = round(datetime(2026, 6, 21, 7, 0, tzinfo=UTC).timestamp()) * 1_000_000_000
 SECONDS, SETTLED_S, FROM_S, TO_S = 30.0, 5.0, 12.0, 22.0
 STEP_S = 0.05
-SEEDS = (1, 2)
+SEEDS = (1,)
 MODULE = 2
 LINK = "arm"
 
@@ -83,7 +83,7 @@ def run() -> Report:
         "turned away",
     ]
     report.tables.append(
-        f"### Robot arm of 4 links, 100 Hz, June at 47.4° N, 9 o'clock; RMS of {len(SEEDS)} draws\n\n"
+        f"### Robot arm of 4 links, 100 Hz, June at 47.4° N, 9 o'clock; RMS; draws: {len(SEEDS)}\n\n"
         f"*Meanwhile*: of the module concerned, {FROM_S:g} s to {TO_S:g} s.\n\n" + table(heads, rows)
     )
     clear, magnetic = figures["sun", "clear", "joint"], figures["magnetometer", "undisturbed", "joint"]

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
 from benchmarks.foot_recording import FootResult, measure_foot, read_foot
+from benchmarks.peers import SMOOTHED, solved
 from benchmarks.scoring import coverage_percent
-from benchmarks.simulation import SENSORS, SMOOTHED, through_the_wire
+from benchmarks.simulation import SENSORS, assembled
 from devices.emulators.gait import RUN, WALK
 from devices.emulators.motions import BodyMotion, gait_motion
 from gateway.body.rig import load_rig
@@ -58,8 +59,9 @@ def run() -> Report:
     rows, walked = [], {}
     for name, (gait, seconds) in GAITS.items():
         motion = gait_motion(dress(suit), SEED, gait=gait)
+        observed = assembled(suit, motion, SENSORS, seconds, SEED)
         for method in METHODS:
-            frames = through_the_wire(suit, motion, SENSORS, method, seconds, SEED)
+            frames = solved(method, suit, 0.01, observed)
             result = walked[name, method] = measure_walk(frames, motion)
             rows.append(
                 [

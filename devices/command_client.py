@@ -40,6 +40,9 @@ from firmware_protocol.messages import ANYONE, Acknowledgement
 LISTENS_TO = (Acknowledgement, DeviceInfo, Health)
 """Packets that the client is to be handed."""
 
+MOST_DEVICES = 1024
+"""Remembered: far more than there are ids, since a device may have changed its own."""
+
 _SEND_TIMEOUT_S = 1.0
 _BUSY_ATTEMPTS = 4
 _BUSY_PAUSE_S = 0.2
@@ -77,14 +80,22 @@ class CommandClient:
         """Look at a packet and the chunk it came in; others than ``LISTENS_TO`` are let pass."""
         packet, link = received.packet, chunk.link
         if isinstance(packet, Acknowledgement):
-            self.link_of[packet.unique_id] = link
+            self._heard(packet.unique_id, link)
             if self.transactions.take(packet, received.module, link) is not None:
                 self._answered[packet.transaction].set()
         elif isinstance(packet, DeviceInfo):
-            self.link_of[packet.unique_id] = link
+            self._heard(packet.unique_id, link)
             self.infos[packet.unique_id] = (received.module, packet)
         elif isinstance(packet, Health):
             self.healths[received.module] = packet
+
+    def _heard(self, unique_id: bytes, link: str) -> None:
+        """Where a device is. Whoever makes up ever new unique ids pushes out the oldest, not our memory."""
+        self.link_of[unique_id] = link
+        if len(self.link_of) > MOST_DEVICES:
+            oldest = next(iter(self.link_of))
+            del self.link_of[oldest]
+            self.infos.pop(oldest, None)
 
     async def ask(self, unique_id: bytes, verb: Verb, *values: Any) -> tuple[Any, ...]:
         """What the device with this unique id answers: the payload's values.

@@ -24,7 +24,6 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from devices.can_link import CanLink
 from devices.link import Link, LinkError
-from devices.marker_file_link import MarkerFileLink
 from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink
 from devices.rfc2217_link import Rfc2217Link
@@ -130,6 +129,8 @@ def _can(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Li
 
 
 def _marker_file(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    from devices.marker_file_link import MarkerFileLink  # noqa: PLC0415 - reading files takes scipy: a second
+
     return MarkerFileLink(_path(parts), name=name, **parameters)
 
 

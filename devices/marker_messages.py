@@ -70,7 +70,7 @@ class MarkerReceiver:
     def receive(self, chunk: Chunk) -> list[MarkerMessage]:
         """The messages that a chunk completes, in time order."""
         *lines, self._rest = (self._rest + chunk.data).split(b"\n")
-        if self._rest.rstrip().endswith(b"}") and chunk.data == self._rest:  # a datagram without newline
+        if chunk.data == self._rest and _is_whole(self._rest):  # a datagram without newline
             lines, self._rest = [*lines, self._rest], b""
         if len(self._rest) > _LONGEST_LINE:
             self.dropped["too_long"] += 1
@@ -85,7 +85,8 @@ class MarkerReceiver:
             return self._drop("not_json")
         if not isinstance(content, dict) or not isinstance(content.get("markers"), dict):
             return self._drop("no_markers")
-        factor = METRES.get(content.get("unit", "m"))
+        unit = content.get("unit", "m")
+        factor = METRES.get(unit) if isinstance(unit, str) else None
         if factor is None:
             return self._drop("bad_unit")
         places = {name: _place(value, factor) for name, value in content["markers"].items() if value is not None}
@@ -119,6 +120,17 @@ class MarkerReceiver:
 
     def _drop(self, reason: str) -> None:
         self.dropped[reason] += 1
+
+
+def _is_whole(text: bytes) -> bool:
+    """Whether a message ends here: a piece of a stream may end with a brace too."""
+    if not text.rstrip().endswith(b"}"):
+        return False
+    try:
+        orjson.loads(text)
+    except orjson.JSONDecodeError:
+        return False
+    return True
 
 
 def _place(value: object, factor: float) -> tuple[float, float, float] | None:

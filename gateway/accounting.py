@@ -117,8 +117,9 @@ def _frames(pipeline: Pipeline) -> Iterator[Balance]:
     if isinstance(assembler, FrameAssembler):
         skipped = assembler.lost[Lost.SKIPPED_INSTANT]
         yield Balance("instants", assembler.instants, {"frames": assembler.frames, "skipped": skipped})
+    assembled = assembler.frames + pipeline.marker_frames
     solved = {"reconstructed": pipeline.skeleton_frames, "left_out": pipeline.left_out}
-    yield Balance("frames", assembler.frames, solved)
+    yield Balance("frames", assembled, solved)
 
 
 _OF_READINGS = frozenset(Lost) - {Lost.SKIPPED_INSTANT}

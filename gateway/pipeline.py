@@ -298,6 +298,11 @@ class Pipeline:
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
         }
 
+    @property
+    def marker_frames(self) -> int:
+        """Of optical systems, so far."""
+        return sum(frames.receiver.received for frames in self._markers.values())
+
     def _marker_statistics(self, optical: OpticalReconstructor) -> dict[str, object]:
         """What became of marker messages, and how well the last pose explains the markers."""
         dropped: Counter[str] = Counter()

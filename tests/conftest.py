@@ -275,3 +275,17 @@ def commanded_suit() -> Callable[..., Any]:
             await asyncio.gather(running, return_exceptions=True)
 
     return start
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """The browser's program; skips, with what to install, where it or what drives it cannot run."""
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no chromium on this machine (apt install chromium)")
+    driver = pytest.importorskip("playwright._impl._driver", reason="playwright is not installed")
+    node, _ = driver.compute_driver_executable()
+    started = subprocess.run([node, "--version"], capture_output=True, text=True, timeout=60, check=False)
+    if started.returncode:
+        pytest.skip(f"what drives the browser cannot run: {started.stderr.strip()} (apt install libatomic1)")
+    return program

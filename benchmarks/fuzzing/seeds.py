@@ -5,6 +5,7 @@ Inputs that the fuzzer found stay beside them.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import tempfile
@@ -12,12 +13,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import c3d
 import numpy as np
 
 import firmware_protocol
 from benchmarks.fuzzing.targets import CORPORA, TARGETS
 from benchmarks.fuzzing.vendors import PARTS
 from devices.link import Chunk, Framing
+from devices.marker_messages import encode_markers
 from devices.recording_file import RecordingFile
 from devices.recording_writer import RecordingWriter, session_record
 from firmware_protocol import CanFrame, pack_can_records
@@ -85,6 +88,10 @@ def _of_the_wire() -> dict[str, list[bytes]]:
         + [bytes([each["kind"]]) + bytes.fromhex(each["body"]) for each in packets],
         "flash_slots": [slot + slot, slot[:-1] + slot],
         "gnss": _satellites(),
+        "markers": [
+            encode_markers(1, 5, ["A", "B"], [[0.1, 0.2, 0.3], [1.0, 2.0, 3.0]], [[0.5, 0.5, 0.5]]),
+            b'{"sequence": 2, "time_s": 0.5, "unit": "mm", "markers": {"A": [1, 2, 3], "B": null}}\n',
+        ],
         "card_file": [b"".join(streams), streams[0]],
     }
 
@@ -198,8 +205,21 @@ def _of_vendors() -> dict[str, list[bytes]]:
         "import_csv": [columns + PARTS + table, timed + PARTS + b"t,x,y,z,a,b,c,d\n" + rows],
         "import_xsens": _heads("hipose_mtw17/*.csv", "opensense_gait8/IMUData/**/*.txt"),
         "import_movella_dot": _heads("movella_dot_pairs/**/*.csv"),
+        "import_c3d": [_c3d()],
+        "import_trc": _heads("trc_opensim/**/*.trc"),
         "import_ximu3": [PARTS.join(_heads("xio_lower_body7/**/Inertial.csv")[:1] or [b""])],
     }
+
+
+def _c3d() -> bytes:
+    """Three frames of two markers."""
+    writer = c3d.Writer(point_rate=100)
+    writer.set_point_labels(["A", "B"])
+    frame = np.tile([100.0, 200.0, 300.0, 0.0, 1.0], (2, 1)).astype(np.float32)
+    writer.add_frames([(frame, np.empty((0, 0), np.float32))] * 3)
+    file = io.BytesIO()
+    writer.write(file)
+    return file.getvalue()
 
 
 def _heads(*patterns: str) -> list[bytes]:

@@ -86,6 +86,7 @@ _ALL = (
         2048,
     ),
     Target("flash_slots", "settings in a module's flash", "wire", ("firmware_protocol.flash_slots",), 2048),
+    Target("markers", "markers of an optical system, as JSON", "wire", ("devices.marker_messages",), 2048),
     Target("gnss", "NMEA and UBX of a satellite receiver", "wire", ("gateway.gnss.sentences",), 2048),
     Target("card_file", "a memory card's file, to a recording", "wire", ("devices.card_recording",), 4096),
     Target("gateway_file", "gateway.yaml", "configuration", _SETTINGS, 4096),
@@ -170,6 +171,14 @@ _ALL = (
         (*_SHEETS, "devices.vendor_formats.column_map"),
         4096,
     ),
+    Target(
+        "import_c3d",
+        "C3D",
+        "vendors",
+        ("devices.marker_files.c3d", "devices.marker_files.c3d_parameters"),
+        8192,
+    ),
+    Target("import_trc", "TRC", "vendors", ("devices.marker_files.trc",), 4096),
 )
 
 TARGETS: dict[str, Target] = {target.name: target for target in _ALL}

@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.fuzzing.files import SCRATCH, in_a_file, refused_or_read
 from devices.emulators.recordings import Recording
+from devices.marker_files import MarkerTrial, read_c3d, read_trc
 from devices.vendor_formats import (
     ColumnMap,
     read_mapped_csv,
@@ -68,6 +69,23 @@ def import_csv(data: bytes) -> None:
 
     for partial in (False, True):
         refused_or_read(lambda partial=partial: read(partial))  # type: ignore[misc]
+
+
+def import_c3d(data: bytes) -> None:
+    """One file."""
+    path = in_a_file("trial.c3d", data)
+    refused_or_read(lambda: _marked(read_c3d(path)))
+
+
+def import_trc(data: bytes) -> None:
+    """One file."""
+    path = in_a_file("trial.trc", data)
+    refused_or_read(lambda: _marked(read_trc(path)))
+
+
+def _marked(trial: MarkerTrial) -> None:
+    assert np.isfinite(trial.rate_hz), trial.rate_hz
+    assert trial.rate_hz > 0, trial.rate_hz
 
 
 def _sound(found: Recording) -> None:

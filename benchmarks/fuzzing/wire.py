@@ -16,6 +16,8 @@ from devices.emulators.command_responder import CommandResponder
 from devices.emulators.emulated_card import EmulatedCard
 from devices.emulators.emulated_flash import EmulatedFlash
 from devices.emulators.stored_settings import StoredSettings
+from devices.link import Chunk
+from devices.marker_messages import MarkerReceiver, encode_markers
 from devices.slcan import SlcanDecoder
 from devices.transactions import Transactions
 from firmware_protocol import (
@@ -228,6 +230,19 @@ def _same_fixes_however_cut(data: bytes) -> None:
     fixes = whole.feed(data)
     at = data[0] % len(data) if data else 0
     assert repr(cut.feed(data[:at]) + cut.feed(data[at:])) == repr(fixes), "fixes depend on chunks"
+
+
+def markers(data: bytes) -> None:
+    """Cut anywhere as a stream is, the messages are the same; every one can be written again."""
+    whole, cut = MarkerReceiver(), MarkerReceiver()
+    at = data[0] % len(data) if data else 0
+    messages = whole.receive(Chunk(data + b"\n", 10, "optical"))
+    pieces = (data[:at], data[at:] + b"\n")
+    assert repr([m for piece in pieces for m in cut.receive(Chunk(piece, 10, "optical"))]) == repr(messages)
+    for message in messages:
+        encode_markers(
+            message.sequence, message.time_ns, list(message.markers), list(message.markers.values())
+        )
 
 
 def card_file(data: bytes) -> None:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import AsyncIterator, Iterator
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -24,6 +25,7 @@ from devices.emulators.motions import BodyMotion
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
+from gateway.cli.compiling import told_when_compiling
 from gateway.cli.emulated_rig import dress, move
 from gateway.cli.pose_table import PoseView
 from gateway.comparison import orientation_error, rmse_deg
@@ -109,8 +111,8 @@ def demo(
             clock=ClockSettings(mode=clock),
             mqtt=MqttSettings(broker="embedded", port=_free_port(port)),
         )
-        console.print("preparing the reconstruction (compiles once) ...", style="dim")
-        service = Service(settings, suit)
+        with told_when_compiling(partial(console.print, style="dim")):
+            service = Service(settings, suit)
         with _live_page(settings, _free_port(page_port) if page else None, console):
             asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
     _print_errors(truth, console)

@@ -110,8 +110,8 @@ def _subject(name: str) -> WornSuit:
 
 def _outcome(done: SolvedTrial) -> dict[str, object]:
     seen = np.isfinite(done.residuals)
-    with np.errstate(invalid="ignore"):
-        means = np.sqrt(np.nansum(done.residuals**2, axis=0) / seen.sum(axis=0))
+    squares = np.where(seen, done.residuals, 0.0) ** 2
+    means = np.sqrt(squares.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
     return {
         "file": str(done.path),
         "frames": done.frames,

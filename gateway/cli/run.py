@@ -11,6 +11,7 @@ from pathlib import Path
 import typer
 
 from gateway.body.rig import load_rig
+from gateway.cli.compiling import told_when_compiling
 from gateway.errors import GatewayError
 from gateway.log_format import set_up_logging
 from gateway.reconstruction import readiness
@@ -47,8 +48,9 @@ def _load(config: Path, reconstructor: str | None = None) -> Service:
     if reconstructor is not None:
         settings = settings.model_copy(update={"reconstructor": reconstructor})
     suit = load_rig(settings.rig, config)
-    service = Service(settings, suit)
     set_up_logging(settings.log.level, settings.log.format)
+    with told_when_compiling(log.info):
+        service = Service(settings, suit)
     _tell(settings, len(suit.module_ids), suit.skeleton.name)
     return service
 

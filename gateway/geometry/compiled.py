@@ -8,14 +8,13 @@ therefore lies in a directory named after the state of the whole package.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar, cast
-
-import numba
+from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -27,12 +26,13 @@ KEPT_CACHES = 5
 def source_fingerprint(package: Path) -> str:
     """Sixteen hexadecimal digits that change with any source file of kernels below ``package``.
 
-    Those are the files that name this module, and ``frames.py``, whose constants kernels freeze.
+    Those are the files that name this module or Numba, and ``frames.py``, whose constants kernels freeze.
     """
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         source = path.read_bytes()
-        if b"geometry.compiled" in source or path.name in ("compiled.py", "frames.py"):
+        names_compiler = b"geometry.compiled" in source or b"from numba" in source
+        if names_compiler or path.name in ("compiled.py", "frames.py"):
             digest.update(str(path.relative_to(package)).encode() + source)
     return digest.hexdigest()[:16]
 
@@ -59,15 +59,42 @@ def prune(directory: Path, kept: int = KEPT_CACHES) -> None:
         shutil.rmtree(path, ignore_errors=True)
 
 
-CACHE_DIRECTORY = cache_directory(PACKAGE)
-if not CACHE_DIRECTORY.exists():
-    prune(CACHE_DIRECTORY)
-numba.config.CACHE_DIR = str(CACHE_DIRECTORY)  # type: ignore[attr-defined]  # set by name in numba
+@functools.cache
+def _compiler() -> Any:
+    """Numba, which takes a second to import: when the first kernel is called."""
+    import numba  # noqa: PLC0415 - takes a second
+
+    directory = cache_directory(PACKAGE)
+    if not directory.exists():
+        prune(directory)
+    numba.config.CACHE_DIR = str(directory)  # type: ignore[attr-defined]  # set by name in numba
+    return numba
+
+
+class Kernel:
+    """A function that is compiled when it is first called, with one argument type after another."""
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        functools.update_wrapper(self, function)
+        self._function = function
+
+    @functools.cached_property
+    def dispatcher(self) -> Any:
+        """Numba's side: cached on disk, IEEE division (x / 0 is inf or NaN, never an exception).
+
+        Reassociation of sums stays off: the same input gives the same bits.
+        """
+        return _compiler().njit(cache=True, error_model="numpy")(self._function)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What kernels that call this one see."""
+        return _compiler().types.Dispatcher(self.dispatcher)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.dispatcher(*arguments)
 
 
 def compiled(function: F) -> F:
-    """Numba, cached on disk, with IEEE division (x / 0 is inf or NaN, never an exception).
-
-    Reassociation of sums stays off: the same input gives the same bits.
-    """
-    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+    """The function as a kernel; see ``Kernel``."""
+    return cast(F, Kernel(function))

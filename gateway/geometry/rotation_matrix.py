@@ -153,11 +153,14 @@ def from_two_vectors(
 @compiled
 def _triad(primary: FloatArray, secondary: FloatArray) -> FloatArray:
     """Orthonormal rows: along the primary, across both, and what completes them."""
-    T = np.full((3, 3), np.nan)
-    across = cross(primary, secondary)
-    lengths = norm(primary) * norm(secondary)
-    if norm(across) > PARALLEL * lengths and lengths > 0.0:
-        T[0] = primary / norm(primary)
-        T[1] = across / norm(across)
-        T[2] = cross(T[0], T[1])
+    T, across = np.empty((3, 3)), cross(primary, secondary)
+    length, across_length = norm(primary), norm(across)
+    lengths = length * norm(secondary)
+    is_defined = across_length > PARALLEL * lengths and lengths > 0.0
+    for i in range(3):
+        T[0, i] = primary[i] / length if is_defined else np.nan
+        T[1, i] = across[i] / across_length if is_defined else np.nan
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        T[2, i] = T[0, j] * T[1, k] - T[0, k] * T[1, j]
     return T

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from importlib.metadata import version
 from pathlib import Path
-
-import numba
 
 from gateway.body.rig import load_rig
 from gateway.geometry import compiled
@@ -43,7 +42,7 @@ def command(name: str) -> list[str]:
 
 
 def _mark(name: str) -> Path:
-    return compiled.CACHE_DIRECTORY / f"ready-{name}-numba-{numba.__version__}"
+    return compiled.cache_directory(compiled.PACKAGE) / f"ready-{name}-numba-{version('numba')}"
 
 
 if __name__ == "__main__":

@@ -26,7 +26,8 @@ from gateway.frames import (
 )
 from gateway.reconstruction.inertial.joint import ChainReconstructor
 from gateway.reconstruction.inertial.sun_rows import sight_of, stacked_sights
-from gateway.reconstruction.inertial.two_ways import put_together, seen_backward
+from gateway.reconstruction.inertial.time_reversal import seen_backward
+from gateway.reconstruction.inertial.two_ways import put_together
 from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.whole_body import Prepared, WholeBodyReconstructor
 

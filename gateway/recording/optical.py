@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 import gateway
 from devices import recording_format as fmt
@@ -40,8 +41,8 @@ class SolvedTrial:
     labels: tuple[str, ...]
     residuals: FloatArray
     """(F, M) m; NaN where a marker was not seen, or there was no pose."""
-    used: FloatArray
-    """(F, M) bool: had a say in the pose."""
+    used: NDArray[np.bool_]
+    """(F, M) had a say in the pose."""
     renamed: tuple[tuple[int, str, str], ...]
     """(frame, marker, whose point it had been; empty: a nameless one)."""
     counts: dict[str, int]
@@ -50,8 +51,8 @@ class SolvedTrial:
 
     @property
     def rmse(self) -> float:
-        """m, of all markers seen."""
-        return float(np.sqrt(np.nanmean(self.residuals**2))) if np.isfinite(self.residuals).any() else float("nan")
+        """m, of all markers that had a say; NaN with none."""
+        return float(np.sqrt(np.mean(self.residuals[self.used] ** 2))) if self.used.any() else float("nan")
 
 
 def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optical") -> GatewaySettings:

@@ -10,7 +10,7 @@ PICTURES_HZ = 33.0
 
 
 async def pictures(rate_hz: float = PICTURES_HZ) -> AsyncIterator[float]:
-    """For ever, so many times a second: the time since the last one, s; 0 at first."""
+    """For ever, so many times a second: the time since the last one, s; at first none."""
     loop = asyncio.get_running_loop()
     due = before = loop.time()
     while True:

@@ -1,4 +1,4 @@
-"""What a body stands on: light, a floor, the first look, and a world that is shifted so that it stays in view.
+"""What a body stands on: light, a floor, the first look, and a world that is shifted to keep it in view.
 
 What a picture costs a browser without a graphics processor is measured (``benchmarks/viewer.py``): shadows
 and an environment map took nearly all of it, so there are neither. Two lights and flat faces give a body
@@ -21,8 +21,8 @@ FIRST_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, 0.85)
 FIELD_OF_VIEW_DEG = 45.0
 NARROW = 0.8
 """Width by height of a page below which it is held upright, with the panel over its lower half."""
-NARROW_CAMERA: tuple[float, float, float] = (3.0, -3.2, 1.0)
-NARROW_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, 0.05)
+NARROW_CAMERA: tuple[float, float, float] = (3.2, -3.5, 1.0)
+NARROW_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, -0.12)
 FLOOR_M, SECTION_M = 24.0, 1.0
 
 

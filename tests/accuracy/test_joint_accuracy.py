@@ -83,17 +83,17 @@ def test_with_perfect_sensors_little_is_left_of_the_error_of_integrating_rates()
     assert np.max(errors_deg(frames, motion, 4.0)) < 0.08
 
 
-def test_a_fixed_point_shows_the_error_of_the_accelerometer():
-    suit = carried_arm()
+def test_a_fixed_point_shows_the_accelerometers_error_along_gravity_while_the_base_only_sways():
+    suit = fast_arm()
     motion = generic_motion(dress(suit), 2, peak_angular_rate=8.0, peak_angular_acceleration=60.0)
-    suit = replace(suit, local_devices=fast_arm().local_devices)
     wrong = np.zeros((5, 3))
     wrong[0] = [0.05, -0.06, 0.04]
     reconstructor = JointReconstructor(suit, 0.01)
     for frame in sampled(suit, motion, Switches(False, False, 0.0), 2):
         reconstructor.update(replace(frame, specific_force=frame.specific_force + wrong))
     found = reconstructor.state()["force_bias"]
-    np.testing.assert_allclose(found[0], wrong[0], atol=0.025)
+    assert found[0, 2] == pytest.approx(wrong[0, 2], abs=0.01)
+    assert np.linalg.norm(found[0] - wrong[0]) < np.linalg.norm(wrong[0])  # across: a tilt looks the same
     assert not found[1:].any()
 
 

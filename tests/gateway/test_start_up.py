@@ -34,8 +34,13 @@ def test_help_lists_every_command():
     assert all(name in said for name in _Commands.lazy)
 
 
-def test_watching_needs_no_compiler():
-    assert not {"numba", "scipy"} & set(imported_by(["watch", "--help"])[1])
+@pytest.mark.parametrize("command", ["watch", "modules", "doctor", "config"])
+def test_what_reconstructs_nothing_needs_no_compiler(command):
+    assert not {"numba", "scipy"} & set(imported_by([command, "--help"])[1])
+
+
+def test_kernels_are_compiled_by_no_import():
+    assert "numba" not in imported_by(["run", "--help"])[1]
 
 
 @pytest.mark.parametrize("name", _Commands.lazy)

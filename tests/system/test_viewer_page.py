@@ -4,43 +4,46 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import shutil
 
 import aiomqtt
 import pytest
 
 from gateway.body.rig import load_rig
+from gateway.credentials import AccessToken
 from gateway.outputs.messages import BridgeState, PoseMessage, describe_body
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.topics import Topics
+from gateway.viewer.gate import Door, Gate
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
 playwright_api = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
-pytestmark = [
-    pytest.mark.system,
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine (apt install chromium)"),
-]
+pytestmark = pytest.mark.system
 SKELETON = load_rig("suit_17").skeleton
 GATEWAY = "lab"
+TOKEN = "a-token-of-this-test"
 
 
 @contextlib.asynccontextmanager
-async def page_of(settings, unused_port):
+async def page_of(settings, unused_port, chromium):
     """The viewer, and a browser's page that shows it; ``page.outside`` are requests to elsewhere."""
     from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
 
-    server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     showing = asyncio.create_task(LiveViewer(server, settings, GATEWAY).run())
+    gate = Gate("127.0.0.1", unused_port, server.get_port(), Door(AccessToken(TOKEN)))
     flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    async with playwright_api.async_playwright() as play:
-        browser = await play.chromium.launch(executable_path=CHROMIUM, args=flags)
+    async with gate, playwright_api.async_playwright() as play:
+        browser = await play.chromium.launch(executable_path=chromium, args=flags)
         page = await browser.new_page(viewport={"width": 800, "height": 600})
         page.set_default_timeout(40_000)
         outside = []
         page.on("request", lambda request: outside.append(request.url))
-        await page.goto(f"http://127.0.0.1:{unused_port}")
+        stranger = await page.goto(f"http://127.0.0.1:{unused_port}")
+        assert stranger.status == 401
+        await page.goto(f"http://127.0.0.1:{unused_port}/?token={TOKEN}")
+        assert TOKEN not in page.url
+        outside.clear()
         yield page, outside
         await browser.close()
     showing.cancel()
@@ -61,7 +64,7 @@ async def publish_poses(client, topics, is_ended):
         await asyncio.sleep(0.05)
 
 
-async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitto, unused_port):
+async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitto, unused_port, chromium):
     settings = MqttSettings(port=mosquitto.port)
     topics = Topics("mocap", GATEWAY)
     is_ended = asyncio.Event()
@@ -69,7 +72,7 @@ async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitt
         await client.publish(topics.bridge_state, BridgeState(state="online").payload(), retain=True)
         await client.publish(topics.body, describe_body(SKELETON).payload(), retain=True)
         publishing = asyncio.create_task(publish_poses(client, topics, is_ended))
-        async with page_of(settings, unused_port) as (page, requested):
+        async with page_of(settings, unused_port, chromium) as (page, requested):
             await page.get_by_text(f"{GATEWAY}: online").wait_for()
             assert await page.locator("canvas").count() >= 1
             await page.get_by_text("start", exact=True).click()

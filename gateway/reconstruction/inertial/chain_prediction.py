@@ -122,10 +122,12 @@ def start(
         secondary, secondary_w = np.zeros(3), np.zeros(3)
         secondary[int(abs(f[0]) > abs(f[1]))] = 1.0
         secondary_w[1] = 1.0
-    R = rotation_matrix.from_two_vectors(f, secondary, -body.gravity, secondary_w)
+    R = rotation_matrix.from_two_vectors(f, secondary, body.at_rest, secondary_w)
     if not is_finite(R[0]):
         return
-    state.R[s], state.bias[s], state.rate[s], state.slope[s] = R, 0.0, w, np.nan
+    rotation_matrix.copy_into(state.R[s], R)
+    for i in range(3):
+        state.bias[s, i], state.rate[s, i], state.slope[s, i] = 0.0, w[i], np.nan
     state.P[s], state.C[s] = 0.0, 0.0
     for i in range(3):
         state.P[s, i, i] = noise.start_tilt**2

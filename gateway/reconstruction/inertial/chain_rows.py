@@ -10,15 +10,19 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from gateway.frames import FloatArray
-from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, skew
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.lever_arms import relative_covariance, spread
-from gateway.reconstruction.inertial.tree_filter import Evidence, add_edge, add_joint, add_known, add_own
+from gateway.reconstruction.inertial.lever_arms import own_covariance, relative_covariance, spread
+from gateway.reconstruction.inertial.tree_filter import (
+    Evidence,
+    Three,
+    add_edge,
+    add_joint,
+    add_known,
+    add_own,
+)
 
 DIP_TOLERANCE = 0.1
 """rad: a field steeper or flatter than it should be by that much is half disturbed."""
@@ -47,17 +51,21 @@ def joint_row(
     dt: float,
 ) -> None:
     """The joint's acceleration seen from both sides, every dt; variance of a component, (m/s²)²."""
-    residual, middle = u - u_p, 0.5 * (u + u_p)
+    residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
     if state.is_open[s]:
         # heading against the parent unknown: the horizontal parts are only equally long
-        H, H_p = skew(u), -skew(u_p)
+        H, H_p = skew(u), skew(u_p)
         wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
         for i in range(3):
             H[i, 2], H_p[i, 2] = 0.0, 0.0
+            for j in range(2):
+                H_p[i, j] *= -1.0
             add_edge(evidence, s, H[i], H_p[i], residual[i], wide if i < 2 else variance)
         return
+    middle = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
     at_once = variance * min(1.0, dt / noise.row_memory_s)
-    variance *= _huber(spread(middle, relative_covariance(state, s, p)), residual, at_once, noise.huber)
+    off = spread(middle[0], middle[1], middle[2], relative_covariance(state, s, p))
+    variance *= _huber(off, residual, at_once, noise.huber)
     add_joint(evidence, s, middle, residual, variance)
 
 
@@ -73,16 +81,18 @@ def known_row(
     is_open: bool,
 ) -> None:
     """A vector that is known in the world; is_open: its horizontal direction says nothing yet."""
-    residual = u - y
+    residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
     if is_open:
-        H = skew(0.5 * (u + y))
+        H, H_y = skew(u), skew(y)
         wide = variance + _horizontal_square(u) + _horizontal_square(y)
         for i in range(3):
             H[i, 2] = 0.0
+            for j in range(2):
+                H[i, j] = 0.5 * (H[i, j] + H_y[i, j])
             add_own(evidence, s, H[i], residual[i], wide if i < 2 else variance)
         return
-    variance *= _huber(spread(y, state.P[s, :3, :3]), residual, variance, noise.huber)
-    add_known(evidence, s, y, residual, variance)
+    variance *= _huber(spread(y[0], y[1], y[2], own_covariance(state, s)), residual, variance, noise.huber)
+    add_known(evidence, s, (y[0], y[1], y[2]), residual, variance)
 
 
 @compiled
@@ -92,7 +102,7 @@ def _horizontal_square(v: FloatArray) -> float:
 
 
 @compiled
-def _huber(uncertain: FloatArray, residual: FloatArray, variance: float, limit: float) -> float:
+def _huber(uncertain: Three, residual: Three, variance: float, limit: float) -> float:
     """By how much the variance is raised: 1 within ``limit`` standard deviations of the innovation.
 
     uncertain: (3,) variances that the orientation gives it.
@@ -104,9 +114,19 @@ def _huber(uncertain: FloatArray, residual: FloatArray, variance: float, limit: 
 
 
 @compiled
+def _seen(R: FloatArray, m: FloatArray) -> Three:
+    """R m."""
+    return (
+        R[0, 0] * m[0] + R[0, 1] * m[1] + R[0, 2] * m[2],
+        R[1, 0] * m[0] + R[1, 1] * m[1] + R[1, 2] * m[2],
+        R[2, 0] * m[0] + R[2, 1] * m[1] + R[2, 2] * m[2],
+    )
+
+
+@compiled
 def field_error(body: ChainBody, state: FilterState, s: int, m: FloatArray) -> tuple[float, float]:
     """Heading by which the field is seen off, rad, and how disturbed it looks (1: not at all)."""
-    h, seen = body.field, rotation_matrix.rotate(state.R[s], m)
+    h, seen = body.field, _seen(state.R[s], m)
     off = math.atan2(h[0] * seen[1] - h[1] * seen[0], h[0] * seen[0] + h[1] * seen[1])
     dip_seen = math.atan2(seen[2], math.hypot(seen[0], seen[1]))
     dip = dip_seen - math.atan2(h[2], math.hypot(h[0], h[1]))
@@ -117,7 +137,7 @@ def field_error(body: ChainBody, state: FilterState, s: int, m: FloatArray) -> t
 @compiled
 def watch_field(body: ChainBody, state: FilterState, s: int, m: FloatArray, dt: float) -> None:
     """How much the field's norm and dip change while segment s moves: ``state.field_seen[s]``."""
-    seen = rotation_matrix.rotate(state.R[s], m)
+    seen = _seen(state.R[s], m)
     length, dip = math.sqrt(dot(m, m)), math.atan2(seen[2], math.hypot(seen[0], seen[1]))
     mean = state.field_seen[s]
     if mean[3] == 0.0:
@@ -151,9 +171,7 @@ def field_row(
     is_first = body.opens[s] == 0 and state.P[s, 2, 2] > straying
     memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
     variance = straying * memory_s / dt * weight
-    row = np.zeros(3)
-    row[2] = 1.0
-    add_own(evidence, s, row, -off, variance)
+    add_own(evidence, s, (0.0, 0.0, 1.0), -off, variance)
 
 
 @compiled
@@ -162,14 +180,14 @@ def unaided_row(
     state: FilterState,
     noise: Noise,
     s: int,
-    gravity: FloatArray,
+    at_rest: FloatArray,
     sharing: float,
     dt: float,
 ) -> None:
     """Mean acceleration over a window is small, where nothing tells what it is; sharing: segments that move
     together and have such a row each."""
     variance = (noise.unaided_speed / noise.unaided_window_s) ** 2 * noise.unaided_window_s / dt * sharing
-    known_row(evidence, state, noise, s, state.long_force[s], -gravity, variance, False)
+    known_row(evidence, state, noise, s, state.long_force[s], at_rest, variance, False)
 
 
 @compiled

@@ -90,6 +90,7 @@ class ChainBody(NamedTuple):
     device_arm: FloatArray  # (d, 3) module to device, segment axes, m
     carries: IntArray  # (n,) 1 for segments that stand on the ground
     gravity: FloatArray  # (3,)
+    at_rest: FloatArray  # (3,) specific force of what does not accelerate: −gravity
     field: FloatArray  # (3,)
     uses_field: bool
 
@@ -174,6 +175,7 @@ def chain_body(suit: WornSuit, uses_field: bool) -> ChainBody:
         device_arm=np.array(arms, np.float64).reshape(len(devices), 3),
         carries=carries,
         gravity=np.array(suit.gravity, np.float64),
+        at_rest=-np.array(suit.gravity, np.float64),
         field=np.array(suit.magnetic_field, np.float64),
         uses_field=uses_field,
     )

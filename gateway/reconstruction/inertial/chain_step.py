@@ -185,7 +185,7 @@ def _device_rows(
             variance *= max(1.0, span / interval)
             if body.device_kind[d] == AIR_VELOCITY:
                 # both sides turn with the segment: all that the row shows is where down is
-                u, y = u - y - body.gravity, -body.gravity
+                u, y = u - y - body.gravity, body.at_rest
             if body.parents[s] < 0 and state.is_open[s]:
                 gather_heading(state, s, u, y, variance + tilt_spread(state, s, interval), interval)
                 _open_root(evidence, body, state, noise, s, turns)
@@ -236,8 +236,8 @@ def _fixed_row(
     felt_into(u, state.force[s], K, body.device_arm[d], state.device_shift[d], 0)
     variance = chain_rows.row_variance(noise, motion, dt)
     at_once = variance * dt / noise.row_memory_s
-    variance += learn_device_arm(state, noise, d, s, u, -body.gravity, K, variance, at_once, dt)
-    chain_rows.known_row(evidence, state, noise, s, u, -body.gravity, variance, False)
+    variance += learn_device_arm(state, noise, d, s, u, body.at_rest, K, variance, at_once, dt)
+    chain_rows.known_row(evidence, state, noise, s, u, body.at_rest, variance, False)
 
 
 @compiled
@@ -295,7 +295,7 @@ def _unaided_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Sc
             sharing[chain[s]] += 1.0
     for s in range(len(chain)):
         if scratch.anchored[chain[s]] == 0.0 and is_valid[s] == 2.0:
-            chain_rows.unaided_row(scratch.evidence, state, noise, s, body.gravity, sharing[chain[s]], dt)
+            chain_rows.unaided_row(scratch.evidence, state, noise, s, body.at_rest, sharing[chain[s]], dt)
 
 
 @compiled

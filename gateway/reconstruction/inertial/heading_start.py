@@ -97,6 +97,8 @@ def compass_turn(state: FilterState, s: int, off: float, disturbance: float, dt:
 def turn_evidence(state: FilterState, s: int, angle: float) -> None:
     """The evidence after segment s was turned by ``angle`` about the vertical (its parent: by −angle)."""
     heading = state.heading[s]
+    if angle == 0.0:
+        return
     cosine, sine = math.cos(angle), math.sin(angle)
     x, y = heading[0], heading[1]
     heading[0], heading[1] = x * cosine + y * sine, y * cosine - x * sine

@@ -36,7 +36,7 @@ from gateway.reconstruction.inertial.held_arguments import hold
 from gateway.reconstruction.inertial.local_device import RootMotion, in_segment_axes
 from gateway.reconstruction.inertial.place_keeper import PlaceKeeper
 from gateway.reconstruction.inertial.sun_rows import stacked_sights
-from gateway.reconstruction.inertial.two_ways import turned_back
+from gateway.reconstruction.inertial.time_reversal import turned_back
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class ChainReconstructor:
         self._use(FilterState(**fresh))
 
     def turned_back(self) -> ChainReconstructor:
-        """The same estimator, to go backward from where this one is; see ``two_ways``."""
+        """The same estimator, to go backward from where this one is; see ``time_reversal``."""
         back = type(self)(self._suit, self._nominal_interval_s, self._settings)
         back._use(turned_back(self._state))
         return back

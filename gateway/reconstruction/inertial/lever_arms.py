@@ -18,29 +18,45 @@ import numpy as np
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial.chain_state import FilterState, Noise
+from gateway.reconstruction.inertial.tree_filter import Three
 
 ORIENTATION_MEMORY_S = 1.0
 
 
-@compiled
-def relative_covariance(state: FilterState, s: int, p: int) -> FloatArray:
-    """(3, 3) of the orientation error of segment s against that of p, world axes, rad²."""
-    D = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            D[i, j] = state.P[s, i, j] + state.P[p, i, j] - state.C[s, i, j] - state.C[s, j, i]
-    return D
+Symmetric = tuple[float, float, float, float, float, float]
+"""xx, yy, zz, yz, xz, xy of a (3, 3) matrix: numbers, for which no array has to be made."""
 
 
 @compiled
-def spread(v: FloatArray, D: FloatArray) -> FloatArray:
-    """Diagonal (3,) of ``[v]× D [v]×ᵀ``: what an uncertain orientation makes of a vector."""
-    x, y, z = v[0], v[1], v[2]
-    result = np.empty(3)
-    result[0] = z * z * D[1, 1] - 2.0 * y * z * D[1, 2] + y * y * D[2, 2]
-    result[1] = z * z * D[0, 0] - 2.0 * x * z * D[0, 2] + x * x * D[2, 2]
-    result[2] = y * y * D[0, 0] - 2.0 * x * y * D[0, 1] + x * x * D[1, 1]
-    return result
+def own_covariance(state: FilterState, s: int) -> Symmetric:
+    """Of the orientation error of segment s, world axes, rad²."""
+    P = state.P[s]
+    return P[0, 0], P[1, 1], P[2, 2], P[1, 2], P[0, 2], P[0, 1]
+
+
+@compiled
+def relative_covariance(state: FilterState, s: int, p: int) -> Symmetric:
+    """Of the orientation error of segment s against that of p, world axes, rad²."""
+    P, P_p, C = state.P[s], state.P[p], state.C[s]
+    return (
+        P[0, 0] + P_p[0, 0] - C[0, 0] - C[0, 0],
+        P[1, 1] + P_p[1, 1] - C[1, 1] - C[1, 1],
+        P[2, 2] + P_p[2, 2] - C[2, 2] - C[2, 2],
+        P[1, 2] + P_p[1, 2] - C[1, 2] - C[2, 1],
+        P[0, 2] + P_p[0, 2] - C[0, 2] - C[2, 0],
+        P[0, 1] + P_p[0, 1] - C[0, 1] - C[1, 0],
+    )
+
+
+@compiled
+def spread(x: float, y: float, z: float, D: Symmetric) -> Three:
+    """Diagonal of ``[v]× D [v]×ᵀ``, v = (x, y, z): what an uncertain orientation makes of a vector."""
+    xx, yy, zz, yz, xz, xy = D
+    return (
+        z * z * yy - 2.0 * y * z * yz + y * y * zz,
+        z * z * xx - 2.0 * x * z * xz + x * x * zz,
+        y * y * xx - 2.0 * x * y * xy + x * x * yy,
+    )
 
 
 @compiled
@@ -66,7 +82,9 @@ def learn_joint_arms(
     for i in range(3):
         for j in range(3):
             rows[i, j], rows[i, 3 + j] = -K[i, j], K_p[i, j]
-    off = spread(0.5 * (u + u_p), relative_covariance(state, s, p))
+    off = spread(
+        0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2]), relative_covariance(state, s, p)
+    )
     before = state.arm[s].copy()
     added = _learn(
         state.arm[s], state.arm_covariance[s], rows, u - u_p, off, variance, at_once, noise.huber, dt
@@ -92,7 +110,7 @@ def learn_device_arm(
     dt: float,
 ) -> float:
     """The same of fixed point d of segment s, at which u must be the known y; and ``state.force_bias[s]``."""
-    off = spread(y, state.P[s, :3, :3])
+    off = spread(y[0], y[1], y[2], own_covariance(state, s))
     rows, x = np.empty((3, 6)), np.empty(6)
     for i in range(3):
         x[i], x[3 + i] = state.device_shift[d, i], state.force_bias[s, i]
@@ -118,7 +136,7 @@ def _learn(
     P: FloatArray,
     rows: FloatArray,
     residual: FloatArray,
-    off: FloatArray,
+    off: Three,
     variance: float,
     at_once: float,
     huber: float,

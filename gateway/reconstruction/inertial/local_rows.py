@@ -48,10 +48,12 @@ def take_reading(
             n = 0
     if n == N_READINGS:
         for i in range(N_READINGS - 1):
-            readings[i] = readings[i + 1]
+            for j in range(5):
+                readings[i, j] = readings[i + 1, j]
         n -= 1
     readings[n, 0], readings[n, 4] = time_s, sigma
-    readings[n, 1:4] = value
+    for i in range(3):
+        readings[n, 1 + i] = value[i]
     state.n_readings[d, 0], state.n_readings[d, 1] = n + 1, 1
 
 
@@ -96,43 +98,59 @@ def local_pair(
         and state.readings[d, n - 1, 0] - state.readings[d, first - 1, 0] < 1.05 * noise.local_window_s
     ):
         first -= 1
-    t, values = state.readings[d, first:n, 0], state.readings[d, first:n, 1:4].copy()
+    t, values = np.empty(n - first), np.empty((n - first, 3))
+    for k in range(n - first):
+        t[k] = state.readings[d, first + k, 0]
+        for i in range(3):
+            values[k, i] = state.readings[d, first + k, 1 + i]
     order = 2 if body.device_kind[d] == POSITION else 1
     if body.device_kind[d] == ACCELERATION:
-        values = _summed(t, values)
+        _sum_up(t, values)
     weights = derivative_weights(t, order)
     is_covered, u, arm = _own_side(state.history[d], t, weights, order)
     if not is_covered:
         return none
-    y, variance = body.gravity * -1.0, 0.0
-    for i in range(len(t)):
-        y += weights[i] * values[i]
-        variance += (weights[i] * state.readings[d, first + i, 4]) ** 2
+    y, variance = np.empty(3), 0.0
+    for i in range(3):
+        y[i] = -body.gravity[i]
+        u[i] += arm[i]
+    for k in range(len(t)):
+        variance += (weights[k] * state.readings[d, first + k, 4]) ** 2
+        for i in range(3):
+            y[i] += weights[k] * values[k, i]
     if body.device_kind[d] == ACCELERATION:
         variance = state.readings[d, n - 1, 4] ** 2 / len(t)
-    return True, u + arm, y, variance, t[-1] - t[0]
+    return True, u, y, variance, t[len(t) - 1] - t[0]
 
 
 @compiled
-def _summed(t: FloatArray, values: FloatArray) -> FloatArray:
-    """Accelerations to velocities, trapezoidal, from zero; (n, 3)."""
-    velocities = np.zeros_like(values)
-    for i in range(1, len(t)):
-        velocities[i] = velocities[i - 1] + 0.5 * (t[i] - t[i - 1]) * (values[i] + values[i - 1])
-    return velocities
+def _sum_up(t: FloatArray, values: FloatArray) -> None:
+    """Accelerations (n, 3) to velocities, trapezoidal, from zero; in place."""
+    for i in range(3):
+        before, values[0, i] = values[0, i], 0.0
+        for k in range(1, len(t)):
+            mean, before = 0.5 * (values[k, i] + before), values[k, i]
+            values[k, i] = values[k - 1, i] + (t[k] - t[k - 1]) * mean
 
 
 @compiled
 def derivative_weights(t: FloatArray, order: int) -> FloatArray:
     """w (n,) with Σ w_i p(t_i) the derivative of the polynomial of that order (1, 2) fitted to p."""
-    x = t - np.mean(t)
-    squares = np.sum(x * x)
-    if order == 1:
-        slope: FloatArray = x / squares
-        return slope
-    q = x * x - np.sum(x**3) / squares * x - squares / len(t)
-    curvature: FloatArray = 2.0 * q / np.sum(q * q)
-    return curvature
+    n, mean, squares, cubes, total = len(t), 0.0, 0.0, 0.0, 0.0
+    for k in range(n):
+        mean += t[k] / n
+    weights = np.empty(n)
+    for k in range(n):
+        x = t[k] - mean
+        squares += x * x
+        cubes += x * x * x
+    for k in range(n):
+        x = t[k] - mean
+        weights[k] = x if order == 1 else x * x - cubes / squares * x - squares / n
+        total += weights[k] * weights[k]
+    for k in range(n):
+        weights[k] *= order / total
+    return weights
 
 
 @compiled
@@ -158,10 +176,11 @@ def _own_side(
         for i in range(3):
             u[i] += 0.5 * kernel * step * (history[j, 1 + i] + history[j - 1, 1 + i])
         total += kernel * step
-    for i in range(len(t)):
-        arm += weights[i] * _at(history, t[i])
-    # the kernel's area is 1; what is missing was lost at the ends of the window
-    return math.isfinite(total) and total > 0.5, u / total, arm
+    for k in range(len(t)):
+        _add_arm(arm, weights[k], history, t[k])
+    for i in range(3):
+        u[i] /= total  # the kernel's area is 1; what is missing was lost at the ends of the window
+    return math.isfinite(total) and total > 0.5, u, arm
 
 
 @compiled
@@ -174,13 +193,15 @@ def _reaches(history: FloatArray, time_s: float) -> bool:
 
 
 @compiled
-def _at(history: FloatArray, time_s: float) -> FloatArray:
-    """The arm's columns at an instant, linear between frames; the nearest outside."""
+def _add_arm(arm: FloatArray, weight: float, history: FloatArray, time_s: float) -> None:
+    """arm += weight times its columns at an instant, linear between frames; the nearest outside."""
     last = N_HISTORY - 1
     while last > 1 and history[last - 1, 0] >= time_s:
         last -= 1
     step = history[last, 0] - history[last - 1, 0]
     part = min(1.0, max(0.0, (time_s - history[last - 1, 0]) / step)) if math.isfinite(step) else 1.0
-    if part == 1.0:
-        return history[last, 4:7].copy()
-    return history[last - 1, 4:7] + part * (history[last, 4:7] - history[last - 1, 4:7])
+    for i in range(4, 7):
+        found = history[last, i]
+        if part != 1.0:
+            found = history[last - 1, i] + part * (found - history[last - 1, i])
+        arm[i - 4] += weight * found

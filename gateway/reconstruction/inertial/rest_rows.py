@@ -71,7 +71,7 @@ def rest_rows(
             u = rotation_matrix.rotate(state.R[s], force[s])
             variance = REST_ACCELERATION**2 + (ROLLING_ARM * turning[s]) ** 2
             variance *= max(1.0, CORRELATION_S / dt)
-            known_row(evidence, state, noise, s, u, -body.gravity, variance, False)
+            known_row(evidence, state, noise, s, u, body.at_rest, variance, False)
             anchored[s] = 1.0
             state.rest[s, 9] = STRIDE_S
         elif body.carries[s] == 1 and state.rest[s, 9] > 0.0:

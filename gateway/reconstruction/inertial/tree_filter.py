@@ -17,7 +17,6 @@ import numpy as np
 
 from gateway.frames import FloatArray, IntArray
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import dot
 from gateway.reconstruction.inertial.blocks import (
     inverse_into,
     product_into,
@@ -25,6 +24,9 @@ from gateway.reconstruction.inertial.blocks import (
     times_vector_into,
     weakened_into,
 )
+
+Three = tuple[float, float, float]
+"""A vector of numbers, for which no array has to be made."""
 
 
 class Evidence(NamedTuple):
@@ -68,7 +70,7 @@ def clear(evidence: Evidence) -> None:
 
 
 @compiled
-def add_own(evidence: Evidence, s: int, row: FloatArray, residual: float, variance: float) -> None:
+def add_own(evidence: Evidence, s: int, row: FloatArray | Three, residual: float, variance: float) -> None:
     """One scalar row on the orientation of segment s; row (3,)."""
     for i in range(3):
         evidence.own_vector[s, i] += row[i] * residual / variance
@@ -91,12 +93,12 @@ def add_edge(
 
 
 @compiled
-def add_joint(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, variance: float) -> None:
+def add_joint(evidence: Evidence, s: int, m: Three, residual: Three, variance: float) -> None:
     """``residual = [m]× (δ − δ_p)``, of segment s and its parent; (3,), variance of each component.
 
     In closed form, with ``[m]×ᵀ [m]× = (m · m) I − m mᵀ``.
     """
-    weight, square = 1.0 / variance, dot(m, m)
+    weight, square = 1.0 / variance, m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         across = residual[j] * m[k] - residual[k] * m[j]
@@ -110,9 +112,9 @@ def add_joint(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, v
 
 
 @compiled
-def add_known(evidence: Evidence, s: int, m: FloatArray, residual: FloatArray, variance: float) -> None:
+def add_known(evidence: Evidence, s: int, m: Three, residual: Three, variance: float) -> None:
     """``residual = [m]× δ``, of segment s; (3,), variance of each component."""
-    weight, square = 1.0 / variance, dot(m, m)
+    weight, square = 1.0 / variance, m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         evidence.own_vector[s, i] += weight * (residual[j] * m[k] - residual[k] * m[j])

@@ -70,7 +70,7 @@ def adjusted(
             for pose, turn in zip(poses, turns, strict=True)
         ]
         poses = [
-            solve_pose(model, seen, everyone, R, root, scale, 4)
+            solve_pose(model, seen, everyone, R, root, scale, 4, R, 0.0)
             for seen, (R, root) in zip(observed, starts, strict=True)
         ]
     model = model._replace(stiffness=allowed.stiffness, limit_stiffness=allowed.limit_stiffness)

@@ -15,18 +15,21 @@ from gateway.body.joints import Decomposition
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray
+from gateway.geometry import rotation_matrix as rm
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, is_finite, norm
 from gateway.reconstruction.optical import kernels
 
-FREE_SIGMA = np.radians(60.0)
+FREE_SIGMA = np.radians(120.0)
 """How far angles that a joint has may be from their neutral ones before it counts, rad."""
 FIXED_SIGMA = np.radians(12.0)
 """The same of angles that a joint does not really have (a knee's adduction), rad."""
+HELD_SIGMA = np.radians(10.0)
+"""How far a joint may turn from one frame to the next before it counts: what markers in a gap leave open stays."""
 LIMIT_SIGMA = np.radians(8.0)
 """How far beyond its limits an angle may be before it counts, rad."""
 _SMALLEST_STEP = 1e-6  # m and rad: under what any marker can tell
-_SMALLEST_GAIN = 1e-6  # of the cost, relative: what is left are turns that no marker sees
+_SMALLEST_GAIN = 1e-5  # of the cost, relative: what is left are turns that no marker sees
 _FIRST_DAMPING = 1e-6
 _WORST_DAMPING = 1e6
 
@@ -106,6 +109,23 @@ def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray
 
 
 @compiled
+def add_held(
+    H: FloatArray, g: FloatArray, model: BodyModel, R: FloatArray, held: FloatArray, stiffness: float
+) -> float:
+    """Draw every joint, by ``stiffness`` in 1/rad², to the rotation it has in a pose ``held`` (S, 3, 3). Cost."""
+    cost = 0.0
+    for d in model.distals:
+        parent = model.parents[d]
+        turned = rm.multiply(R[parent], rm.multiply(held[parent].T.copy(), held[d]))
+        apart = rm.rotate(R[d], rm.increment(turned, R[d]))
+        for i in range(3):
+            H[3 + 3 * d + i, 3 + 3 * d + i] += stiffness
+            g[3 + 3 * d + i] -= stiffness * apart[i]
+        cost += 0.5 * stiffness * dot(apart, apart)
+    return cost
+
+
+@compiled
 def normal_equations(
     model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -153,17 +173,20 @@ def solve_pose(
     root: FloatArray,
     scale: float,
     longest: int,
+    held: FloatArray,
+    stiffness: float,
 ) -> Pose:
     """The pose that explains the markers best, near the one given.
 
     observed: (M, 3) m, NaN rows for markers not seen; trust: (M,) 0 leaves a marker out, 1 takes it.
     R (S, 3, 3), root (3,): where to begin. scale: distance at which a marker begins to lose its say, m.
-    longest: most steps.
+    longest: most steps. held (S, 3, 3), stiffness 1/rad²: a pose whose joints these are drawn to (0: none).
     """
     p = kernels.places(model.parents, model.offsets, R, root)
     y = kernels.marker_places(model.segments, model.positions, R, p)
     say = _say(model, observed, trust, y, scale)
     H, g, joints = normal_equations(model, observed, say, R, p)
+    joints += add_held(H, g, model, R, held, stiffness)
     damping = _FIRST_DAMPING
     steps = 0
     while steps < longest and damping < _WORST_DAMPING:
@@ -180,6 +203,7 @@ def solve_pose(
         p_new = kernels.places(model.parents, model.offsets, R_new, root_new)
         before = _cost(model, observed, say, R, p) + joints
         H_new, g_new, joints_new = normal_equations(model, observed, say, R_new, p_new)
+        joints_new += add_held(H_new, g_new, model, R_new, held, stiffness)
         after = _cost(model, observed, say, R_new, p_new) + joints_new
         if after > before * (1.0 + 1e-12):
             damping = max(10.0 * damping, 1e-4)
@@ -189,6 +213,7 @@ def solve_pose(
         y = kernels.marker_places(model.segments, model.positions, R, p)
         say = _say(model, observed, trust, y, scale)
         H, g, joints = normal_equations(model, observed, say, R, p)
+        joints += add_held(H, g, model, R, held, stiffness)
         if np.max(np.abs(delta)) < _SMALLEST_STEP or before - after < _SMALLEST_GAIN * before:
             break
     return _finished(model, observed, say, R, root, y, H, steps)

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
@@ -14,6 +15,7 @@ from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.labelling import relabelled
 from gateway.reconstruction.optical.pose_solver import (
+    HELD_SIGMA,
     Pose,
     body_model,
     orientation_sigmas,
@@ -33,25 +35,29 @@ _ACCEPTED = 0.25
 _SMALLEST_VARIANCE = 0.25
 
 
+Renamed = tuple[tuple[int, int], ...]
+"""(marker, whose point it had been; -1 for a nameless one)."""
+
+
 @dataclass(frozen=True)
 class MarkerFit:
     """How the last pose explains the markers, in the order of the fitted body."""
 
     positions: FloatArray
-    """(M, 3) m, after names were put right; NaN: not seen, or nobody's."""
+    """(M, 3) m, after names were put right; NaN: not seen."""
     virtual: FloatArray
     """(M, 3) m: where the body has its markers."""
     residuals: FloatArray
-    """(M,) m; NaN where not seen."""
-    used: FloatArray
-    """(M,) bool: had a say."""
-    renamed: tuple[tuple[int, int], ...]
+    """(M,) m; NaN where not seen. Points that had no say, ghosts among them, have one too."""
+    used: NDArray[np.bool_]
+    """(M,) had a say."""
+    renamed: Renamed
     """(marker, whose point it had been; -1 for a nameless one)."""
 
     @property
     def rmse(self) -> float:
         """m, of the markers used; NaN with none."""
-        chosen = self.residuals[self.used.astype(bool)]
+        chosen = self.residuals[self.used]
         return float(np.sqrt(np.mean(chosen**2))) if len(chosen) else float("nan")
 
 
@@ -89,40 +95,52 @@ class OpticalReconstructor:
         self.last = self._explained(observation, pose, renamed)
         return self._frame(observation, pose)
 
-    def _tracked(self, frame: MarkerFrame) -> tuple[Pose | None, tuple[tuple[int, int], ...]]:
-        pose = self._followed(frame)
+    def _tracked(self, frame: MarkerFrame) -> tuple[Pose | None, Renamed]:
+        pose, renamed = self._followed(frame)
         if pose is not None:
-            named = relabelled(
-                frame.positions, self._virtual(pose), self.model.sigmas, frame.unlabelled
-            )
-            renamed: tuple[tuple[int, int], ...] = ()
-            if named is not None:
-                renamed = named.renamed
-                self.counts["renamed"] += len(renamed)
-                self.counts["rejected"] += len(named.rejected)
-                pose = self._solved(named.positions, pose.R, pose.root)
+            pose, renamed = self._questioned(frame, pose, renamed)
             if _is_good(pose, frame.positions):
+                self.counts["renamed"] += len(renamed)
                 return pose, renamed
         begun = start_pose(self.model, frame.positions, self._neutral)
         if begun is None:
             return None, ()
         self.counts["starts"] += 1
         self._rates.reset()
-        named = relabelled(frame.positions, self._virtual(begun), self.model.sigmas, frame.unlabelled)
-        if named is None:
-            return begun, ()
-        self.counts["renamed"] += len(named.renamed)
-        return self._solved(named.positions, begun.R, begun.root), named.renamed
+        self._before = self._now = None
+        pose, renamed = self._questioned(frame, begun, ())
+        self.counts["renamed"] += len(renamed)
+        return pose, renamed
 
-    def _followed(self, frame: MarkerFrame) -> Pose | None:
-        """From the last pose, moved on as it was moving; None without one, or with too few markers."""
+    def _questioned(self, frame: MarkerFrame, pose: Pose, renamed: Renamed) -> tuple[Pose, Renamed]:
+        """The pose, and which markers had others' points, once names that do not fit it are put right."""
+        given = _with_names(frame, renamed, self._virtual(pose))
+        named = relabelled(given, self._virtual(pose), self.model.sigmas, frame.unlabelled)
+        if named is None:
+            return pose, renamed
+        self.counts["rejected"] += len(named.rejected)
+        whose = dict(renamed)
+        changed = {m: s if s < 0 else whose.get(s, s) for m, s in named.renamed}
+        kept = {m: s for m, s in whose.items() if m not in named.rejected}
+        both = {m: s for m, s in {**kept, **changed}.items() if m != s}
+        return self._solved(named.positions, pose.R, pose.root), tuple(sorted(both.items()))
+
+    def _followed(self, frame: MarkerFrame) -> tuple[Pose | None, Renamed]:
+        """From the last pose, moved on as it was moving; no pose without one, or with too few markers.
+
+        Names are questioned before the pose is sought: two markers that change places would else turn the
+        segment that they sit on.
+        """
         if self._now is None or np.isfinite(frame.positions).all(axis=1).sum() < 3:
-            return None
+            return None, ()
         R, root = self._predicted(frame.time_ns)
         p = kernels.places(self.model.parents, self.model.offsets, R, root)
         expected = kernels.marker_places(self.model.segments, self.model.positions, R, p)
-        near = np.linalg.norm(frame.positions - expected, axis=1) < _FAR
-        return self._solved(np.where(near[:, None], frame.positions, np.nan), R, root)
+        named = relabelled(frame.positions, expected, self.model.sigmas, frame.unlabelled)
+        renamed = () if named is None else named.renamed
+        given = _with_names(frame, renamed, expected)
+        near = np.linalg.norm(given - expected, axis=1) < _FAR
+        return self._solved(np.where(near[:, None], given, np.nan), R, root), renamed
 
     def _predicted(self, time_ns: int) -> tuple[FloatArray, FloatArray]:
         assert self._now is not None
@@ -137,22 +155,21 @@ class OpticalReconstructor:
 
     def _solved(self, observed: FloatArray, R: FloatArray, root: FloatArray) -> Pose:
         everyone = np.ones(len(observed))
-        return solve_pose(self.model, np.ascontiguousarray(observed), everyone, R, root, NEAR, _LONGEST)
+        held, stiffness = (R, 0.0) if self._now is None else (self._now[1].R, HELD_SIGMA**-2)
+        seen = np.ascontiguousarray(observed)
+        return solve_pose(self.model, seen, everyone, R, root, NEAR, _LONGEST, held, stiffness)
 
     def _virtual(self, pose: Pose) -> FloatArray:
         p = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
         return kernels.marker_places(self.model.segments, self.model.positions, pose.R, p)
 
     def _explained(
-        self, frame: MarkerFrame, pose: Pose, renamed: tuple[tuple[int, int], ...]
+        self, frame: MarkerFrame, pose: Pose, renamed: Renamed
     ) -> MarkerFit:
         virtual = self._virtual(pose)
-        positions = np.where(np.isfinite(pose.residuals)[:, None], frame.positions, np.nan)
-        for marker, source in renamed:
-            given = frame.unlabelled if source < 0 else frame.positions[source : source + 1]
-            at = np.argmin(np.linalg.norm(given - virtual[marker], axis=1))
-            positions[marker] = given[at]
-        return MarkerFit(positions, virtual, pose.residuals, pose.weights > _ACCEPTED, renamed)
+        positions = _with_names(frame, renamed, virtual)
+        residuals = np.linalg.norm(positions - virtual, axis=1)
+        return MarkerFit(positions, virtual, residuals, pose.weights > _ACCEPTED, renamed)
 
     def _frame(self, frame: MarkerFrame, pose: Pose) -> SkeletonFrame:
         p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
@@ -191,6 +208,18 @@ class OpticalReconstructor:
             frame.sequence, frame.time_ns, q_wb, unknown, unknown.copy(), p_w, np.full(n, np.nan),
             np.full(n, status, dtype=np.uint8), 0,
         )  # fmt: skip
+
+
+def _with_names(frame: MarkerFrame, renamed: Renamed, virtual: FloatArray) -> FloatArray:
+    """Markers (M, 3) with the points they were given; one that lost its point to another has none."""
+    positions = frame.positions.copy()
+    for _, source in renamed:
+        if source >= 0:
+            positions[source] = np.nan
+    for marker, source in renamed:
+        given = frame.unlabelled if source < 0 else frame.positions[source : source + 1]
+        positions[marker] = given[np.nanargmin(np.linalg.norm(given - virtual[marker], axis=1))]
+    return positions
 
 
 def _is_good(pose: Pose, observed: FloatArray) -> bool:

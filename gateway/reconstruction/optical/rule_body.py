@@ -89,13 +89,45 @@ def neutral_axes(body: Skeleton, axes: FloatArray, standing: FloatArray) -> Floa
     upright root that faces where the root faced.
     """
     root = int(np.flatnonzero(body.parents < 0)[0])
-    forward = standing[root][:, 0]
-    heading = np.arctan2(forward[1], forward[0])
-    turn = np.array([np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)])
-    upright = quaternion.to_matrix(quaternion.multiply(turn, body.neutral))
-    corrections = np.einsum("sji,jk->sik", standing, upright)
+    corrections = np.einsum("sji,jk->sik", standing, upright_axes(body, standing[root]))
     turned: FloatArray = axes @ corrections
     return turned
+
+
+def upright_axes(body: Skeleton, root: FloatArray) -> FloatArray:
+    """(3, 3) of every segment in the neutral posture, facing where a root with axes (3, 3) faces."""
+    forward = root[:, 0]
+    heading = np.arctan2(forward[1], forward[0])
+    turn = np.array([np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)])
+    return quaternion.to_matrix(quaternion.multiply(turn, body.neutral))
+
+
+def facing_axes(body: Skeleton, p_w: FloatArray, otherwise: FloatArray) -> FloatArray:
+    """(3, 3) of an upright body that faces across the line from its left joints to its right ones.
+
+    p_w: (S, 3) m of standing. Joints come from motion and are surer than single markers. otherwise: (3, 3)
+    axes of the root, for a body without left and right.
+    """
+    names = body.segment_names
+    pairs = [
+        (names.index(name), names.index("right_" + name.removeprefix("left_")))
+        for name in names
+        if name.startswith("left_") and "right_" + name.removeprefix("left_") in names
+    ]
+    if not pairs:
+        return upright_axes(body, otherwise)
+    right = sum(p_w[r] - p_w[s] for s, r in pairs)
+    forward = np.cross(np.array([0.0, 0.0, 1.0]), right)
+    return upright_axes(body, np.stack([forward, forward, forward], axis=1))
+
+
+def straightened(body: Skeleton, offsets: FloatArray) -> FloatArray:
+    """Offsets (S, 3) as long as they are, in the directions that the body file has them: of a person whose axes
+    were set in the neutral posture, where a hinge hides its place along its own axis."""
+    length = np.linalg.norm(offsets, axis=1, keepdims=True)
+    own = np.linalg.norm(body.offsets, axis=1, keepdims=True)
+    straight: FloatArray = np.where(own > 0, body.offsets * length / np.where(own > 0, own, 1.0), offsets)
+    return straight
 
 
 def mean_rotation(rotations: FloatArray) -> FloatArray:

@@ -68,7 +68,7 @@ def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> P
     pose: Pose | None = None
     for scale in _SCALES:
         begin = (R, shift) if pose is None else (pose.R, pose.root)
-        pose = solve_pose(model, observed, everyone, *begin, scale, _LONGEST)
+        pose = solve_pose(model, observed, everyone, *begin, scale, _LONGEST, begin[0], 0.0)
     return pose
 
 

@@ -11,7 +11,8 @@ from gateway.errors import GatewayError
 from gateway.frames import ImuFrame, LocalReading, Quantity, Status
 from gateway.reconstruction import create_reconstructor, smoothing, update_many
 from gateway.reconstruction.inertial.chain_state import initial_state
-from gateway.reconstruction.inertial.two_ways import put_together, seen_backward, turned_back
+from gateway.reconstruction.inertial.time_reversal import seen_backward, turned_back
+from gateway.reconstruction.inertial.two_ways import put_together
 from gateway.reconstruction.smoothing import Smoother
 
 RATE_HZ = 100
@@ -70,10 +71,10 @@ def test_a_motion_seen_backward_turns_rates_and_velocities_and_waits_for_reading
 
 def test_turning_a_state_back_twice_keeps_what_it_knows():
     state, rng = initial_state(3, 1), np.random.default_rng(1)
-    for name in ("bias", "arm", "C", "field_seen", "device_shift"):
+    for name in ("bias", "force_bias", "arm", "C", "field_seen", "device_shift"):
         getattr(state, name)[...] = rng.normal(size=getattr(state, name).shape)
     again = turned_back(turned_back(state))
-    for name in ("bias", "arm", "C", "field_seen", "device_shift"):
+    for name in ("bias", "force_bias", "arm", "C", "field_seen", "device_shift"):
         np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
 
 

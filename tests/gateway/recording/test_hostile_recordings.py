@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import resource
 import struct
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 import zstandard
 from mcap.records import Chunk
+from pydantic import ValidationError
 
-from devices.recording_file import DAMAGE, LARGEST_CHUNK, chunk_records
+from devices.recording_file import DAMAGE, LARGEST_CHUNK, RecordingError, chunk_records
 from gateway.body.rig import load_rig
 from gateway.errors import SettingsError
+from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.suit_snapshot import decode_suit, encode_suit
+from gateway.settings import RecordingSettings
 
 
-def chunk_of(data, compression="zstd", declared=None, size_of=None):
+def chunk_of(data, compression="zstd", declared=None):
     packed = zstandard.ZstdCompressor().compress(data) if compression == "zstd" else data
     return Chunk(
         compression=compression,
@@ -94,3 +98,60 @@ def test_found_by_fuzzing_a_type_of_numbers_that_is_an_expression(gravity):
 def test_json_that_nests_as_deep_as_the_stack():
     with pytest.raises(SettingsError):
         decode_suit(b"[" * 200_000)
+
+
+NAMES = (
+    "../x",
+    "..",
+    "/etc/passwd",
+    "a/b",
+    "a\\b",
+    "a\0b",
+    "a\n",
+    "",
+    " ",
+    "-rf",
+    "_x",
+    ".hidden",
+    "x" * 65,
+    "naïve",
+    "ａ",
+    "a\u2215b",
+    "a\u202eb",
+    "con:",
+    "~root",
+    "$HOME",
+    "*",
+)
+
+
+@pytest.mark.parametrize("name", NAMES, ids=repr)
+def test_a_name_that_could_mean_another_place_is_refused(name, tmp_path):
+    contents = Contents({}, {}, "0", True)
+    with pytest.raises(RecordingError, match="is no name for a recording"):
+        SessionFiles(RecordingSettings(folder=str(tmp_path / "in")), contents, name)
+    with pytest.raises(ValidationError):
+        RecordingSettings(name=name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_or_a_link_that_stands_there_is_never_written_to(tmp_path, monkeypatch):
+    """A link laid where the next recording would go must not lead it elsewhere."""
+    now = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+    monkeypatch.setattr("gateway.recording.files.datetime", type("Fixed", (), {"now": lambda _zone: now}))
+    target = tmp_path / "precious"
+    target.write_text("untouched")
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "20260102T030405Z_walk.mcap").symlink_to(target)
+    (folder / "20260102T030405Z_walk_2.mcap").write_text("another")
+    (folder / "20260102T030405Z_walk_3.mcap").symlink_to(tmp_path / "nowhere")
+    settings = RecordingSettings(folder=str(folder), min_free_mb=0, warn_free_mb=0)
+    files = SessionFiles(settings, Contents({}, {}, "0", True), "walk")
+    files.close()
+    assert files.path.name == "20260102T030405Z_walk_4.mcap"
+    assert (target.read_text(), (folder / "20260102T030405Z_walk_2.mcap").read_text()) == (
+        "untouched",
+        "another",
+    )
+    assert not (tmp_path / "nowhere").exists()

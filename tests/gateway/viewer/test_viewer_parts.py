@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 
 import numpy as np
@@ -18,10 +19,19 @@ from gateway.outputs.messages import (
     PoseMessage,
     describe_body,
 )
-from gateway.viewer.appearance import COLOURS, STALE, UNSURE, legend, segment_colours
+from gateway.viewer.appearance import (
+    COLOURS,
+    STALE,
+    UNSURE,
+    legend,
+    segment_colours,
+    silent_segments,
+    status_summary,
+)
 from gateway.viewer.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.viewer.history import History
 from gateway.viewer.module_table import module_rows, module_table
+from gateway.viewer.pace import pictures
 from gateway.viewer.posture import PostureKeeper, skeleton_of
 
 SKELETON = load_rig("suit_17").skeleton
@@ -92,6 +102,31 @@ def test_colours_tell_status_and_confidence():
     assert all(name.replace("_", " ") in legend() for name in COLOURS)
 
 
+def test_segments_of_silent_modules_are_told_by_name():
+    status = {"pelvis": "measured", "l5": "predicted", "head": "predicted", "left_hand": "missing"}
+    silent = silent_segments(status, {"pelvis", "head", "left_hand"})
+    assert silent == ("head", "left_hand")  # l5 bears no module: it is predicted by nature
+    summary = status_summary(status, silent)
+    assert summary == "1 measured, 2 predicted, 1 missing; no data of head, left_hand"
+    assert status_summary({"a": "measured", "b": "measured"}, ()) == "all 2 segments measured"
+    many = [f"s{k}" for k in range(9)]
+    assert status_summary(dict.fromkeys(many, "missing"), many).endswith("of s0, s1, s2, …")
+
+
+async def test_pictures_come_at_their_rate_and_late_ones_are_not_made_up_for():
+    loop = asyncio.get_running_loop()
+    begun, elapsed = loop.time(), []
+    async for since_s in pictures(50.0):
+        elapsed.append(since_s)
+        if len(elapsed) == 3:
+            await asyncio.sleep(0.1)
+        if len(elapsed) == 8:
+            break
+    assert elapsed[0] < 0.01
+    assert elapsed[3] >= 0.1
+    assert loop.time() - begun >= 0.1 + 5 * 0.02 - 0.005
+
+
 def test_history_forgets_what_is_old_and_begins_anew_when_time_jumps_back():
     history = History(("a", "b"), span_s=1.0)
     assert all(len(array) == 1 for array in history.arrays())
@@ -129,4 +164,30 @@ def test_the_module_table_names_the_silent_and_the_lossy():
     table = module_table(rows)
     assert table.count("color:rgb") == 2
     assert "<b>" not in table
+    assert module_rows(health, info, silent=["head"])[0][2] == "silent"
     assert module_rows(None, None) == []
+
+
+def test_a_body_far_away_stands_in_the_middle_and_so_does_its_name(unused_port):
+    viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+    from gateway.viewer.scene import BodyScene  # noqa: PLC0415 - needs the extra
+    from gateway.viewer.stage import SECTION_M, Stage  # noqa: PLC0415
+
+    server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
+    try:
+        stage = Stage(server)
+        scene = BodyScene(server, stage, SKELETON)
+        drawn = PostureKeeper(SKELETON).take(pose(position={"pelvis": (100.25, -40.5, 1.0)}))
+        stage.follow(drawn.place)
+        scene.draw(drawn, is_stale=False, silent=["head"])
+        np.testing.assert_allclose(stage.middle, [100.25, -40.5, 0.0])
+        nodes = server.scene._handle_from_node_name
+        assert np.abs(nodes["/body/bones"].batched_positions[:, :2]).max() < 2.0
+        assert np.linalg.norm(nodes["/body/names/head"].position) < 2.5
+        assert nodes["/body/names/head"].text == "head: no data"
+        assert not nodes["/body/names/pelvis"].visible
+        np.testing.assert_allclose(nodes["/floor"].position, [-0.25, -(-40.5 % SECTION_M), 0.0], atol=1e-9)
+        stage.follow(drawn.place + np.array([1.0, 0.0, 0.0]))
+        assert 100.25 < stage.middle[0] < 101.0  # smoothly from now on
+    finally:
+        server.stop()

@@ -1,0 +1,66 @@
+"""A recording seen backward: its frames, and the filter's state to begin with.
+
+A motion seen backward is a motion: at ``t' = −t`` positions, accelerations, specific forces and fields are
+what they were, rates and velocities change their sign. So the same filter runs backward over the same frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gateway.frames import ImuFrame, LocalReading, Quantity
+from gateway.reconstruction.inertial.chain_state import FilterState, initial_state
+
+KEPT = (
+    "R", "is_started", "is_open", "silent_s", "force_bias", "arm", "arm_covariance", "compass_s",
+    "field_seen", "sun", "device_shift", "device_covariance",
+)  # fmt: skip
+"""Of the state, what is the same seen backward."""
+
+
+def turned_back(state: FilterState) -> FilterState:
+    """The state to go backward with from where ``state`` is: orientations, biases, lever arms and shown
+    headings are kept, and how sure they are; averages and clocks begin anew.
+
+    Recordings end in mid-motion as often as at rest: a backward filter that knew nothing would first of all
+    take that motion's acceleration for a tilt.
+    """
+    back = initial_state(len(state.is_started), len(state.device_age_s))
+    sign = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    for name in KEPT:
+        getattr(back, name)[...] = getattr(state, name)
+    back.bias[...], back.rate[...] = -state.bias, -state.rate
+    back.P[...] = state.P * np.outer(sign, sign)
+    back.C[...] = state.C * np.outer(sign, sign)
+    return back
+
+
+def seen_backward(
+    frames: Sequence[ImuFrame], end_ns: int, later: Sequence[LocalReading]
+) -> tuple[list[ImuFrame], list[LocalReading]]:
+    """Frames in reverse order as a motion of their own, whose time is counted back from ``end_ns``.
+
+    later: readings left over from the frames after these; returned are those of before the first frame.
+    """
+    waiting = [*later, *(reading for frame in frames for reading in frame.local)]
+    waiting.sort(key=lambda reading: reading.time_ns)
+    turned = []
+    for frame in reversed(frames):
+        local = []
+        while waiting and waiting[-1].time_ns >= frame.time_ns:
+            local.append(_turned_reading(waiting.pop(), end_ns))
+        turned.append(
+            replace(
+                frame, time_ns=end_ns - frame.time_ns, angular_rate=-frame.angular_rate, local=tuple(local)
+            )
+        )
+    return turned, waiting
+
+
+def _turned_reading(reading: LocalReading, end_ns: int) -> LocalReading:
+    is_velocity = reading.quantity in {Quantity.VELOCITY, Quantity.AIR_VELOCITY}
+    value = -reading.value if is_velocity else reading.value
+    return replace(reading, time_ns=end_ns - reading.time_ns, value=value)

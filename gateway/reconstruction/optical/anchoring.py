@@ -1,0 +1,48 @@
+"""Segment axes after a fit: markers determine a rigid segment, not which of its axes is called x.
+
+While body and poses are sought together, a segment's axes may turn if all that lies on it turns back. They are
+put back to where the rules have them, on average, or to the neutral posture of a person who stood in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gateway.frames import FloatArray
+from gateway.reconstruction.optical.pose_solver import BodyModel, Pose
+from gateway.reconstruction.optical.rule_body import mean_rotation
+
+
+def turns_to_rules(poses: Sequence[Pose], axes: FloatArray) -> FloatArray:
+    """(S, 3, 3) constant turns C with R C nearest the rules' axes (K, S, 3, 3) over the poses; NaN axes count
+    for nothing."""
+    turns = np.empty(axes.shape[1:])
+    R = np.stack([pose.R for pose in poses])
+    for s in range(axes.shape[1]):
+        known = np.isfinite(axes[:, s]).all(axis=(1, 2))
+        local = np.einsum("kji,kjl->kil", R[known, s], axes[known, s])
+        turns[s] = mean_rotation(local) if known.any() else np.eye(3)
+    return turns
+
+
+def turns_to_neutral(standing: Sequence[Pose], upright: FloatArray) -> FloatArray:
+    """(S, 3, 3) constant turns after which all segments have the axes ``upright`` (3, 3) in those poses."""
+    R = np.stack([pose.R for pose in standing])
+    return np.stack([mean_rotation(R[:, s]).T @ upright for s in range(R.shape[1])])
+
+
+def turned_model(
+    model: BodyModel, poses: Sequence[Pose], tips: FloatArray, turns: FloatArray
+) -> tuple[BodyModel, list[Pose], FloatArray]:
+    """The same body and poses with axes turned by C: what lies on a segment turns back. tips: (S, 3) m."""
+    parents = np.maximum(model.parents, 0)
+    offsets = np.einsum("sji,sj->si", turns[parents], model.offsets)
+    positions = np.einsum("mji,mj->mi", turns[model.segments], model.positions)
+    new_poses = [pose._replace(R=pose.R @ turns) for pose in poses]
+    return (
+        model._replace(offsets=offsets, positions=positions),
+        new_poses,
+        np.einsum("sji,sj->si", turns, tips),
+    )
