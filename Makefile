@@ -82,7 +82,7 @@ docs: install-dev
 bench: install-dev system-tools
 	$(BIN)/python -m benchmarks all --write-docs
 
-MINUTES ?= 20
+soak soak-faults: MINUTES ?= 20
 soak: install-dev system-tools
 	$(BIN)/python -m pytest -m slow
 	$(BIN)/python -m benchmarks.wire_campaign --frames 10000000
