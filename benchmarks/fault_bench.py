@@ -29,6 +29,8 @@ from gateway.frames import SkeletonFrame, Status, StatusArray
 from gateway.service import Service
 from gateway.settings import GatewaySettings
 
+METHOD = "independent"
+"""Reconstructor: what it costs is not at stake here."""
 WHOLE_POSES = 10
 """So many whole poses in a row are a recovery; it counts from the first of them."""
 REMEMBERED_POSES = 2000
@@ -119,6 +121,7 @@ class Bench:
             {
                 "links": [{"name": "suit", "url": str(folder / "suit")}],
                 "rig": "suit_17",
+                "reconstructor": METHOD,
                 "mqtt": {"port": port},
                 "recording": {"folder": str(recordings or folder / "recordings"), "min_free_mb": 0},
             }

@@ -20,7 +20,7 @@ import aiomqtt
 import yaml
 
 from benchmarks.emulated_stream import suit_17
-from benchmarks.fault_bench import WHOLE_LIMIT_S, WHOLE_POSES, Broker, Outcome
+from benchmarks.fault_bench import METHOD, WHOLE_LIMIT_S, WHOLE_POSES, Broker, Outcome
 from devices.emulators import IDEAL, EmulatedSuit, SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 
@@ -81,6 +81,7 @@ async def _running() -> AsyncIterator[GatewayProcess]:
         settings = {
             "links": [{"name": "suit", "url": str(port)}],
             "rig": "suit_17",
+            "reconstructor": METHOD,
             "mqtt": {"port": broker.port, "health_interval": 1},
         }
         config.write_text(yaml.safe_dump(settings))

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.emulated_stream import suit_17
+from benchmarks.fault_bench import METHOD
 from devices.emulators import IDEAL, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import Fault, FaultPlan
 from devices.link import Chunk, Framing
@@ -128,7 +129,7 @@ class FaultFree:
     def __init__(self, start_ns: int) -> None:
         worn, motion = suit_17()
         self.worn = worn
-        self._pipeline = Pipeline(worn, AssemblySettings().params())
+        self._pipeline = Pipeline(worn, AssemblySettings().params(), METHOD)
         self._pipeline.add_link(_LINK, Framing.BYTE_STREAM)
         self._traffic = SuitTraffic(motion, SuitSettings(has_relay=True), IDEAL, seed=1)
         self._start_ns = start_ns

@@ -213,6 +213,8 @@ def _tls_parameters(tls: TlsSettings) -> aiomqtt.TLSParameters:
 def _hang_up(client: aiomqtt.Client) -> None:
     """Close the socket, if it is still open, and end the client's timer."""
     client._client._sock_close()  # aiomqtt offers only a disconnection that waits for the broker
+    if client._disconnected.done() and not client._disconnected.cancelled():
+        client._disconnected.exception()  # seen: or asyncio complains of it at some later time
 
 
 def unique_identifier(role: str) -> str:

@@ -86,7 +86,7 @@ def test_a_body_is_reconstructed_in_it(container):
 
 
 def test_health_is_asked_with_its_configuration(container):
-    builder, name = container
-    looked = builder("inspect", "--format", "{{.Docker.Config.Healthcheck}}", name)
+    builder, _ = container
+    looked = builder("inspect", "--type", "image", "--format", "{{.Docker.Config.Healthcheck}}", IMAGE)
     assert "mocap-gateway" in looked
     assert "health" in looked

@@ -133,7 +133,7 @@ async def test_a_flood_is_bounded_counted_and_over_when_it_is_over(mosquitto, pr
         told = [answer for topic, answer in answers if topic.endswith("/flood")]
         assert responder.dropped > 0
         assert responder.statistics()["dropped"] == responder.dropped
-        assert len(told) + responder.dropped <= n
+        assert len(told) + responder.dropped <= n + 200  # honest ones that were asked again are among them
         assert len(told) <= MOST_AT_ONCE + 100 * PATIENCE_S
         for answer in told:
             assert answer["status"] == "ok" or "too many requests are waiting" in answer["error"]

@@ -20,7 +20,8 @@ from gateway.service import Service
 from gateway.settings import GatewaySettings
 from tests.system.test_observability import fetch
 
-pytestmark = pytest.mark.system
+# A machine that has too much else to do does not recover: no test for a loaded one.
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(400)]
 
 
 MODULES, RATE_HZ, SECONDS = 4, 100, 120

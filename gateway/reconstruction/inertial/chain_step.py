@@ -90,7 +90,7 @@ def step(
         follow_sun(evidence, body, state, noise, is_valid, scratch.sun, dt, turns)
     _device_rows(body, state, noise, scratch, fixed, dt, time_s)
     rest_rows(evidence, body, state, noise, is_valid, force, resting, scratch.rolling, dt, scratch.anchored)
-    _joint_rows(body, state, noise, scratch, dt)
+    _joint_rows(body, state, noise, scratch, is_joint, dt)
     for s in range(len(is_valid)):
         if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):
             chain_rows.rest_row(evidence, state, s, REST_WINDOW_S, dt)
@@ -275,8 +275,13 @@ def _turn_beyond(body: ChainBody, s: int, angle: float, turns: FloatArray) -> No
 
 
 @compiled
-def _joint_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, dt: float) -> None:
-    """Rows of all joints, and ``scratch.U``; chains that no device holds up get an unaided row."""
+def _joint_rows(
+    body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, is_joint: bool, dt: float
+) -> None:
+    """Rows of all joints, and ``scratch.U``; chains that nothing holds up get an unaided row.
+
+    In the joint filter a foot or a device anywhere holds up its chain; outward only one on its root does.
+    """
     settled_s = SETTLED * noise.smoothing_s
     is_valid, chain, anchored = scratch.is_valid, scratch.chain, scratch.anchored
     for s in range(len(body.parents)):
@@ -287,7 +292,8 @@ def _joint_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Scra
         if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
             continue
         chain[s] = chain[p]
-        anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
+        if is_joint:
+            anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
         _joint_row(body, state, noise, scratch, s, p, dt)
     _unaided_rows(body, state, noise, scratch, dt)
 
