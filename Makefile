@@ -100,11 +100,9 @@ fuzz: MINUTES ?= 30
 fuzz: $(VENV)/.fuzz
 	$(BIN)/python -m benchmarks.fuzzing.campaign --minutes $(MINUTES) $(TARGETS)
 
-$(VENV)/.audit: $(VENV)/pyvenv.cfg
-	@$(BIN)/python -m pip install -q "pip-audit>=2.9,<3"
-	@touch $@
-
-audit: $(VENV)/.audit
+audit: $(VENV)/pyvenv.cfg
+	@$(BIN)/python -m pip_audit --version >/dev/null 2>&1 || $(BIN)/python -m pip install -q "pip-audit>=2.9,<3" \
+		|| echo "pip-audit is not installed and could not be"
 	@$(BIN)/python -m benchmarks.audit requirements/runtime.lock requirements/dev.lock
 
 lock:

@@ -28,6 +28,7 @@ SUITES = (
     "soak",
     "fuzz",
     "overload",
+    "optical",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

@@ -142,23 +142,26 @@ def add_fast_arm(report: Report) -> None:
         f"times a second. `{HALF_LATER}`: most of VQF's error here is that it runs half a sampling interval "
         "ahead; in these rows that is taken back.\n\n" + table(heads, rows)
     )
+    report.figures.extend(_arm_figures(means))
+    note = "share of errors of `joint` within two sigma, simulated fast arms; 95 is honest"
+    report.figures.append(Figure("sigma_coverage_sim_arm_percent", float(np.mean(covered)), "%", "", note))
+
+
+def _arm_figures(means: dict[tuple[str, str, str], list[float]]) -> Iterator[Figure]:
+    """Ratios of mean errors, by arm, what is wrong, and method."""
     for figure, place, name, peer, target in RATIOS:
         ratio = float(np.mean(means[place, name, "joint"]) / np.mean(means[place, name, peer]))
         note = f"`joint` over `{peer}` (VQF), simulated fast arm, {place}: {name}"
-        report.figures.append(Figure(figure, ratio, "", target, note))
+        yield Figure(figure, ratio, "", target, note)
+    with_field, without = (np.mean(means["carried base", STANDARD, m]) for m in ("joint", NO_FIELD))
+    note = "`joint` without magnetometers over `joint` with them, simulated fast arm, carried base"
+    yield Figure("sim_arm_magnetometer_free_ratio", float(without / with_field), "", "<=1.2", note)
     smoothed, live = (
         np.mean([mean for (_, _, used), each in means.items() if used == method for mean in each])
         for method in (SMOOTHED, "joint")
     )
     note = "`joint` smoothed over `joint` as it runs live, mean error, simulated fast arm, all switches"
-    report.figures.append(Figure("smoothed_sim_arm_total_ratio", float(smoothed / live), "", "<1.0", note))
-    with_field, without = (np.mean(means["carried base", STANDARD, m]) for m in ("joint", NO_FIELD))
-    note = "`joint` without magnetometers over `joint` with them, simulated fast arm, carried base"
-    report.figures.append(
-        Figure("sim_arm_magnetometer_free_ratio", float(without / with_field), "", "<=1.2", note)
-    )
-    note = "share of errors of `joint` within two sigma, simulated fast arms; 95 is honest"
-    report.figures.append(Figure("sigma_coverage_sim_arm_percent", float(np.mean(covered)), "%", "", note))
+    yield Figure("smoothed_sim_arm_total_ratio", float(smoothed / live), "", "<1.0", note)
 
 
 def _fast_arm_errors(

@@ -1,4 +1,5 @@
-"""A simulated capture: a moving body with markers whose true pose is known, and all that goes wrong with them."""
+"""A simulated capture: a moving body with markers whose true pose is known, and all that goes wrong with
+them."""
 
 from __future__ import annotations
 
@@ -24,9 +25,11 @@ _STANDING_S = 1.0
 _NOMINAL = {
     "LASI": (0.9, 0.9, -1.2), "RASI": (0.9, 0.9, 1.2), "LPSI": (-1.1, 1.0, -0.5), "RPSI": (-1.1, 1.0, 0.5),
     "C7": (-0.15, 0.95, 0), "T10": (-0.28, 0.5, 0), "CLAV": (0.15, 0.82, 0), "STRN": (0.3, 0.5, 0),
-    "RBAK": (-0.25, 0.7, 0.2), "LFHD": (0.35, 0.7, -0.28), "RFHD": (0.35, 0.7, 0.28), "LBHD": (-0.35, 0.7, -0.25),
+    "RBAK": (-0.25, 0.7, 0.2), "LFHD": (0.35, 0.7, -0.28), "RFHD": (0.35, 0.7, 0.28),
+    "LBHD": (-0.35, 0.7, -0.25),
     "RBHD": (-0.35, 0.7, 0.25), "SHO": (0, 0.25, 0.9), "UPA": (0.05, -0.5, 0.15), "ELB": (0, -1.0, 0.14),
-    "FRM": (0.08, -0.5, 0.12), "WRA": (0.14, -0.98, 0.04), "WRB": (-0.14, -0.98, 0.04), "FIN": (0.05, -0.45, 0.1),
+    "FRM": (0.08, -0.5, 0.12), "WRA": (0.14, -0.98, 0.04), "WRB": (-0.14, -0.98, 0.04),
+    "FIN": (0.05, -0.45, 0.1),
     "THI": (0.05, -0.5, 0.22), "KNE": (0, -1.0, 0.13), "TIB": (0.05, -0.5, 0.16), "ANK": (0, -1.0, 0.1),
     "HEE": (-0.28, -0.2, 0.02), "TOE": (0.85, -0.2, 0.05),
 }  # fmt: skip
@@ -46,8 +49,8 @@ class SimulatedTrial:
 def placed_markers(
     marker_set: MarkerSet, body: Skeleton, generator: np.random.Generator
 ) -> tuple[FloatArray, list[int]]:
-    """Where the markers of one subject sit, (M, 3) m, and on which segments: each ``MISPLACED`` from its nominal
-    place, in a direction of its own."""
+    """Where the markers of one subject sit, (M, 3) m, and on which segments: each ``MISPLACED`` from its
+    nominal place, in a direction of its own."""
     places, segments = [], []
     for label in marker_set.labels:
         segment = body.index(marker_set.carriers[label])
@@ -72,7 +75,8 @@ def simulated(
     *,
     faults: bool,
 ) -> SimulatedTrial:
-    """A second of neutral standing, then every joint's free angles in motion; with gaps and swaps if wanted."""
+    """A second of neutral standing, then every joint's free angles in motion; with gaps and swaps if
+    wanted."""
     q_wb, p_w = _motion(body, seconds, generator)
     R = np.array([[quaternion.to_matrix(q) for q in pose] for pose in q_wb])
     markers = p_w[:, segments] + np.einsum("fmij,mj->fmi", R[:, segments], places)
@@ -99,13 +103,17 @@ def _motion(body: Skeleton, seconds: float, generator: np.random.Generator) -> t
                 angles[:, k] = ease * (0.5 * (low + high) + 0.5 * (high - low) * wave)
         waves[joint.name] = angles
     shoulders = {
-        joint.name: _raised(times, ease, generator) for joint in body.joints if joint.name.endswith("_shoulder")
+        joint.name: _raised(times, ease, generator)
+        for joint in body.joints
+        if joint.name.endswith("_shoulder")
     }
     waves.update(shoulders)
     turn = ease * 0.6 * np.sin(2 * np.pi * 0.15 * times)
     q_wb, p_w = [], []
     for f in range(len(times)):
-        root = quaternion.multiply(quaternion.from_rotation_vector(np.array([0.0, 0.0, turn[f]])), body.neutral)
+        root = quaternion.multiply(
+            quaternion.from_rotation_vector(np.array([0.0, 0.0, turn[f]])), body.neutral
+        )
         pose = posture(body, {name: angles[f] for name, angles in waves.items()}, root)
         place = np.array([ease[f] * 0.4 * np.sin(0.8 * times[f]), 0.2 * ease[f] * times[f] / seconds, 0.95])
         q_wb.append(pose)
@@ -115,7 +123,9 @@ def _motion(body: Skeleton, seconds: float, generator: np.random.Generator) -> t
 
 def _raised(times: FloatArray, ease: FloatArray, generator: np.random.Generator) -> FloatArray:
     """Plane of elevation, elevation, rotation of an arm."""
-    swing = [np.sin(2 * np.pi * generator.uniform(0.2, 0.5) * times + generator.uniform(0, 6.28)) for _ in range(3)]
+    swing = [
+        np.sin(2 * np.pi * generator.uniform(0.2, 0.5) * times + generator.uniform(0, 6.28)) for _ in range(3)
+    ]
     return np.stack([ease * 0.7 * swing[0], ease * (0.8 + 0.5 * swing[1]), ease * 0.4 * swing[2]], axis=1)
 
 

@@ -25,7 +25,7 @@ from gateway.light import sun_direction
 from gateway.pipeline import Pipeline
 
 MORNING_NS = round(datetime(2026, 6, 21, 7, 0, tzinfo=UTC).timestamp()) * 1_000_000_000
-SECONDS, SETTLED_S, FROM_S, TO_S = 30.0, 5.0, 12.0, 22.0
+SECONDS, SETTLED_S, FROM_S, TO_S = 20.0, 5.0, 8.0, 16.0
 STEP_S = 0.05
 SEEDS = (1,)
 MODULE = 2
@@ -37,14 +37,14 @@ table A5.1 (refraction at 820 hPa)."""
 
 SKY = {
     "clear": (),
-    "cloud for 10 s": (Shade(FROM_S, TO_S, direct=0.05, sky=2.0),),
-    "thin cloud for 10 s": (Shade(FROM_S, TO_S, direct=0.4, sky=2.5),),
+    "cloud for 8 s": (Shade(FROM_S, TO_S, direct=0.05, sky=2.0),),
+    "thin cloud for 8 s": (Shade(FROM_S, TO_S, direct=0.4, sky=2.5),),
     "one module in shadow": (Shade(FROM_S, TO_S, sky=0.7, module=MODULE),),
     "shadow's edge on one module": (Shade(FROM_S, TO_S, module=MODULE, cells=(0, 2)),),
 }
 MAGNETS = {
     "undisturbed": (),
-    "magnet at one module for 10 s": (
+    "magnet at one module for 8 s": (
         {"kind": "magnet", "module": MODULE, "at": FROM_S, "lasts": TO_S - FROM_S, "field": 60.0},
     ),
 }
@@ -102,10 +102,10 @@ def run() -> Report:
 
 def _all() -> Any:
     for name, shades in SKY.items():
-        for method in METHODS:
+        for method in METHODS if not shades else METHODS[:1]:
             yield "sun", name, method, _result("sun", method, shades, ())
     for name, faults in MAGNETS.items():
-        for method in METHODS:
+        for method in METHODS if not faults else METHODS[:1]:
             yield "magnetometer", name, method, _result("magnetometer", method, (), faults)
         yield "both", name, "joint", _result("both", "joint", (), faults)
 

@@ -2,7 +2,8 @@
 
     {"sequence": 12, "time_s": 0.1, "markers": {"LASI": [0.1, 0.2, 0.9]}, "unlabelled": [[0.3, 0.1, 0.2]]}
 
-``markers`` is wanted, all else may be left out. Lengths in m, or as ``unit`` says (m, cm, mm); a marker that was
+``markers`` is wanted, all else may be left out. Lengths in m, or as ``unit`` says (m, cm, mm); a marker
+that was
 not seen is null or not there. ``time_s`` is of the sender's clock, ``time_ns`` of the gateway's (UTC). One
 message a datagram, or one a line of a stream.
 """
@@ -56,6 +57,10 @@ def encode_markers(
     return orjson.dumps(content) + b"\n"
 
 
+class _UnreadableError(Exception):
+    """Of one message; its text is the reason that is counted."""
+
+
 class MarkerReceiver:
     """Chunks of a link to messages. Never raises: what cannot be read is dropped, and counted by reason."""
 
@@ -75,29 +80,37 @@ class MarkerReceiver:
         if len(self._rest) > _LONGEST_LINE:
             self.dropped["too_long"] += 1
             self._rest = b""
-        found = [self._read(line, chunk.arrived_ns) for line in lines if line.strip()]
-        return [message for message in found if message is not None]
+        found = []
+        for line in lines:
+            if line.strip():
+                try:
+                    found.append(self._read(line, chunk.arrived_ns))
+                except _UnreadableError as error:
+                    self.dropped[str(error)] += 1
+        return found
 
-    def _read(self, line: bytes, arrived_ns: int) -> MarkerMessage | None:
+    def _read(self, line: bytes, arrived_ns: int) -> MarkerMessage:
         try:
             content = orjson.loads(line)
         except orjson.JSONDecodeError:
-            return self._drop("not_json")
+            raise _UnreadableError("not_json") from None
         if not isinstance(content, dict) or not isinstance(content.get("markers"), dict):
-            return self._drop("no_markers")
+            raise _UnreadableError("no_markers")
         unit = content.get("unit", "m")
         factor = METRES.get(unit) if isinstance(unit, str) else None
         if factor is None:
-            return self._drop("bad_unit")
-        places = {name: _place(value, factor) for name, value in content["markers"].items() if value is not None}
+            raise _UnreadableError("bad_unit")
+        places = {
+            name: _place(value, factor) for name, value in content["markers"].items() if value is not None
+        }
         nameless = content.get("unlabelled") or []
         others = [_place(value, factor) for value in nameless] if isinstance(nameless, list) else [None]
         time_ns = self._time_ns(content, arrived_ns)
         sequence = content.get("sequence", self.received)
         if time_ns is None or not isinstance(sequence, int) or None in places.values() or None in others:
-            return self._drop("bad_number")
+            raise _UnreadableError("bad_number")
         if time_ns <= self._last_ns:
-            return self._drop("not_later")
+            raise _UnreadableError("not_later")
         self._last_ns = time_ns
         self.received += 1
         seen = {name: place for name, place in places.items() if place is not None}
@@ -117,9 +130,6 @@ class MarkerReceiver:
         offset = arrived_ns - sent_ns
         self._offset_ns = offset if self._offset_ns is None else min(self._offset_ns, offset)
         return sent_ns + self._offset_ns
-
-    def _drop(self, reason: str) -> None:
-        self.dropped[reason] += 1
 
 
 def _is_whole(text: bytes) -> bool:

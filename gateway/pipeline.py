@@ -198,7 +198,8 @@ class Pipeline:
     def _optical_frames(self, chunk: Chunk) -> list[SkeletonFrame]:
         assert self.optical is not None  # add_link saw to it
         frames = [
-            self.resets.apply(self.optical.update(markers)) for markers in self._markers[chunk.link].receive(chunk)
+            self.resets.apply(self.optical.update(markers))
+            for markers in self._markers[chunk.link].receive(chunk)
         ]
         self.skeleton_frames += len(frames)
         return frames

@@ -42,8 +42,8 @@ class LinkSettings(_Strict):
     )
     carries: Literal["suit", "gnss", "markers"] = Field(
         default="suit",
-        description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver; markers: messages "
-        "of an optical system",
+        description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver; "
+        "markers: messages of an optical system",
     )
     device: int = Field(
         default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"
@@ -264,7 +264,7 @@ class GatewaySettings(_Strict):
     rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")
     reconstructor: str = Field(
         default="joint",
-        description=f"one of: {', '.join(sorted([*RECONSTRUCTORS, OPTICAL]))} (of markers, for a fitted subject)",
+        description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}; or {OPTICAL}, of markers",
     )
     root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()

@@ -75,7 +75,7 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
         n_frames = int(_number(parameters, "POINT:LONG_FRAMES", n_frames))
     n_points = int(_number(parameters, "POINT:USED", float(words[1])))
     start = int(_number(parameters, "POINT:DATA_START", float(words[8])))
-    if n_points == 0 or n_frames <= 0:
+    if n_points <= 0 or n_frames <= 0:
         raise FormatError(f"{path}: {n_points} points in {n_frames} frames: no marker trajectories")
     if scale == 0 or not np.isfinite(scale) or start < 1:
         raise FormatError(f"{path}: POINT:SCALE {scale:g}, POINT:DATA_START {start}: the file is damaged")
@@ -145,4 +145,4 @@ def _scalars(parameters: dict[str, Parameter]) -> dict[str, float]:
 
 def _number(parameters: dict[str, Parameter], name: str, default: float) -> float:
     numbers = parameters[name].numbers() if name in parameters else np.zeros(0)
-    return float(numbers[0]) if len(numbers) else default
+    return float(numbers[0]) if len(numbers) and np.isfinite(numbers[0]) else default

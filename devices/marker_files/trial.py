@@ -17,7 +17,8 @@ class MarkerTrial:
 
     name: str
     labels: tuple[str, ...]
-    """As in the file, without a subject's prefix. Those of unlabelled points are empty or begin with ``*``."""
+    """As in the file, without a subject's prefix. Those of unlabelled points are empty or begin with
+    ``*``."""
     rate_hz: float
     positions: FloatArray
     """(F, M, 3) m; NaN where a marker was not seen."""

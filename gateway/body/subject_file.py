@@ -1,4 +1,5 @@
-"""A fitted subject as a file: the body of one person and where markers sit on it. It stands in a rig's place."""
+"""A fitted subject as a file: the body of one person and where markers sit on it. It stands in a rig's
+place."""
 
 from __future__ import annotations
 
@@ -36,7 +37,9 @@ class SubjectFile(_Strict):
 
     subject: str
     marker_set: str = Field(description="name of the marker set it was fitted with")
-    vertical: Literal["x", "y", "z"] = Field(default="z", description="axis of the optical system that points up")
+    vertical: Literal["x", "y", "z"] = Field(
+        default="z", description="axis of the optical system that points up"
+    )
     measurements_m: dict[str, float] = {}
     fit: dict[str, Any] = Field(default={}, description="how the fit came about; for the reader")
     markers: list[MarkerEntry] = Field(min_length=3)
@@ -50,7 +53,8 @@ def is_subject(content: object) -> bool:
 
 
 def load_subject(path: Path) -> WornSuit:
-    """A suit of markers and no modules. Raises ``SettingsError`` naming the file, the entry and the remedy."""
+    """A suit of markers and no modules. Raises ``SettingsError`` naming the file, the entry and the
+    remedy."""
     file = load_settings(path, SubjectFile)
     skeleton = skeleton_of(file.body, path)
     labels = [entry.label for entry in file.markers]
@@ -73,8 +77,8 @@ def load_subject(path: Path) -> WornSuit:
 
 
 def subject_content(
-    name: str, marker_set: str, body: dict[str, Any], skeleton: Skeleton, markers: BodyMarkers, fit: dict[str, Any],
-    lengths: dict[str, float],
+    name: str, marker_set: str, body: dict[str, Any], skeleton: Skeleton, markers: BodyMarkers,
+    fit: dict[str, Any], lengths: dict[str, float],
 ) -> dict[str, Any]:  # fmt: skip
     """The content of a subject file. body: the skeleton as the content of a body file."""
     return {

@@ -97,7 +97,8 @@ def demo(
     broker, subscribes like an app would, and prints orientations and their error against the
     emulator's truth.
     """
-    # Whoever ends it, the emulated suit and the page end with it.
+    # However it is ended, also in the background of a script, the emulated suit and the page end with it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     console = Console()
     suit = load_rig(rig)
@@ -148,7 +149,7 @@ def _live_page(settings: GatewaySettings, page_port: int | None, console: Consol
     try:
         yield
     finally:
-        process.send_signal(signal.SIGINT)
+        process.terminate()
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(5)
         process.kill()

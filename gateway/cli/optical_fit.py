@@ -38,10 +38,13 @@ def fit(
     up: Annotated[str | None, typer.Option(help="Axis of the files that points up: x, y or z.")] = None,
     neutral: Annotated[
         str | None,
-        typer.Option(metavar="FROM:TO", help="Seconds of neutral standing in the first trial: sets the axes."),
+        typer.Option(
+            metavar="FROM:TO", help="Seconds of neutral standing in the first trial: sets the axes."
+        ),
     ] = None,
     functional: Annotated[
-        bool, typer.Option("--functional", help="Joint centres where the motion has them, whatever rules say.")
+        bool,
+        typer.Option("--functional", help="Joint centres where the motion has them, whatever rules say."),
     ] = False,
     rules_only: Annotated[
         bool, typer.Option("--rules-only", help="Joint centres where the rules have them, whatever moves.")
@@ -147,8 +150,8 @@ def _print(found: Fit, outcome: dict[str, object]) -> None:
         table.add_row(name, f"{lengths[name]:.0f}", f"{moved[name]:.0f}", " ".join(worn) or "–")
     Console().print(table)
     typer.echo(
-        f"{outcome['file']}: {outcome['markers']} markers, {outcome['frames']} frames, rest {outcome['rmse_mm']} mm "
-        f"RMS, {found.markers.vertical} up"
+        f"{outcome['file']}: {outcome['markers']} markers, {outcome['frames']} frames, "
+        f"rest {outcome['rmse_mm']} mm RMS, {found.markers.vertical} up"
     )
     for name in found.assumed:
         typer.echo(

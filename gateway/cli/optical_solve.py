@@ -23,8 +23,8 @@ from gateway.cli.replay_live import QUEUE, Brake, tell_outcome
 from gateway.cli.replay_live import play as play_link
 from gateway.errors import GatewayError
 from gateway.outputs.exporters import FORMATS
-from gateway.recording.optical import SolvedTrial, optical_settings, write_solved_trial
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
+from gateway.recording.optical import SolvedTrial, optical_settings, write_solved_trial
 from gateway.service import Service
 from gateway.settings import load_gateway_settings
 
@@ -46,7 +46,8 @@ def solve(
     force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
-    """Solve a trial for a fitted subject, into a recording that replays, exports and reports like any other."""
+    """Solve a trial for a fitted subject, into a recording that replays, exports and reports like any
+    other."""
     suit = _subject(subject)
     for name in to or []:
         if name not in FORMATS:
@@ -87,7 +88,12 @@ def play(
     settings = optical_settings(subject, trial.rate_hz, f"markers://{file.resolve()}")
     if config is not None:
         given = load_gateway_settings(config)
-        kept = {"mqtt": given.mqtt, "gateway": given.gateway, "outputs": given.outputs, "recording": given.recording}
+        kept = {
+            "mqtt": given.mqtt,
+            "gateway": given.gateway,
+            "outputs": given.outputs,
+            "recording": given.recording,
+        }
         settings = settings.model_copy(update=kept)
     changes: dict[str, object] = {"queue_length": max(settings.mqtt.queue_length, QUEUE)}
     if embedded:
@@ -140,6 +146,7 @@ def _print(done: SolvedTrial) -> None:
         table.add_row(label, rest, f"{figures['seen_percent']:.0f}", f"{figures['used_percent']:.0f}")
     Console().print(table)
     typer.echo(
-        f"{done.path}: {done.frames} frames, rest {outcome['rmse_mm']} mm RMS, {done.ms_per_frame:.2f} ms a frame; "
-        f"{len(done.renamed)} names put right, {done.counts.get('rejected', 0)} points left out"
+        f"{done.path}: {done.frames} frames, rest {outcome['rmse_mm']} mm RMS, "
+        f"{done.ms_per_frame:.2f} ms a frame; {len(done.renamed)} names put right, "
+        f"{done.counts.get('rejected', 0)} points left out"
     )

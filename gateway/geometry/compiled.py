@@ -59,15 +59,17 @@ def prune(directory: Path, kept: int = KEPT_CACHES) -> None:
         shutil.rmtree(path, ignore_errors=True)
 
 
+CACHE_DIRECTORY = cache_directory(PACKAGE)
+
+
 @functools.cache
 def _compiler() -> Any:
     """Numba, which takes a second to import: when the first kernel is called."""
     import numba  # noqa: PLC0415 - takes a second
 
-    directory = cache_directory(PACKAGE)
-    if not directory.exists():
-        prune(directory)
-    numba.config.CACHE_DIR = str(directory)  # type: ignore[attr-defined]  # set by name in numba
+    if not CACHE_DIRECTORY.exists():
+        prune(CACHE_DIRECTORY)
+    numba.config.CACHE_DIR = str(CACHE_DIRECTORY)  # type: ignore[attr-defined]  # set by name in numba
     return numba
 
 

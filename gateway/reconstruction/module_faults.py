@@ -1,10 +1,9 @@
 """Modules that go on sending without sensing. Compiled.
 
 A sensor's noise changes its last bits all the time. A module whose specific force and rate have not changed
-in any bit for a while, though other modules' have, is stuck. (If none changes, they may be noise-free
-simulations at rest: nothing is said.) A single sensor is stuck when it repeats itself while it turns, or
-while the other one says that the module moves: sooner than in rest, where coarse sensors may repeat
-themselves.
+for a while, though other modules' have, is stuck. (If none changes, they may be noise-free simulations at
+rest: nothing is said.) Gyrometers alone are stuck when they repeat themselves while they turn, or while the
+specific force says that the module moves: sooner than in rest, where coarse sensors may repeat themselves.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from gateway.geometry.vectors import norm
 STUCK_S = 0.5
 """Sensors of 16 bits at rest repeat a whole reading a few times in a row at most."""
 LIVELY_S = 0.1
+ROUNDING = 1e-12
 STUCK_IN_MOTION_S = 0.15
 """In motion no reading of 16 bits comes twice on all three axes, but by rare chance."""
 TURNING = 0.05
@@ -50,15 +50,16 @@ def stuck_modules(
     """(m,) 1 for modules that are stuck. force, rate: (m, 3) as sent; dt: since the frame before, s."""
     m = len(status)
     stuck = np.zeros(m, np.uint8)
-    lively, lively_rates, lively_forces = 0, 0, 0
+    lively, lively_rates = 0, 0
     for i in range(m):
         if status[i] > 1:  # held by the gateway, or missing: the assembler's matter
             continue
         force_changed, rate_changed = False, False
         for k in range(3):
             # NaN differs from itself: a sensor that is not there repeats nothing
-            force_changed = force_changed or (force[i, k] != state.last[i, k])
-            rate_changed = rate_changed or (rate[i, k] != state.last[i, 3 + k] and rate[i, k] == rate[i, k])
+            force_changed = force_changed or _differs(force[i, k], state.last[i, k])
+            is_there = rate[i, k] == rate[i, k]
+            rate_changed = rate_changed or (is_there and _differs(rate[i, k], state.last[i, 3 + k]))
             state.last[i, k], state.last[i, 3 + k] = force[i, k], rate[i, k]
         state.unchanged_s[i] = 0.0 if force_changed or rate_changed else state.unchanged_s[i] + dt
         state.force_unchanged_s[i] = 0.0 if force_changed else state.force_unchanged_s[i] + dt
@@ -66,27 +67,26 @@ def stuck_modules(
         if rate_changed:
             state.force_before[i] = force[i]
         lively_rates += state.rate_unchanged_s[i] < LIVELY_S
-        lively_forces += state.force_unchanged_s[i] < LIVELY_S
         lively += state.unchanged_s[i] < LIVELY_S
     for i in range(m):
         if status[i] <= 1:
             stuck[i] = lively > 0 and state.unchanged_s[i] >= STUCK_S
             stuck[i] |= lively_rates > 0 and _has_stuck_rate(state, i, force[i], rate[i])
-            stuck[i] |= lively_forces > 0 and _has_stuck_force(state, i, rate[i])
     return stuck
 
 
 @compiled
+def _differs(value: float, before: float) -> bool:
+    """By more than rounding: a repeated reading that was interpolated may be off in its last bit."""
+    return not abs(value - before) <= ROUNDING * abs(before)
+
+
+@compiled
 def _has_stuck_rate(state: RepeatState, i: int, force: FloatArray, rate: FloatArray) -> bool:
-    """Whether module i's gyrometers repeat themselves while it turns, or swings."""
+    """Whether module i's gyrometers, if it has any, repeat themselves while it turns, or swings."""
+    if not norm(rate) >= 0.0:  # NaN: it has none
+        return False
     is_moving = norm(rate) > TURNING or norm(force - state.force_before[i]) > SWINGING
     return bool(
         is_moving and state.force_unchanged_s[i] == 0.0 and state.rate_unchanged_s[i] >= STUCK_IN_MOTION_S
     )
-
-
-@compiled
-def _has_stuck_force(state: RepeatState, i: int, rate: FloatArray) -> bool:
-    """Whether module i's accelerometer repeats itself while it turns."""
-    is_turning = norm(rate) > TURNING and state.rate_unchanged_s[i] == 0.0
-    return bool(is_turning and state.force_unchanged_s[i] >= STUCK_IN_MOTION_S)

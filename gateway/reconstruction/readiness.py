@@ -42,7 +42,7 @@ def command(name: str) -> list[str]:
 
 
 def _mark(name: str) -> Path:
-    return compiled.cache_directory(compiled.PACKAGE) / f"ready-{name}-numba-{version('numba')}"
+    return compiled.CACHE_DIRECTORY / f"ready-{name}-numba-{version('numba')}"
 
 
 if __name__ == "__main__":

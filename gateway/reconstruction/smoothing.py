@@ -123,8 +123,8 @@ class Smoother:
             later = self._go_backward(k, backward, later)
             tell(self._n_blocks - k, total)
         for k in range(self._n_blocks):
+            tell(self._n_blocks + k + 1, total)  # before: who takes the last pose asks for no more
             yield from self._finished(k)
-            tell(self._n_blocks + k + 1, total)
 
     def _go_forward(self, frames: Sequence[ImuFrame]) -> None:
         prepared = self._body.prepare(frames)

@@ -67,10 +67,15 @@ def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optica
 
 
 def write_solved_trial(
-    trial: MarkerTrial, source: Path, suit: WornSuit, subject: str, target: Path, progress: Progress | None = None
+    trial: MarkerTrial,
+    source: Path,
+    suit: WornSuit,
+    subject: str,
+    target: Path,
+    progress: Progress | None = None,
 ) -> SolvedTrial:
-    """Every frame through the pipeline into ``target``. Raises ``RecordingError`` when that exists, OSError as
-    ``open`` does, ``GatewayError`` when the trial has none of the subject's markers."""
+    """Every frame through the pipeline into ``target``. Raises ``RecordingError`` when that exists,
+    OSError as ``open`` does, ``GatewayError`` when the trial has none of the subject's markers."""
     markers = suit.markers
     if markers is None:
         raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")
@@ -90,7 +95,9 @@ def write_solved_trial(
     renamed: list[tuple[int, str, str]] = []
     spent = 0.0
     frames = 0
-    with RecordingWriter(target, _session(target, begun_ns), attachments_of(settings, suit), begun_ns) as writer:
+    with RecordingWriter(
+        target, _session(target, begun_ns), attachments_of(settings, suit), begun_ns
+    ) as writer:
         writer.add(fmt.EVENTS, begun_ns, _origin(source, begun_ns))
         for index, chunk in enumerate(trial_chunks(trial, begun_ns, LINK)):
             began = time.process_time()
@@ -103,7 +110,8 @@ def write_solved_trial(
             if optical.last is not None:
                 residuals[index], used[index] = optical.last.residuals, optical.last.used
                 renamed += [
-                    (index, markers.labels[m], "" if s < 0 else markers.labels[s]) for m, s in optical.last.renamed
+                    (index, markers.labels[m], "" if s < 0 else markers.labels[s])
+                    for m, s in optical.last.renamed
                 ]
             if progress is not None and index % _CHUNKS_A_TELLING == 0:
                 progress(index, trial.n_frames)

@@ -12,8 +12,8 @@ MESSAGE = orjson.dumps({"sequence": 1, "markers": {"A": [1.0, 2.0, 3.0]}, "unlab
 
 
 @pytest.mark.parametrize("unit", [[], {}, ["m"], 1, None, True, "furlong"])
-def test_found_by_fuzzing_a_unit_that_is_no_text(unit):
-    """A list raised TypeError out of a receiver that never raises."""
+def test_a_unit_that_is_no_text_is_dropped(unit):
+    """A list once raised TypeError out of a receiver that never raises."""
     receiver = MarkerReceiver()
     data = orjson.dumps({"unit": unit, "markers": {"A": [1, 2, 3]}}) + b"\n"
     assert receiver.receive(Chunk(data, 1, "optical")) == []
@@ -21,8 +21,8 @@ def test_found_by_fuzzing_a_unit_that_is_no_text(unit):
 
 
 @pytest.mark.parametrize("at", range(1, len(MESSAGE)))
-def test_found_by_fuzzing_a_stream_cut_after_a_brace(at):
-    """The part before the cut was taken for a datagram, and the message was lost."""
+def test_a_stream_may_be_cut_after_a_brace(at):
+    """The part before the cut is no datagram of its own."""
     receiver = MarkerReceiver()
     found = receiver.receive(Chunk(MESSAGE[:at], 1, "optical"))
     found += receiver.receive(Chunk(MESSAGE[at:] + b"\n", 2, "optical"))

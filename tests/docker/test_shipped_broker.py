@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
+import os
 import shutil
 import socket
 import ssl
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -15,6 +18,7 @@ import aiomqtt
 import pytest
 
 from gateway.outputs.connection import broker_connection
+from gateway.outputs.messages import PoseMessage
 from gateway.outputs.settings import MqttSettings, TlsSettings
 
 SHIPPED = Path(__file__).resolve().parents[2] / "docker" / "mosquitto"
@@ -150,3 +154,28 @@ async def test_tls_with_the_right_authority_only(tmp_path, unused_port, monkeypa
         with pytest.raises((ssl.SSLError, aiomqtt.MqttError)):
             async with broker_connection(stranger, unused_port, "tls-test"):
                 pass
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+async def test_the_command_line_speaks_tls(tmp_path, unused_port):
+    pose = PoseMessage(
+        t_ns=1, seq=7, frame="ENU", order="wxyz", root="head",
+        segments={"head": (1.0, 0.0, 0.0, 0.0)}, status={"head": "measured"},
+    )  # fmt: skip
+    words = ["watch", "--port", str(unused_port), "--ca-file", str(tmp_path / "ca.crt"), "--username", "app"]
+    with shipped_broker(tmp_path, unused_port, with_tls=True):
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "gateway", *words, "--count", "1", "--json", "--timeout", "60",
+            stdout=asyncio.subprocess.PIPE, env=os.environ | {"MOCAP_MQTT_PASSWORD": "app-pw"},
+        )  # fmt: skip
+        reading = asyncio.create_task(process.communicate())
+        authority = aiomqtt.TLSParameters(ca_certs=str(tmp_path / "ca.crt"))
+        async with aiomqtt.Client(
+            "127.0.0.1", unused_port, username="gateway", password="gateway-pw", tls_params=authority
+        ) as gateway:
+            while not reading.done():
+                await gateway.publish(POSE, pose.payload())
+                await asyncio.sleep(0.1)
+        out, _ = await reading
+    assert process.returncode == 0
+    assert json.loads(out)["seq"] == 7

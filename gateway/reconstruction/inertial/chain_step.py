@@ -16,7 +16,13 @@ from gateway.reconstruction.inertial.chain_averages import (
     felt_into,
     watch_rest,
 )
-from gateway.reconstruction.inertial.chain_prediction import note_valid_rows, predict, start, turn_segments
+from gateway.reconstruction.inertial.chain_prediction import (
+    exceeds,
+    note_valid_rows,
+    predict,
+    start,
+    turn_segments,
+)
 from gateway.reconstruction.inertial.chain_scratch import Scratch
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.heading_start import (
@@ -84,7 +90,7 @@ def step(
         follow_sun(evidence, body, state, noise, is_valid, scratch.sun, dt, turns)
     _device_rows(body, state, noise, scratch, fixed, dt, time_s)
     rest_rows(evidence, body, state, noise, is_valid, force, resting, scratch.rolling, dt, scratch.anchored)
-    _joint_rows(body, state, noise, scratch, dt)
+    _joint_rows(body, state, noise, scratch, is_joint, dt)
     for s in range(len(is_valid)):
         if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):
             chain_rows.rest_row(evidence, state, s, REST_WINDOW_S, dt)
@@ -139,7 +145,9 @@ def _follow_field(
 ) -> None:
     """A row where the heading is settled; where it is open the field leads it as a compass."""
     for s in range(len(body.parents)):
-        if is_valid[s] == 0.0 or not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
+        if is_valid[s] == 0.0 or exceeds(state.rate[s], noise.largest_rate):
+            continue  # a saturated gyrometer has lost it: the field would seem disturbed
+        if not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
             continue
         chain_rows.watch_field(body, state, s, field[s], dt)
         if state.is_open[s] == 0:
@@ -267,8 +275,13 @@ def _turn_beyond(body: ChainBody, s: int, angle: float, turns: FloatArray) -> No
 
 
 @compiled
-def _joint_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, dt: float) -> None:
-    """Rows of all joints, and ``scratch.U``; chains that no device holds up get an unaided row."""
+def _joint_rows(
+    body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, is_joint: bool, dt: float
+) -> None:
+    """Rows of all joints, and ``scratch.U``; chains that nothing holds up get an unaided row.
+
+    In the joint filter a foot or a device anywhere holds up its chain; outward only one on its root does.
+    """
     settled_s = SETTLED * noise.smoothing_s
     is_valid, chain, anchored = scratch.is_valid, scratch.chain, scratch.anchored
     for s in range(len(body.parents)):
@@ -279,7 +292,8 @@ def _joint_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Scra
         if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
             continue
         chain[s] = chain[p]
-        anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
+        if is_joint:
+            anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
         _joint_row(body, state, noise, scratch, s, p, dt)
     _unaided_rows(body, state, noise, scratch, dt)
 

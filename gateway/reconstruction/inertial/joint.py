@@ -84,6 +84,7 @@ class ChainReconstructor:
         self._wearing = wearing_of(suit, placing[0] if placing else None, nominal_interval_s)
         self._no_readings = np.zeros((0, 8))
         self._no_covariance = np.zeros((0, self._n, 3, 3))
+        self._never_resting = np.zeros((1, self._n))
         self._compile(len(suit.module_ids))
         self.reset()
 
@@ -126,7 +127,16 @@ class ChainReconstructor:
 
         resting: (n_segments,) s for how long each has stood still, 0: not; see ``stance``.
         """
-        return self.update_many((observation,), None if resting is None else resting[None])[0]
+        q_wb, rate, acceleration, p_w, sigma, status = advance(
+            self._held,
+            *self._inputs_of_one(observation),
+            self._never_resting if resting is None else resting[None],
+            self._no_covariance,
+        )
+        return SkeletonFrame(
+            observation.sequence, observation.time_ns, q_wb[0], rate[0], acceleration[0], p_w[0], sigma[0],
+            status[0], self._root,
+        )  # fmt: skip
 
     def update_many(
         self,
@@ -148,6 +158,19 @@ class ChainReconstructor:
             SkeletonFrame(o.sequence, o.time_ns, q_wb, rate, acceleration, p_w, sigma, status, self._root)
             for o, q_wb, rate, acceleration, p_w, sigma, status in zip(observations, *arrays, strict=True)
         ]
+
+    def _inputs_of_one(self, observation: ImuFrame) -> Inputs:
+        """In arrays made once, where the frame has nothing but modules: live, making them takes longer than
+        the filter of some segments."""
+        if observation.local or observation.sun is not None or self._measures_place:
+            return self._inputs((observation,))
+        one = self._one
+        one.time_ns[0] = observation.time_ns
+        np.copyto(one.specific_force, observation.specific_force)
+        np.copyto(one.angular_rate, observation.angular_rate)
+        np.copyto(one.magnetic_field, observation.magnetic_field)
+        np.copyto(one.status, observation.status)
+        return one
 
     def _inputs(self, observations: Sequence[ImuFrame]) -> Inputs:
         time_ns = np.array([observation.time_ns for observation in observations], np.int64)
@@ -200,7 +223,9 @@ class ChainReconstructor:
         """One frame, so that the kernel is compiled before the first real one comes."""
         self.reset()
         ones, none = np.ones((n_modules, 3)), np.zeros(n_modules, np.int64)
-        self.update(ImuFrame(0, 0, ones, ones, ones, none.astype(np.uint8), none))
+        frame = ImuFrame(0, 0, ones, ones, ones, none.astype(np.uint8), none)
+        self._one = self._inputs((frame,))
+        self.update(frame)
 
 
 class OutwardReconstructor(ChainReconstructor):

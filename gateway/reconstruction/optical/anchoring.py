@@ -1,7 +1,7 @@
 """Segment axes after a fit: markers determine a rigid segment, not which of its axes is called x.
 
-While body and poses are sought together, a segment's axes may turn if all that lies on it turns back. They are
-put back to where the rules have them, on average, or to the neutral posture of a person who stood in it.
+While body and poses are sought together, a segment's axes may turn if all that lies on it turns back. They
+are put back to where the rules have them, on average, or to the neutral posture of a person who stood in it.
 """
 
 from __future__ import annotations

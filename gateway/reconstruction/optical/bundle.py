@@ -1,7 +1,8 @@
 """Lengths and markers' places that explain all poses best: the poses and the body found together.
 
 Gauss–Newton over the poses of K frames and what is constant in all of them (joint offsets, markers' places);
-poses are eliminated frame by frame by the Schur complement, as in bundle adjustment (Triggs et al. 2000, Vision
+poses are eliminated frame by frame by the Schur complement, as in bundle adjustment (Triggs et al. 2000,
+Vision
 Algorithms: 298–372). Joint centres that the motion shows are so found from motion (functional centres, as
 Reinbolt et al. 2005, J. Biomech. 38(3): 621–626, do by nested optimisation); those that it does not show stay
 where the rules have them, each by its trust.
@@ -92,7 +93,8 @@ def _stiffness(model: BodyModel, trust: FloatArray) -> FloatArray:
         if len(on):
             # (D⁻¹ + t² 1 1ᵀ)⁻¹ by Sherman and Morrison
             inverse[np.ix_(on, on)] -= np.outer(own[on], own[on]) / (trust[s] ** -2.0 + own[on].sum())
-    return np.kron(inverse, np.eye(3))
+    stiffness: FloatArray = np.asarray(np.kron(inverse, np.eye(3)), dtype=np.float64)
+    return stiffness
 
 
 def _loose(model: BodyModel) -> BodyModel:

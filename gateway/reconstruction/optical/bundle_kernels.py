@@ -31,13 +31,13 @@ def eliminate(
     X = np.zeros((n, m))
     for row in range(len(weights)):
         filled = np.flatnonzero(constant[row])
-        for i in filled:
-            weighted = weights[row] * constant[row, i]
-            right[i] += temper * weighted * residual[row]
-            for j in filled:
-                schur[i, j] += temper * weighted * constant[row, j]
+        for c in filled:
+            weighted = weights[row] * constant[row, c]
+            right[c] += temper * weighted * residual[row]
+            for d in filled:
+                schur[c, d] += temper * weighted * constant[row, d]
             for k in range(n):
-                X[k, i] += weighted * moving[row, k]
+                X[k, c] += weighted * moving[row, k]
     for k in range(n):
         for j in range(k):
             x[k] -= L[k, j] * x[j]
@@ -69,7 +69,8 @@ def back_substituted(L: FloatArray, X: FloatArray, x: FloatArray, delta: FloatAr
 def jacobians(
     model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of all markers by the pose (3 M, 3 + 3 S) and by the constants (3 M, 3 (S−1) + 3 M); weights, residuals.
+    """Of all markers by the pose (3 M, 3 + 3 S) and by the constants (3 M, 3 (S−1) + 3 M); weights,
+    residuals.
 
     Rows of markers that were not seen are zero.
     """
@@ -102,4 +103,3 @@ def jacobians(
                         constant[3 * m + i, 3 * (a - 1) + j] = R[parent, i, j]
             a = parent
     return moving, constant, weights, residual
-

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from devices.marker_files import MarkerTrial
 from gateway.body.markers import BodyMarkers
@@ -62,8 +63,8 @@ class FitOptions:
     neutral: tuple[float, float] | None = None
     """Seconds of the first trial in which the person stands neutral: axes are then those of that posture."""
     centres: Literal["rules", "both", "motion"] = "both"
-    """Where joints are: where rules have them on average; moved by the motion as far as each rule's trust lets
-    it; or where the motion has them, whatever rules say."""
+    """Where joints are: where rules have them on average; moved by the motion as far as each rule's trust
+    lets it; or where the motion has them, whatever rules say."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +186,8 @@ def _trust(marker_set: MarkerSet, centres: str) -> FloatArray:
 def _chosen_frames(
     marker_set: MarkerSet, sightings: Sequence[Sighting], skeleton: Skeleton, markers: BodyMarkers
 ) -> tuple[FloatArray, list[tuple[FloatArray, FloatArray] | None]]:
-    """(K, M, 3) of frames with most markers seen, spread over the trials; and where rules find the body there."""
+    """(K, M, 3) of frames with most markers seen, spread over the trials; and where rules find the body
+    there."""
     columns = [marker_set.labels.index(label) for label in markers.labels]
     observed: list[FloatArray] = []
     starts: list[tuple[FloatArray, FloatArray] | None] = []
@@ -215,7 +217,7 @@ def _standing(
     trial: MarkerTrial,
 ) -> FloatArray:
     """(n, M, 3) m of some frames of neutral standing."""
-    columns = [marker_set.labels.index(label) for label in markers.labels]
+    columns = np.array([marker_set.labels.index(label) for label in markers.labels])
     first, last = (round(each * trial.rate_hz) for each in span)
     chosen = np.unique(np.linspace(first, min(last, trial.n_frames) - 1, STILL_FRAMES).astype(np.int64))
     return np.ascontiguousarray(sighting.markers[np.ix_(chosen, columns)])
@@ -224,7 +226,8 @@ def _standing(
 def _made_neutral(
     body: Skeleton, done: Adjusted, stood: FloatArray, tips: FloatArray
 ) -> tuple[BodyModel, list[Pose], FloatArray]:
-    """The fitted body with axes that make the standing frames (n, M, 3) neutral; its poses; its tips (S, 3)."""
+    """The fitted body with axes that make the standing frames (n, M, 3) neutral; its poses; its tips (S,
+    3)."""
     model, pose = done.model, done.poses[0]
     standing = []
     for seen in stood:
@@ -237,7 +240,7 @@ def _made_neutral(
 
 def _largest_stray(seen: FloatArray) -> float:
     """The largest distance of a marker (F, M, 3) from its mean place, root mean square, m."""
-    known = np.isfinite(seen).all(axis=2)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(seen).all(axis=2))
     count = np.maximum(known.sum(axis=0), 1)
     values = np.where(known[..., None], seen, 0.0)
     mean = values.sum(axis=0) / count[:, None]
@@ -246,10 +249,16 @@ def _largest_stray(seen: FloatArray) -> float:
 
 
 def _begun(
-    model: BodyModel, seen: FloatArray, start: tuple[FloatArray, FloatArray] | None, skeleton: Skeleton, name: str
+    model: BodyModel,
+    seen: FloatArray,
+    start: tuple[FloatArray, FloatArray] | None,
+    skeleton: Skeleton,
+    name: str,
 ) -> Pose:
     if start is not None:
-        return solve_pose(model, seen, np.ones(len(seen)), start[0], start[1], _NEAR_AT_FIRST, 30, start[0], 0.0)
+        return solve_pose(
+            model, seen, np.ones(len(seen)), start[0], start[1], _NEAR_AT_FIRST, 30, start[0], 0.0
+        )
     pose = start_pose(model, seen, quaternion.to_matrix(skeleton.neutral))
     if pose is None:
         raise GatewayError(f"{name}: a frame with fewer than three markers: too few to fit a body to")

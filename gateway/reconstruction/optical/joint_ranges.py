@@ -1,7 +1,7 @@
 """What the joints of a person did while calibrating: limits and freedom of the fitted body.
 
-Rules for axes are not perfect: a wand marker that sits askew makes a knee appear to adduct by 30°. A body whose
-joints may not do what its own calibration shows would pull against its markers ever after.
+Rules for axes are not perfect: a wand marker that sits askew makes a knee appear to adduct by 30°. A body
+whose joints may not do what its own calibration shows would pull against its markers ever after.
 """
 
 from __future__ import annotations
@@ -43,9 +43,7 @@ def shown_joints(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) ->
 def _angles(model: BodyModel, row: int, poses: Sequence[Pose]) -> FloatArray:
     """(K, 3) rad, each growing with its named movement; without poses near the singularity."""
     distal = model.distals[row]
-    found = [
-        cardan(pose.R[model.parents[distal]], pose.R[distal], model.axes[row]) for pose in poses
-    ]
+    found = [cardan(pose.R[model.parents[distal]], pose.R[distal], model.axes[row]) for pose in poses]
     regular = [angles * model.signs[row] for angles, _, is_regular in found if is_regular]
     return np.array(regular).reshape(-1, 3)
 

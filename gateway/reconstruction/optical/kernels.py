@@ -1,8 +1,8 @@
 """The equations of one pose: markers of a skeleton, their derivatives, and what joints are allowed. Compiled.
 
 The unknowns of a pose of S segments are 3 + 3 S small changes δ: a shift of the root, and for every segment a
-turn about its proximal joint, world axes, that takes all it carries along. A marker at y on a segment with the
-chain of segments a = root … own then moves by
+turn about its proximal joint, world axes, that takes all it carries along. A marker at y on a segment with
+the chain of segments a = root … own then moves by
 
     dy = δ₀ + Σ_a δ_a × (y − p_a),
 
@@ -88,8 +88,8 @@ def add_joint(
 ) -> float:  # fmt: skip
     """Add what a joint is allowed: pulled to the neutral posture, and back inside its limits.
 
-    Angles are Cardan angles about ``axes`` (3,) of the moving segment; ``stiffness`` (3,) 1/rad² draws each to
-    zero, ``limit_stiffness`` beyond ``limits`` (3, 2) rad. Near the singularity only a turn as a
+    Angles are Cardan angles about ``axes`` (3,) of the moving segment; ``stiffness`` (3,) 1/rad² draws
+    each to zero, ``limit_stiffness`` beyond ``limits`` (3, 2) rad. Near the singularity only a turn as a
     whole is drawn to zero. Returns the cost, ½ Σ k e².
     """
     found, E, is_regular = cardan(R_p, R_d, axes)
@@ -101,7 +101,8 @@ def add_joint(
         for i in range(3):
             H[at + i, at + i] += weakest
             g[at + i] -= weakest * turn[i]
-        return 0.5 * weakest * dot(turn, turn)
+        whole: float = 0.5 * weakest * dot(turn, turn)
+        return whole
     for k in range(3):
         angle = found[k] * signs[k]
         pull = stiffness[k] * angle
@@ -122,7 +123,8 @@ def add_joint(
 
 @compiled
 def cardan(R_p: FloatArray, R_d: FloatArray, axes: IntArray) -> tuple[FloatArray, FloatArray, bool]:
-    """Right-handed angles (3,) rad of distal in proximal axes, and their rates by a turn of the distal segment.
+    """Right-handed angles (3,) rad of distal in proximal axes, and their rates by a turn of the distal
+    segment.
 
     E (3, 3): d angle_k = E[k] · δ, δ in world axes. False where the axes are nearly dependent.
     """

@@ -53,13 +53,15 @@ def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
         for labels in marker_set.file.vertical
     )
     if not np.isfinite(high - low).all():
+        feet, top = (" or ".join(labels) for labels in marker_set.file.vertical)
         raise GatewayError(
-            f"{trial.name}: which axis points up is not seen without {' or '.join(marker_set.file.vertical[0])}"
-            f" and {' or '.join(marker_set.file.vertical[1])}: tell it with --up"
+            f"{trial.name}: which axis points up is not seen without {feet} and {top}: tell it with --up"
         )
     axis = int(np.argmax(np.abs(high - low)))
     if (high - low)[axis] < 0:
-        raise GatewayError(f"{trial.name}: the body is upside down along {'xyz'[axis]}: tell the axis with --up")
+        raise GatewayError(
+            f"{trial.name}: the body is upside down along {'xyz'[axis]}: tell the axis with --up"
+        )
     return "xyz"[axis]
 
 
@@ -79,7 +81,9 @@ def measurements(marker_set: MarkerSet, trials: list[MarkerTrial], given: Mappin
     known = marker_set.file.measurements
     for name in given:
         if name not in known:
-            raise GatewayError(f"marker set '{marker_set.file.name}' has no measurement '{name}'{nearest(name, known)}")
+            raise GatewayError(
+                f"marker set '{marker_set.file.name}' has no measurement '{name}'{nearest(name, known)}"
+            )
     lengths, assumed = dict(given), []
     for name, entry in known.items():
         told = [
@@ -110,7 +114,9 @@ class SegmentPlaces:
 class Landmarks:
     """Points of a trial, each worked out when it is first asked for."""
 
-    def __init__(self, marker_set: MarkerSet, markers: Mapping[str, FloatArray], lengths: Mapping[str, float]):
+    def __init__(
+        self, marker_set: MarkerSet, markers: Mapping[str, FloatArray], lengths: Mapping[str, float]
+    ):
         """markers: label to (F, 3) m, world."""
         self._set = marker_set
         self._lengths = lengths
@@ -149,7 +155,9 @@ class Landmarks:
         if name not in self._set.file.points:
             return np.full((self._n_frames, 3), np.nan)  # a marker that this trial does not have
         for rule in self._set.rules(name):
-            if set(names_in(getattr(rule, rule.kind))) & set(self._set.file.measurements) <= set(self._lengths):
+            if set(names_in(getattr(rule, rule.kind))) & set(self._set.file.measurements) <= set(
+                self._lengths
+            ):
                 found = self._by_rule(rule)
                 if np.isfinite(found).all(axis=1).any():
                     return found

@@ -167,7 +167,9 @@ class SegmentRule(_Strict):
     """Where a segment is, by points."""
 
     origin: str = Field(description="point of its proximal joint")
-    tip: str | None = Field(default=None, description="point where it ends; none: as long as in the body file")
+    tip: str | None = Field(
+        default=None, description="point where it ends; none: as long as in the body file"
+    )
     axes: AxesRule | None = Field(default=None, description="none: turned as its parent is")
     trust_mm: Annotated[float, Field(gt=0, le=500)] = Field(
         default=5, description="how far the motion may move the joint from where the rule has it, 1 σ"
@@ -186,7 +188,8 @@ class MarkerSetFile(_Strict):
     measurements: dict[str, Measurement] = {}
     markers: dict[str, list[str]] = Field(description="segment to the markers on it")
     points: dict[str, PointRule | list[PointRule]] = Field(
-        default={}, description="in order; of several rules the first whose markers and measurements are there"
+        default={},
+        description="in order; of several rules the first whose markers and measurements are there",
     )
     segments: dict[str, SegmentRule]
 

@@ -1,7 +1,7 @@
 """Points of the body from markers: joint centres by published rules. Arrays (F, 3), m; NaN carries on.
 
-A rule is a function of points and lengths. Marker-set files name them (``marker_set``), so that another set of
-markers, an animal or a robot needs another file and no other program.
+A rule is a function of points and lengths. Marker-set files name them (``marker_set``), so that another
+set of markers, an animal or a robot needs another file and no other program.
 """
 
 from __future__ import annotations
@@ -40,8 +40,11 @@ def shifted(point: FloatArray, start: FloatArray, end: FloatArray, by: float) ->
 def perpendicular(
     point: FloatArray, first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray], by: float
 ) -> FloatArray:
-    """The point moved by ``by`` m across two lines, each from its first point to its second (right-handed)."""
-    return point + by * unit(np.cross(unit(first[1] - first[0]), unit(second[1] - second[0])))
+    """The point moved by ``by`` m across two lines, each from its first point to its second
+    (right-handed)."""
+    across = unit(np.cross(unit(first[1] - first[0]), unit(second[1] - second[0])))
+    moved: FloatArray = point + by * across
+    return moved
 
 
 def chord(proximal: FloatArray, marker: FloatArray, plane: FloatArray, distance: float) -> FloatArray:
@@ -59,7 +62,8 @@ def chord(proximal: FloatArray, marker: FloatArray, plane: FloatArray, distance:
     with np.errstate(invalid="ignore"):
         cosine = distance / length
         sine = np.sqrt(1.0 - cosine**2)
-    return marker + distance * (cosine * direction - sine * across)
+    centre: FloatArray = marker + distance * (cosine * direction - sine * across)
+    return centre
 
 
 def davis_hip(
@@ -120,7 +124,8 @@ def scaled_offset(
 ) -> FloatArray:
     """A point at fractions of a length, along a segment's axes (F, 3, 3): regressions on a body's width."""
     length = np.nanmean(np.linalg.norm(ends[1] - ends[0], axis=-1))
-    return origin + length * (axes @ np.asarray(fractions, dtype=np.float64))
+    point: FloatArray = origin + length * (axes @ np.asarray(fractions, dtype=np.float64))
+    return point
 
 
 def below_line(point: FloatArray, line: tuple[FloatArray, FloatArray], fraction: float) -> FloatArray:
@@ -132,13 +137,15 @@ def below_line(point: FloatArray, line: tuple[FloatArray, FloatArray], fraction:
     direction = unit(along)
     down = np.array([0.0, 0.0, -1.0])
     across = unit(down - np.sum(down * direction, axis=-1, keepdims=True) * direction)
-    return point + fraction * np.linalg.norm(along, axis=-1, keepdims=True) * across
+    moved: FloatArray = point + fraction * np.linalg.norm(along, axis=-1, keepdims=True) * across
+    return moved
 
 
 def right_triangle(
     proximal: FloatArray, marker: FloatArray, distal: FloatArray, half_width: float
 ) -> FloatArray:
-    """The centre beside a marker, half the joint's width away, at a right angle to the line to the proximal joint.
+    """The centre beside a marker, half the joint's width away, at a right angle to the line to the
+    proximal joint.
 
     The elbow, knee and ankle of CN1766831A: marker, centre and proximal joint make a right-angled triangle in
     the plane across the two bones that meet there. As ``chord``, with that plane's normal in place of a wand.

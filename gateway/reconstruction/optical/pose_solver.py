@@ -1,7 +1,8 @@
 """One pose from one frame of markers: damped Gauss–Newton over the whole body, with weights that forgive.
 
 Levenberg–Marquardt (Marquardt 1963) on ½ Σ ρ(|r_m| / σ_m) plus what the joints are allowed, by the normal
-equations of ``kernels``. ρ is the Geman–McClure function (Black & Rangarajan 1996, Int. J. Comput. Vis. 19(1)):
+equations of ``kernels``. ρ is the Geman–McClure function (Black & Rangarajan 1996, Int. J. Comput. Vis.
+19(1)):
 a marker far from where the body can have it loses its say, so that swapped and ghost markers do no harm.
 """
 
@@ -25,7 +26,8 @@ FREE_SIGMA = np.radians(120.0)
 FIXED_SIGMA = np.radians(12.0)
 """The same of angles that a joint does not really have (a knee's adduction), rad."""
 HELD_SIGMA = np.radians(10.0)
-"""How far a joint may turn from one frame to the next before it counts: what markers in a gap leave open stays."""
+"""How far a joint may turn from one frame to the next before it counts: what markers in a gap leave open
+stays."""
 LIMIT_SIGMA = np.radians(8.0)
 """How far beyond its limits an angle may be before it counts, rad."""
 _SMALLEST_STEP = 1e-6  # m and rad: under what any marker can tell
@@ -112,7 +114,8 @@ def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray
 def add_held(
     H: FloatArray, g: FloatArray, model: BodyModel, R: FloatArray, held: FloatArray, stiffness: float
 ) -> float:
-    """Draw every joint, by ``stiffness`` in 1/rad², to the rotation it has in a pose ``held`` (S, 3, 3). Cost."""
+    """Draw every joint, by ``stiffness`` in 1/rad², to the rotation it has in a pose ``held`` (S, 3, 3).
+    Cost."""
     cost = 0.0
     for d in model.distals:
         parent = model.parents[d]
@@ -136,9 +139,7 @@ def normal_equations(
     for m in range(len(observed)):
         if say[m] > 0.0:
             weight = say[m] / model.sigmas[m] ** 2
-            kernels.add_marker(
-                H, g, model.parents, p, model.segments[m], y[m], observed[m] - y[m], weight
-            )
+            kernels.add_marker(H, g, model.parents, p, model.segments[m], y[m], observed[m] - y[m], weight)
     cost = 0.0
     for j in range(len(model.distals)):
         d = model.distals[j]
@@ -150,7 +151,9 @@ def normal_equations(
 
 
 @compiled
-def _say(model: BodyModel, observed: FloatArray, trust: FloatArray, y: FloatArray, scale: float) -> FloatArray:
+def _say(
+    model: BodyModel, observed: FloatArray, trust: FloatArray, y: FloatArray, scale: float
+) -> FloatArray:
     """Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
 
     c: ``scale`` (m), and four times a marker's own σ at the least.

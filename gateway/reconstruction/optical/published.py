@@ -2,7 +2,8 @@
 
 Steps 5 to 8: virtual markers from the first frame; the chains' joint rotations by BFGS on the summed squared
 distance, from the rules' rotations in the first frame and from the frame before in every later one, until the
-gradient's norm is below 0.05; virtual markers anew as means, until the summed distance changes by less than 0.5;
+gradient's norm is below 0.05; virtual markers anew as means, until the summed distance changes by less
+than 0.5;
 then quaternions → logarithm → linear time-invariant low-pass → exponential. Distances in mm, the unit of the
 source's systems. Offline: it wants all frames at once. The default method is measured against it.
 """
@@ -76,13 +77,13 @@ def solve_published(
         before = distance
         model = model._replace(positions=_mean_places(model, observed, R, places))
     smooth = _smoothed(R, rate_hz)
-    found = BodyMarkers(
-        markers.labels, markers.segments, model.positions, markers.sigmas, markers.vertical
-    )
+    found = BodyMarkers(markers.labels, markers.segments, model.positions, markers.sigmas, markers.vertical)
     return PublishedMotion(smooth, places, found, passes, distance)
 
 
-def first_frame_markers(model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray) -> FloatArray:
+def first_frame_markers(
+    model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray
+) -> FloatArray:
     """(M, 3) m: markers of one frame in their segments; where one was not seen, as it was."""
     p = kernels.places(model.parents, model.offsets, R, root)
     local = np.einsum("mji,mj->mi", R[model.segments], observed - p[model.segments])
@@ -128,7 +129,9 @@ def _solve_chain(
         turned, moved = kernels.moved(model.parents, R, root, change(x))
         return chain_gradient(model, seen, turned, moved, R, segments, moves_root, x)
 
-    found = minimize(cost, np.zeros(n), jac=True, method="BFGS", options={"gtol": GRADIENT, "norm": 2, "maxiter": 60})
+    found = minimize(
+        cost, np.zeros(n), jac=True, method="BFGS", options={"gtol": GRADIENT, "norm": 2, "maxiter": 60}
+    )
     turned, moved = kernels.moved(model.parents, R, root, change(found.x))
     return turned, moved
 
@@ -136,7 +139,11 @@ def _solve_chain(
 def _mean_places(model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray) -> FloatArray:
     local = np.stack(
         [
-            np.einsum("mji,mj->mi", R[f][model.segments], observed[f] - _places(model, R[f], root[f])[model.segments])
+            np.einsum(
+                "mji,mj->mi",
+                R[f][model.segments],
+                observed[f] - _places(model, R[f], root[f])[model.segments],
+            )
             for f in range(len(observed))
         ]
     )

@@ -51,7 +51,8 @@ def chain_gradient(
     moves_root: bool,
     turns: FloatArray,
 ) -> tuple[float, FloatArray]:
-    """Σ |virtual − real|² of the chain's markers, mm², and its gradient by the chain's turns (rad) and shift (mm).
+    """Σ |virtual − real|² of the chain's markers, mm², and its gradient by the chain's turns (rad) and
+    shift (mm).
 
     R, root: the pose after ``turns`` (3 a segment) from R_start. The turn x of a joint is exp([x]×) in world
     axes before the turns of the joints above it, so its derivative takes them along and the left Jacobian of

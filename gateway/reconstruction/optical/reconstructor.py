@@ -64,7 +64,8 @@ class MarkerFit:
 class OpticalReconstructor:
     """Whole-body pose of every frame, from the one before; begins, and begins anew, from the markers alone.
 
-    Sans-I/O and deterministic. ``last`` tells how the last frame was explained, ``counts`` what was put right.
+    Sans-I/O and deterministic. ``last`` tells how the last frame was explained, ``counts`` what was put
+    right.
     """
 
     def __init__(self, skeleton: Skeleton, markers: BodyMarkers) -> None:
@@ -163,9 +164,7 @@ class OpticalReconstructor:
         p = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
         return kernels.marker_places(self.model.segments, self.model.positions, pose.R, p)
 
-    def _explained(
-        self, frame: MarkerFrame, pose: Pose, renamed: Renamed
-    ) -> MarkerFit:
+    def _explained(self, frame: MarkerFrame, pose: Pose, renamed: Renamed) -> MarkerFit:
         virtual = self._virtual(pose)
         positions = _with_names(frame, renamed, virtual)
         residuals = np.linalg.norm(positions - virtual, axis=1)

@@ -21,8 +21,8 @@ class _Solved(Protocol):
 
 
 def write_residual_plot(solved: _Solved, rate_hz: float, path: Path) -> None:
-    """A row a marker, a column a frame. Raises ``GatewayError`` without the extra ``plot``, or for a file that
-    cannot be written."""
+    """A row a marker, a column a frame. Raises ``GatewayError`` without the extra ``plot``, or for a file
+    that cannot be written."""
     try:
         from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
     except ImportError:

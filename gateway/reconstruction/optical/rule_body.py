@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
@@ -58,9 +59,9 @@ def from_rules(
             for m, s in enumerate(segments.tolist())
         ]
     )
-    kept = np.isfinite(places).all(axis=1)
+    kept: NDArray[np.bool_] = np.asarray(np.isfinite(places).all(axis=1))
     markers = BodyMarkers(
-        tuple(label for label, keep in zip(labels, kept, strict=True) if keep),
+        tuple(label for label, keep in zip(labels, kept.tolist(), strict=True) if keep),
         segments[kept],
         places[kept],
         np.full(int(kept.sum()), FIRST_SIGMA),
@@ -122,8 +123,8 @@ def facing_axes(body: Skeleton, p_w: FloatArray, otherwise: FloatArray) -> Float
 
 
 def straightened(body: Skeleton, offsets: FloatArray) -> FloatArray:
-    """Offsets (S, 3) as long as they are, in the directions that the body file has them: of a person whose axes
-    were set in the neutral posture, where a hinge hides its place along its own axis."""
+    """Offsets (S, 3) as long as they are, in the directions that the body file has them: of a person whose
+    axes were set in the neutral posture, where a hinge hides its place along its own axis."""
     length = np.linalg.norm(offsets, axis=1, keepdims=True)
     own = np.linalg.norm(body.offsets, axis=1, keepdims=True)
     straight: FloatArray = np.where(own > 0, body.offsets * length / np.where(own > 0, own, 1.0), offsets)

@@ -8,13 +8,15 @@ from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix as rm
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
-from gateway.reconstruction.optical.pose_solver import BodyModel, Pose, solve_pose
+from gateway.reconstruction.optical import kernels
+from gateway.reconstruction.optical.pose_solver import BodyModel, Pose, normal_equations, solve_pose
 
 NEAR = 0.03
 """Distance at which a marker begins to lose its say once the pose is known, m."""
 _SCALES = (2.0, 0.3, 0.1, NEAR)
 """The same while a pose is sought from nowhere: all markers speak at first."""
 _LONGEST = 60
+_HOPELESS = 0.1  # m: a marker this far off says no more about a pose
 
 
 @compiled
@@ -54,28 +56,45 @@ def turned_on(before: FloatArray, now: FloatArray, fraction: float) -> FloatArra
 def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> Pose | None:
     """The pose of markers (M, 3) from nothing but them; None with fewer than three markers.
 
-    neutral: (3, 3) of every segment in the neutral posture. The neutral body is laid over the markers as if
-    it were rigid, and then let loose.
+    neutral: (3, 3) of every segment in the neutral posture. The body is laid over the markers as if it were
+    rigid and then let loose, once from the neutral posture and once with all joints in the middle of their
+    limits: an arm with few markers may else end up bent the wrong way. The cheaper pose counts.
     """
     if np.isfinite(observed).all(axis=1).sum() < 3:
         return None
-    n = len(model.parents)
-    R = np.tile(neutral, (n, 1, 1))
-    everyone = np.ones(len(observed))
-    rest = _neutral_markers(model, neutral)
-    turn, shift = rigid(rest, observed)
-    R = turn @ R
-    pose: Pose | None = None
+    straight = np.tile(neutral, (len(model.parents), 1, 1))
+    poses = [_settled(model, observed, R) for R in (straight, _middle_posture(model, neutral))]
+    return min(poses, key=lambda pose: _price(model, observed, pose))
+
+
+def _settled(model: BodyModel, observed: FloatArray, R: FloatArray) -> Pose:
+    """From orientations (S, 3, 3), laid over the markers and then let loose."""
+    everyone, origin = np.ones(len(observed)), np.zeros(3)
+    p = kernels.places(model.parents, model.offsets, R, origin)
+    turn, shift = rigid(kernels.marker_places(model.segments, model.positions, R, p), observed)
+    R, root = turn @ R, shift
     for scale in _SCALES:
-        begin = (R, shift) if pose is None else (pose.R, pose.root)
-        pose = solve_pose(model, observed, everyone, *begin, scale, _LONGEST, begin[0], 0.0)
+        pose = solve_pose(model, observed, everyone, R, root, scale, _LONGEST, R, 0.0)
+        R, root = pose.R, pose.root
     return pose
 
 
-def _neutral_markers(model: BodyModel, neutral: FloatArray) -> FloatArray:
-    """(M, 3) with the root at the origin, m."""
-    p = np.zeros((len(model.parents), 3))
-    for s, parent in enumerate(model.parents.tolist()):
-        if parent >= 0:
-            p[s] = p[parent] + neutral @ model.offsets[s]
-    return p[model.segments] + model.positions @ neutral.T
+def _middle_posture(model: BodyModel, neutral: FloatArray) -> FloatArray:
+    """(S, 3, 3) with every joint in the middle of its limits, where it has any."""
+    R = np.tile(neutral, (len(model.parents), 1, 1))
+    for row, distal in enumerate(model.distals.tolist()):
+        limits = np.where(np.isfinite(model.limits[row]), model.limits[row], 0.0)
+        angles = limits.mean(axis=1) * model.signs[row]
+        turn = np.eye(3)
+        for axis, angle in zip(model.axes[row], angles, strict=True):
+            turn = turn @ rm.from_rotation_vector(angle * np.eye(3)[axis])
+        R[distal] = R[model.parents[distal]] @ turn
+    return R
+
+
+def _price(model: BodyModel, observed: FloatArray, pose: Pose) -> float:
+    """Half the squared distances of all markers, none worse than ``_HOPELESS``, and what the joints cost."""
+    p = kernels.places(model.parents, model.offsets, pose.R, pose.root)
+    joints = normal_equations(model, observed, np.zeros(len(observed)), pose.R, p)[2]
+    apart = np.minimum(np.nan_to_num(pose.residuals), _HOPELESS) / model.sigmas
+    return float(0.5 * (apart**2).sum() + joints)

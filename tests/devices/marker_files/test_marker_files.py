@@ -1,0 +1,171 @@
+"""Marker files: real ones in every byte order, damaged ones, and the message stream."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from devices.link import Chunk
+from devices.marker_file_link import trial_chunks
+from devices.marker_files import MarkerTrial, read_markers
+from devices.marker_files.c3d_parameters import DEC, INTEL, MIPS, floats
+from devices.marker_messages import MarkerReceiver, encode_markers
+from devices.vendor_formats import FormatError
+
+DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[4] / "shared" / "data"))
+needs_data = pytest.mark.skipif(not (DATA / "c3d_formats").is_dir(), reason="recordings are not here")
+
+
+@needs_data
+def test_all_byte_orders_give_one_result() -> None:
+    trials = [read_markers(path) for path in sorted((DATA / "c3d_formats").glob("*.c3d"))]
+    assert len(trials) == 6
+    for trial in trials[1:]:
+        assert trial.labels == trials[0].labels
+        assert trial.rate_hz == trials[0].rate_hz
+        # integers are rounded to the file's scale, a tenth of a millimetre here
+        np.testing.assert_allclose(trial.positions, trials[0].positions, atol=1e-4)
+    assert np.nanmax(np.abs(trials[0].positions)) < 10.0
+
+
+@needs_data
+def test_c3d_agrees_with_another_reader() -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    path = DATA / "c3d_btk_pig" / "PiG_Motion-FlatFoot-Full.c3d"
+    other = ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0) * 1e-3
+    np.testing.assert_array_equal(read_markers(path).positions, other)
+
+
+@needs_data
+@pytest.mark.parametrize("share", [0.0, 0.0005, 0.003, 0.02, 0.5, 0.99])
+@pytest.mark.parametrize("name", ["Eb015pi", "Eb015sr", "Eb015vr"])
+def test_a_truncated_c3d_is_one_clear_error(tmp_path: Path, name: str, share: float) -> None:
+    content = (DATA / "c3d_formats" / f"{name}.c3d").read_bytes()
+    # cut before the last frame's end: what follows the frames may be missing
+    path = tmp_path / "cut.c3d"
+    path.write_bytes(content[: int(0.98 * share * len(content))])
+    with pytest.raises(FormatError, match=r"cut\.c3d.*(bytes|cut off|byte)") as caught:
+        read_markers(path)
+    assert "\n" not in str(caught.value)
+
+
+@needs_data
+def test_a_damaged_c3d_never_raises_anything_else(tmp_path: Path) -> None:
+    content = bytearray((DATA / "c3d_formats" / "Eb015pi.c3d").read_bytes())
+    generator = np.random.default_rng(0)
+    path = tmp_path / "damaged.c3d"
+    refused = 0
+    for _ in range(60):
+        damaged = bytearray(content)
+        for at in generator.integers(0, 5000, 8):
+            damaged[at] = int(generator.integers(256))
+        path.write_bytes(damaged)
+        try:
+            read_markers(path)
+        except FormatError:
+            refused += 1
+    assert refused > 0
+
+
+@given(st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=20))
+def test_floats_of_all_processors(values: list[float]) -> None:
+    numbers = np.array(values, dtype=np.float32)
+    numbers[np.abs(numbers) < 1e-30] = 0.0  # a VAX has no denormal numbers
+    halves = (numbers * np.float32(4)).astype("<f4").view("<u2").reshape(-1, 2)[:, ::-1]
+    vax = np.ascontiguousarray(halves).tobytes()
+    assert floats(numbers.astype("<f4").tobytes(), INTEL).tolist() == numbers.tolist()
+    assert floats(numbers.astype(">f4").tobytes(), MIPS).tolist() == numbers.tolist()
+    assert floats(vax, DEC).tolist() == numbers.tolist()
+
+
+@needs_data
+def test_trc_gaps_units_and_errors(tmp_path: Path) -> None:
+    source = DATA / "trc_opensim" / "marker_trajectories.trc"
+    trial = read_markers(source)
+    assert (trial.n_frames, len(trial.labels), trial.rate_hz) == (151, 41, 60.0)
+    np.testing.assert_allclose(trial.positions[0, 0], [0.617247620, 1.055275020, 0.170781980])
+    assert read_markers(DATA / "trc_opensim" / "markers_walk.trc").positions.shape == (238, 41, 3)
+    lines = source.read_text().splitlines()
+    for edit, message in [
+        (lines[:100], "cut off: 94 frames of the 151"),
+        ([lines[0], *lines[1:6], lines[6].replace("617.247620", "wide"), *lines[7:]], "line 7.*wide"),
+        ([*lines[:2], lines[2].replace("mm", "ell"), *lines[3:]], "Units is 'ell'"),
+        (["nothing", *lines[1:]], "line 1: not a TRC file"),
+    ]:
+        path = tmp_path / "t.trc"
+        path.write_text("\n".join(edit))
+        with pytest.raises(FormatError, match=message):
+            read_markers(path)
+
+
+def test_an_unknown_suffix_names_the_known() -> None:
+    with pytest.raises(FormatError, match=r"\.c3d or \.trc"):
+        read_markers(Path("walk.xlsx"))
+
+
+def _trial() -> MarkerTrial:
+    positions = np.random.default_rng(1).normal(size=(5, 3, 3))
+    positions[2, 1] = np.nan
+    return MarkerTrial("t", ("A", "B", "*7"), 100.0, positions)
+
+
+def test_messages_carry_a_trial_bit_for_bit() -> None:
+    trial = _trial()
+    receiver = MarkerReceiver()
+    stream = b"".join(chunk.data for chunk in trial_chunks(trial, 1000, "m"))
+    got = []
+    for at in range(0, len(stream), 17):  # in pieces that end anywhere
+        got += receiver.receive(Chunk(stream[at : at + 17], 10**9, "m"))
+    assert [message.sequence for message in got] == [0, 1, 2, 3, 4]
+    assert got[3].time_ns == 1000 + 30_000_000
+    assert got[0].markers["A"] == tuple(trial.positions[0, 0])
+    assert "B" not in got[2].markers
+    assert got[1].unlabelled == (tuple(trial.positions[1, 2]),)
+    assert not receiver.dropped
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        (b"{", "not_json"),
+        (b"[1]", "no_markers"),
+        (b'{"markers": {"A": [1, 2]}}', "bad_number"),
+        (b'{"markers": {"A": [1, 2, "x"]}}', "bad_number"),
+        (b'{"markers": {"A": [1, 2, 1e9]}}', "bad_number"),
+        (b'{"markers": {}, "unit": "ell"}', "bad_unit"),
+        (b'{"markers": {}, "unlabelled": 3}', "bad_number"),
+        (b'{"markers": {}, "time_ns": -4}', "bad_number"),
+    ],
+)
+def test_what_cannot_be_read_is_counted(line: bytes, reason: str) -> None:
+    receiver = MarkerReceiver()
+    assert receiver.receive(Chunk(line + b"\n", 5, "m")) == []
+    assert dict(receiver.dropped) == {reason: 1}
+
+
+@given(st.binary(max_size=200))
+def test_no_bytes_raise(data: bytes) -> None:
+    MarkerReceiver().receive(Chunk(data + b"\n", 5, "m"))
+
+
+def test_a_senders_clock_is_set_by_the_least_delay() -> None:
+    receiver = MarkerReceiver()
+    arrivals = [(0.00, 5_000_000), (0.01, 11_000_000), (0.02, 25_000_000)]
+    got = []
+    for time_s, arrived_ns in arrivals:
+        line = json.dumps({"time_s": time_s, "markers": {"A": [0, 0, 0]}}).encode()
+        got += receiver.receive(Chunk(line, 1000_000_000 + arrived_ns, "m"))
+    assert [message.time_ns - 1000_000_000 for message in got] == [5_000_000, 11_000_000, 21_000_000]
+
+
+def test_a_message_from_the_past_is_dropped() -> None:
+    receiver = MarkerReceiver()
+    line = encode_markers(0, 50, ["A"], [[0.0, 0.0, 0.0]])
+    assert len(receiver.receive(Chunk(line + line, 60, "m"))) == 1
+    assert receiver.dropped["not_later"] == 1
