@@ -53,10 +53,14 @@ def joint_row(
     u_p: FloatArray,
     variance: float,
     dt: float,
+    is_open: bool,
 ) -> None:
-    """The joint's acceleration seen from both sides, every dt; variance of a component, (m/s²)²."""
+    """The joint's acceleration seen from both sides, every dt; variance of a component, (m/s²)².
+
+    is_open: the heading of one against the other is not known.
+    """
     residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
-    if state.is_open[s]:
+    if is_open:
         # heading against the parent unknown: the horizontal parts are only equally long
         H, H_p = skew(u), skew(u_p)
         wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
