@@ -64,11 +64,11 @@ def solve(
 ) -> None:
     """Solve a trial for a fitted subject, into a recording that replays, exports and reports like any
     other."""
+    write = _writer_of(method)
     suit = _subject(subject)
     for name in to or []:
         if name not in FORMATS:
             raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
-    write = _writer_of(method)
     target = output or file.with_suffix(".mcap")
     if target.exists() and force:
         target.unlink()
