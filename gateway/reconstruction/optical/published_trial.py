@@ -26,6 +26,7 @@ class PublishedTrial:
 
     motion: PublishedMotion
     p_w: FloatArray  # (F, S, 3) m
+    virtual: FloatArray  # (F, M, 3) m, where the body has its markers
     residuals: FloatArray  # (F, M) m; NaN where a marker was not seen
     seen: NDArray[np.bool_]  # (F, M); the method leaves nothing out
 
@@ -82,4 +83,4 @@ def _explained(model: BodyModel, motion: PublishedMotion, observed: FloatArray) 
     virtual = p_w[:, model.segments] + np.einsum("fmij,mj->fmi", motion.R[:, model.segments], model.positions)
     residuals: FloatArray = np.linalg.norm(observed - virtual, axis=2)
     seen: NDArray[np.bool_] = np.isfinite(residuals)
-    return PublishedTrial(motion, p_w, residuals, seen)
+    return PublishedTrial(motion, p_w, virtual, residuals, seen)
