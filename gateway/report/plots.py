@@ -18,8 +18,15 @@ from gateway.report.gathering import Findings
 _DPI = 110
 _WIDTH_IN = 10.0
 _COLUMNS = 3
-_STATUS_COLOURS = ("#2e9e5b", "#a8d08d", "#f2c14e", "#8ab6e8", "#cdb4db", "#d1495b")
-"""In the order of ``Status``."""
+_STATUS_COLOURS = {
+    Status.MEASURED: "#2e9e5b",
+    Status.INTERPOLATED: "#a8d08d",
+    Status.HELD: "#f2c14e",
+    Status.PREDICTED: "#8ab6e8",
+    Status.WARMING_UP: "#cdb4db",
+    Status.MISSING: "#d1495b",
+    Status.UNAIDED: "#e07a1f",
+}
 _LINES = ("#1f6fb2", "#e07a1f", "#4f9d4f")
 
 
@@ -98,8 +105,9 @@ def status(poses: SkeletonArrays) -> bytes:
 
     figure, axes = _figure(1, 0.22 * len(poses.segment_names) + 1.2)
     span = (0.0, max(float(poses.time_s[-1]), 1e-3), len(poses.segment_names) - 0.5, -0.5)
-    axes[0].imshow(poses.status.T, aspect="auto", cmap=ListedColormap(_STATUS_COLOURS), vmin=-0.5,
-                   vmax=len(Status) - 0.5, extent=span, interpolation="nearest")  # fmt: skip
+    colours = ListedColormap([_STATUS_COLOURS[each] for each in Status])
+    axes[0].imshow(poses.status.T, aspect="auto", cmap=colours, vmin=-0.5, vmax=len(Status) - 0.5,
+                   extent=span, interpolation="nearest")  # fmt: skip
     axes[0].set_yticks(range(len(poses.segment_names)), poses.segment_names, fontsize=7)
     axes[0].set_xlabel("s")
     names = [Patch(color=_STATUS_COLOURS[each], label=each.name.lower().replace("_", " ")) for each in Status]

@@ -48,7 +48,7 @@ def test_each_kind_is_counted_and_told(packet):
     heard = []
     stream.listen(type(packet), lambda received, chunk: heard.append((received.packet, chunk)))
     readings = stream.receive(chunk)
-    assert len(readings) == isinstance(packet, FusedSample)  # no other is a reading
+    assert len(readings) == isinstance(packet, FusedSample | LightSample | PressureSample)
     (told,) = heard
     assert type(told[0]) is type(packet)
     assert told[1] is chunk

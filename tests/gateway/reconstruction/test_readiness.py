@@ -12,7 +12,7 @@ from gateway.reconstruction import RECONSTRUCTORS, readiness
 def created(monkeypatch, tmp_path):
     """An empty cache, and the names of the methods that were made in it."""
     names = []
-    monkeypatch.setattr(compiled, "cache_directory", lambda _: tmp_path)
+    monkeypatch.setattr(compiled, "CACHE_DIRECTORY", tmp_path)
     monkeypatch.setattr(readiness, "create_reconstructor", lambda name, *_: names.append(name))
     return names
 
@@ -33,7 +33,7 @@ def test_others_are_ready_always_and_the_fallback_is_one_of_them(created):
 
 
 def test_a_cache_that_cannot_be_written_does_no_harm(created, monkeypatch, tmp_path):
-    monkeypatch.setattr(compiled, "cache_directory", lambda _: tmp_path / "absent")
+    monkeypatch.setattr(compiled, "CACHE_DIRECTORY", tmp_path / "absent")
     readiness.make_ready("joint")
     assert created == ["joint"]
     assert not readiness.is_ready("joint")

@@ -145,3 +145,33 @@ def test_what_cannot_be_is_said_in_a_line(
     lines = capsys.readouterr().err.strip().splitlines()
     assert error in lines[-1]
     assert len(lines) == 1
+
+
+def test_compare_says_how_far_two_sources_agree(record, tmp_path):
+    path, target, page = record(), tmp_path / "other.mcap", tmp_path / "agreement.html"
+    assert typed("replay", path, "--reconstructor", "articulated", "--output", target)[0] == 0
+    code, output = typed("compare", path, target, "--json")
+    said = json.loads(output)
+    assert code == 0
+    assert abs(said["time"]["lag_s"]) < 0.01
+    assert [segment["segment"] for segment in said["segments"]] == [f"link_{i}" for i in (1, 2, 3, 4)]
+    assert all(segment["rms_deg"] < 30 for segment in said["segments"])
+    output = typed("compare", path, target, "--plot", page)[1]
+    assert "correlation" in output
+    assert "data:image/png;base64," in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--pair", "base"), "write first=second"),
+        (("--pair", "link_1=pelvis"), "no segment 'pelvis'"),
+        (("--plot", "plot.gif"), "a plot is written as"),
+    ],
+)
+def test_compare_refuses_in_one_line(record, monkeypatch, capsys, options, said):
+    path = str(record())
+    monkeypatch.setattr(sys, "argv", ["mocap-gateway", "compare", path, path, *options])
+    with pytest.raises(SystemExit):
+        main()
+    assert said in capsys.readouterr().err

@@ -136,7 +136,7 @@ def test_rig_and_body_are_files_that_can_be_loaded(rig, tmp_path):
 def test_no_secret_is_recorded(monkeypatch):
     monkeypatch.setenv("MOCAP_MQTT_PASSWORD", "hush-hush")
     settings = GatewaySettings(
-        links=[LinkSettings(name="suit", url="tcp://anna:hush-hush@host:7000")],
+        links=[LinkSettings(name="suit", url="tcp://host:7000")],
         rig="single",
         reconstructor="independent",
         mqtt=MqttSettings(username="anna", password_file="/etc/password"),
