@@ -34,6 +34,10 @@ FIELD_CHANGE = 0.14
 LEAST_HORIZONTAL = 0.1
 FIRST_LOOK_S = 0.5
 """A heading that nothing else can show is taken from the field within that time."""
+AIDED_TILT = 0.15
+"""rad: an inclination less sure than that tells no mean acceleration."""
+AIDED_RISE_S, AIDED_FALL_S = 2.0, 30.0
+"""How fast larger and smaller mean accelerations are believed."""
 REST_RATE_SIGMA = 0.002
 """rad/s: of a mean rate at rest against the bias."""
 
@@ -175,6 +179,19 @@ def field_row(
 
 
 @compiled
+def note_aided(state: FilterState, noise: Noise, s: int, at_rest: FloatArray, dt: float) -> None:
+    """How far the mean acceleration of segment s is from none while its inclination is known: what a row
+    that takes it for none will be off by, once nothing aids the chain any more."""
+    if state.fresh_s[s] < noise.unaided_window_s or state.P[s, 0, 0] + state.P[s, 1, 1] > AIDED_TILT**2:
+        return
+    square = 0.0
+    for i in range(3):
+        square += (state.long_force[s, i] - at_rest[i]) ** 2 / 3.0
+    memory_s = AIDED_RISE_S if square > state.unaided_square[s] else AIDED_FALL_S
+    state.unaided_square[s] += (1.0 - math.exp(-dt / memory_s)) * (square - state.unaided_square[s])
+
+
+@compiled
 def unaided_row(
     evidence: Evidence,
     state: FilterState,
@@ -184,9 +201,11 @@ def unaided_row(
     sharing: float,
     dt: float,
 ) -> None:
-    """Mean acceleration over a window is small, where nothing tells what it is; sharing: segments that move
-    together and have such a row each."""
-    variance = (noise.unaided_speed / noise.unaided_window_s) ** 2 * noise.unaided_window_s / dt * sharing
+    """Mean acceleration over a window is small, where nothing tells what it is: no smaller than it was while
+    that was known. It stays for the window on either side. sharing: segments that move together and have
+    such a row each."""
+    square = max((noise.unaided_speed / noise.unaided_window_s) ** 2, 2.0 * state.unaided_square[s])
+    variance = square * noise.unaided_window_s / dt * sharing
     known_row(evidence, state, noise, s, state.long_force[s], at_rest, variance, False)
 
 

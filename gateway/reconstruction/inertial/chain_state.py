@@ -56,7 +56,7 @@ class Noise(NamedTuple):
     start_heading: float = 0.5
     """rad: how far it may be off throughout: what a first heading by the field counts against the motion."""
     unaided_speed: float = 0.3
-    """m/s: how fast a body moves whose acceleration nothing tells."""
+    """m/s: how fast a body moves whose acceleration nothing tells; one that was aided may have shown more."""
     unaided_window_s: float = 1.0
     """Over it the mean acceleration is that speed over the window."""
     local_window_s: float = 0.2
@@ -126,6 +126,7 @@ class FilterState(NamedTuple):
     readings: FloatArray  # (d, N_READINGS, 5) seconds of frame time, value, standard deviation
     n_readings: IntArray  # (d, 2) how many; 1 while the last one waits for its frames
     history: FloatArray  # (d, N_HISTORY, 7) time, R f, R r or R (ω × r) towards the device
+    unaided_square: FloatArray  # (n,) mean square acceleration over the unaided window while aided, (m/s²)²
     sun: FloatArray  # (n, 3) cosine and sine sums of the headings that the sun showed, their length; seconds
 
 
@@ -143,7 +144,7 @@ def initial_state(n: int, d: int) -> FilterState:
         z(d, N_READINGS, 5),
         np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, 7), -np.inf),
-        z(n, 3),
+        z(n), z(n, 3),
     )  # fmt: skip
 
 

@@ -308,7 +308,11 @@ def _unaided_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Sc
         if is_valid[s] == 2.0:
             sharing[chain[s]] += 1.0
     for s in range(len(chain)):
-        if scratch.anchored[chain[s]] == 0.0 and is_valid[s] == 2.0:
+        if is_valid[s] < 2.0:
+            continue
+        if scratch.anchored[chain[s]] > 0.0:
+            chain_rows.note_aided(state, noise, s, body.at_rest, dt)
+        else:
             chain_rows.unaided_row(scratch.evidence, state, noise, s, body.at_rest, sharing[chain[s]], dt)
 
 

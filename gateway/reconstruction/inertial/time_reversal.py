@@ -16,7 +16,7 @@ from gateway.reconstruction.inertial.chain_state import FilterState, initial_sta
 
 KEPT = (
     "R", "is_started", "is_open", "silent_s", "force_bias", "arm", "arm_covariance", "compass_s",
-    "field_seen", "sun", "device_shift", "device_covariance",
+    "field_seen", "sun", "unaided_square", "device_shift", "device_covariance",
 )  # fmt: skip
 """Of the state, what is the same seen backward."""
 

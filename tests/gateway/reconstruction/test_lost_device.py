@@ -85,6 +85,22 @@ def test_a_lost_device_is_told_and_taken_up_again_without_a_jump(moved):
     assert step.max() < 0.2 * np.linalg.norm(place[back - 1] - true[back])
 
 
+def test_sigma_tells_a_lost_device_and_covers_the_inclination_without_it(moved):
+    suit, lost = worn(Quantity.POSITION), 500
+    sigmas, tilt_sigmas, tilts = [], [], []
+    for silent in (range(0), range(lost, N)):
+        covariance = np.zeros((N, 4, 3, 3))
+        finder = create_reconstructor("joint", suit, 0.01).finder
+        found = finder.update_many(with_readings(moved, Quantity.POSITION, silent), None, covariance)
+        sigmas.append(np.stack([frame.sigma for frame in found])[lost + 200 :].mean())
+        tilt_sigmas.append(np.sqrt(covariance[:, :, 0, 0] + covariance[:, :, 1, 1])[lost + 200 :])
+        q_wb = np.stack([frame.q_wb for frame in found])
+        tilts.append(orientation_error(q_wb, moved[0].q_wb).inclination[lost + 200 :])
+    assert tilt_sigmas[1].mean() > 1.15 * tilt_sigmas[0].mean()
+    assert sigmas[1] > 1.05 * sigmas[0]  # of which most is heading, that of the whole body above all
+    assert (tilts[1] < 2.0 * tilt_sigmas[1]).mean() > 0.95
+
+
 def test_without_the_device_from_the_start_it_is_told_too(moved):
     suit = worn(Quantity.POSITION)
     found = solved(suit, with_readings(moved, Quantity.POSITION, range(N)))
