@@ -134,9 +134,9 @@ class Bench:
 
     async def __aenter__(self) -> Bench:
         self._tasks = [
-            asyncio.create_task(self.suit.run()),
-            asyncio.create_task(pull_cable(self.plan, self.suit)),
-            asyncio.create_task(self.service.run()),
+            asyncio.create_task(self.suit.run(), name="suit"),
+            asyncio.create_task(pull_cable(self.plan, self.suit), name="cable"),
+            asyncio.create_task(self.service.run(), name="gateway"),
         ]
         while self.suit.start_ns is None:
             await asyncio.sleep(0.01)
@@ -146,6 +146,12 @@ class Bench:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Why the suit, the cable or the gateway has ended before its time, by these names."""
+        ended = [task for task in self._tasks if task.done() and not task.cancelled()]
+        return {task.get_name(): repr(error) for task in ended if (error := task.exception()) is not None}
 
     @property
     def motion_s(self) -> float:

@@ -17,12 +17,12 @@ from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body, sighted
 from gateway.reconstruction.optical.landmarks import measurements, to_world, vertical_axis
 from gateway.reconstruction.optical.marker_set import MarkerSet, load_marker_set
 from gateway.reconstruction.optical.pose_solver import body_model
 from gateway.reconstruction.optical.published import first_frame_markers, solve_published
+from gateway.reconstruction.optical.published_trial import published_trial
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.rule_body import from_rules
 
@@ -55,6 +55,7 @@ ANGLES = {
     for column, name in enumerate(names)
 }
 PUBLISHED_FRAMES = 40
+LEFT_OUT_FRAMES = 25
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def _streamed(skeleton: Skeleton, markers: BodyMarkers, held: MarkerTrial) -> Ou
 def _left_out(reconstructor: OpticalReconstructor, observed: FloatArray, rate_hz: float) -> float:
     """Each marker in turn is not shown, and looked for where the body has it; m RMSE."""
     squares = []
-    part = observed[: max(20, len(observed) // 4)]
+    part = _left_out_stretch(observed)
     for m in range(observed.shape[1]):
         hidden = part.copy()
         hidden[:, m] = np.nan
@@ -168,6 +169,10 @@ def _left_out(reconstructor: OpticalReconstructor, observed: FloatArray, rate_hz
             assert reconstructor.last is not None
             squares.append(((reconstructor.last.virtual[m] - true) ** 2).sum())
     return float(np.sqrt(np.nanmean(squares)))
+
+
+def _left_out_stretch(observed: FloatArray) -> FloatArray:
+    return observed[: max(20, len(observed) // 4)]
 
 
 def _frames(observed: FloatArray, rate_hz: float) -> list[MarkerFrame]:
@@ -189,34 +194,28 @@ def _published(marker_set: MarkerSet, training: list[MarkerTrial], held: MarkerT
     markers = replace(markers, positions=first_frame_markers(model, seen[0], axes[0], root[0]))
     taught = solve_published(skeleton, markers, seen, axes, root, held.rate_hz)
     observed = to_world(held.columns(markers.labels), vertical)
-    places = sighted(marker_set, held, vertical, lengths).places
-    starts = OpticalReconstructor(skeleton, taught.markers)
-    first = starts.update(MarkerFrame(0, 0, observed[0]))
-    n = len(observed)
-    begin = np.tile(np.array([quaternion.to_matrix(q) for q in first.q_wb]), (n, 1, 1, 1))
-    begin_root = (
-        np.tile(first.p_w[0], (n, 1)) if not np.isfinite(places.origins[0, 0]).all() else places.origins[:, 0]
-    )
     before = time.process_time()
-    motion = solve_published(
-        skeleton, taught.markers, observed, begin, begin_root, held.rate_hz, refine=False
-    )
-    ms = 1e3 * (time.process_time() - before) / n
-    p_w = np.array(
-        [
-            kernels.places(model.parents, model.offsets, R, r)
-            for R, r in zip(motion.R, motion.root, strict=True)
-        ]
-    )
-    virtual = p_w[:, taught.markers.segments] + np.einsum(
-        "fmij,mj->fmi", motion.R[:, taught.markers.segments], taught.markers.positions
-    )
-    q_wb = np.array([[quaternion.from_matrix(each) for each in pose] for pose in motion.R])
-    return (
-        skeleton,
-        taught.markers,
-        Outcome(q_wb, p_w, np.linalg.norm(observed - virtual, axis=2), np.nan, ms),
-    )
+    solved = published_trial(skeleton, taught.markers, observed, held.rate_hz, refine=False)
+    ms = 1e3 * (time.process_time() - before) / len(observed)
+    q_wb = np.array([[quaternion.from_matrix(each) for each in pose] for pose in solved.motion.R])
+    left_out = _published_left_out(skeleton, taught.markers, observed, held.rate_hz)
+    return skeleton, taught.markers, Outcome(q_wb, solved.p_w, solved.residuals, left_out, ms)
+
+
+def _published_left_out(
+    skeleton: Skeleton, markers: BodyMarkers, observed: FloatArray, rate_hz: float
+) -> float:
+    """As ``_left_out``, over the same stretch, at ``LEFT_OUT_FRAMES`` instants of it: the method is slow."""
+    stretch = _left_out_stretch(observed)
+    step = -(-len(stretch) // LEFT_OUT_FRAMES)
+    part = stretch[::step]
+    squares = []
+    for m in range(observed.shape[1]):
+        hidden = part.copy()
+        hidden[:, m] = np.nan
+        solved = published_trial(skeleton, markers, hidden, rate_hz / step, refine=False)
+        squares.append(((solved.virtual[:, m] - part[:, m]) ** 2).sum(axis=1))
+    return float(np.sqrt(np.nanmean(squares)))
 
 
 def _centres(skeleton: Skeleton, markers: BodyMarkers, outcome: Outcome, held: MarkerTrial) -> list[str]:

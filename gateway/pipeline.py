@@ -43,7 +43,7 @@ from gateway.reconstruction import (
 )
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.resets import Resets
-from gateway.settings import GatewaySettings
+from gateway.settings import GatewaySettings, fitting_suit
 from gateway.stream import ClockMode, Reading, Stream
 
 FRAMES_AT_A_TIME = 256
@@ -121,8 +121,9 @@ class Pipeline:
 
     @classmethod
     def from_settings(cls, settings: GatewaySettings, suit: WornSuit) -> Pipeline:
-        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table, and
-        for a body that cannot walk and shall."""
+        """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table,
+        for a body that cannot walk and shall, and for a method that the suit has no modules for."""
+        settings = fitting_suit(settings, suit)
         if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
             raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
         table = settings.clock.table

@@ -38,7 +38,7 @@ from gateway.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWat
 from gateway.own_requests import OwnRequests
 from gateway.pipeline import INPUT_EVENTS, LOAD_EVENT, Pipeline
 from gateway.recording.control import RecordingControl
-from gateway.settings import GatewaySettings
+from gateway.settings import GatewaySettings, fitting_suit
 from gateway.stream import ClockMode, Stream
 from gateway.supervision import kept_running
 from gateway.synchronisation import Synchroniser
@@ -60,6 +60,7 @@ class Service:
     def __init__(
         self, settings: GatewaySettings, suit: WornSuit, links: Sequence[Link] | None = None
     ) -> None:
+        settings = fitting_suit(settings, suit)
         self.links = links if links is not None else _links_of(settings, self._note_link)
         self.pipeline = Pipeline.from_settings(settings, suit)
         self.recording = RecordingControl(

@@ -8,12 +8,13 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway.assembly import AssemblyParams
+from gateway.body.skeleton import WornSuit
 from gateway.credentials import AccessToken, token_for
-from gateway.errors import nearest
+from gateway.errors import SettingsError, nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.side_settings import OutputsSettings
-from gateway.reconstruction import OPTICAL, RECONSTRUCTORS, RootMode, RootSettings
+from gateway.reconstruction import OPTICAL, PUBLISHED, RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
 
@@ -264,7 +265,8 @@ class GatewaySettings(_Strict):
     rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")
     reconstructor: str = Field(
         default="joint",
-        description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}; or {OPTICAL}, of markers",
+        description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}; or {OPTICAL}, of markers, which is the "
+        "default where the rig is a fitted subject",
     )
     root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()
@@ -284,6 +286,11 @@ class GatewaySettings(_Strict):
     @field_validator("reconstructor")
     @classmethod
     def _is_known(cls, value: str) -> str:
+        if value == PUBLISHED:
+            raise ValueError(
+                f"{PUBLISHED} wants all frames at once: `mocap-gateway optical solve --method {PUBLISHED}`; "
+                f"of a stream, {OPTICAL}"
+            )
         if value not in RECONSTRUCTORS and value != OPTICAL:
             raise ValueError("no such reconstructor" + nearest(value, [*RECONSTRUCTORS, OPTICAL]))
         return value
@@ -295,6 +302,21 @@ class GatewaySettings(_Strict):
         if len(set(names)) < len(names):
             raise ValueError("every link needs a name of its own")
         return value
+
+
+def fitting_suit(settings: GatewaySettings, suit: WornSuit) -> GatewaySettings:
+    """The settings, with the optical method where a fitted subject wears markers and no modules.
+
+    Raises ``SettingsError`` where another method is named for it: they all want modules.
+    """
+    if suit.markers is None or suit.module_ids or settings.reconstructor == OPTICAL:
+        return settings
+    if "reconstructor" in settings.model_fields_set:
+        raise SettingsError(
+            f"reconstructor '{settings.reconstructor}' wants modules, and '{settings.rig}' is a subject with "
+            f"markers only: write 'reconstructor: {OPTICAL}', or leave it out"
+        )
+    return settings.model_copy(update={"reconstructor": OPTICAL})
 
 
 def load_gateway_settings(path: Path) -> GatewaySettings:

@@ -24,6 +24,9 @@ from devices.link import Framing, gateway_time_ns
 _PREPARED_S = 0.25
 _STEP_S = 0.008
 _LEAD_S = 0.004
+_LONGEST_STEP_S = 0.25
+"""Computed at once. Without it a machine that is too busy for a while has each step follow on a longer one,
+up to minutes in one piece, which take memory without bound and keep everything else waiting."""
 _FAST_STEP_S = 0.05
 _RETRY_S = 0.001
 _FAST_CHUNK_SIZE = 4096
@@ -155,9 +158,10 @@ class EmulatedSuit:
         lead_s = _LEAD_S * self._speed
         wait_s = (self.instant_ns(now_s - lead_s) - gateway_time_ns()) * 1e-9
         await asyncio.sleep(max(0.0, wait_s))
-        # A step that begins late is as much longer, so that a busy machine catches up.
+        # A step that begins late is longer, which is cheaper, so that a busy machine catches up.
         late_s = self.motion_time_s(gateway_time_ns()) + lead_s - now_s
-        return min(now_s + max(_STEP_S * self._speed, late_s), end_s)
+        step_s = min(max(_STEP_S * self._speed, late_s), _LONGEST_STEP_S * self._speed)
+        return min(now_s + step_s, end_s)
 
     async def _send(self, batch: list[Transmission]) -> None:
         await (self._send_fast(batch) if self._speed is None else self._send_timely(batch))

@@ -16,7 +16,8 @@ optical_app.command(
 )(fit)
 optical_app.command(
     epilog="Examples: mocap-gateway optical solve walk.c3d --subject anna.yaml --to bvh; "
-    "mocap-gateway optical solve walk.c3d --subject anna.yaml --plot residuals.png"
+    "mocap-gateway optical solve walk.c3d --subject anna.yaml --plot residuals.png; "
+    "mocap-gateway optical solve walk.c3d --subject anna.yaml --method published -o walk_published.mcap"
 )(solve)
 optical_app.command(
     epilog="Example: mocap-gateway optical play walk.c3d --subject anna.yaml --embedded --speed 0.5"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -23,17 +24,32 @@ from gateway.cli.replay_live import QUEUE, Brake, tell_outcome
 from gateway.cli.replay_live import play as play_link
 from gateway.errors import GatewayError
 from gateway.outputs.exporters import FORMATS
+from gateway.reconstruction import PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
-from gateway.recording.optical import SolvedTrial, optical_settings, write_solved_trial
+from gateway.recording.optical import (
+    SolvedTrial,
+    optical_settings,
+    write_published_trial,
+    write_solved_trial,
+)
 from gateway.service import Service
 from gateway.settings import load_gateway_settings
 
 Subject = Annotated[str, typer.Option("--subject", "-s", help="Subject file of `optical fit`.")]
+WRITERS = {"default": write_solved_trial, PUBLISHED: write_published_trial}
+Method = Annotated[
+    str,
+    typer.Option(
+        help="default: whole body, frame by frame; published: that of CN1766831A, chain by chain, offline "
+        "and far slower."
+    ),
+]
 
 
 def solve(
     file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
     subject: Subject,
+    method: Method = "default",
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The recording; default: after the trial, .mcap.")
     ] = None,
@@ -48,6 +64,7 @@ def solve(
 ) -> None:
     """Solve a trial for a fitted subject, into a recording that replays, exports and reports like any
     other."""
+    write = _writer_of(method)
     suit = _subject(subject)
     for name in to or []:
         if name not in FORMATS:
@@ -58,7 +75,7 @@ def solve(
     trial = read_markers(file)
     with progress_bar("solving", is_shown=not as_json) as tell:
         try:
-            done = write_solved_trial(trial, file, suit, subject, target, tell)
+            done = write(trial, file, suit, subject, target, tell)
         except OSError as error:
             raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
     if plot is not None:
@@ -74,6 +91,7 @@ def solve(
 def play(
     file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
     subject: Subject,
+    method: Method = "default",
     speed: Annotated[str, typer.Option(help="1: as captured, 2: twice as fast, …, max: as it goes.")] = "1",
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Broker, gateway name and outputs from this file.")
@@ -82,6 +100,11 @@ def play(
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
     """Play a trial over MQTT like a live optical system: `watch`, `view` and all else see a suit."""
+    if _writer_of(method) is write_published_trial:
+        raise GatewayError(
+            f"--method {method} wants all frames at once and cannot stream: `mocap-gateway optical solve "
+            f"{file} --method {method}`, or leave it out"
+        )
     suit = _subject(subject)
     pace = speed_of(speed)
     trial = read_markers(file)
@@ -105,6 +128,12 @@ def play(
     typer.echo(f"playing to {settings.mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)
     asyncio.run(play_link(service, link, as_json))
     tell_outcome(service, as_json)
+
+
+def _writer_of(method: str) -> Callable[..., SolvedTrial]:
+    if method not in WRITERS:
+        raise GatewayError(f"--method {method}: one of {', '.join(WRITERS)} is wanted")
+    return WRITERS[method]
 
 
 def _subject(name: str) -> WornSuit:

@@ -76,6 +76,12 @@ def replay(
             typer.echo(
                 "note: poses are played as they came live; the smoothed ones stand in the file", err=True
             )
+        if recording.meta.solved_by:
+            typer.echo(
+                f"note: poses are played as {source.settings.reconstructor} makes them; those of "
+                f"{recording.meta.solved_by} stand in the file",
+                err=True,
+            )
         replay_live(recording, source, speed_of(speed), embedded=embedded, as_json=as_json)
     if recording.defect is not None:
         typer.echo(f"note: {recording.defect}", err=True)

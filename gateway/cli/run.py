@@ -17,7 +17,7 @@ from gateway.log_format import set_up_logging
 from gateway.reconstruction import readiness
 from gateway.service import Service
 from gateway.service_manager import feed_watchdog, notify
-from gateway.settings import GatewaySettings, load_gateway_settings
+from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +35,8 @@ def run(
     A link that is absent is waited for; a broker that is away is tried again and again. A changed
     configuration that is wrong is reported, and the service goes on with the one it has.
     """
-    wanted = load_gateway_settings(config).reconstructor
+    configured = load_gateway_settings(config)
+    wanted = fitting_suit(configured, load_rig(configured.rig, config)).reconstructor
     is_ready = readiness.is_ready(wanted)
     service = _load(config, None if is_ready else readiness.FALLBACK)
     asyncio.run(_Supervisor(config, service, None if is_ready else wanted).run())

@@ -114,8 +114,11 @@ async def _serve_live(settings: MqttSettings, gateway: str, place: _Place, waits
 
 async def _serve_recording(recording: Path, place: _Place) -> None:
     with progress_bar(f"reading {recording.name}") as tell:
-        arrays = open_recording(recording).skeleton_arrays(tell)
+        opened = open_recording(recording)
+        arrays = opened.skeleton_arrays(tell)
     async with _page(place) as server:
+        from gateway.viewer.marker_points import recorded_markers  # noqa: PLC0415 - needs the extra
         from gateway.viewer.playback import Playback  # noqa: PLC0415 - needs the extra
 
-        await Playback(server, arrays, recording.stem).run()
+        markers = recorded_markers(opened, arrays)
+        await Playback(server, arrays, recording.stem, markers).run()

@@ -29,6 +29,7 @@ __all__ = [
     "FUSED",
     "NO_CONTACTS",
     "OPTICAL",
+    "PUBLISHED",
     "RECONSTRUCTORS",
     "Reconstructor",
     "RootMode",
@@ -54,6 +55,9 @@ RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {
 
 OPTICAL = "optical"
 """Of markers and no modules: ``optical.reconstructor``; it needs a suit with markers."""
+
+PUBLISHED = "published"
+"""Of markers too, but of all frames at once: for `optical solve`, never for a stream."""
 
 FUSED = frozenset({"fused", "fused_neutral"})
 """Those that want orientations fused on the modules, and no raw values."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import time
 import uuid
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +16,18 @@ from numpy.typing import NDArray
 
 import gateway
 from devices import recording_format as fmt
-from devices.link import Framing
+from devices.link import Chunk, Framing
 from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
 from devices.recording_writer import RecordingWriter, session_record
+from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, SkeletonFrame
 from gateway.pipeline import Pipeline
-from gateway.reconstruction import OPTICAL
+from gateway.reconstruction import OPTICAL, PUBLISHED
+from gateway.reconstruction.optical.landmarks import to_world
+from gateway.reconstruction.optical.published_trial import published_trial
 from gateway.recording.reading import Progress
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
@@ -30,6 +35,8 @@ from gateway.settings import AssemblySettings, GatewaySettings, LinkSettings
 
 LINK = "markers"
 _CHUNKS_A_TELLING = 64
+_BEGUN_NS = 10**9
+"""Gateway time that a trial begins at."""
 
 
 @dataclass(frozen=True)
@@ -76,37 +83,24 @@ def write_solved_trial(
 ) -> SolvedTrial:
     """Every frame through the pipeline into ``target``. Raises ``RecordingError`` when that exists,
     OSError as ``open`` does, ``GatewayError`` when the trial has none of the subject's markers."""
-    markers = suit.markers
-    if markers is None:
-        raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")
-    if not set(markers.labels) & set(trial.labels):
-        raise GatewayError(
-            f"{source} has none of the markers of {subject} ({', '.join(markers.labels[:6])}, …); it has "
-            + ", ".join(label for label in trial.labels[:6] if label)
-        )
+    markers = _markers_of(suit, subject, trial, source)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     pipeline = Pipeline.from_settings(settings, suit)
     pipeline.add_link(LINK, Framing.MARKERS)
     optical = pipeline.optical
     assert optical is not None  # the suit has markers
-    begun_ns = 10**9
     residuals = np.full((trial.n_frames, len(markers.labels)), np.nan)
     used = np.zeros(residuals.shape, dtype=bool)
     renamed: list[tuple[int, str, str]] = []
     spent = 0.0
     frames = 0
-    with RecordingWriter(
-        target, _session(target, begun_ns), attachments_of(settings, suit), begun_ns
-    ) as writer:
-        writer.add(fmt.EVENTS, begun_ns, _origin(source, begun_ns))
-        for index, chunk in enumerate(trial_chunks(trial, begun_ns, LINK)):
+    with _writer(target, source, attachments_of(settings, suit)) as writer:
+        for index, chunk in enumerate(trial_chunks(trial, _BEGUN_NS, LINK)):
             began = time.process_time()
             made: list[SkeletonFrame] = pipeline.feed(chunk)
             spent += time.process_time() - began
-            writer.add_chunk(chunk, Framing.MARKERS)
-            for frame in made:
-                writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(frame))
-                frames += 1
+            _add(writer, chunk, made)
+            frames += len(made)
             if optical.last is not None:
                 residuals[index], used[index] = optical.last.residuals, optical.last.used
                 renamed += [
@@ -115,12 +109,69 @@ def write_solved_trial(
                 ]
             if progress is not None and index % _CHUNKS_A_TELLING == 0:
                 progress(index, trial.n_frames)
-        end_ns = begun_ns + round(trial.duration_s * 1e9)
+        end_ns = _BEGUN_NS + round(trial.duration_s * 1e9)
         writer.add(fmt.STATISTICS, end_ns, json.dumps(pipeline.statistics()).encode())
     return SolvedTrial(
         target, frames, markers.labels, residuals, used, tuple(renamed), dict(optical.counts),
         1e3 * spent / max(trial.n_frames, 1),
     )  # fmt: skip
+
+
+def write_published_trial(
+    trial: MarkerTrial,
+    source: Path,
+    suit: WornSuit,
+    subject: str,
+    target: Path,
+    progress: Progress | None = None,
+) -> SolvedTrial:
+    """The same recording with poses by the published method, which goes through the whole trial several
+    times; its suit has the virtual markers as that method found them. Raises as ``write_solved_trial``."""
+    markers = _markers_of(suit, subject, trial, source)
+    began = time.process_time()
+    observed = to_world(trial.columns(markers.labels), markers.vertical)
+    solved = published_trial(suit.skeleton, markers, observed, trial.rate_hz, progress)
+    spent = time.process_time() - began
+    settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
+    attachments = attachments_of(settings, replace(suit, markers=solved.motion.markers))
+    chunks = list(trial_chunks(trial, _BEGUN_NS, LINK))
+    with _writer(target, source, attachments, solved_by=PUBLISHED) as writer:
+        frames = solved.frames([chunk.arrived_ns for chunk in chunks])
+        for chunk, frame in zip(chunks, frames, strict=True):
+            _add(writer, chunk, [frame])
+    return SolvedTrial(
+        target, trial.n_frames, markers.labels, solved.residuals, solved.seen, (),
+        {"passes": solved.motion.passes}, 1e3 * spent / max(trial.n_frames, 1),
+    )  # fmt: skip
+
+
+def _markers_of(suit: WornSuit, subject: str, trial: MarkerTrial, source: Path) -> BodyMarkers:
+    """Of the subject, some of which the trial has."""
+    markers = suit.markers
+    if markers is None:
+        raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")
+    if not set(markers.labels) & set(trial.labels):
+        raise GatewayError(
+            f"{source} has none of the markers of {subject} ({', '.join(markers.labels[:6])}, …); it has "
+            + ", ".join(label for label in trial.labels[:6] if label)
+        )
+    return markers
+
+
+@contextlib.contextmanager
+def _writer(
+    target: Path, source: Path, attachments: Mapping[str, bytes], solved_by: str = ""
+) -> Iterator[RecordingWriter]:
+    session = _session(target, _BEGUN_NS) | ({"solved_by": solved_by} if solved_by else {})
+    with RecordingWriter(target, session, attachments, _BEGUN_NS) as writer:
+        writer.add(fmt.EVENTS, _BEGUN_NS, _origin(source, _BEGUN_NS))
+        yield writer
+
+
+def _add(writer: RecordingWriter, chunk: Chunk, made: Sequence[SkeletonFrame]) -> None:
+    writer.add_chunk(chunk, Framing.MARKERS)
+    for frame in made:
+        writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(frame))
 
 
 def _session(target: Path, begun_ns: int) -> dict[str, str]:

@@ -80,6 +80,8 @@ class RecordingMeta:
         """Whether it has all that the gateway was fed: then a replay is bit-identical."""
         self.smoothed = session.get("smoothed") == "1"
         """Whether its poses were made forward and backward through another recording of the same bytes."""
+        self.solved_by = session.get("solved_by", "")
+        """The offline method that made its poses, which no pipeline makes again; empty: a pipeline did."""
         self.links: dict[str, Framing] = parts.links
         self.n_parts = len(parts.files)
         self.size = parts.size

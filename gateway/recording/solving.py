@@ -110,8 +110,13 @@ def smoothed_arrays(recording: Recording, progress: Progress | None = None) -> S
 def verify(recording: Recording, progress: Progress | None = None) -> Verification:
     """Recompute every skeleton frame, and compare it with the recorded one byte by byte.
 
-    Raises ``RecordingError`` when no skeleton frames were recorded.
+    Raises ``RecordingError`` when no skeleton frames were recorded, or an offline method made them.
     """
+    if recording.meta.solved_by:
+        raise RecordingError(
+            f"{recording.parts.path}: its poses are of the offline method '{recording.meta.solved_by}', "
+            "which replaying cannot compare: solve the trial again, with `mocap-gateway optical solve`"
+        )
     recomputed: deque[bytes] = deque()
     compared = 0
     with _poses_by_message(recording, recorded_source(recording), progress) as (poses_of, tell):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,10 +78,15 @@ def legend() -> str:
     meanings = [(name.replace("_", " "), colour) for name, colour in COLOURS.items()]
     meanings.insert(1, (f"measured, sigma over {UNSURE_DEG:g}°", UNSURE))
     meanings.append(("no data", STALE))
-    chips = "".join(
+    return chips(meanings)
+
+
+def chips(meanings: Iterable[tuple[str, Colour]]) -> str:
+    """Meanings with their colours, as HTML."""
+    shown = "".join(
         '<span style="display:inline-block;margin:2px 8px 2px 0;white-space:nowrap">'
         f'<span style="display:inline-block;width:10px;height:10px;border-radius:5px;margin-right:4px;'
         f'background:rgb{colour}"></span>{meaning}</span>'
         for meaning, colour in meanings
     )
-    return f'<div style="font-size:11px;padding:0 12px 6px">{chips}</div>'
+    return f'<div style="font-size:11px;padding:0 12px 6px">{shown}</div>'

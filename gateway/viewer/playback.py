@@ -13,6 +13,7 @@ from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
+from gateway.viewer.marker_points import MarkerScene, RecordedMarkers
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
@@ -26,7 +27,13 @@ TIME_LINE_STEP_S = 0.01
 class Playback:
     """Plays a recorded result: play, pause, speed, and a time line that can be dragged."""
 
-    def __init__(self, server: viser.ViserServer, arrays: SkeletonArrays, name: str) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        arrays: SkeletonArrays,
+        name: str,
+        markers: RecordedMarkers | None = None,
+    ) -> None:
         self._arrays = arrays
         self._times_s = arrays.time_s.tolist()
         self._position_s = 0.0
@@ -44,6 +51,8 @@ class Playback:
         self._line = server.gui.add_slider("Time s", 0.0, end_s, TIME_LINE_STEP_S, 0.0)
         self._line_shown_s = 0.0
         self._drawn = -1
+        self._markers = markers
+        self._marker_scene = None if markers is None else MarkerScene(server, self._stage)
 
     async def run(self) -> None:
         """For ever; begins anew at the end."""
@@ -83,7 +92,12 @@ class Playback:
         self._panel.add_pose(pose)
         self._panel.draw_plot()
         where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"
-        self._panel.show_status(self._name, where, status_summary(pose.status, silent), is_alarm=False)
+        lines = [where, status_summary(pose.status, silent)]
+        if self._markers is not None and self._marker_scene is not None:
+            instant = self._markers.at(index)
+            self._marker_scene.draw(instant)
+            lines.append(instant.summary())
+        self._panel.show_status(self._name, *lines, is_alarm=False)
 
     def _take_choices(self) -> None:
         self._scene.show_axes(self._panel.axes.value)

@@ -16,6 +16,7 @@ from gateway.frames import Status
 HELD_UP = {
     "seconds": 100.0,
     "poses": 9000,
+    "failures": {},
     "uneven_looks": 0,
     "rss_growth_mb": 1.0,
     "descriptors_left": 0,
@@ -42,6 +43,7 @@ async def test_a_minute_of_faults():
 @pytest.mark.parametrize(
     ("changed", "complaint"),
     [
+        ({"failures": {"suit": "OSError(5)"}}, "the suit ended before its time: OSError(5)"),
         ({"uneven_looks": 2}, "balances were uneven at 2 looks"),
         ({"rss_growth_mb": 5.0}, "memory grew by 5.0 MB"),
         ({"descriptors_left": 1}, "1 descriptors were left open"),

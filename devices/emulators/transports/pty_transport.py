@@ -63,10 +63,9 @@ class PtyTransport:
         """Write data if a reader is there and has taken what was written before."""
         if self._master < 0 or not self._look():
             return False
+        self._write_rest()
         if self._rest:
-            self._rest = self._rest[self._write(self._rest) :]
-            if self._rest:
-                return False
+            return False
         written = self._write(data)
         if data and not written:
             return False
@@ -93,7 +92,8 @@ class PtyTransport:
     async def _keep_polling(self) -> None:
         # Not by the event loop's readiness: while nobody has the slave open that would fire without end.
         while True:
-            self._look()
+            if self._look():
+                self._write_rest()
             await asyncio.sleep(_POLL_INTERVAL_S)
 
     def _look(self) -> bool:
@@ -108,6 +108,11 @@ class PtyTransport:
             self._discard_unread()
         self._has_reader = has_reader
         return has_reader
+
+    def _write_rest(self) -> None:
+        """Go on with a chunk that was taken in part; nobody may offer another for a while."""
+        if self._rest:
+            self._rest = self._rest[self._write(self._rest) :]
 
     def _write(self, data: bytes) -> int:
         """How many bytes went out."""

@@ -272,3 +272,44 @@ def test_what_cannot_be_run_is_refused(options, message):
         EmulatedSuit([], MemoryTransport(Framing.CAN), **options)
     with pytest.raises(RuntimeError, match="not started"):
         EmulatedSuit([], MemoryTransport()).instant_ns(0.0)
+
+
+class Laborious:
+    """A conversation that takes long to compute once, as on a machine that is busy for a while."""
+
+    def __init__(self, first_takes_s):
+        self.steps_s, self._now_s, self._first_takes_s = [], 0.0, first_takes_s
+
+    def receive(self, data, at_s):
+        raise AssertionError("nobody speaks to it")
+
+    def advance(self, to_s):
+        if not self.steps_s:
+            time.sleep(self._first_takes_s)
+        self.steps_s.append(to_s - self._now_s)
+        self._now_s = to_s
+        return [Transmission(to_s, b"x")]
+
+    def rest(self):
+        return []
+
+
+async def test_a_suit_that_was_kept_from_computing_catches_up_in_short_steps():
+    """In one piece, steps would follow on each other ever longer while computing is slower than time."""
+    slow = Laborious(first_takes_s=1.0)
+    await EmulatedSuit(slow, MemoryTransport(), duration_s=1.2, linger_s=0.0).run()
+    assert sum(slow.steps_s) == pytest.approx(1.2)
+    assert max(slow.steps_s) <= 0.25 + 1e-9
+    assert max(slow.steps_s[1:]) > 0.1  # and not in steps so short that it never catches up
+
+
+async def test_a_pty_passes_on_all_of_a_chunk_that_it_took_in_part():
+    transport, chunk = PtyTransport(), bytes(range(1, 256)) * 1000
+    await transport.open()
+    reader = open_raw(transport.path)
+    try:
+        assert transport.offer(chunk)
+        assert await read_pty(reader, lambda data: len(data) >= len(chunk)) == chunk
+    finally:
+        os.close(reader)
+        await transport.close()

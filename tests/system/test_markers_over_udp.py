@@ -1,0 +1,153 @@
+"""Markers sent as datagrams, a fitted subject, a real broker: an app hears the sender's pose."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import orjson
+import pytest
+
+from gateway.accounting import unaccounted
+from gateway.body.markers import BodyMarkers
+from gateway.body.rig import load_body, load_rig
+from gateway.body.skeleton import Skeleton
+from gateway.body.subject_file import subject_content, write_subject
+from gateway.errors import SettingsError
+from gateway.frames import FloatArray, MarkerFrame
+from gateway.geometry import quaternion
+from gateway.geometry import rotation_matrix as rm
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
+from gateway.reconstruction.optical import kernels
+from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
+from gateway.recording.suit_files import body_of
+from gateway.service import Service
+from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
+
+pytestmark = pytest.mark.system
+RATE_HZ, N_FRAMES = 50.0, 60
+
+
+def subject_file(folder: Path) -> tuple[Path, Skeleton, BodyMarkers]:
+    """Four markers on every segment of a person; the optical system's y axis points up."""
+    body = load_body("human_17")
+    segments = np.repeat(np.arange(body.n_segments), 4)
+    places = np.random.default_rng(3).normal(0.0, 0.08, (len(segments), 3))
+    labels = tuple(f"m{i}" for i in range(len(segments)))
+    markers = BodyMarkers(labels, segments, places, np.full(len(segments), 0.004), "y")
+    path = folder / "anna.yaml"
+    write_subject(path, subject_content("anna", "plug_in_gait", body_of(body), body, markers, {}, {}))
+    return path, body, markers
+
+
+def truth(body: Skeleton, frame: int) -> FloatArray:
+    """(S, 3, 3): the person turns, and raises the left arm."""
+    neutral = quaternion.to_matrix(body.neutral)
+    turned = rm.from_rotation_vector(np.array([0.0, 0.0, 0.01 * frame]))
+    R = np.tile(turned @ neutral, (body.n_segments, 1, 1))
+    raised = turned @ rm.from_rotation_vector(np.array([0.0, -0.008 * frame, 0.0])) @ neutral
+    arm = [body.index(name) for name in ("left_upper_arm", "left_forearm", "left_hand")]
+    R[arm] = raised
+    return R
+
+
+def places_of(body: Skeleton, markers: BodyMarkers, frame: int) -> FloatArray:
+    """(M, 3) m, world."""
+    R = truth(body, frame)
+    p = kernels.places(body.parents, body.offsets, R, np.array([0.3, -0.2, 0.95]))
+    places: FloatArray = kernels.marker_places(markers.segments, markers.positions, R, p)
+    return places
+
+
+def message(body: Skeleton, markers: BodyMarkers, frame: int) -> bytes:
+    """As an optical system with y up sends it, in mm, on its own clock; one marker is hidden now and then."""
+    places = places_of(body, markers, frame)
+    theirs = 1e3 * places[:, [0, 2, 1]] * [1.0, 1.0, -1.0]  # y up: world x, y, z are their x, -z, y
+    shown = {label: place.tolist() for label, place in zip(markers.labels, theirs, strict=True)}
+    if frame % 3 == 0:
+        shown["m5"] = None
+    content = {"sequence": frame, "time_s": 1000.0 + frame / RATE_HZ, "unit": "mm", "markers": shown}
+    return orjson.dumps(content)
+
+
+@contextlib.asynccontextmanager
+async def gateway_of(settings: GatewaySettings, received: list[ReceivedPose]):
+    service = Service(settings, load_rig(settings.rig))
+    serving = asyncio.create_task(service.run())
+    try:
+        async with PoseSubscriber(settings.mqtt, settings.gateway) as poses:
+
+            async def collect() -> None:
+                async for pose in poses:
+                    received.append(pose)  # noqa: PERF401 - what has come must show at once
+
+            collecting = asyncio.create_task(collect())
+            async with asyncio.timeout(60):
+                while not service.mqtt.is_connected or service.links[0].state.value != "up":
+                    assert not serving.done()
+                    await asyncio.sleep(0.01)
+            yield service
+            collecting.cancel()
+    finally:
+        serving.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await serving
+
+
+async def test_datagrams_of_markers_become_the_senders_pose(mosquitto, tmp_path):
+    path, body, markers = subject_file(tmp_path)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    config = tmp_path / "gateway.yaml"
+    config.write_text(
+        f"gateway: lab\nrig: {path}\n"
+        f"links: [{{name: cameras, url: 'udp://127.0.0.1:{port}', carries: markers}}]\n"
+        f"mqtt: {{port: {mosquitto.port}, decimals: null, include: [position]}}\n"
+    )
+    OpticalReconstructor(body, markers).update(MarkerFrame(0, 0, places_of(body, markers, 0)))  # compiles
+    settings = load_gateway_settings(config)
+    received: list[ReceivedPose] = []
+    async with gateway_of(settings, received) as service:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.connect(("127.0.0.1", port))
+            for frame in range(N_FRAMES):
+                sender.send(message(body, markers, frame))
+                if frame == 10:
+                    sender.send(b'{"markers": "none"}')
+                await asyncio.sleep(1 / RATE_HZ)
+        async with asyncio.timeout(90):
+            while service.pipeline.skeleton_frames < N_FRAMES or service.mqtt.counters.queued:
+                await asyncio.sleep(0.02)
+        await asyncio.sleep(0.5)
+        statistics = service.statistics()
+        assert unaccounted(service.balances()) == {}
+        assert statistics["markers"]["dropped"] == {"no_markers": 1}
+        assert statistics["accounting"]["frames"]["total"] == N_FRAMES
+    sequences = np.array([each.pose.seq for each in received])
+    assert len(sequences) > N_FRAMES / 4  # a machine that cannot keep up publishes fewer, and counts them
+    assert (np.diff(sequences) > 0).all()
+    for each in received[5:]:
+        for name, true in zip(body.segment_names, truth(body, each.pose.seq), strict=True):
+            apart = quaternion.angle_between(np.array(each.pose.segments[name]), quaternion.from_matrix(true))
+            assert np.degrees(apart) < 1.0, (each.pose.seq, name)
+        np.testing.assert_allclose(each.pose.position["pelvis"], [0.3, -0.2, 0.95], atol=0.005)
+    apart_ns = np.diff([each.pose.t_ns for each in received]) / np.diff(sequences)
+    assert np.median(apart_ns) == pytest.approx(1e9 / RATE_HZ, rel=0.01)  # the sender's clock, not arrivals
+    assert abs(received[-1].pose.t_ns - time.time_ns()) < 600e9
+
+
+def test_another_method_for_a_subject_is_one_error_that_says_what_to_write(tmp_path):
+    path, _, _ = subject_file(tmp_path)
+    links = [LinkSettings(name="cameras", url="udp://:9763", carries="markers")]
+    settings = GatewaySettings(links=links, rig=str(path), mqtt=MqttSettings())
+    assert Service(settings, load_rig(str(path))).pipeline.optical is not None
+    with pytest.raises(SettingsError, match="write 'reconstructor: optical', or leave it out"):
+        Service(GatewaySettings(**{**dict(settings), "reconstructor": "joint"}), load_rig(str(path)))
+    with pytest.raises(ValueError, match="wants all frames at once"):
+        GatewaySettings(**{**dict(settings), "reconstructor": "published"})
