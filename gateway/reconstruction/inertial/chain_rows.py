@@ -206,8 +206,8 @@ def unaided_row(
     dt: float,
 ) -> None:
     """Mean acceleration over a window is small, where nothing tells what it is: no smaller than it was while
-    that was known, and over a shorter time as much larger as speeds are the same. It stays for the window on either side. sharing: segments that move together and have
-    such a row each."""
+    that was known, and over a shorter time as much larger as speeds are the same. It stays for the window on
+    either side. sharing: segments that move together and have such a row each."""
     lasted_s = min(max(state.fresh_s[s], dt), noise.unaided_window_s)  # of the mean: short after a gap
     square = max((noise.unaided_speed / lasted_s) ** 2, 2.0 * state.unaided_square[s])
     variance = square * noise.unaided_window_s / dt * sharing

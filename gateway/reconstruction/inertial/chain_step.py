@@ -290,7 +290,7 @@ def _joint_rows(
         felt_into(scratch.U[s], state.force[s], scratch.K[s], body.to_joint[s], state.arm[s], 0)
         if p < 0 or is_valid[s] < 2.0 or is_valid[p] < 2.0:
             continue
-        chain[s] = chain[p]  # also while its row has to wait for the averages: after a gap nothing has changed
+        chain[s] = chain[p]  # also while its row waits for the averages: after a gap nothing has changed
         if is_joint:
             anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
         if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
