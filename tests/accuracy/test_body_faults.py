@@ -49,7 +49,10 @@ def test_a_gyrometer_that_lies_is_told_and_harms_nobody_else(suit, calm, name):
     run = emulated(suit, case)
     assert is_finite(run)
     assert told_after_s(run, VICTIM) < 1.0
-    assert outcome(run, calm, OTHERS, case).worst_deg < 5.0
+    near = outcome(run, calm, NEIGHBOURS, case)
+    assert near.worst_deg < 8.0  # they show the module that comes back its heading, not the reverse
+    assert near.recovery_s < 5.0
+    assert outcome(run, calm, OTHERS, case).worst_deg < 2.0
 
 
 def test_a_magnet_turns_nobody(suit, calm):

@@ -53,10 +53,14 @@ def joint_row(
     u_p: FloatArray,
     variance: float,
     dt: float,
+    is_open: bool,
 ) -> None:
-    """The joint's acceleration seen from both sides, every dt; variance of a component, (m/s²)²."""
+    """The joint's acceleration seen from both sides, every dt; variance of a component, (m/s²)².
+
+    is_open: the heading of one against the other is not known.
+    """
     residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
-    if state.is_open[s]:
+    if is_open:
         # heading against the parent unknown: the horizontal parts are only equally long
         H, H_p = skew(u), skew(u_p)
         wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
@@ -202,8 +206,8 @@ def unaided_row(
     dt: float,
 ) -> None:
     """Mean acceleration over a window is small, where nothing tells what it is: no smaller than it was while
-    that was known, and over a shorter time as much larger as speeds are the same. It stays for the window on either side. sharing: segments that move together and have
-    such a row each."""
+    that was known, and over a shorter time as much larger as speeds are the same. It stays for the window on
+    either side. sharing: segments that move together and have such a row each."""
     lasted_s = min(max(state.fresh_s[s], dt), noise.unaided_window_s)  # of the mean: short after a gap
     square = max((noise.unaided_speed / lasted_s) ** 2, 2.0 * state.unaided_square[s])
     variance = square * noise.unaided_window_s / dt * sharing

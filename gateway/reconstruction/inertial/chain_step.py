@@ -28,6 +28,7 @@ from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, F
 from gateway.reconstruction.inertial.heading_start import (
     compass_turn,
     gather_heading,
+    is_apart,
     reopen_headings,
     shown_heading,
     tilt_spread,
@@ -259,17 +260,17 @@ def _open_root(
         row = np.zeros(3)
         row[2] = 1.0
         add_own(evidence, s, row, 0.0, variance)
-        _turn_beyond(body, s, angle, turns)
+        _turn_beyond(body, state, s, angle, turns)
 
 
 @compiled
-def _turn_beyond(body: ChainBody, s: int, angle: float, turns: FloatArray) -> None:
-    """Segment s and all beyond it."""
+def _turn_beyond(body: ChainBody, state: FilterState, s: int, angle: float, turns: FloatArray) -> None:
+    """Segment s and all beyond it, up to those that have kept their own headings while it was lost."""
     beyond = np.zeros(len(body.parents))
     beyond[s] = 1.0
     for c in range(s, len(body.parents)):
         if body.parents[c] >= 0 and beyond[body.parents[c]] > 0.0:
-            beyond[c] = 1.0
+            beyond[c] = 1.0 if state.is_open[c] == 1 or not is_apart(body, state, c) else 0.0
         if beyond[c] > 0.0:
             turns[c, 2] += angle
 
@@ -289,7 +290,7 @@ def _joint_rows(
         felt_into(scratch.U[s], state.force[s], scratch.K[s], body.to_joint[s], state.arm[s], 0)
         if p < 0 or is_valid[s] < 2.0 or is_valid[p] < 2.0:
             continue
-        chain[s] = chain[p]  # also while its row has to wait for the averages: after a gap nothing has changed
+        chain[s] = chain[p]  # also while its row waits for the averages: after a gap nothing has changed
         if is_joint:
             anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
         if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
@@ -333,21 +334,27 @@ def _joint_row(
             for j in range(3):
                 u[i] -= K[s, i, j] * body.beyond[s, j]
         variance += (body.slack[s] * moved) ** 2 * noise.row_memory_s / dt
-    if state.is_open[s]:
+    is_lost = state.is_open[s] == 1
+    if not is_lost and state.is_open[p] == 1 and is_apart(body, state, s):
+        # the parent has begun anew beside a segment that has not: this shows the parent's heading
+        is_lost = True
+        uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
+        gather_heading(state, p, u_p, u, uncertain, dt)
+    elif is_lost:
         uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
         gather_heading(state, s, u, u_p, uncertain, dt)
         shown, angle = shown_heading(state, noise, s)
         if shown > 0.0:
             state.is_open[s] = 0
             _settle(evidence, s, shown)
-            _turn_beyond(body, s, angle, turns)
+            _turn_beyond(body, state, s, angle, turns)
             return
     elif turns[s, 2] != 0.0 or turns[p, 2] != 0.0:
         return  # this instant's averages are those before the turn
     else:
         at_once = variance * dt / noise.row_memory_s
         variance += learn_joint_arms(state, noise, s, p, u, u_p, K[s], K[p], variance, at_once, dt)
-    chain_rows.joint_row(evidence, state, noise, s, p, u, u_p, variance, dt)
+    chain_rows.joint_row(evidence, state, noise, s, p, u, u_p, variance, dt, is_lost)
 
 
 @compiled

@@ -69,6 +69,24 @@ def shown_heading(state: FilterState, noise: Noise, s: int) -> tuple[float, floa
 
 
 @compiled
+def is_apart(body: ChainBody, state: FilterState, s: int) -> bool:
+    """Whether the heading of segment s against its parent, of a root against the world, is lost."""
+    p, variance = body.parents[s], state.P[s, 2, 2]
+    if p >= 0:
+        variance += state.P[p, 2, 2] - 2.0 * state.C[s, 2, 2]
+    return bool(variance > LOST_SIGMA**2)
+
+
+@compiled
+def _is_left_behind(body: ChainBody, state: FilterState, s: int) -> bool:
+    """Whether the parent's heading alone is lost: it is found anew, and segment s keeps its own."""
+    p = body.parents[s]
+    if p < 0 or state.P[s, 2, 2] > LOST_SIGMA**2:
+        return False
+    return bool(state.is_open[p] == 1 or (state.is_started[p] != 1 and body.opens[p] == 1))
+
+
+@compiled
 def reopen_headings(body: ChainBody, state: FilterState) -> None:
     """Headings that the filter itself no longer knows (gyrometers saturated, long unseen) are open again.
 
@@ -77,10 +95,7 @@ def reopen_headings(body: ChainBody, state: FilterState) -> None:
     for s in range(len(body.parents)):
         if state.is_open[s] == 1 or body.opens[s] == 0 or state.is_started[s] != 1:
             continue
-        p, variance = body.parents[s], state.P[s, 2, 2]
-        if p >= 0:
-            variance += state.P[p, 2, 2] - 2.0 * state.C[s, 2, 2]
-        if variance > LOST_SIGMA**2:
+        if is_apart(body, state, s) and not _is_left_behind(body, state, s):
             state.is_open[s], state.compass_s[s] = 1, 0.0
             state.heading[s] = 0.0
 
