@@ -2,7 +2,8 @@
 
 Frames lie on a regular grid of gateway time that begins when every module has been heard (or after
 ``start_wait_ns``). A frame is emitted as soon as every live module has a reading at or after its
-instant, and at the latest ``max_wait_ns`` after it. Values between two readings are interpolated
+instant, and at the latest ``max_wait_ns`` after it; where everything comes later than that, in a burst after
+a stall, once the rest of the burst must have come. Values between two readings are interpolated
 linearly, each sensor by itself, since a magnetometer often runs slower than its neighbours.
 
 Nothing here looks at a clock: waiting is judged by the arrival times of what comes, so that a
@@ -11,7 +12,7 @@ replay of the same chunks gives the same frames, bit for bit.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass
 from enum import Enum
 from operator import attrgetter
@@ -32,6 +33,8 @@ from gateway.frames import (
 from gateway.geometry.compiled import compiled
 
 _LONGEST_CATCH_UP_NS = 1_000_000_000
+_REST_OF_BURST_NS = 5_000_000
+"""So long after a module's reading those of the others come, however late they all are."""
 _DEPTH = 64  # readings kept of each module; at 1000 Hz 64 ms, more than any sensible wait
 _NAN3 = (float("nan"),) * 3
 
@@ -78,6 +81,8 @@ class FrameAssembler:
         self._heads = np.zeros(n, dtype=np.int64)  # ring position of the newest reading
         self._newest = [-1] * n  # plain integers: compared once a reading
         self._newest_of_all = -1
+        self._passed: deque[tuple[int, int]] = deque()
+        """Instants up to which any module had been heard, and when that arrived; from the next frame's on."""
         self._awaited: set[int] = set()
         self._instant_ns = -1
         self._heard = 0
@@ -121,6 +126,8 @@ class FrameAssembler:
             return []
         if self._store(row, reading):
             self.taken += 1
+            if not self._passed or self._passed[-1][0] < self._newest_of_all:
+                self._passed.append((self._newest_of_all, arrived_ns))
             if self._first_arrival_ns is None:
                 self._first_arrival_ns = arrived_ns
             return self._emit(arrived_ns)
@@ -207,11 +214,18 @@ class FrameAssembler:
         """Whether the next instant has all that it may wait for."""
         if self._newest_of_all < self._instant_ns:
             return False
-        if not self._awaited or arrived_ns >= self._instant_ns + self._params.max_wait_ns:
+        if not self._awaited or arrived_ns >= self._latest_ns():
             return True
         if self._newest_of_all - self._instant_ns > self._params.hold_ns:
             self._advance(self._count)  # who has been silent for so long is not waited for
         return not self._awaited
+
+    def _latest_ns(self) -> int:
+        """When the next frame waits no more. A burst that comes late as a whole is read to its end first."""
+        while self._passed[0][0] < self._instant_ns:
+            self._passed.popleft()
+        reached_ns = self._passed[0][1]
+        return max(self._instant_ns + self._params.max_wait_ns, reached_ns + _REST_OF_BURST_NS)
 
     def _skip_silence(self) -> None:
         """After silence of the whole suit, go on at the present instead of filling in the past."""

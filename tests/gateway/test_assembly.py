@@ -137,3 +137,29 @@ def test_start_waits_for_all_modules_but_not_for_ever():
     frames = [f for k in range(200) for f in assembler.add(reading(0, k, 10 * MS * k), 10 * MS * k)]
     assert frames[0].time_ns == 1000 * MS
     assert frames[0].status.tolist() == [Status.MEASURED, Status.MISSING]
+
+
+def test_a_burst_that_comes_late_as_a_whole_is_read_to_its_end():
+    """After a stall of 300 ms, module by module: no sample is given up for one read a moment before."""
+    assembler, frames = FrameAssembler((0, 1), PARAMS), []
+    for k in range(100):
+        time_ns = 10 * MS * k
+        stalled = 300 * MS < time_ns <= 600 * MS
+        for module in (0, 1):
+            arrived_ns = (600 * MS if stalled else time_ns) + (module + 1) * MS
+            frames += assembler.add(reading(module, k, time_ns), arrived_ns)
+    assert {status for frame in frames for status in frame.status} == {Status.MEASURED}
+    assert len(frames) == 100
+    assert not assembler.lost
+
+
+def test_in_a_late_burst_a_dead_module_holds_up_the_others_for_milliseconds_only():
+    assembler, frames = FrameAssembler((0, 1), PARAMS), {}
+    for k in range(100):
+        time_ns = 10 * MS * k
+        arrived_ns = max(time_ns, 600 * MS if time_ns > 300 * MS else 0) + MS
+        for module in (0, 1) if time_ns <= 200 * MS else (0,):
+            for frame in assembler.add(reading(module, k, time_ns), arrived_ns):
+                frames[frame.time_ns] = arrived_ns
+    assert frames[700 * MS] <= 740 * MS
+    assert len(frames) >= 95
