@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.recordings import Recording, ReferenceTrack
+from gateway.agreement.world_alignment import align_world, aligned
 from gateway.comparison import orientation_error, rmse_deg
 from gateway.frames import FloatArray
 
-ROUNDS = 20
 LONGEST_GAP_S = 0.05
 
 
@@ -58,8 +58,7 @@ def _segment_errors(
 ) -> tuple[float, float, float]:
     q_ref = reference_at(times_s, reference)
     usable = np.isfinite(q_ref).all(axis=1) & np.isfinite(q_wb).all(axis=1) & (times_s >= from_s)
-    aligned = align(q_wb[usable], q_ref[usable])
-    errors = orientation_error(aligned, q_ref[usable])
+    errors = orientation_error(align(q_wb[usable], q_ref[usable]), q_ref[usable])
     covered = coverage_percent(errors.total, sigma[usable])
     return float(rmse_deg(errors.total)), float(rmse_deg(errors.inclination)), covered
 
@@ -88,18 +87,5 @@ def reference_at(times_s: FloatArray, reference: ReferenceTrack) -> FloatArray:
 
 def align(q: FloatArray, q_ref: FloatArray) -> FloatArray:
     """``q`` (T, 4) after the constant heading and misalignment that bring it closest to ``q_ref``."""
-    estimate, wanted = (Rotation.from_quat(a, scalar_first=True) for a in (q, q_ref))
-    misalignment = Rotation.identity()
-    heading = Rotation.identity()
-    for _ in range(ROUNDS):
-        heading = _mean_heading(wanted * (estimate * misalignment).inv())
-        misalignment = (estimate.inv() * heading.inv() * wanted).mean()
-    aligned: FloatArray = (heading * estimate * misalignment).as_quat(scalar_first=True)
-    return aligned
-
-
-def _mean_heading(rotations: Rotation) -> Rotation:
-    """The rotation about the vertical nearest to all of them (largest eigenvector of the w-z scatter)."""
-    wz = rotations.as_quat(scalar_first=True)[:, [0, 3]]
-    w, z = np.linalg.eigh(wz.T @ wz)[1][:, -1]
-    return Rotation.from_rotvec([0.0, 0.0, 2.0 * np.arctan2(z, w)])
+    found = align_world(q[:, None], q_ref[:, None])
+    return aligned(q[:, None], found)[:, 0]

@@ -42,6 +42,7 @@ class _Loader(yaml.SafeLoader):
         self._sizes: dict[int, int] = {}  # by the identity of a node
 
     def compose_node(self, parent: Node | None, index: Any) -> Node | None:
+        """The library's, held to the bounds on depth and size; aliases count as often as they are used."""
         self._depth += 1
         if self._depth > DEEPEST:
             raise _problem(f"lists and maps are nested more than {DEEPEST} deep", self.peek_event())  # type: ignore[no-untyped-call]

@@ -44,7 +44,7 @@ if __name__ == "__main__":
     try:
         asyncio.run(main(options.host, options.port, options.count))
     except KeyboardInterrupt:
-        pass
+        pass  # Ctrl-C is how it is ended
     except aiomqtt.MqttError as error:
         raise SystemExit(
             f"no broker at {options.host}:{options.port} ({error}): start the gateway first"

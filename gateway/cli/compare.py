@@ -72,17 +72,21 @@ def compare(
             run_live(settings, Live(first, second, renamed, largest_lag, window, count, as_json))
         )
     found = _of_files(Path(first), Path(second), renamed, largest_lag, not as_json)
+    _show(found, Path(first), Path(second), plot, as_json)
+
+
+def _show(found: Agreement, first: Path, second: Path, plot: Path | None, as_json: bool) -> None:
     if plot is not None:
-        save_page(_page(found, f"{Path(first).name} against {Path(second).name}"), plot)
+        save_page(_page(found, f"{first.name} against {second.name}"), plot)
     if as_json:
         typer.echo(as_json_text(found))
         return
     for note in notes(found):
         typer.echo(note)
     print_figures(HEADS, rows(found))
-    for name, only in ((first, found.only_in_first), (second, found.only_in_second)):
+    for path, only in ((first, found.only_in_first), (second, found.only_in_second)):
         if only:
-            typer.echo(f"only in {Path(name).name}: {', '.join(only)}", err=True)
+            typer.echo(f"only in {path.name}: {', '.join(only)}", err=True)
     if plot is not None:
         typer.echo(f"plot written to {plot}")
 

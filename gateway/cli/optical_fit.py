@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from devices.marker_files import read_markers
+from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.subject_file import subject_content, write_subject
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
@@ -69,14 +69,27 @@ def fit(
         neutral=None if neutral is None else _span(neutral),
         centres="motion" if functional else "rules" if rules_only else "both",
     )
-    with progress_bar("reading", is_shown=not as_json) as tell:
+    trials = _read(files, not as_json)
+    with progress_bar("fitting the body", is_shown=not as_json) as tell:
+        found = fit_body(chosen, trials, options, tell)
+    outcome = _outcome(found, files, target)
+    _write(found, outcome, target)
+    if as_json:
+        typer.echo(json.dumps(outcome, indent=2))
+    else:
+        _print(found, outcome)
+
+
+def _read(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
+    with progress_bar("reading", is_shown=is_shown) as tell:
         trials = []
         for done, file in enumerate(files):
             tell(done, len(files))
             trials.append(read_markers(file))
-    with progress_bar("fitting the body", is_shown=not as_json) as tell:
-        found = fit_body(chosen, trials, options, tell)
-    outcome = _outcome(found, files, target)
+    return trials
+
+
+def _write(found: Fit, outcome: dict[str, object], target: Path) -> None:
     content = subject_content(
         target.stem, found.marker_set, body_of(found.skeleton), found.skeleton, found.markers,
         {key: outcome[key] for key in ("trials", "frames", "rmse_mm")}, dict(found.lengths),
@@ -85,10 +98,6 @@ def fit(
         write_subject(target, content)
     except OSError as error:
         raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
-    if as_json:
-        typer.echo(json.dumps(outcome, indent=2))
-    else:
-        _print(found, outcome)
 
 
 def _axis(text: str | None) -> str | None:

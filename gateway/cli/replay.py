@@ -72,19 +72,22 @@ def replay(
     elif offline:
         _solve(recording, source, None, as_json)
     else:
-        if source.smoothed:
-            typer.echo(
-                "note: poses are played as they came live; the smoothed ones stand in the file", err=True
-            )
-        if recording.meta.solved_by:
-            typer.echo(
-                f"note: poses are played as {source.settings.reconstructor} makes them; those of "
-                f"{recording.meta.solved_by} stand in the file",
-                err=True,
-            )
+        _note_others(recording, source)
         replay_live(recording, source, speed_of(speed), embedded=embedded, as_json=as_json)
     if recording.defect is not None:
         typer.echo(f"note: {recording.defect}", err=True)
+
+
+def _note_others(recording: Recording, source: Source) -> None:
+    """Says where the poses in the file are not those that are played."""
+    if source.smoothed:
+        typer.echo("note: poses are played as they came live; the smoothed ones stand in the file", err=True)
+    if recording.meta.solved_by:
+        typer.echo(
+            f"note: poses are played as {source.settings.reconstructor} makes them; those of "
+            f"{recording.meta.solved_by} stand in the file",
+            err=True,
+        )
 
 
 def _source(

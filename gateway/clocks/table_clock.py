@@ -48,9 +48,11 @@ class TableClock:
 
     @property
     def restarts(self) -> int:
+        """How often the module's counter was found to count from anew."""
         return self._counter.restarts
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
+        """Gateway time of a sample, ns, from the module's counter (µs) and the packet's arrival."""
         expected_us = self._start_us + self._counts_per_us * self._estimate.count_us(arrived_ns)
         full_us = self._counter.full_us(module_time_us, int(expected_us), arrived_ns)
         if full_us is None:

@@ -58,10 +58,7 @@ def back_substituted(L: FloatArray, X: FloatArray, x: FloatArray, delta: FloatAr
     for k in range(n):
         for i in range(len(delta)):
             d[k] -= X[k, i] * delta[i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            d[i] -= L[k, i] * d[k]
-        d[i] /= L[i, i]
+    kernels.solve_transposed(L, d)
     return d
 
 

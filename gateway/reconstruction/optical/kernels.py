@@ -187,11 +187,18 @@ def substituted(L: FloatArray, b: FloatArray) -> FloatArray:
         for k in range(i):
             x[i] -= L[i, k] * x[k]
         x[i] /= L[i, i]
+    solve_transposed(L, x)
+    return x
+
+
+@compiled
+def solve_transposed(L: FloatArray, x: FloatArray) -> None:
+    """x ← solution of Lᵀ x = x, in place."""
+    n = len(x)
     for i in range(n - 1, -1, -1):
         for k in range(i + 1, n):
             x[i] -= L[k, i] * x[k]
         x[i] /= L[i, i]
-    return x
 
 
 @compiled
