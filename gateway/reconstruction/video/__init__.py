@@ -1,0 +1,1 @@
+"""Synchronised cameras to skeleton frames, without markers."""
