@@ -117,9 +117,8 @@ def _plate(file: C3DFile, index: int, count: int, analog: FloatArray) -> ForcePl
 
 def _without_offset(file: C3DFile, signals: FloatArray) -> FloatArray:
     """Minus the mean over the frames in which FORCE_PLATFORM:ZERO says that nobody stands on it."""
-    zero = (
-        file.parameters["FORCE_PLATFORM:ZERO"].numbers() if "FORCE_PLATFORM:ZERO" in file.parameters else []
-    )
+    parameter = file.parameters.get("FORCE_PLATFORM:ZERO")
+    zero = parameter.numbers() if parameter is not None else np.zeros(0)
     if len(zero) < 2 or zero[0] < 1 or zero[1] < zero[0]:
         return signals
     per_frame = len(signals) // file.layout.n_frames
@@ -168,7 +167,8 @@ def _wired(file: C3DFile, index: int, count: int, where: str) -> FloatArray:
     numbers = parameter.numbers() if parameter is not None else np.zeros(0)
     if len(numbers) % count or not len(numbers):
         raise FormatError(f"{where}: FORCE_PLATFORM:CHANNEL holds {len(numbers)} numbers for {count} plates")
-    return numbers.reshape(count, -1)[index]
+    wired: FloatArray = numbers.reshape(count, -1)[index]
+    return wired
 
 
 def _table(file: C3DFile, name: str, shape: tuple[int, ...], where: str) -> FloatArray:

@@ -3,8 +3,8 @@
 At each instant the force and moment that the whole body takes (its momentum's change against gravity) are
 laid out over the soles' points by non-negative least squares along the edges of each point's friction
 pyramid. A point is the dearer to load the higher it is and the faster it moves, so that in double support the
-load goes over smoothly from the foot that rolls off to the one that has landed. What no allowed force explains
-stays as the residual at the root.
+load goes over smoothly from the foot that rolls off to the one that has landed. What no allowed force
+explains stays as the residual at the root.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import expit
 
@@ -94,7 +95,8 @@ def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: Co
     above = paths[..., 2] - height_m
     low = expit((settings.height_m - above) / settings.height_spread_m)
     slow = expit((settings.speed_m_s - speed) / settings.speed_spread_m_s)
-    return np.maximum(low * slow, settings.least_share)
+    sure: FloatArray = np.maximum(low * slow, settings.least_share)
+    return sure
 
 
 def _shared(
@@ -111,11 +113,12 @@ def _shared(
     size = np.linalg.norm(rows, axis=0)
     scaled, _ = nnls(rows / size, target, maxiter=_MOST_STEPS)
     along = scaled / size
-    return (along[:, None] * forces).reshape(len(arms), len(edges), 3).sum(axis=1)
+    loads: FloatArray = (along[:, None] * forces).reshape(len(arms), len(edges), 3).sum(axis=1)
+    return loads
 
 
 def _enter_known(
-    known: FloorForces, segments: list[int], force: FloatArray, moment: FloatArray, source: FloatArray
+    known: FloorForces, segments: list[int], force: FloatArray, moment: FloatArray, source: NDArray[np.uint8]
 ) -> None:  # fmt: skip
     """What was measured, into the arrays; changes them."""
     for k, segment in enumerate(known.segments.tolist()):

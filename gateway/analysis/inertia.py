@@ -173,7 +173,9 @@ def _carrier(
         return names.index("pelvis")
     column = [names.index(name) for name in _COLUMN if name in names]
     under = [s for s in column if placed[s] @ up <= height]
-    return (under or column[:1] or [None])[-1]
+    if not column:
+        return None
+    return under[-1] if under else column[0]
 
 
 def _add(found: BodyInertia, s: int, kg: float, begin: FloatArray, end: FloatArray, part: Part) -> None:

@@ -72,7 +72,8 @@ class InverseDynamics:
         turned = self.data.xmat[self._bodies].reshape(-1, 3, 3)
         own = np.stack([forces[at + 3 : at + 6] if s == self._root else forces[at : at + 3]
                         for s, at in enumerate(self._rate)])  # fmt: skip
-        return np.einsum("sij,sj->si", turned, own)
+        found: FloatArray = np.einsum("sij,sj->si", turned, own)
+        return found
 
     def root_force(self, forces: FloatArray) -> FloatArray:
         """(3,) N at the root, of generalised forces."""

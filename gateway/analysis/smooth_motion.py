@@ -112,7 +112,7 @@ def product(a: FloatArray, b: FloatArray) -> FloatArray:
     """Hamilton products of quaternions (…, 4)."""
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
+    turned: FloatArray = np.stack(
         [
             aw * bw - ax * bx - ay * by - az * bz,
             aw * bx + ax * bw + ay * bz - az * by,
@@ -121,11 +121,13 @@ def product(a: FloatArray, b: FloatArray) -> FloatArray:
         ],
         axis=-1,
     )
+    return turned
 
 
 def conjugate(q: FloatArray) -> FloatArray:
     """Of quaternions (…, 4)."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    turned: FloatArray = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return turned
 
 
 def matrices(q: FloatArray) -> FloatArray:
