@@ -36,10 +36,6 @@ def build(task):
         joint = osim.CustomJoint(
             entry["name"], parent, vector(entry["offset"]), zero, body, zero, zero, free_axes(entry)
         )
-        for index in range(len(entry["coordinates"])):
-            coordinate = joint.upd_coordinates(index)
-            coordinate.setRangeMin(-1e3)
-            coordinate.setRangeMax(1e3)
         model.addJoint(joint)
     return model, bodies
 
@@ -54,7 +50,7 @@ def free_axes(entry):
         names.append(name)
         axis.setCoordinateNames(names)
         axis.set_axis(vector([index % 3 == k for k in range(3)]))
-        axis.setFunction(osim.LinearFunction(1.0, 0.0))
+        axis.set_function(osim.LinearFunction(1.0, 0.0))
     return axes
 
 

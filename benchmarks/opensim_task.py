@@ -17,6 +17,8 @@ from gateway.frames import FloatArray
 _SITE, _SPHERE, _CYLINDER = 3, 4, 5
 _KNEE_SAMPLES = np.linspace(-0.15, 2.0, 16)
 """rad of flexion, between which the kneecap's way is a spline."""
+_OPTIMISED, _BEFORE_END = 10, 12
+"""Frames that are optimised, as OpenSim takes its time for each, and how many come after them: push-off."""
 _MARGIN = 25
 """Frames of motion before and after what is asked for: splines know little at their ends."""
 
@@ -56,6 +58,8 @@ def task_of(found: Analysis, muscles: MuscleResult, begin: int, end: int) -> dic
         "floor": np.hstack([time_s, _loads(found)[span]]).tolist(),
         "begin": float(found.time_s[begin]),
         "end": float(found.time_s[end - 1]),
+        "optimise_begin": float(found.time_s[end - _OPTIMISED - _BEFORE_END]),
+        "optimise_end": float(found.time_s[end - _BEFORE_END - 1]),
         "wires": _wires(found, muscles),
         "asked": _asked(found, muscles),
     }
