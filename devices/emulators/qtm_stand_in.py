@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import struct
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from enum import IntEnum
 from xml.sax.saxutils import escape
 
@@ -85,9 +85,12 @@ class QtmStandIn:
         newest: int = 25,
         left_out: Collection[int] = (),
         speed: float = 1.0,
+        repeats: bool = False,
+        on_end: Callable[[], None] = lambda: None,
     ) -> None:
         """trial: None: QTM without a measurement. newest: version 1.… of the protocol that it knows.
-        left_out: frames that it does not send. speed: 1 is as captured."""
+        left_out: frames that it does not send. speed: 1 is as captured. repeats: from the beginning at the
+        end. on_end: told when a client has had all frames."""
         self.trial = trial
         self.host = host
         self.port = port
@@ -98,6 +101,8 @@ class QtmStandIn:
         self._newest = newest
         self._left_out = frozenset(left_out)
         self._speed = speed
+        self._repeats = repeats
+        self._on_end = on_end
         self._server: asyncio.Server | None = None
         self._clients: set[asyncio.StreamWriter] = set()
         self._serving: set[asyncio.Task[None]] = set()
@@ -173,17 +178,25 @@ class QtmStandIn:
         return major == "1" and minor.isdigit() and int(minor) <= self._newest
 
     async def _play(self, writer: asyncio.StreamWriter, trial: MarkerTrial) -> None:
-        begun_s = asyncio.get_running_loop().time()
         with contextlib.suppress(ConnectionError):
-            for frame in range(trial.n_frames):
-                due_s = begun_s + frame / (trial.rate_hz * self._speed)
-                await asyncio.sleep(max(0.0, due_s - asyncio.get_running_loop().time()))
-                if frame not in self._left_out:
-                    writer.write(data_packet(trial, frame, frame + 1))
-                    await writer.drain()
-                    self.sent += 1
+            await self._play_once(writer, trial)
+            while self._repeats:
+                await self._play_once(writer, trial)
             writer.write(packet(Kind.NO_MORE_DATA))
             writer.write(packet(Kind.EVENT, bytes([FILE_STOPPED])))
+            await writer.drain()
+            self._on_end()
+
+    async def _play_once(self, writer: asyncio.StreamWriter, trial: MarkerTrial) -> None:
+        loop = asyncio.get_running_loop()
+        begun_s = loop.time()
+        for frame in range(trial.n_frames):
+            await asyncio.sleep(max(0.0, begun_s + frame / (trial.rate_hz * self._speed) - loop.time()))
+            if frame not in self._left_out:
+                writer.write(data_packet(trial, frame, frame + 1))
+                await writer.drain()
+                self.sent += 1
+        await asyncio.sleep(1 / (trial.rate_hz * self._speed))
 
     def _end_stream(self, writer: asyncio.StreamWriter) -> None:
         task = self._streams.pop(writer, None)
