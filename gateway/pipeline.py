@@ -42,6 +42,7 @@ from gateway.reconstruction import (
     update_many,
 )
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
+from gateway.reconstruction.optical.warm_up import warm_up
 from gateway.resets import Resets
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.stream import ClockMode, Reading, Stream
@@ -114,6 +115,7 @@ class Pipeline:
         self.optical: OpticalReconstructor | None = None
         """In the place of the other on links that carry markers; None for a suit without."""
         if suit.markers is not None:
+            warm_up()
             self.optical = OpticalReconstructor(suit.skeleton, suit.markers)
         self._markers: dict[str, MarkerFrames] = {}
         self.satellite_readings = 0
@@ -198,10 +200,10 @@ class Pipeline:
 
     def _optical_frames(self, chunk: Chunk) -> list[SkeletonFrame]:
         assert self.optical is not None  # add_link saw to it
-        frames = [
-            self.resets.apply(self.optical.update(markers))
-            for markers in self._markers[chunk.link].receive(chunk)
-        ]
+        received = self._markers[chunk.link].receive(chunk)
+        solved = [markers for markers in received if markers.sequence % self._solve_every == 0]
+        self.left_out += len(received) - len(solved)
+        frames = [self.resets.apply(self.optical.update(markers)) for markers in solved]
         self.skeleton_frames += len(frames)
         return frames
 
