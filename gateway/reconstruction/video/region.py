@@ -3,6 +3,7 @@ stands upright in it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 
-TURN_STEP_DEG = 30.0
+ROLL_STEP = np.radians(30.0)
 """Pictures are turned in steps, so that the network sees steady pictures while a person sways."""
 ROOM = 1.25
 """Side of a region over the diameter of the circle about the hips that holds the person."""
@@ -19,39 +20,39 @@ _HEAD_ROOM = 1.1
 _LEAST_LIKELIHOOD = 0.3
 _FEWEST = 6
 """Keypoints that must be likely for a region to follow from them."""
+_LEAST_PIXELS = 16.0
 
 
 @dataclass(frozen=True, slots=True)
-class Region:
-    """A square of a picture."""
+class PersonRegion:
+    """A square of a picture, turned with the person's trunk."""
 
-    x: float  # pixels, its middle
-    y: float
-    side: float  # pixels
-    turn_deg: float
-    """By which the person leans to the right in the picture: from the picture's up to the trunk's up,
-    clockwise as seen. A multiple of ``TURN_STEP_DEG``."""
+    centre: FloatArray  # (2,) pixels of the distorted picture
+    size: float  # pixels, side
+    roll: float
+    """rad, a multiple of 30°: how far the trunk is turned clockwise, as the picture is seen, from upright."""
 
-    def map_from_pixel(self, size: int) -> FloatArray:
-        """(2, 3): pixels of the picture to pixels of the upright square of ``size`` pixels a side, both
-        counted from the middle of the upper left one."""
-        scale = size / self.side
-        turn = np.radians(self.turn_deg)
-        linear = scale * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-        middle = 0.5 * (size - 1)
-        shift = middle - linear @ np.array([self.x, self.y])
-        return np.concatenate([linear, shift[:, None]], axis=1)
+    def affine(self, pixels: int) -> FloatArray:
+        """(2, 3): pixel (x, y, 1) of the picture to pixel of a crop of ``pixels`` × ``pixels``; pixel (0, 0)
+        is the middle of the upper left one."""
+        scale = pixels / self.size
+        c, s = scale * np.cos(self.roll), scale * np.sin(self.roll)
+        A = np.array([[c, s, 0.0], [-s, c, 0.0]])
+        A[:, 2] = (pixels - 1) / 2 - A[:, :2] @ self.centre
+        return A
 
 
-def upright_region(hips: FloatArray, shoulders: FloatArray, radius: float) -> Region:
+def upright_region(hips: FloatArray, shoulders: FloatArray, radius: float) -> PersonRegion:
     """The region of a person: hips and shoulders (2,) are the middles of either, pixels; radius: of the
     circle about the hips that holds the whole person, pixels."""
-    lean = np.degrees(np.arctan2(shoulders[0] - hips[0], hips[1] - shoulders[1]))
-    turn = TURN_STEP_DEG * np.round(lean / TURN_STEP_DEG)
-    return Region(float(hips[0]), float(hips[1]), float(max(2.0 * ROOM * radius, 16.0)), float(turn))
+    trunk = shoulders - hips
+    roll = float(np.round(np.arctan2(trunk[0], -trunk[1]) / ROLL_STEP) * ROLL_STEP)
+    return PersonRegion(hips, max(2.0 * ROOM * radius, _LEAST_PIXELS), roll)
 
 
-def region_of_points(points: FloatArray, likelihood: FloatArray, keypoints: tuple[str, ...]) -> Region | None:
+def region_of_points(
+    points: FloatArray, likelihood: FloatArray, keypoints: Sequence[str]
+) -> PersonRegion | None:
     """The region of a person whose keypoints are at ``points`` (n, 2), pixels; NaN or a low likelihood (n,)
     counts as not seen. None when too little of the trunk, or of the person, is seen."""
     seen = np.isfinite(points).all(axis=1) & (likelihood >= _LEAST_LIKELIHOOD)
@@ -66,7 +67,7 @@ def region_of_points(points: FloatArray, likelihood: FloatArray, keypoints: tupl
     return upright_region(hips, shoulders, max(_HEAD_ROOM * radius, 1.5 * trunk))
 
 
-def region_of_maps(maps: CameraHeatMaps, keypoints: tuple[str, ...]) -> Region | None:
+def region_of_maps(maps: CameraHeatMaps, keypoints: Sequence[str]) -> PersonRegion | None:
     """The region of the person for the next picture, by the peaks of this one's heat maps."""
     points, likelihood = peaks(maps)
     return region_of_points(points, likelihood, keypoints)
@@ -86,10 +87,9 @@ def peaks(maps: CameraHeatMaps) -> tuple[FloatArray, FloatArray]:
 def _middle(
     points: FloatArray,
     seen: np.ndarray[tuple[int], np.dtype[np.bool_]],
-    keypoints: tuple[str, ...],
+    keypoints: Sequence[str],
     part: str,
 ) -> FloatArray | None:
     sides = [keypoints.index(f"{side}_{part}") for side in ("left", "right")]
     sides = [index for index in sides if seen[index]]
-    middle: FloatArray | None = points[sides].mean(axis=0) if sides else None
-    return middle
+    return np.asarray(points[sides].mean(axis=0), dtype=np.float64) if sides else None

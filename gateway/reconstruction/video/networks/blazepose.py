@@ -14,7 +14,7 @@ from gateway.reconstruction.video.networks.cropping import cropped, shrunk_map
 from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE
 from gateway.reconstruction.video.networks.network import Picture
 from gateway.reconstruction.video.networks.tensors import FloatTensor, LiteModel
-from gateway.reconstruction.video.region import Region
+from gateway.reconstruction.video.region import PersonRegion
 
 _LOGITS = "Identity_3"
 """Heat maps before the sigmoid, 33 keypoints and six auxiliary ones."""
@@ -31,10 +31,10 @@ class BlazePose:
     def __init__(self, path: Path, threads: int = 1) -> None:
         self._model = LiteModel(path, threads)
 
-    def heat_maps(self, picture: Picture, region: Region) -> CameraHeatMaps:
+    def heat_maps(self, picture: Picture, region: PersonRegion) -> CameraHeatMaps:
         """Of the person in the region."""
         size = self._model.size
-        map_to_crop = region.map_from_pixel(size)
+        map_to_crop = region.affine(size)
         crop = cropped(picture, map_to_crop, size)[:, :, ::-1].astype(np.float32) / np.float32(255)
         (logits,) = self._model.run(crop, _LOGITS)
         likelihood = _sigmoid(logits[0, :, :, : len(BLAZEPOSE)])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.networks.weights import weights_of
-from gateway.reconstruction.video.region import Region
+from gateway.reconstruction.video.region import PersonRegion
 
 Picture = NDArray[np.uint8]
 """(rows, columns, 3) blue, green, red."""
@@ -22,7 +22,7 @@ class PoseNetwork(Protocol):
     def keypoints(self) -> tuple[str, ...]:
         """Names of its heat maps."""
 
-    def heat_maps(self, picture: Picture, region: Region) -> CameraHeatMaps:
+    def heat_maps(self, picture: Picture, region: PersonRegion) -> CameraHeatMaps:
         """Of the one person that ``region`` shows."""
 
 

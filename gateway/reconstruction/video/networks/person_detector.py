@@ -15,7 +15,7 @@ from gateway.reconstruction.video.networks.cropping import cropped
 from gateway.reconstruction.video.networks.network import Picture
 from gateway.reconstruction.video.networks.tensors import FloatTensor, LiteModel
 from gateway.reconstruction.video.networks.weights import DETECTOR
-from gateway.reconstruction.video.region import Region, upright_region
+from gateway.reconstruction.video.region import PersonRegion, upright_region
 
 _STRIDES = ((8, 2), (16, 2), (32, 6))
 """Pixels between anchors, and how many stand at each place."""
@@ -35,7 +35,7 @@ class Person:
     """Of the circle about the hips that holds the person."""
 
     @property
-    def region(self) -> Region:
+    def region(self) -> PersonRegion:
         """For the landmark network."""
         return upright_region(self.hips, self.shoulders, self.radius)
 
@@ -46,14 +46,14 @@ class PersonDetector:
     def __init__(self, threads: int = 1) -> None:
         self._model = LiteModel(DETECTOR.verified_path(), threads)
 
-    def people(self, picture: Picture, window: Region | None = None) -> list[Person]:
+    def people(self, picture: Picture, window: PersonRegion | None = None) -> list[Person]:
         """The people of a picture, or of one part of it, the likeliest first.
 
         Whoever stands on the head is found in a window that is turned as well.
         """
         size = self._model.size
         window = whole_picture(picture) if window is None else window
-        map_to_crop = window.map_from_pixel(size)
+        map_to_crop = window.affine(size)
         crop = cropped(picture, map_to_crop, size)[:, :, ::-1].astype(np.float32) / np.float32(127.5) - 1
         boxes, scores = self._model.run(crop, "Identity", "Identity_1")
         found = _decoded(boxes[0], scores[0, :, 0], size)
@@ -65,10 +65,10 @@ class PersonDetector:
         return people
 
 
-def whole_picture(picture: Picture, turn_deg: float = 0.0) -> Region:
+def whole_picture(picture: Picture, roll: float = 0.0) -> PersonRegion:
     """A region that holds all of a picture."""
     height, width = picture.shape[:2]
-    return Region(0.5 * (width - 1), 0.5 * (height - 1), float(max(width, height)), turn_deg)
+    return PersonRegion(0.5 * np.array([width - 1.0, height - 1.0]), float(max(width, height)), roll)
 
 
 @cache
@@ -84,7 +84,7 @@ def _anchors(size: int) -> FloatArray:
 
 
 def _decoded(boxes: FloatTensor, scores: FloatTensor, size: int) -> list[tuple[float, FloatArray]]:
-    """Score, and hips, circle's edge and shoulders (3, 2) of each person, in crop pixels counted from the edge."""
+    """Of each person: the score, and hips, circle's edge and shoulders, (3, 2) crop pixels from the edge."""
     likely = 1.0 / (1.0 + np.exp(-np.clip(scores.astype(np.float64), -60, 60)))
     rows = np.flatnonzero(likely >= _LEAST_SCORE)
     rows = rows[np.argsort(-likely[rows], kind="stable")]
