@@ -109,7 +109,7 @@ def nearest_to_rays(positions: FloatArray, directions: FloatArray, weights: Floa
                 A[i, j] += weights[c] * ((1.0 if i == j else 0.0) - d[i] * d[j])
     if n < 2 or np.linalg.det(A) < 1e-9:
         return np.full(3, np.nan)
-    point: FloatArray = np.linalg.solve(A, b)
+    point: FloatArray = np.linalg.solve(A, b).astype(np.float64)
     return point
 
 

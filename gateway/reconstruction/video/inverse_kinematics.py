@@ -2,8 +2,8 @@
 
 Step 5 of JP2020-042476A: minimise ½ Σ W_n |P̂_n − P_n(Q)|² over the degrees of freedom Q, W_n the summed PCM
 at candidate P̂_n, by Levenberg–Marquardt (Marquardt 1963) with the analytic Jacobian of ``optical.kernels``
-put through ``freedom.turn_matrix``. Limits of balls are walls of springs, those of hinges are kept exactly; the
-floor is a wall of springs under heels, toes and whatever else carries the body.
+put through ``freedom.turn_matrix``. Limits of balls are walls of springs, those of hinges are kept exactly;
+the floor is a wall of springs under heels, toes and whatever else carries the body.
 """
 
 from __future__ import annotations
