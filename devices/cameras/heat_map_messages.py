@@ -55,7 +55,7 @@ class HeatMapMessage:
 
 def quantised(likelihood: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Likelihoods 0 to 1 as bytes."""
-    cells = np.rint(255.0 * np.clip(likelihood, 0.0, 1.0)).astype(np.uint8)
+    cells: NDArray[np.uint8] = np.rint(255.0 * np.clip(likelihood, 0.0, 1.0)).astype(np.uint8)
     cells[cells < FAINTEST] = 0
     return cells
 
@@ -74,6 +74,13 @@ def encode_heat_maps(message: HeatMapMessage) -> bytes:
         message.sequence, message.time_ns, len(body),
     )  # fmt: skip
     return head + body
+
+
+def retimed(message: bytes, sequence: int, time_ns: int) -> bytes:
+    """The same message with another sequence and time."""
+    magic, version, n, m, has_maps, _, _, length = _HEAD.unpack_from(message)
+    head = _HEAD.pack(magic, version, n, m, has_maps, sequence, time_ns, length)
+    return head + message[_HEAD.size :]
 
 
 class HeatMapReceiver:

@@ -1,8 +1,8 @@
 """Pictures of one camera: a video file, a folder of images, or a live capture device.
 
-    walk.mp4             a file that OpenCV (FFmpeg) reads
-    pictures/cam01       a folder of images, in the order of the numbers in their names
-    v4l:///dev/video0    a capture device of Linux (Video4Linux); v4l:///dev/video0?width=1280&height=720&fps=30
+walk.mp4             a file that OpenCV (FFmpeg) reads
+pictures/cam01       a folder of images, in the order of the numbers in their names
+v4l:///dev/video0    a capture device of Linux (Video4Linux); v4l:///dev/video0?width=1280&height=720&fps=30
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def open_pictures(place: str, rate_hz: float | None = None) -> PictureSource:
 
 
 class VideoFile:
-    """A video file. One that ends early, or has pictures that cannot be decoded, is told by ``CameraError``."""
+    """A video file. One that ends early or cannot be decoded is told by ``CameraError``."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -99,8 +99,8 @@ class VideoFile:
             done += 1
         if done < _WHOLE * self.info.count:
             raise CameraError(
-                f"{self._path}: picture {done + 1} of {self.info.count} cannot be decoded: the file is damaged "
-                "or was cut off"
+                f"{self._path}: picture {done + 1} of {self.info.count} cannot be decoded: the file is "
+                "damaged or was cut off"
             )
 
     def close(self) -> None:

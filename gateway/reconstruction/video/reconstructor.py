@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -92,6 +92,9 @@ class VideoOptions:
     """Inverse kinematics weighted by the summed PCM, else uniformly."""
     use_dlt: bool = False
     """First positions over all cameras, else by the closest pair of rays."""
+    is_measured: bool = False
+    """Whether the keypoint set's skeleton is this person's already; else its lengths follow from the first
+    frames."""
 
 
 class VideoReconstructor:
@@ -126,9 +129,17 @@ class VideoReconstructor:
         """The body with this person's lengths, as far as they are known."""
         return self._skeleton
 
+    @property
+    def person(self) -> KeypointSet:
+        """The keypoints on this person's body, as far as its lengths are known."""
+        return replace(self.keypoints, skeleton=self._skeleton, markers=self._markers)
+
     def _set_lengths(self, lengths: FloatArray) -> None:
-        self._skeleton, markers = sized(self.keypoints, lengths)
-        self._body: VideoBody = video_body(self._skeleton, markers)
+        if self.options.is_measured:
+            self._skeleton, self._markers = self.keypoints.skeleton, self.keypoints.markers
+        else:
+            self._skeleton, self._markers = sized(self.keypoints, lengths)
+        self._body: VideoBody = video_body(self._skeleton, self._markers)
 
     def update(self, frame: HeatMapFrame) -> VideoPose:
         """The pose of one instant."""
