@@ -9,7 +9,7 @@ import numpy as np
 
 from devices.marker_files import MarkerTrial
 from gateway.errors import GatewayError, nearest
-from gateway.frames import FloatArray
+from gateway.frames import FloatArray, IntArray
 from gateway.reconstruction.optical import point_rules as rules
 from gateway.reconstruction.optical.marker_set import (
     BelowLine,
@@ -109,6 +109,10 @@ class SegmentPlaces:
     origins: FloatArray  # (F, S, 3) m, proximal joints, world
     axes: FloatArray  # (F, S, 3, 3) segment to world
     tips: FloatArray  # (F, S, 3) m; NaN where no rule tells
+
+    def only(self, frames: IntArray) -> SegmentPlaces:
+        """Some of its frames."""
+        return SegmentPlaces(self.origins[frames], self.axes[frames], self.tips[frames])
 
 
 class Landmarks:
