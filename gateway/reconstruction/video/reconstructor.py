@@ -31,7 +31,8 @@ from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.low_pass import DELAY, LowPass
 from gateway.reconstruction.video.projection import camera_model
 from gateway.reconstruction.video.proportions import part_lengths, sized
-from gateway.reconstruction.video.regions import PersonRegion, person_region
+from gateway.reconstruction.video.region import PersonRegion
+from gateway.reconstruction.video.regions import person_region
 
 HALF_WIDTH = 5
 """k of the source: a lattice has (2 k + 1)³ points."""
@@ -178,14 +179,14 @@ class VideoReconstructor:
         """Both lattices, with inverse kinematics after each."""
         expected = self._predicted()
         wide = np.minimum(1 + self._missed, WIDEST).astype(np.float64)
-        found, likelihood = self._candidates(frame, expected, COARSE * wide)
+        found, likelihood = self._candidates(frame, expected, COARSE * wide, False)
         self._solve(found, likelihood, _STEPS)
-        found, likelihood = self._candidates(frame, found, np.full(len(found), FINE))
+        found, likelihood = self._candidates(frame, found, np.full(len(found), FINE), True)
         self._solve(found, likelihood, _STEPS)
         return found, likelihood
 
     def _candidates(
-        self, frame: HeatMapFrame, centres: FloatArray, spacing: FloatArray
+        self, frame: HeatMapFrame, centres: FloatArray, spacing: FloatArray, is_fine: bool
     ) -> tuple[FloatArray, FloatArray]:
         total = np.zeros((len(centres), (2 * HALF_WIDTH + 1) ** 3))
         n_cameras = 0
@@ -193,7 +194,7 @@ class VideoReconstructor:
             if seen is not None:
                 n_cameras += 1
                 lattice.add_likelihood(
-                    total, model, seen.likelihood, seen.map_from_pixel, centres, spacing, HALF_WIDTH
+                    total, model, seen.likelihood, seen.map_from_pixel, centres, spacing, HALF_WIDTH, is_fine
                 )
         found, likelihood = lattice.best_points(total, centres, spacing, HALF_WIDTH, self.options.cluster)
         lost = likelihood < LEAST_MEAN * max(n_cameras, 1)
@@ -226,8 +227,7 @@ class VideoReconstructor:
         smoothed = self._smoothed(places)
         ahead = places if self._before is None else 2 * places - self._before
         self._before = places
-        up = np.stack([ahead[self._trunk[2:]].mean(axis=0), ahead[self._trunk[:2]].mean(axis=0)])
-        regions = tuple(person_region(camera, ahead, up) for camera in self.cameras)
+        regions = tuple(person_region(camera, ahead, self.keypoints.names) for camera in self.cameras)
         return VideoPose(
             frame.sequence, frame.time_ns, newest, smoothed, candidates, places, likelihood,
             lost.astype(np.uint8), regions,
