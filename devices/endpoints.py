@@ -26,7 +26,6 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from devices.can_link import CanLink
 from devices.link import Link, LinkError
-from devices.qtm_link import QtmLink
 from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink
 from devices.rfc2217_link import Rfc2217Link
@@ -144,6 +143,8 @@ def _marker_file(parts: SplitResult, parameters: dict[str, Any], name: str | Non
 
 
 def _qtm(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    from devices.qtm_link import QtmLink  # noqa: PLC0415 - as above
+
     if parts.port is None:
         return QtmLink(_host(parts), name=name, **parameters)
     return QtmLink(_host(parts), _port(parts), name=name, **parameters)

@@ -214,10 +214,10 @@ class Pipeline:
             self.skeleton_frames += len(frames)
             return frames
         assert self.optical is not None  # add_link saw to it
-        received = self._markers[chunk.link].receive(chunk)
-        solved = [markers for markers in received if markers.sequence % self._solve_every == 0]
-        self.left_out += len(received) - len(solved)
-        frames = [self.resets.apply(self.optical.update(markers)) for markers in solved]
+        frames = [
+            self.resets.apply(self.optical.update(markers))
+            for markers in self._markers[chunk.link].receive(chunk)
+        ]
         self.skeleton_frames += len(frames)
         return frames
 
