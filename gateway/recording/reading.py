@@ -26,6 +26,7 @@ from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.errors import SettingsError
 from gateway.frames import SkeletonFrame
 from gateway.recording.arrays import SkeletonArrays, arrays_of
+from gateway.recording.marker_encoding import RecordedMarkers, decode_markers
 from gateway.recording.skeleton_encoding import decode_skeleton_frame
 from gateway.recording.suit_snapshot import decode_suit
 from gateway.settings import GatewaySettings
@@ -57,7 +58,7 @@ class RecordedStatistics:
     values: dict[str, Any]
 
 
-RecordedItem = Chunk | SentChunk | RecordedEvent | RecordedStatistics | SkeletonFrame
+RecordedItem = Chunk | SentChunk | RecordedEvent | RecordedStatistics | SkeletonFrame | RecordedMarkers
 
 
 class RecordingMeta:
@@ -199,6 +200,10 @@ class Recording:
         """The reconstruction as it was while recording."""
         return (item for item in self._decoded(fmt.SKELETON, progress) if isinstance(item, SkeletonFrame))
 
+    def markers(self) -> Iterator[RecordedMarkers]:
+        """What became of the markers, of poses made from any."""
+        return (item for item in self._decoded(fmt.MARKERS) if isinstance(item, RecordedMarkers))
+
     def skeleton_bytes(self) -> Iterator[bytes]:
         """The same, as it stands in the file."""
         return (message.data for message in self.parts.messages() if message.topic == fmt.SKELETON)
@@ -279,6 +284,7 @@ def _statistics(message: RecordedMessage) -> RecordedItem:
 
 _DECODERS: dict[str, Callable[[RecordedMessage], RecordedItem]] = {
     fmt.SKELETON: lambda message: decode_skeleton_frame(message.data),
+    fmt.MARKERS: lambda message: decode_markers(message.data),
     fmt.EVENTS: _event,
     fmt.STATISTICS: _statistics,
 }
