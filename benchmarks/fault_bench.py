@@ -26,6 +26,7 @@ from devices.emulators.transports import PtyTransport
 from devices.link import gateway_time_ns
 from gateway.accounting import unaccounted
 from gateway.frames import SkeletonFrame, Status, StatusArray
+from gateway.memory import bound_memory
 from gateway.service import Service
 from gateway.settings import GatewaySettings
 
@@ -133,6 +134,7 @@ class Bench:
         self._lost_before: Counter[str] = Counter()
 
     async def __aenter__(self) -> Bench:
+        bound_memory()  # as the process of a user does
         self._tasks = [
             asyncio.create_task(self.suit.run(), name="suit"),
             asyncio.create_task(pull_cable(self.plan, self.suit), name="cable"),

@@ -11,7 +11,7 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -77,8 +77,8 @@ def run() -> Report:
     to_do = [partial(_one, fault) for fault in FAULTS]
     to_do += [partial(_planned, name, faults) for name, faults in SEVERAL.items()]
     outcomes = [_told(fault()) for fault in (*to_do, *SURROUNDINGS, *PROCESS_FAULTS)]
-    broker, broker_rss = asyncio.run(_broker_cycles())
-    cable, cable_rss = asyncio.run(_cable_cycles())
+    broker, broker_rss = asyncio.run(_cycles(f"broker killed {CYCLES} ×", BROKER_LIMIT_S, _kill_broker))
+    cable, cable_rss = asyncio.run(_cycles(f"unplugged {CYCLES} × for 0.3 s", LINK_LIMIT_S, _pull_cable))
     everything = [*outcomes, broker, cable]
     report = Report("faults")
     report.figures = [
@@ -150,47 +150,48 @@ async def _planned(name: str, faults: tuple[dict[str, Any], ...]) -> Outcome:
             return bench.outcome(name, bench.watch.recovered_s(end_ns), limit_s)
 
 
-async def _broker_cycles() -> tuple[Outcome, float]:
-    """The broker is killed and started again, under load."""
+async def _cycles(
+    name: str, limit_s: float, cycle: Callable[[Bench, Broker], Awaitable[float]]
+) -> tuple[Outcome, float]:
+    """The same again and again, under load. cycle: does it once; the seconds to its recovery.
+
+    With the growth of memory, MB, since the end of the second time.
+    """
     worst, begun_rss = 0.0, 0.0
     with tempfile.TemporaryDirectory() as folder, Broker() as broker:
         async with Bench(broker.port, FaultPlan(), Path(folder)) as bench:
             await bench.until(BEGIN_S)
             bench.begin()
-            for cycle in range(CYCLES):
-                broker.kill()
-                while bench.service.mqtt.is_connected:
-                    await asyncio.sleep(0.005)
-                await asyncio.sleep(0.3)
-                broker.start()
-                begun, published = time.monotonic(), bench.service.mqtt.counters.published
-                while bench.service.mqtt.counters.published <= published:
-                    await asyncio.sleep(0.005)
-                worst = max(worst, time.monotonic() - begun)
-                begun_rss = rss_mb() if cycle == 1 else begun_rss
+            for done in range(CYCLES):
+                worst = max(worst, await cycle(bench, broker))
+                begun_rss = rss_mb() if done == 1 else begun_rss
             growth = rss_mb() - begun_rss
-            return bench.outcome(f"broker killed {CYCLES} ×", worst, BROKER_LIMIT_S), growth
+            return bench.outcome(name, worst, limit_s), growth
 
 
-async def _cable_cycles() -> tuple[Outcome, float]:
-    """The cable is pulled and plugged in again, under load; the terminal may have another name then."""
-    worst, begun_rss = 0.0, 0.0
-    with tempfile.TemporaryDirectory() as folder, Broker() as broker:
-        async with Bench(broker.port, FaultPlan(), Path(folder)) as bench:
-            await bench.until(BEGIN_S)
-            bench.begin()
-            for cycle in range(CYCLES):
-                await bench.suit.transport.close()
-                await asyncio.sleep(0.3)
-                await bench.suit.transport.open()
-                since_ns = gateway_time_ns()
-                bench.watch.poses.clear()
-                give_up_ns = since_ns + round(LONGEST_WAIT_S * 1e9)
-                while (recovery_s := bench.watch.recovered_s(since_ns)) == float("inf"):
-                    if gateway_time_ns() > give_up_ns:
-                        break
-                    await asyncio.sleep(0.02)
-                worst = max(worst, recovery_s)
-                begun_rss = rss_mb() if cycle == 1 else begun_rss
-            growth = rss_mb() - begun_rss
-            return bench.outcome(f"unplugged {CYCLES} × for 0.3 s", worst, LINK_LIMIT_S), growth
+async def _kill_broker(bench: Bench, broker: Broker) -> float:
+    """It is killed and started again."""
+    broker.kill()
+    while bench.service.mqtt.is_connected:
+        await asyncio.sleep(0.005)
+    await asyncio.sleep(0.3)
+    broker.start()
+    begun, published = time.monotonic(), bench.service.mqtt.counters.published
+    while bench.service.mqtt.counters.published <= published:
+        await asyncio.sleep(0.005)
+    return time.monotonic() - begun
+
+
+async def _pull_cable(bench: Bench, _: Broker) -> float:
+    """The cable is pulled and plugged in again; the terminal may have another name then."""
+    await bench.suit.transport.close()
+    await asyncio.sleep(0.3)
+    await bench.suit.transport.open()
+    since_ns = gateway_time_ns()
+    bench.watch.poses.clear()
+    give_up_ns = since_ns + round(LONGEST_WAIT_S * 1e9)
+    while (recovery_s := bench.watch.recovered_s(since_ns)) == float("inf"):
+        if gateway_time_ns() > give_up_ns:
+            break
+        await asyncio.sleep(0.02)
+    return recovery_s

@@ -34,12 +34,14 @@ class SoakWatch:
         self._record = np.zeros(1, dtype=record_type(len(bench.service.pipeline.suit.skeleton.segment_names)))
         self._latencies = np.zeros(len(_EDGES_MS) + 1, dtype=np.int64)
         command = [sys.executable, "-m", "benchmarks.soak_reference", str(track)]
+        self._suit = bench.suit
         self._comparing = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         bench.watch.on_pose = self._note
 
     def _note(self, frame: SkeletonFrame) -> None:
-        latency_ms = (gateway_time_ns() - frame.time_ns) * 1e-6
-        self._latencies[np.searchsorted(_EDGES_MS, latency_ms)] += 1
+        latency_s = (gateway_time_ns() - frame.time_ns) * 1e-9
+        self._latencies[np.searchsorted(_EDGES_MS, 1e3 * latency_s)] += 1
+        self._record["late_s"] = max(latency_s, self._suit.counts.lateness_s)
         self._record["time_ns"], self._record["status"] = frame.time_ns, frame.status
         self._record["q_wb"], self._record["angular_rate"] = frame.q_wb, frame.angular_rate
         self._file.write(self._record.tobytes())

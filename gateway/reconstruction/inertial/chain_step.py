@@ -180,9 +180,9 @@ def _device_rows(
         if scratch.is_valid[s] < 2.0:
             continue
         if fixed[d]:
+            anchored[s] = 1.0  # also while its row waits for the averages
             if state.fresh_s[s] > SETTLED * noise.smoothing_s:
                 _fixed_row(evidence, body, state, noise, d, s, scratch.K[s], motion[s], dt)
-                anchored[s] = 1.0
             continue
         note_frame(body, state, noise, scratch.observed, d, time_s)
         is_new, u, y, variance, span = local_pair(body, state, noise, d, time_s)
