@@ -83,7 +83,8 @@ then, each if its bit is set:
        f64[S]   sigma, rad, standard deviation of the orientation
 """
 
-_MARKERS_TEXT = """All numbers little-endian; M markers in the order of suit.json, U points without a name; m, world.
+_MARKERS_TEXT = """All numbers little-endian; M markers in the order of suit.json, U points without a name.
+Places in world axes, m.
 offset 0   i64  sequence of the frame, that of its skeleton frame
        8   i64  gateway time of the measurement, ns
        16  u16  M

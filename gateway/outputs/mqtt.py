@@ -68,6 +68,7 @@ class MqttOutput:
     info: published on ``bridge/info``; its gateway name is the second level of the topics.
     others: counters of other outputs, to go with them.
     health: called for every ``bridge/health`` message, for the statistics to go with it.
+    markers: names of the markers that the body has.
     Raises ``ValueError`` for a gateway name that cannot stand in a topic.
     """
 
@@ -78,6 +79,7 @@ class MqttOutput:
         info: BridgeInfo,
         health: Callable[[], Mapping[str, object]] = dict,
         others: Callable[[], Mapping[str, OutputCounters]] = dict,
+        markers: tuple[str, ...] = (),
     ) -> None:
         self.topics = Topics(settings.base_topic, info.gateway)
         self.is_connected = False
@@ -85,7 +87,7 @@ class MqttOutput:
         """Port of the broker; with port 0 in the settings, the one that was found free."""
         self._settings = settings
         self._identifier = settings.client_id or unique_identifier(info.gateway)
-        self._publications = PosePublications(settings, skeleton, self.topics)
+        self._publications = PosePublications(settings, skeleton, self.topics, markers)
         self._properties = properties_of(settings.spoken_protocol, JSON)
         self._info = info
         self._utc: UtcAnchor | None = None

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,8 @@ from devices.link import Chunk, Framing, SentChunk
 from devices.recording_file import RecordedMessage, RecordingError, RecordingParts
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.errors import SettingsError
-from gateway.frames import SkeletonFrame
-from gateway.recording.arrays import SkeletonArrays, arrays_of
+from gateway.frames import MarkerFit, SkeletonFrame
+from gateway.recording.arrays import SkeletonArrays, arrays_of, marker_arrays
 from gateway.recording.marker_encoding import RecordedMarkers, decode_markers
 from gateway.recording.skeleton_encoding import decode_skeleton_frame
 from gateway.recording.suit_snapshot import decode_suit
@@ -210,13 +210,24 @@ class Recording:
 
     def skeleton_arrays(self, progress: Progress | None = None) -> SkeletonArrays:
         """The whole reconstruction as arrays. Raises ``RecordingError`` when none was recorded."""
-        arrays = arrays_of(self.skeleton_frames(progress), self.meta.skeleton)
+        fits: dict[int, MarkerFit] = {}
+        arrays = arrays_of(self._frames_with(fits, progress), self.meta.skeleton)
         if arrays is None:
             raise RecordingError(
                 f"{self.parts.path} has no skeleton frames: make some with "
                 f"`mocap-gateway replay {self.parts.path} --offline --output NEW.mcap`"
             )
-        return arrays
+        if not fits or self.meta.suit.markers is None:
+            return arrays
+        return replace(arrays, markers=marker_arrays(self.meta.suit.markers.labels, arrays.time_ns, fits))
+
+    def _frames_with(self, fits: dict[int, MarkerFit], progress: Progress | None) -> Iterator[SkeletonFrame]:
+        """The reconstruction; what became of its markers goes to ``fits``, by instant."""
+        for item in self._decoded((fmt.SKELETON, fmt.MARKERS), progress):
+            if isinstance(item, RecordedMarkers):
+                fits[item.time_ns] = item.fit
+            elif isinstance(item, SkeletonFrame):
+                yield item
 
     def _decoded(
         self, prefix: str | tuple[str, ...], progress: Progress | None = None

@@ -71,7 +71,10 @@ async def test_what_qtm_streams_comes_out_as_poses_and_a_hang_up_is_survived(mos
     settings = load_gateway_settings(config)
     service = Service(settings, load_rig(settings.rig))
     received: list[ReceivedPose] = []
-    async with asyncio.timeout(100), PoseSubscriber(settings.mqtt, "lab") as poses:
+    async with (
+        asyncio.timeout(100),
+        PoseSubscriber(settings.mqtt, "lab", with_markers=True) as poses,
+    ):
         serving = asyncio.create_task(service.run())
         async for pose in poses:
             received.append(pose)
@@ -79,6 +82,8 @@ async def test_what_qtm_streams_comes_out_as_poses_and_a_hang_up_is_survived(mos
                 stand_in.hang_up()
             if len(received) == 90:
                 break
+            if len(received) == 40:
+                shown = poses.markers["lab"]
         statistics = service.statistics()
         assert unaccounted(service.balances()) == {}
         serving.cancel()
@@ -88,6 +93,9 @@ async def test_what_qtm_streams_comes_out_as_poses_and_a_hang_up_is_survived(mos
     assert service.links[0].reconnections == 1
     assert statistics["links"]["cameras"]["not_sent"] >= 2
     assert statistics["markers"]["dropped"] == {}
+    assert shown.markers["m7"].taken_from == ""  # its name was lost on the way
+    assert all(marker.used and marker.residual < 0.002 for marker in shown.markers.values())
+    assert len(shown.unlabelled) == 1
     settled = received[5:60]
     for each in settled:
         np.testing.assert_allclose(each.pose.position["pelvis"], [0.3, -0.2, 0.95], atol=0.003)
