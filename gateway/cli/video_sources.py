@@ -59,8 +59,8 @@ def matched(
     if up is not None and up not in AXES:
         raise GatewayError(f"--up {up}: one of {', '.join(AXES)} is wanted")
     known = {camera.name: camera for camera in load_cameras(calibration, up, unit)}
-    named = _named(places, list(known), calibration)
-    skipped = _offsets(offsets, list(known))
+    named = named(places, list(known), calibration)
+    skipped = offsets_of(offsets, list(known))
     cameras, tasks = [], []
     for name, place in named.items():
         source = open_pictures(place, rate_hz)
@@ -73,8 +73,8 @@ def matched(
     return tuple(cameras), tuple(tasks)
 
 
-def _named(places: Sequence[str], known: list[str], calibration: Path) -> dict[str, str]:
-    """Place by camera, in the order of the calibration."""
+def named(places: Sequence[str], known: list[str], calibration: Path) -> dict[str, str]:
+    """Place by camera, in the order of ``known``; raises as ``matched`` does."""
     if len(places) > len(known):
         raise GatewayError(f"{len(places)} cameras are given, and {calibration} holds {len(known)}")
     told: dict[str, str] = {}
@@ -105,13 +105,15 @@ def _speaks_of(path: Path, name: str) -> bool:
     return re.search(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])", path.stem) is not None
 
 
-def _offsets(texts: Sequence[str], known: list[str]) -> dict[str, int]:
+def offsets_of(texts: Sequence[str], known: list[str]) -> dict[str, int]:
+    """Pictures to leave out by camera. Raises ``GatewayError``."""
     offsets = {}
     for text in texts:
         name, _, number = text.partition("=")
         if name not in known or not number.isdigit():
             raise GatewayError(
-                f"--offset {text}: CAMERA=PICTURES is wanted, such as {known[0]}=3 (cameras: {', '.join(known)})"
+                f"--offset {text}: CAMERA=PICTURES is wanted, such as {known[0]}=3 "
+                f"(cameras: {', '.join(known)})"
             )
         offsets[name] = int(number)
     return offsets
