@@ -12,7 +12,6 @@ from gateway.analysis.floor import (
     FloorForces,
     Source,
     feet,
-    floor_height,
     sole_paths,
     sole_points,
 )
@@ -54,7 +53,8 @@ def measured_floor(
                 force[first:last, c] += smooth[0][first:last]
                 moment[first:last, c] += smooth[1][first:last]
                 source[begin:end, c] = Source.MEASURED
-    return FloorForces(on, force, moment, source, floor_height(paths))
+    heights = [to_world(plate.centre[None], vertical)[0, 2] for plate in plates.plates]
+    return FloorForces(on, force, moment, source, float(np.mean(heights)))
 
 
 def _in_world(plate: ForcePlate, vertical: str) -> tuple[FloatArray, FloatArray, FloatArray]:

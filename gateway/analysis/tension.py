@@ -1,9 +1,9 @@
 """Sharing joint torques out among muscles: one bounded, weighted quadratic programme an instant.
 
-Minimised is ``Σ w (a − b)² + Σ (s / s₀)²`` with ``0 ≤ a ≤ 1`` and, for every torque, ``Σ r F a + s = τ``: a the
-activity (tension over the muscle's largest force F), b its bias, w its weight, r its moment arm, and s the
-torque that the muscles leave to something else (ligaments, the model's faults). Solved by OSQP (Stellato et al.
-2020, Math. Program. Comput. 12: 637–672), begun from the instant before.
+Minimised is ``Σ w (a − b)² + Σ (s / s₀)²`` with ``0 ≤ a ≤ 1`` and, for every torque, ``Σ r F a + s = τ``: a
+the activity (tension over the muscle's largest force F), b its bias, w its weight, r its moment arm, and s
+the torque that the muscles leave to something else (ligaments, the model's faults). Solved by OSQP (Stellato
+et al. 2020, Math. Program. Comput. 12: 637–672), begun from the instant before.
 """
 
 from __future__ import annotations
@@ -71,9 +71,7 @@ class TensionSolver:
         indices = np.tile(per_muscle, (count, 1))
         indices[:, rows] = rows + np.arange(count)
         reserves = np.arange(rows)
-        pointers = np.concatenate(
-            [np.arange(count + 1) * (rows + 1), count * (rows + 1) + 1 + reserves]
-        )
+        pointers = np.concatenate([np.arange(count + 1) * (rows + 1), count * (rows + 1) + 1 + reserves])
         return sparse.csc_matrix(
             (self._values(block), np.concatenate([indices.ravel(), reserves]), pointers),
             shape=(rows + count, count + rows),
