@@ -160,9 +160,9 @@ class ChainReconstructor:
         ]
 
     def _inputs_of_one(self, observation: ImuFrame) -> Inputs:
-        """In arrays made once, where the frame has nothing but modules: live, making them takes longer than
-        the filter of some segments."""
-        if observation.local or observation.sun is not None or self._measures_place:
+        """In arrays made once, but for what local devices say: live, making them takes longer than the
+        filter of some segments."""
+        if observation.sun is not None or self._measures_place:
             return self._inputs((observation,))
         one = self._one
         one.time_ns[0] = observation.time_ns
@@ -170,6 +170,9 @@ class ChainReconstructor:
         np.copyto(one.angular_rate, observation.angular_rate)
         np.copyto(one.magnetic_field, observation.magnetic_field)
         np.copyto(one.status, observation.status)
+        if observation.local:
+            readings, readings_end = self._readings((observation,))
+            return Inputs(*one[:6], readings_end, readings, one.sun)
         return one
 
     def _inputs(self, observations: Sequence[ImuFrame]) -> Inputs:
@@ -199,7 +202,7 @@ class ChainReconstructor:
             for reading in observation.local:
                 time_s = (reading.time_ns - first_ns) * 1e-9
                 rows.extend(
-                    (d, time_s, *in_segment_axes(device, reading.value), *reading.sigma)
+                    (d, time_s, *in_segment_axes(device, reading.value).tolist(), *reading.sigma.tolist())
                     for d, device in enumerate(self._devices)
                     if reading.device == device.device and reading.quantity == device.quantity
                 )
