@@ -59,7 +59,7 @@ def reconstruct_recorded(
         if tracker.pose is None:
             poses += smoothed.rest(tracker.body, tracker.floor)
             smoothed.reset()
-            poses.append(no_frame(frame.sequence, frame.time_ns, tracker.skeleton.n_segments))
+            poses.append(no_frame(frame.sequence, frame.time_ns, tracker.person.skeleton.n_segments))
             continue
         tracker.solve(sighting)
         newest = skeleton_frame(

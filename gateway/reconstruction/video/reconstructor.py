@@ -19,6 +19,8 @@ from gateway.reconstruction.video.region import PersonRegion
 from gateway.reconstruction.video.regions import person_region
 from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
+__all__ = ["Tracking", "VideoOptions", "VideoPose", "VideoReconstructor"]
+
 
 class Tracking(IntEnum):
     """How a keypoint is known."""
@@ -56,23 +58,15 @@ class VideoReconstructor:
     """One person from synchronised heat maps. Sans-I/O and deterministic.
 
     The lengths of the body settle over the first frames (``tracker.SIZING_FRAMES``); to have them constant
-    from the first frame on, give a first run's ``lengths``.
+    from the first frame on, give a first run's ``person`` as the keypoints, with ``is_measured``.
     """
 
     def __init__(
-        self,
-        cameras: Sequence[Camera],
-        keypoints: KeypointSet,
-        options: VideoOptions | None = None,
-        lengths: FloatArray | None = None,
+        self, cameras: Sequence[Camera], keypoints: KeypointSet, options: VideoOptions | None = None
     ) -> None:
-        """lengths: (n_parts,) m, of the person's parts in the order of ``proportions.PARTS``."""
         self.cameras = tuple(cameras)
         self.keypoints = keypoints
         self.tracker = KeypointTracker(cameras, keypoints, options or VideoOptions())
-        if lengths is not None:
-            self.tracker.set_lengths(lengths)
-            self.tracker.keep_lengths()
         self._smoothed = SmoothedPoses()
         self._lost = np.zeros(len(keypoints.names), dtype=bool)
 
@@ -85,12 +79,12 @@ class VideoReconstructor:
     @property
     def skeleton(self) -> Skeleton:
         """The body with this person's lengths, as far as they are known."""
-        return self.tracker.skeleton
+        return self.person.skeleton
 
     @property
-    def lengths(self) -> FloatArray:
-        """(n_parts,) m, of the person's parts in the order of ``proportions.PARTS``; NaN: not seen."""
-        return self.tracker.lengths
+    def person(self) -> KeypointSet:
+        """The keypoints on this person's body, as far as its lengths are known."""
+        return self.tracker.person
 
     @property
     def expected(self) -> FloatArray | None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA
@@ -64,6 +63,9 @@ class VideoOptions:
     """Inverse kinematics weighted by the summed PCM, else uniformly."""
     use_dlt: bool = False
     """First positions over all cameras, else by the closest pair of rays."""
+    is_measured: bool = False
+    """Whether the keypoint set's skeleton is this person's already; else its lengths follow from the first
+    frames."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,10 @@ class KeypointTracker:
         self._models = tuple(camera_model(camera) for camera in cameras)
         self._trunk = [keypoints.index(name) for name in TRUNK]
         self._lengths: list[FloatArray] = []
-        self.set_lengths(np.full(len(PARTS), np.nan))
+        self.person = keypoints
+        """The keypoints on this person's body, as far as its lengths are known."""
+        self.body: VideoBody = video_body(keypoints.skeleton, keypoints.markers)
+        self._settled = options.is_measured
         self.reset()
 
     def reset(self) -> None:
@@ -103,16 +108,15 @@ class KeypointTracker:
         self._places: list[FloatArray] = []
         self._missed = np.zeros(len(self.keypoints.names), dtype=np.int64)
 
-    def set_lengths(self, lengths: FloatArray) -> None:
+    def _set_lengths(self, lengths: FloatArray) -> None:
         """Take the parts of the body, (n_parts,) m in the order of ``PARTS``, as told; NaN: as the rest."""
-        self.lengths = lengths
-        self.skeleton: Skeleton
-        self.skeleton, markers = sized(self.keypoints, lengths)
-        self.body: VideoBody = video_body(self.skeleton, markers)
+        skeleton, markers = sized(self.keypoints, lengths)
+        self.person = replace(self.keypoints, skeleton=skeleton, markers=markers)
+        self.body = video_body(skeleton, markers)
 
     def keep_lengths(self) -> None:
         """Measure the person no more: the lengths are those of the body now."""
-        self._lengths = [self.lengths] * SIZING_FRAMES
+        self._settled = True
 
     @property
     def places(self) -> FloatArray:
@@ -136,7 +140,7 @@ class KeypointTracker:
         if self._missed[self._trunk].min() > PATIENCE:
             self.reset()
             return sighting
-        if len(self._lengths) < SIZING_FRAMES:
+        if not self._settled:
             self._measure(sighting)
         self._places = [*self._places[-1:], self.places]
         return sighting
@@ -179,12 +183,13 @@ class KeypointTracker:
 
     def _stand_up(self, points: FloatArray) -> None:
         """The standard body laid over the points of the trunk, sized, and bent to all of them."""
-        if len(self._lengths) < SIZING_FRAMES:
-            self.set_lengths(part_lengths(self.keypoints, points))
+        if not self._settled:
+            self._set_lengths(part_lengths(self.keypoints, points))
         lowest = float(np.nanmin(points[:, 2]))
         if lowest < self.floor - _BELOW_FLOOR:
             self.floor = -np.inf
-        neutral = np.tile(quaternion.to_matrix(self.skeleton.neutral), (self.skeleton.n_segments, 1, 1))
+        skeleton = self.person.skeleton
+        neutral = np.tile(quaternion.to_matrix(skeleton.neutral), (skeleton.n_segments, 1, 1))
         standing = keypoint_places(self.body.model, neutral, np.zeros(3))
         turn, shift = rigid(standing[self._trunk], points[self._trunk])
         self.pose = VideoBodyPose(turn @ neutral, shift, 0)
@@ -219,5 +224,6 @@ class KeypointTracker:
         known = np.isfinite(rows).any(axis=0)
         lengths = np.full(len(PARTS), np.nan)
         lengths[known] = np.nanmedian(rows[:, known], axis=0)
-        self.set_lengths(lengths)
+        self._set_lengths(lengths)
+        self._settled = len(self._lengths) == SIZING_FRAMES
         self.solve(sighting)
