@@ -49,9 +49,9 @@ log = logging.getLogger(__name__)
 REPORT_INTERVAL_S = 10.0
 _TOLD_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
-_LISTENED_TO = frozenset({Framing.GNSS, Framing.MARKERS})
+_LISTENED_TO = frozenset({Framing.GNSS, Framing.MARKERS, Framing.HEAT_MAPS})
 """Links with no module at the other end."""
-_OTHERS = {"gnss": Framing.GNSS, "markers": Framing.MARKERS}
+_OTHERS = {"gnss": Framing.GNSS, "markers": Framing.MARKERS, "heat_maps": Framing.HEAT_MAPS}
 
 
 class Service:

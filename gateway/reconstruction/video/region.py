@@ -37,7 +37,7 @@ class PersonRegion:
         is the middle of the upper left one."""
         scale = pixels / self.size
         c, s = scale * np.cos(self.roll), scale * np.sin(self.roll)
-        A = np.array([[c, s, 0.0], [-s, c, 0.0]])
+        A = np.array([[c, s, 0.0], [-s, c, 0.0]], dtype=np.float64)
         A[:, 2] = (pixels - 1) / 2 - A[:, :2] @ self.centre
         return A
 
@@ -78,9 +78,9 @@ def peaks(maps: CameraHeatMaps) -> tuple[FloatArray, FloatArray]:
     n, _, columns = maps.likelihood.shape
     flat = maps.likelihood.reshape(n, -1)
     best = flat.argmax(axis=1)
-    places = np.stack([best % columns, best // columns], axis=1).astype(np.float64)
+    places: FloatArray = np.stack([best % columns, best // columns], axis=1).astype(np.float64)
     linear, shift = maps.map_from_pixel[:, :2], maps.map_from_pixel[:, 2]
-    points: FloatArray = np.linalg.solve(linear, (places - shift).T).T
+    points = np.asarray(np.linalg.solve(linear, (places - shift).T).T, dtype=np.float64)
     return points, flat[np.arange(n), best].astype(np.float64)
 
 

@@ -32,6 +32,8 @@ class Weights:
     """Its name within the package."""
     sha256: str
     keypoints: tuple[str, ...] = ()
+    keypoint_set: str = ""
+    """Where they sit on the body: a file of ``config/keypoint_sets``."""
 
     @property
     def path(self) -> Path:
@@ -77,6 +79,7 @@ NETWORKS = {
             "pose_landmark_full.tflite",
             "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
             BLAZEPOSE,
+            "blazepose_33",
         ),
         Weights(
             "lite",
@@ -85,6 +88,7 @@ NETWORKS = {
             "pose_landmark_lite.tflite",
             "f17bfbecadb61c3be1baa8b8d851cc6619c870a87167b32848ad20db306b9d61",
             BLAZEPOSE,
+            "blazepose_33",
         ),
         Weights(
             "heavy",
@@ -93,6 +97,7 @@ NETWORKS = {
             "pose_landmark_heavy.tflite",
             "59e42d71bcd44cbdbabc419f0ff76686595fd265419566bd4009ef703ea8e1fe",
             BLAZEPOSE,
+            "blazepose_33",
         ),
         Weights(
             "openpose",
@@ -101,6 +106,7 @@ NETWORKS = {
             "graph_opt.pb",
             "51f84ea82b3d0143dd4cf362e018c125e832c64771908ee8766fbd8b0328008d",
             OPENPOSE,
+            "openpose_18",
         ),
     )
 }
