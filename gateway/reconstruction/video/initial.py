@@ -156,7 +156,7 @@ def from_volume(
     total = np.zeros((n, (2 * k + 1) ** 3))
     for model, seen in zip(models, maps, strict=True):
         if seen is not None:
-            add_likelihood(total, model, seen.likelihood, seen.map_from_pixel, centres, spacing, k)
+            add_likelihood(total, model, seen.likelihood, seen.map_from_pixel, centres, spacing, k, False)
     return best_points(total, centres, spacing, k, False)
 
 

@@ -33,15 +33,35 @@ def bilinear(values: Maps, column: float, row: float) -> float:
 
 
 @compiled
+def smooth(values: Maps, column: float, row: float) -> float:
+    """A map (rows, columns) under a quadratic B-spline, nine values wide; 0 outside it.
+
+    Bilinear values have their maxima at the middles of cells, which are centimetres apart: the fine lattice
+    would follow the cells.
+    """
+    rows, columns = values.shape
+    if not (1.0 <= column <= columns - 2.0 and 1.0 <= row <= rows - 2.0):
+        return bilinear(values, column, row)
+    i, j = int(row + 0.5), int(column + 0.5)
+    a, b = column - j, row - i
+    left, middle, right = 0.5 * (0.5 - a) ** 2, 0.75 - a * a, 0.5 * (0.5 + a) ** 2
+    above = left * values[i - 1, j - 1] + middle * values[i - 1, j] + right * values[i - 1, j + 1]
+    here = left * values[i, j - 1] + middle * values[i, j] + right * values[i, j + 1]
+    below = left * values[i + 1, j - 1] + middle * values[i + 1, j] + right * values[i + 1, j + 1]
+    value: float = 0.5 * (0.5 - b) ** 2 * above + (0.75 - b * b) * here + 0.5 * (0.5 + b) ** 2 * below
+    return value
+
+
+@compiled
 def add_likelihood(
     total: FloatArray, camera: CameraModel, maps: Maps, affine: FloatArray, centres: FloatArray,
-    spacing: FloatArray, k: int,
+    spacing: FloatArray, k: int, is_fine: bool,
 ) -> None:  # fmt: skip
     """Add what one camera says to the likelihoods of all lattices.
 
     total: (n_keypoints, (2 k + 1)³), x slowest, changed. maps: (n_keypoints, rows, columns).
     affine: (2, 3) pixel of the distorted picture to column and row. centres: (n_keypoints, 3) m; NaN: no
-    lattice. spacing: (n_keypoints,) m.
+    lattice. spacing: (n_keypoints,) m. is_fine: by ``smooth`` values, else ``bilinear`` ones.
     """
     n = 2 * k + 1
     R = camera.rotation
@@ -63,7 +83,10 @@ def add_likelihood(
                     u, v = pixel(camera, x + s * c * R[0, 2], y + s * c * R[1, 2], z + s * c * R[2, 2])
                     column = affine[0, 0] * u + affine[0, 1] * v + affine[0, 2]
                     row = affine[1, 0] * u + affine[1, 1] * v + affine[1, 2]
-                    total[m, at] += bilinear(maps[m], column, row)
+                    if is_fine:
+                        total[m, at] += smooth(maps[m], column, row)
+                    else:
+                        total[m, at] += bilinear(maps[m], column, row)
                     at += 1
 
 
