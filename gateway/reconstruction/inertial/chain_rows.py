@@ -38,6 +38,9 @@ AIDED_TILT = 0.15
 """rad: an inclination less sure than that tells no mean acceleration."""
 AIDED_RISE_S, AIDED_FALL_S = 2.0, 30.0
 """How fast larger and smaller mean accelerations are believed."""
+MISFIT_S = 5.0
+"""Over which a joint's residuals are compared with what is expected of them."""
+LARGEST_MISFIT = 1e4
 REST_RATE_SIGMA = 0.002
 """rad/s: of a mean rate at rest against the bias."""
 
@@ -73,7 +76,8 @@ def joint_row(
     middle = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
     at_once = variance * min(1.0, dt / noise.row_memory_s)
     off = spread(middle[0], middle[1], middle[2], relative_covariance(state, s, p))
-    variance *= _huber(off, residual, at_once, noise.huber)
+    widened = _misfit(state, s, off, residual, at_once, dt)
+    variance *= widened * _huber(off, residual, widened * at_once, noise.huber)
     add_joint(evidence, s, middle, residual, variance)
 
 
@@ -101,6 +105,21 @@ def known_row(
         return
     variance *= _huber(spread(y[0], y[1], y[2], own_covariance(state, s)), residual, variance, noise.huber)
     add_known(evidence, s, (y[0], y[1], y[2]), residual, variance)
+
+
+@compiled
+def _misfit(
+    state: FilterState, s: int, uncertain: Three, residual: Three, variance: float, dt: float
+) -> float:
+    """By how much the joint of segment s and its parent agrees worse than its noise says, variances; 1: no
+    worse. Modules worn otherwise than the rig says disagree all the time, and their joint tells little."""
+    square, expected = 0.0, 0.0
+    for i in range(3):
+        square += residual[i] ** 2
+        expected += uncertain[i] + variance
+    surprise = min(square / expected, LARGEST_MISFIT)
+    state.misfit[s] += (1.0 - math.exp(-dt / MISFIT_S)) * (surprise - state.misfit[s])
+    return max(1.0, state.misfit[s])
 
 
 @compiled
