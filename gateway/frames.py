@@ -159,6 +159,30 @@ class MarkerFrame:
 
 
 @dataclass(frozen=True, slots=True)
+class MarkerFit:
+    """How a pose explains the markers of its instant: world axes, in the order of the fitted body."""
+
+    positions: FloatArray
+    """(M, 3) m, after names were put right; NaN: not seen."""
+    virtual: FloatArray
+    """(M, 3) m: where the body has its markers."""
+    residuals: FloatArray
+    """(M,) m; NaN where not seen. Points that had no say, ghosts among them, have one too."""
+    used: NDArray[np.bool_]
+    """(M,) had a say."""
+    renamed: tuple[tuple[int, int], ...] = ()
+    """(marker, whose point it had been; -1 for a nameless one)."""
+    unlabelled: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    """(n, 3) m, points that the optical system could not name, those among them that were given one here."""
+
+    @property
+    def rmse(self) -> float:
+        """m, of the markers used; NaN with none."""
+        chosen = self.residuals[self.used]
+        return float(np.sqrt(np.mean(chosen**2))) if len(chosen) else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
 class SkeletonFrame:
     """What every reconstructor yields, whatever it observed. NaN where a value is not defined."""
 
@@ -172,3 +196,5 @@ class SkeletonFrame:
     status: StatusArray  # (n_segments,) Status
     root: int
     """Index of the rank-1 segment."""
+    markers: MarkerFit | None = None
+    """Of a pose made from markers: what became of each."""

@@ -29,6 +29,7 @@ from gateway.errors import GatewayError, SettingsError
 from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
+from gateway.heat_map_frames import NO_CAMERAS, HeatMapFrames
 from gateway.light import SunCompass
 from gateway.marker_frames import MarkerFrames
 from gateway.reconstruction import (
@@ -42,6 +43,7 @@ from gateway.reconstruction import (
     update_many,
 )
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
+from gateway.reconstruction.optical.warm_up import warm_up
 from gateway.resets import Resets
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.stream import ClockMode, Reading, Stream
@@ -113,9 +115,13 @@ class Pipeline:
         self._gnss: dict[str, GnssReceiver] = {}
         self.optical: OpticalReconstructor | None = None
         """In the place of the other on links that carry markers; None for a suit without."""
-        if suit.markers is not None:
+        if suit.markers is not None and suit.video is None:
+            warm_up()
             self.optical = OpticalReconstructor(suit.skeleton, suit.markers)
         self._markers: dict[str, MarkerFrames] = {}
+        self.video = None if suit.video is None else HeatMapFrames(suit)
+        """Of cameras; it takes the heat maps of all links that carry some."""
+        self._heat_map_links: set[str] = set()
         self.satellite_readings = 0
         """Readings that satellite receivers gave, beside those of the stream."""
 
@@ -152,6 +158,10 @@ class Pipeline:
             if self.suit.markers is None:
                 raise SettingsError(f"link '{name}' carries markers: {NO_MARKERS}")
             self._markers[name] = MarkerFrames(self.suit.markers)
+        elif framing is Framing.HEAT_MAPS:
+            if self.video is None:
+                raise SettingsError(f"link '{name}' carries heat maps: {NO_CAMERAS}")
+            self._heat_map_links.add(name)
         else:
             self.stream.add_link(name, framing)
 
@@ -188,15 +198,21 @@ class Pipeline:
 
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
-        if chunk.link in self._markers:
-            return self._optical_frames(chunk)
+        if chunk.link in self._markers or chunk.link in self._heat_map_links:
+            return self._seen_frames(chunk)
         skeleton_frames = [
             self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self.imu_frames(chunk)
         ]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
 
-    def _optical_frames(self, chunk: Chunk) -> list[SkeletonFrame]:
+    def _seen_frames(self, chunk: Chunk) -> list[SkeletonFrame]:
+        """Of an optical system or cameras."""
+        if chunk.link in self._heat_map_links:
+            assert self.video is not None  # add_link saw to it
+            frames = [self.resets.apply(frame) for frame in self.video.receive(chunk)]
+            self.skeleton_frames += len(frames)
+            return frames
         assert self.optical is not None  # add_link saw to it
         frames = [
             self.resets.apply(self.optical.update(markers))
@@ -210,8 +226,8 @@ class Pipeline:
         many at a time. An event that is not possible with this suit or method is passed over."""
         block: list[ImuFrame] = []
         for item in items:
-            if isinstance(item, Chunk) and item.link in self._markers:
-                yield from self._optical_frames(item)
+            if isinstance(item, Chunk) and (item.link in self._markers or item.link in self._heat_map_links):
+                yield from self._seen_frames(item)
             elif isinstance(item, Chunk):
                 block += self.imu_frames(item)
             elif isinstance(item, SentChunk):
@@ -288,6 +304,7 @@ class Pipeline:
             **({"gnss": {name: r.statistics() for name, r in self._gnss.items()}} if self._gnss else {}),
             **({} if self.sun is None else {"light": self.sun.statistics()}),
             **({} if self.optical is None else {"markers": self._marker_statistics(self.optical)}),
+            **({} if self.video is None else {"video": self.video.statistics()}),
             "skeleton_frames": self.skeleton_frames,
             "left_out_frames": self.left_out,
             "dropped_by_link": dropped,

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks import soak
 from benchmarks.emulated_stream import suit_17
-from benchmarks.soak_reference import SETTLED_S, SINCE_S, Comparison, Orientations
+from benchmarks.soak_reference import LATEST_S, SETTLED_S, SINCE_S, Comparison, Orientations
 from devices.emulators.fault_plan import FaultPlan
 from gateway.frames import Status
 
@@ -17,6 +17,8 @@ HELD_UP = {
     "seconds": 100.0,
     "poses": 9000,
     "failures": {},
+    "suit_late_s": 0.1,
+    "busy_share": 0.0,
     "uneven_looks": 0,
     "rss_growth_mb": 1.0,
     "descriptors_left": 0,
@@ -60,6 +62,21 @@ def test_what_does_not_hold_is_said(changed, complaint):
     assert complaint in said
 
 
+def test_a_machine_too_busy_to_judge_by_is_said():
+    """What was intact for long is judged all the same."""
+    classes = HELD_UP["compared"]
+    nothing = [*classes[:-1], {**classes[-1], "count": 0}]
+    unsettled = [{**classes[0], "p99_rad_s": 2.0}, *classes[1:]]
+    busy = HELD_UP | {"busy_share": 0.4, "suit_late_s": 3.0}
+    assert soak.reservations(HELD_UP) == soak.reservations(busy) == []
+    (said,) = soak.reservations(busy | {"compared": nothing})
+    assert "late for 40% of the time, by up to 3 s" in said
+    assert soak.complaints(busy | {"compared": nothing}) == []
+    assert soak.complaints(busy | {"compared": unsettled}) == []
+    assert soak.complaints(busy | {"compared": [{**classes[-1], "p99_rad_s": 2.0}]})
+    assert soak.complaints(busy | {"compared": [{**classes[-1], "p99.9_deg": 9.0}]})
+
+
 def test_only_segments_with_intact_inputs_are_compared():
     """A fault of one module's sensors takes its segment out, and a status that tells of a loss does."""
     worn, _ = suit_17()
@@ -81,4 +98,6 @@ def test_only_segments_with_intact_inputs_are_compared():
     assert first["count"] == 99 * (sensed - 1)
     status[:] = Status.INTERPOLATED
     comparison.take(round((SETTLED_S + 1.01) * 1e9), status, turned, upright)
+    status[:] = Status.MEASURED
+    comparison.take(round((SETTLED_S + 1.02) * 1e9), status, turned, upright, 2.0 * LATEST_S)
     assert sum(row["count"] for row in comparison.summary()) == first["count"]

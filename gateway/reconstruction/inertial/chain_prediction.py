@@ -12,7 +12,7 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, is_finite, norm
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.observations import SegmentObservations
-from gateway.reconstruction.inertial.tree_filter import propagate
+from gateway.reconstruction.inertial.tree_filter import propagate, propagate_own
 
 FORCE_CLIPPED, RATE_CLIPPED = Clipped.SPECIFIC_FORCE.value, Clipped.ANGULAR_RATE.value
 AIR_VELOCITY = Quantity.AIR_VELOCITY.value
@@ -33,12 +33,13 @@ def predict(
     noise: Noise,
     rate: FloatArray,
     is_valid: FloatArray,
+    is_joint: bool,
     dt: float,
     before: FloatArray,
 ) -> None:
     """Turns every started segment over dt by the mean of its last two rates (n, 3), in place.
 
-    before: (n, 3, 3) to be used on the way.
+    is_joint: whether segments and their parents share covariance. before: (n, 3, 3) to be used on the way.
     """
     turn, w = np.empty((3, 3)), np.empty(3)
     for s in range(len(body.parents)):
@@ -68,12 +69,12 @@ def predict(
             state.is_started[s] = 2
         rotation_matrix.exponential_into(turn, w[0] * dt, w[1] * dt, w[2] * dt)
         rotation_matrix.turn_rows(state.R[s], turn)
-        propagate(state.P[s], before[s], before[s], dt)
+        propagate_own(state.P[s], before[s], dt)
         for i in range(3):
             # an orientation cannot be worse than unknown: keeps a long silence finite
             state.P[s, i, i] += density * dt if state.P[s, i, i] < OPEN_SIGMA**2 else 0.0
             state.P[s, 3 + i, 3 + i] += noise.bias_walk**2 * dt
-        if body.parents[s] >= 0:
+        if is_joint and body.parents[s] >= 0:
             propagate(state.C[s], before[s], before[body.parents[s]], dt)
 
 
@@ -84,16 +85,15 @@ def _mean_rate(w: FloatArray, state: FilterState, s: int, rate: FloatArray, dt: 
     The trapezoid, less its error by Euler and Maclaurin's formula, and the coning of an axis that moves
     (Bortz 1971). At 100 Hz the trapezoid alone is off by up to a degree in fast motion.
     """
-    bias, last = state.bias[s], state.rate[s]
-    a, b = np.empty(3), np.empty(3)
+    bias, last, slope = state.bias[s], state.rate[s], state.slope[s]
+    a = last[0] - bias[0], last[1] - bias[1], last[2] - bias[2]
+    b = rate[0] - bias[0], rate[1] - bias[1], rate[2] - bias[2]
+    w[0] = 0.5 * (a[0] + b[0]) + (a[1] * b[2] - a[2] * b[1]) * dt / 12.0
+    w[1] = 0.5 * (a[1] + b[1]) + (a[2] * b[0] - a[0] * b[2]) * dt / 12.0
+    w[2] = 0.5 * (a[2] + b[2]) + (a[0] * b[1] - a[1] * b[0]) * dt / 12.0
     for i in range(3):
-        a[i], b[i] = last[i] - bias[i], rate[i] - bias[i]
-        w[i] = 0.5 * (a[i] + b[i])
-        if math.isfinite(state.slope[s, i]):
-            w[i] -= (b[i] - a[i] - state.slope[s, i] * dt) / 12.0
-    w[0] += (a[1] * b[2] - a[2] * b[1]) * dt / 12.0
-    w[1] += (a[2] * b[0] - a[0] * b[2]) * dt / 12.0
-    w[2] += (a[0] * b[1] - a[1] * b[0]) * dt / 12.0
+        if math.isfinite(slope[i]):
+            w[i] -= (rate[i] - last[i] - slope[i] * dt) / 12.0
 
 
 @compiled
