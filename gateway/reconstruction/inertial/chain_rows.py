@@ -39,6 +39,11 @@ AIDED_TILT = 0.15
 """rad: an inclination less sure than that tells no mean acceleration."""
 AIDED_RISE_S, AIDED_FALL_S = 2.0, 30.0
 """How fast larger and smaller mean accelerations are believed."""
+MISFIT_S = 5.0
+"""Over which a joint's residuals are compared with what is expected of them."""
+LARGEST_MISFIT = 1e4
+LOOSE = 9.0
+"""Misfit of a joint that holds nothing together: three times the deviations expected, for seconds."""
 REST_RATE_SIGMA = 0.002
 """rad/s: of a mean rate at rest against the bias."""
 
@@ -74,7 +79,8 @@ def joint_row(
     middle = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
     at_once = variance * min(1.0, dt / noise.row_memory_s)
     off = spread(middle[0], middle[1], middle[2], relative_covariance(state, s, p))
-    variance *= _huber(off, residual, at_once, noise.huber)
+    widened = _misfit(state, noise, s, off, residual, at_once, dt)
+    variance *= widened * _huber(off, residual, widened * at_once, noise.huber)
     add_joint(evidence, s, middle, residual, variance)
 
 
@@ -102,6 +108,34 @@ def known_row(
         return
     variance *= _huber(spread(y[0], y[1], y[2], own_covariance(state, s)), residual, variance, noise.huber)
     add_known(evidence, s, (y[0], y[1], y[2]), residual, variance)
+
+
+@compiled
+def _misfit(
+    state: FilterState,
+    noise: Noise,
+    s: int,
+    uncertain: Three,
+    residual: Three,
+    variance: float,
+    dt: float,
+) -> float:
+    """By how much the joint of segment s and its parent agrees worse than its noise says, variances; 1: no
+    worse. Modules worn otherwise than the rig says disagree all the time, and their joint tells little.
+
+    Where that comes out, what the joint has told until then is taken back: the segment is as uncertain as at
+    its start, and the field shows its heading.
+    """
+    square, expected = 0.0, 0.0
+    for i in range(3):
+        square += residual[i] ** 2
+        expected += uncertain[i] + variance
+    surprise, before = min(square / expected, LARGEST_MISFIT), state.misfit[s]
+    state.misfit[s] += (1.0 - math.exp(-dt / MISFIT_S)) * (surprise - before)
+    if before < LOOSE <= state.misfit[s]:
+        for i in range(3):
+            state.P[s, i, i] += noise.start_heading**2 if i == 2 else noise.start_tilt**2
+    return max(1.0, state.misfit[s])
 
 
 @compiled
@@ -197,7 +231,7 @@ def field_row(
     straying = noise.heading**2 + state.field_seen[s, 2] / expected.horizontal
     sigma = math.sqrt(straying + min(state.P[s, 2, 2], OPEN_SIGMA**2))
     weight = max(1.0, abs(off) / sigma / noise.huber) * disturbance
-    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > straying
+    is_first = (body.opens[s] == 0 or state.misfit[s] >= LOOSE) and state.P[s, 2, 2] > straying
     memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
     variance = straying * memory_s / dt * weight
     add_own(evidence, s, (0.0, 0.0, 1.0), -off, variance)

@@ -17,7 +17,7 @@ class Scratch(NamedTuple):
 
     observed: SegmentObservations
     sun: FloatArray  # (n + 1, 4) see ``follow_sun``
-    is_valid: FloatArray  # (n,) 0: no sample; 1: turns by its gyrometer; 2: its specific force counts too
+    is_valid: FloatArray  # (n,) see ``note_valid_rows``
     before: FloatArray  # (n, 3, 3) orientations of the frame before
     K: FloatArray  # (n, 3, 3) swing, 1/s², world
     motion: FloatArray  # (n,) ‖[ω̇, ω]‖, 1/s²

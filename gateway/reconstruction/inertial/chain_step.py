@@ -17,7 +17,6 @@ from gateway.reconstruction.inertial.chain_averages import (
     watch_rest,
 )
 from gateway.reconstruction.inertial.chain_prediction import (
-    exceeds,
     note_valid_rows,
     predict,
     start,
@@ -78,7 +77,7 @@ def step(
     observed, is_valid, K, motion = scratch.observed, scratch.is_valid, scratch.K, scratch.motion
     evidence, turns = scratch.evidence, scratch.turns
     force, rate, field = observed.specific_force, observed.angular_rate, observed.magnetic_field
-    note_valid_rows(is_valid, noise, force, rate, observed.status)
+    note_valid_rows(is_valid, noise, observed)
     note_rolling(scratch.rolling, state, rate, resting, dt)
     predict(body, state, noise, rate, is_valid, is_joint, dt, scratch.before)
     _start_segments(body, state, noise, scratch)
@@ -148,7 +147,7 @@ def _follow_field(
     """A row where the heading is settled; where it is open the field leads it as a compass."""
     expected = chain_rows.expected_field(body, dt)
     for s in range(len(body.parents)):
-        if is_valid[s] == 0.0 or exceeds(state.rate[s], noise.largest_rate):
+        if is_valid[s] < 1.0:
             continue  # a saturated gyrometer has lost it: the field would seem disturbed
         if not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
             continue
@@ -292,9 +291,10 @@ def _joint_rows(
         felt_into(scratch.U[s], state.force[s], scratch.K[s], body.to_joint[s], state.arm[s], 0)
         if p < 0 or is_valid[s] < 2.0 or is_valid[p] < 2.0:
             continue
-        chain[s] = chain[p]  # also while its row waits for the averages: after a gap nothing has changed
+        if state.misfit[s] < chain_rows.LOOSE:  # else what holds up the one does not hold up the other
+            chain[s] = chain[p]  # also while its row waits for the averages: after a gap nothing has changed
         if is_joint:
-            anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
+            anchored[chain[s]] = max(anchored[chain[s]], anchored[s])
         if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
             continue
         _joint_row(body, state, noise, scratch, s, p, dt)

@@ -34,6 +34,7 @@ from gateway.reconstruction.inertial.chain_state import (
 )
 from gateway.reconstruction.inertial.held_arguments import hold
 from gateway.reconstruction.inertial.local_device import RootMotion, in_segment_axes
+from gateway.reconstruction.inertial.observations import clipped_of
 from gateway.reconstruction.inertial.place_keeper import PlaceKeeper
 from gateway.reconstruction.inertial.sun_rows import stacked_sights
 from gateway.reconstruction.inertial.time_reversal import turned_back
@@ -170,9 +171,10 @@ class ChainReconstructor:
         np.copyto(one.angular_rate, observation.angular_rate)
         np.copyto(one.magnetic_field, observation.magnetic_field)
         np.copyto(one.status, observation.status)
+        np.copyto(one.clipped, 0 if observation.clipped is None else observation.clipped)
         if observation.local:
             readings, readings_end = self._readings((observation,))
-            return Inputs(*one[:6], readings_end, readings, one.sun)
+            return one._replace(readings=readings, readings_end=readings_end)
         return one
 
     def _inputs(self, observations: Sequence[ImuFrame]) -> Inputs:
@@ -186,6 +188,7 @@ class ChainReconstructor:
             _stacked([observation.angular_rate for observation in observations], np.float64),
             _stacked([observation.magnetic_field for observation in observations], np.float64),
             _stacked([observation.status for observation in observations], np.uint8),
+            _stacked([clipped_of(observation) for observation in observations], np.uint8),
             self._root_positions(observations),
             readings_end,
             readings,
