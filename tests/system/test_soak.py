@@ -16,6 +16,7 @@ from gateway.frames import Status
 
 HELD_UP = {
     "seconds": 100.0,
+    "suit_s": 100.0,
     "poses": 9000,
     "failures": {},
     "suit_late_s": 0.1,
@@ -52,7 +53,7 @@ async def test_a_minute_of_faults():
         ({"rss_growth_mb": 5.0}, "memory grew by 5.0 MB"),
         ({"descriptors_left": 1}, "1 descriptors were left open"),
         ({"tasks_left": 3}, "3 tasks were left running"),
-        ({"poses": 4000}, "only 4000 poses came in 100 s"),
+        ({"poses": 4000}, "only 4000 poses came of 100 s of the suit"),
         ({"compared": [{**HELD_UP["compared"][0], "p99.9_deg": 9.0}]}, "9.0 degrees"),
         ({"compared": [{**HELD_UP["compared"][0], "count": 0}]}, "no segment was intact"),
         ({"compared": [{**HELD_UP["compared"][0], "p99_rad_s": 2.0}]}, "2.0 rad/s"),
