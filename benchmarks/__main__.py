@@ -28,6 +28,7 @@ SUITES = (
     "soak",
     "fuzz",
     "overload",
+    "held",
     "optical",
 )
 """Modules of this package with a function ``run() -> Report``."""

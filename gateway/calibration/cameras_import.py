@@ -16,7 +16,6 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, fromstring
 
-from gateway.calibration.opencv_storage import read_opencv
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
 from gateway.geometry.rotation_matrix import from_rotation_vector
@@ -184,6 +183,8 @@ def five_coefficients(given: FloatArray, where: str) -> FloatArray:
 
 
 def _read_opencv(path: Path, metres: float) -> tuple[Camera, ...]:
+    from gateway.calibration.opencv_storage import read_opencv  # noqa: PLC0415 - OpenCV is an extra
+
     return tuple(
         Camera(
             name=entry.name,

@@ -59,10 +59,10 @@ def matched(
     if up is not None and up not in AXES:
         raise GatewayError(f"--up {up}: one of {', '.join(AXES)} is wanted")
     known = {camera.name: camera for camera in load_cameras(calibration, up, unit)}
-    named = named(places, list(known), calibration)
+    by_name = named(places, list(known), calibration)
     skipped = offsets_of(offsets, list(known))
     cameras, tasks = [], []
-    for name, place in named.items():
+    for name, place in by_name.items():
         source = open_pictures(place, rate_hz)
         source.close()
         try:

@@ -81,8 +81,8 @@ def video_suit(cameras: Sequence[Camera], network: str, messages: Sequence[Seque
             break
     if not found:
         raise GatewayError(
-            f"in {len(messages)} pictures of {len(cameras)} cameras nobody is seen by rays that meet: does the "
-            "calibration belong to these cameras, in this order, and are they synchronised?"
+            f"in {len(messages)} pictures of {len(cameras)} cameras nobody is seen by rays that meet: does "
+            "the calibration belong to these cameras, in this order, and are they synchronised?"
         )
     person = reconstructor.person
     suit = worn_without_modules(person.skeleton, person.markers, WorldSettings())
