@@ -30,6 +30,7 @@ SUITES = (
     "overload",
     "held",
     "optical",
+    "video",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

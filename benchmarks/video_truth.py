@@ -112,11 +112,12 @@ def true_regions(
 
 def rendered(
     cameras: Sequence[Camera], regions: Sequence[PersonRegion | None], people: FloatArray, frame: int,
-    hidden: NDArray[np.bool_] | None = None,
+    hidden: NDArray[np.bool_] | None = None, off: FloatArray | None = None,
 ) -> HeatMapFrame:  # fmt: skip
     """Maps of the regions in which every person's keypoints (n_people, n_keypoints, 3) m are blobs.
 
-    hidden: (n_cameras, n_keypoints) of all people, not seen by a camera.
+    hidden: (n_cameras, n_keypoints) of all people, not seen by a camera. off: (n_cameras, n_keypoints, 2)
+    cells by which the blobs are beside their places.
     """
     maps: list[CameraHeatMaps | None] = []
     for c, (camera, region) in enumerate(zip(cameras, regions, strict=True)):
@@ -127,7 +128,7 @@ def rendered(
         likelihood = np.zeros((people.shape[1], CELLS, CELLS))
         for points in people:
             cells = project(camera, points) @ affine[:, :2].T + affine[:, 2]
-            likelihood = np.maximum(likelihood, _blobs(cells))
+            likelihood = np.maximum(likelihood, _blobs(cells if off is None else cells + off[c]))
         if hidden is not None:
             likelihood[hidden[c]] = 0.0
         maps.append(CameraHeatMaps(likelihood.astype(np.float32), affine))
