@@ -14,7 +14,7 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.low_pass import DELAY
 
-NETWORKS = ("full", "heavy", "lite")
+NETWORKS = ("full", "heavy")
 """The first one is aimed at."""
 CORES = 2
 _HEADS = [
