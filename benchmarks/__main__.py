@@ -29,6 +29,7 @@ SUITES = (
     "fuzz",
     "overload",
     "optical",
+    "video_speed",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
