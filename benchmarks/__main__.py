@@ -28,8 +28,10 @@ SUITES = (
     "soak",
     "fuzz",
     "overload",
+    "held",
     "optical",
     "video_speed",
+    "video",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

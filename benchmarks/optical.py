@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figures import Figure, Report, table
+from benchmarks.optical_opensim import OpenSimBeside
 from benchmarks.optical_simulation import simulated_rows
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.joint_angles import joint_angles
@@ -79,6 +80,7 @@ def run() -> Report:
     compared: list[list[str]] = []
     centre_rows: list[list[str]] = []
     angle_rows: list[list[str]] = []
+    beside = OpenSimBeside()
     for name, (set_name, static, motion) in TRIALS.items():
         if not (DATA / motion).is_file():
             continue
@@ -98,12 +100,14 @@ def run() -> Report:
                     Figure(f"{name}_held_out_rmse_mm", 1e3 * rmse, "mm", "<=6", "second half of the trial"),
                     Figure(f"{name}_ms_per_frame", outcome.ms, "ms", "<=5", "processor time, streaming"),
                 ]
+                beside.add(name, skeleton, markers, held, outcome)
             if set_name == "plug_in_gait":
                 centre_rows.append([name, method, *_centres(skeleton, markers, outcome, held)])
                 angle_rows += _angles(name, method, skeleton, outcome, held)
     report.tables += [
         "### Held-out frames: distance of markers and body, RMSE\n\n"
         + table(["trial", "method", "held-out frames mm", "left-out markers mm", "ms a frame"], compared),
+        beside.text(),
         "### Joint centres against the file's Plug-in-Gait, RMSE in mm\n\n"
         + table(["trial", "method", *CENTRES], centre_rows),
         "### Joint angles against the file's Plug-in-Gait, degrees: RMSE, and without its mean\n\n"

@@ -43,6 +43,7 @@ from gateway.reconstruction import (
     update_many,
 )
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
+from gateway.reconstruction.optical.warm_up import warm_up
 from gateway.resets import Resets
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.stream import ClockMode, Reading, Stream
@@ -115,6 +116,7 @@ class Pipeline:
         self.optical: OpticalReconstructor | None = None
         """In the place of the other on links that carry markers; None for a suit without."""
         if suit.markers is not None and suit.video is None:
+            warm_up()
             self.optical = OpticalReconstructor(suit.skeleton, suit.markers)
         self._markers: dict[str, MarkerFrames] = {}
         self.video = None if suit.video is None else HeatMapFrames(suit)

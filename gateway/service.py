@@ -70,7 +70,12 @@ class Service:
         info = _describe(settings, suit)
         self.side = SideOutputs(settings.outputs, suit.skeleton, settings.gateway, settings.assembly.rate_hz)
         self.mqtt = MqttOutput(
-            settings.mqtt, suit.skeleton, info, self.statistics, lambda: self.side.counters
+            settings.mqtt,
+            suit.skeleton,
+            info,
+            self.statistics,
+            lambda: self.side.counters,
+            () if suit.markers is None else suit.markers.labels,
         )
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
         self.load = LoadWatch()

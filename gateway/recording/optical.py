@@ -28,8 +28,8 @@ from gateway.pipeline import Pipeline
 from gateway.reconstruction import OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.landmarks import to_world
 from gateway.reconstruction.optical.published_trial import published_trial
+from gateway.recording.marker_encoding import frame_messages
 from gateway.recording.reading import Progress
-from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import AssemblySettings, GatewaySettings, LinkSettings
 
@@ -171,7 +171,8 @@ def _writer(
 def _add(writer: RecordingWriter, chunk: Chunk, made: Sequence[SkeletonFrame]) -> None:
     writer.add_chunk(chunk, Framing.MARKERS)
     for frame in made:
-        writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(frame))
+        for topic, message in frame_messages(frame):
+            writer.add(topic, chunk.arrived_ns, message)
 
 
 def _session(target: Path, begun_ns: int) -> dict[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -48,22 +48,30 @@ def columns(take: Take, units_per_m: float) -> Iterator[tuple[str, NDArray[Any]]
 
 def write_csv(take: Take, path: Path, units_per_m: float) -> None:
     """Raises ``OSError``."""
-    table = list(columns(take, units_per_m))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([name for name, _ in table])
-        writer.writerows(zip(*(_cells(values) for _, values in table), strict=True))
+    write_csv_columns(dict(columns(take, units_per_m)), path)
 
 
 def write_parquet(take: Take, path: Path, units_per_m: float) -> None:
     """Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
+    write_parquet_columns(dict(columns(take, units_per_m)), path)
+
+
+def write_csv_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Columns of one length by name. Raises ``OSError``."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(table)
+        writer.writerows(zip(*(_cells(values) for values in table.values()), strict=True))
+
+
+def write_parquet_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Columns of one length by name. Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
     try:
         import pyarrow  # noqa: PLC0415 - an extra
         import pyarrow.parquet  # noqa: PLC0415
     except ImportError:
         raise GatewayError("Parquet needs the extra 'export': pip install 'mocap-gateway[export]'") from None
-    table = pyarrow.table(dict(columns(take, units_per_m)))
-    pyarrow.parquet.write_table(table, path)
+    pyarrow.parquet.write_table(pyarrow.table(dict(table)), path)
 
 
 def _at(values: NDArray[Any], row: NDArray[np.int64]) -> NDArray[Any]:

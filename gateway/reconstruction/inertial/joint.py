@@ -34,6 +34,7 @@ from gateway.reconstruction.inertial.chain_state import (
 )
 from gateway.reconstruction.inertial.held_arguments import hold
 from gateway.reconstruction.inertial.local_device import RootMotion, in_segment_axes
+from gateway.reconstruction.inertial.observations import clipped_of
 from gateway.reconstruction.inertial.place_keeper import PlaceKeeper
 from gateway.reconstruction.inertial.sun_rows import stacked_sights
 from gateway.reconstruction.inertial.time_reversal import turned_back
@@ -160,9 +161,9 @@ class ChainReconstructor:
         ]
 
     def _inputs_of_one(self, observation: ImuFrame) -> Inputs:
-        """In arrays made once, where the frame has nothing but modules: live, making them takes longer than
-        the filter of some segments."""
-        if observation.local or observation.sun is not None or self._measures_place:
+        """In arrays made once, but for what local devices say: live, making them takes longer than the
+        filter of some segments."""
+        if observation.sun is not None or self._measures_place:
             return self._inputs((observation,))
         one = self._one
         one.time_ns[0] = observation.time_ns
@@ -170,6 +171,10 @@ class ChainReconstructor:
         np.copyto(one.angular_rate, observation.angular_rate)
         np.copyto(one.magnetic_field, observation.magnetic_field)
         np.copyto(one.status, observation.status)
+        np.copyto(one.clipped, 0 if observation.clipped is None else observation.clipped)
+        if observation.local:
+            readings, readings_end = self._readings((observation,))
+            return one._replace(readings=readings, readings_end=readings_end)
         return one
 
     def _inputs(self, observations: Sequence[ImuFrame]) -> Inputs:
@@ -183,6 +188,7 @@ class ChainReconstructor:
             _stacked([observation.angular_rate for observation in observations], np.float64),
             _stacked([observation.magnetic_field for observation in observations], np.float64),
             _stacked([observation.status for observation in observations], np.uint8),
+            _stacked([clipped_of(observation) for observation in observations], np.uint8),
             self._root_positions(observations),
             readings_end,
             readings,
@@ -199,7 +205,7 @@ class ChainReconstructor:
             for reading in observation.local:
                 time_s = (reading.time_ns - first_ns) * 1e-9
                 rows.extend(
-                    (d, time_s, *in_segment_axes(device, reading.value), *reading.sigma)
+                    (d, time_s, *in_segment_axes(device, reading.value).tolist(), *reading.sigma.tolist())
                     for d, device in enumerate(self._devices)
                     if reading.device == device.device and reading.quantity == device.quantity
                 )

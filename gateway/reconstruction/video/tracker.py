@@ -198,7 +198,9 @@ class KeypointTracker:
     def _search(self, maps: Maps) -> Sighting:
         """Both lattices, with inverse kinematics after each."""
         wide = np.minimum(1 + self._missed, WIDEST).astype(np.float64)
-        coarse = self._candidates(maps, self.expected, COARSE * wide, False)
+        # one camera tells no depth: going on as it went, the body would leave for nowhere
+        alone = sum(seen is not None for seen in maps) < 2
+        coarse = self._candidates(maps, self.places if alone else self.expected, COARSE * wide, False)
         self.solve(coarse)
         fine = self._candidates(maps, coarse.candidates, np.full(len(wide), FINE), True)
         self.solve(fine)

@@ -78,6 +78,16 @@ def test_turning_a_state_back_twice_keeps_what_it_knows():
         np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
 
 
+def test_the_last_frame_is_not_taken_twice():
+    state = initial_state(2, 1)
+    state.time_ns[:] = 7_000_000_000, 1_000_000_000
+    state.rest[:] = np.arange(10.0)
+    back = turned_back(state)
+    (last, _), _ = seen_backward([frame(10), frame(20)], 20, [])
+    assert last.time_ns == 0 == back.time_ns[0]
+    np.testing.assert_array_equal(back.rest[0], [-0.0, -1.0, -2.0, *range(3, 10)])
+
+
 def test_a_method_that_cannot_go_backward_says_so(tmp_path):
     reconstructor = create_reconstructor("independent", arm(on_joint=False).suit(), 0.01)
     with pytest.raises(GatewayError, match="smoothing is for the methods joint and outward"):
