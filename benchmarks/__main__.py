@@ -30,6 +30,7 @@ SUITES = (
     "overload",
     "held",
     "optical",
+    "video_speed",
     "video",
 )
 """Modules of this package with a function ``run() -> Report``."""
