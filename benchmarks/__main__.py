@@ -30,6 +30,8 @@ SUITES = (
     "overload",
     "held",
     "optical",
+    "video_speed",
+    "video",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

@@ -86,6 +86,23 @@ def _posture(skeleton: Skeleton, phase: float, heading: float, upside_down: bool
     return np.stack([quaternion.to_matrix(q) for q in posture(skeleton, angles, root)])
 
 
+def ring_of_cameras(n: int, radius: float = 4.0) -> list[Camera]:
+    """Cameras of 1080 × 1920 pixels with distortion, 1.8 m high about the origin, looking at 0.9 m."""
+    matrix = np.array([[1500.0, 0.0, 540.0], [0.0, 1500.0, 960.0], [0.0, 0.0, 1.0]])
+    cameras = []
+    for c in range(n):
+        angle = 2 * np.pi * c / n + 0.3
+        place = np.array([radius * np.cos(angle), radius * np.sin(angle), 1.8])
+        ahead = np.array([0.0, 0.0, 0.9]) - place
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        R = np.stack([right, np.cross(ahead, right), ahead])
+        distortion = np.array([-0.05, 0.12, 0.0006, 0.0007, 0.0])
+        cameras.append(Camera(f"ring{c}", 1080, 1920, matrix, distortion, R, -R @ place))
+    return cameras
+
+
 def true_regions(
     cameras: Sequence[Camera], keypoints: KeypointSet, points: FloatArray
 ) -> tuple[PersonRegion | None, ...]:
@@ -95,11 +112,12 @@ def true_regions(
 
 def rendered(
     cameras: Sequence[Camera], regions: Sequence[PersonRegion | None], people: FloatArray, frame: int,
-    hidden: NDArray[np.bool_] | None = None,
+    hidden: NDArray[np.bool_] | None = None, off: FloatArray | None = None,
 ) -> HeatMapFrame:  # fmt: skip
     """Maps of the regions in which every person's keypoints (n_people, n_keypoints, 3) m are blobs.
 
-    hidden: (n_cameras, n_keypoints) of all people, not seen by a camera.
+    hidden: (n_cameras, n_keypoints) of all people, not seen by a camera. off: (n_cameras, n_keypoints, 2)
+    cells by which the blobs are beside their places.
     """
     maps: list[CameraHeatMaps | None] = []
     for c, (camera, region) in enumerate(zip(cameras, regions, strict=True)):
@@ -110,7 +128,7 @@ def rendered(
         likelihood = np.zeros((people.shape[1], CELLS, CELLS))
         for points in people:
             cells = project(camera, points) @ affine[:, :2].T + affine[:, 2]
-            likelihood = np.maximum(likelihood, _blobs(cells))
+            likelihood = np.maximum(likelihood, _blobs(cells if off is None else cells + off[c]))
         if hidden is not None:
             likelihood[hidden[c]] = 0.0
         maps.append(CameraHeatMaps(likelihood.astype(np.float32), affine))

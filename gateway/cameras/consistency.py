@@ -23,7 +23,7 @@ from gateway.reconstruction.video.projection import camera_model
 
 LONGEST_OFFSET = 15
 """Pictures by which a camera may be off for it to be found."""
-FAR_APART = 0.10
+FAR_APART = 0.08
 """Median distance of two rays to one keypoint from which a calibration counts as wrong, m; a right one has
 10 to 30 mm with the noise of the network."""
 _LEAST_LIKELIHOOD = 0.5

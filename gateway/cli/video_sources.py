@@ -15,6 +15,7 @@ from gateway.calibration.cameras_file import AXES, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.cameras.camera_process import CameraTask
 from gateway.errors import GatewayError
+from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
 
 Places = Annotated[
     list[str],
@@ -59,6 +60,8 @@ def matched(
     if up is not None and up not in AXES:
         raise GatewayError(f"--up {up}: one of {', '.join(AXES)} is wanted")
     known = {camera.name: camera for camera in load_cameras(calibration, up, unit)}
+    for weights in (weights_of(network), DETECTOR):
+        weights.verified_path()
     by_name = named(places, list(known), calibration)
     skipped = offsets_of(offsets, list(known))
     cameras, tasks = [], []
