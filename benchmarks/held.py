@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import json
 import os
+import subprocess
 import tempfile
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ import yaml
 from benchmarks.figures import Figure, Report, table
 from benchmarks.latency import line_of, process_of, write_config
 from benchmarks.local_broker import mosquitto
+from gateway.reconstruction import readiness
 
 METHODS = ("independent", "joint")
 MODULES = (17, 63)
@@ -97,6 +99,7 @@ def run() -> Report:
         os.sched_setaffinity(0, mine)
         os.sched_setaffinity(broker.pid, mine)
         for method in METHODS:
+            subprocess.run(readiness.command(method), check=True)  # else another one would run meanwhile
             for n in MODULES:
                 held, first = 0, ""
                 for rate_hz in RATES_HZ:

@@ -19,8 +19,9 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import TimeoutError as NoAnswer
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BufferedIOBase
 from types import TracebackType
-from typing import Any, BinaryIO, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from prometheus_client.exposition import choose_encoder
 
@@ -143,7 +144,7 @@ def _hang_up(connection: socket.socket) -> None:
 class _Head:
     """A request, line by line, up to ``LARGEST_HEAD``."""
 
-    def __init__(self, connection: BinaryIO) -> None:
+    def __init__(self, connection: BufferedIOBase) -> None:
         self._connection = connection
         self._left = LARGEST_HEAD
 
