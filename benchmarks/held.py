@@ -2,8 +2,8 @@
 
 ``mocap-gateway run`` as users run it, recording and publishing every pose, on the last core; the suit (bytes
 made beforehand), the broker and this measurement on the others. A load is held when for ``SECONDS`` nothing
-is lost, dropped or given up, in one of ``TRIES``: others on the machine hold anything up now and then. Give it
-priority there: ``sudo chrt -r 1 …``.
+is lost, dropped or given up, in one of ``TRIES``: others on the machine hold anything up now and then. Give
+it priority there: ``sudo chrt -r 1 …``.
 """
 
 from __future__ import annotations
