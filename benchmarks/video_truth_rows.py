@@ -20,7 +20,7 @@ from gateway.reconstruction.video.reconstructor import VideoReconstructor
 
 CALIBRATION = Path(__file__).parents[2] / "shared/data/pose2sim_single/calibration/Calib.qca.txt"
 KEYPOINTS = load_keypoint_set("blazepose_33")
-FRAMES = 50
+FRAMES = 46
 SEED = 5
 _START, _VELOCITY = (-1.4, -0.5), (0.2, 0.9)
 _HIDDEN = range(20, 40)
@@ -45,7 +45,7 @@ def truth_rows() -> tuple[list[Figure], tuple[list[str], list[list[str]]]]:
         "walking, maps a cell off at random": _live(cameras, person, noise=1.0),
         "left arm hidden for 20 frames, the others": np.delete(hidden, [1, 2], 1),
         "the arm while hidden": hidden[_HIDDEN.start : _HIDDEN.stop, 1:3],
-        "the arm afterwards": hidden[_HIDDEN.stop + 4 :, 1:3],
+        "the arm afterwards": hidden[_HIDDEN.stop + 3 :, 1:3],
         "the arm while hidden, from later frames": whole[_HIDDEN.start : _HIDDEN.stop, 1:3],
         "walking, 3 cameras": _live(cameras[:3], person),
         "walking, 2 cameras": _live([cameras[0], cameras[2]], person),
