@@ -13,7 +13,7 @@ coordinates in a. Letters: w world (ENU), s sensor, b body segment.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,13 @@ class Status(IntEnum):
     silent, or its own accelerometer is saturated. (Numbers never change, hence the last.)"""
 
 
+class Clipped(IntFlag):
+    """Sensors of a module that were at the end of their range: what they felt was at least that much."""
+
+    SPECIFIC_FORCE = 1
+    ANGULAR_RATE = 2
+
+
 @dataclass(frozen=True, slots=True)
 class InertialReading:
     """One reading of one module, in its sensor axes. A sensor that was not read is None."""
@@ -56,6 +63,8 @@ class InertialReading:
     specific_force: Vector3 | None  # m/s²
     angular_rate: Vector3 | None  # rad/s
     magnetic_field: Vector3 | None  # µT
+    clipped: int = 0
+    """``Clipped`` sensors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +143,8 @@ class ImuFrame:
     """Readings of photoelectric cells since the frame before, in time order."""
     sun: SunSight | None = None
     """What they show; None: the suit has no cells in use."""
+    clipped: StatusArray | None = None
+    """(n_modules,) ``Clipped`` sensors of what this instant rests on; None: none of any."""
 
 
 @dataclass(frozen=True, slots=True)

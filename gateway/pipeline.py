@@ -229,16 +229,12 @@ class Pipeline:
         """Of an optical system or cameras."""
         if chunk.link in self._heat_map_links:
             assert self.video is not None  # add_link saw to it
-            frames = [self.resets.apply(frame) for frame in self.video.receive(chunk)]
-            self.skeleton_frames += len(frames)
-            return frames
-        assert self.optical is not None  # add_link saw to it
-        frames = [
-            self.resets.apply(self.optical.update(markers))
-            for markers in self._markers[chunk.link].receive(chunk)
-        ]
-        self.skeleton_frames += len(frames)
-        return frames
+            made = self.video.receive(chunk)
+        else:
+            assert self.optical is not None  # add_link saw to it
+            made = [self.optical.update(markers) for markers in self._markers[chunk.link].receive(chunk)]
+        self.skeleton_frames += len(made)
+        return [self.resets.apply(frame) for frame in made]
 
     def replay(self, items: Iterable[Chunk | SentChunk | InputEvent]) -> Iterator[SkeletonFrame]:
         """A recording: the frames that ``feed``, ``sent`` and ``event`` of each item give, bit for bit, but

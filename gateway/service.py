@@ -75,7 +75,7 @@ class Service:
             info,
             self.statistics,
             lambda: self.side.counters,
-            () if suit.markers is None else suit.markers.labels,
+            () if suit.markers is None or suit.video is not None else suit.markers.labels,
         )
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
         self.load = LoadWatch()

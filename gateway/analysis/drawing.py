@@ -1,4 +1,4 @@
-"""One picture of a body with its muscles, as plain lines: bones grey, muscles from pale to red by activity."""
+"""One picture of a body with its muscles, as plain lines: bones grey, muscles pale to red by activity."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
         if muscles is not None:
             _wires(view, muscles, frame, depth)
         _forces(view, found, frame)
-    cv2.putText(picture, f"{found.time_s[frame]:.2f} s", (10, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _TEXT, 1, cv2.LINE_AA)
+    _write(picture, f"{found.time_s[frame]:.2f} s", (10, 22), 0.5)
     if muscles is not None:
         _scale(cv2, picture)
     return picture
@@ -103,7 +103,8 @@ class _View:
         x = self._left + 0.5 * _PANE + scale * (places @ self._across - self._middle)
         y = HEIGHT - 30 - scale * (places[:, 2] - self._scene.floor_m)
         fine = np.stack([x, y], axis=1) * 2**_SUBPIXEL
-        return np.round(fine).astype(np.int32)[:, None]
+        rounded: NDArray[np.int32] = np.round(fine).astype(np.int32)[:, None]
+        return rounded
 
     def line(self, places: FloatArray, colour: tuple[int, ...], width: int) -> None:
         """A polyline through places (n, 3) m."""
@@ -158,10 +159,15 @@ def colour_of(activity: float) -> tuple[int, int, int]:
     return blue, green, red
 
 
+def _write(picture: Picture, text: str, at: tuple[int, int], size: float) -> None:
+    cv2 = require_opencv()
+    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, _TEXT, 1, cv2.LINE_AA)
+
+
 def _scale(cv2: Any, picture: Picture) -> None:
     """What the colours mean, at the top."""
     left, top, width = WIDTH - 190, 12, 110
     for x in range(width):
         cv2.line(picture, (left + x, top), (left + x, top + 8), colour_of(x / (width - 1)), 1)
     for text, x in (("0", left - 12), ("1 activity", left + width + 4)):
-        cv2.putText(picture, text, (x, top + 9), cv2.FONT_HERSHEY_SIMPLEX, 0.38, _TEXT, 1, cv2.LINE_AA)
+        _write(picture, text, (x, top + 9), 0.38)

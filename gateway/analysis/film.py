@@ -34,7 +34,7 @@ def write_film(
     frames = np.searchsorted(found.time_s, shown).clip(0, len(found.time_s) - 1)
     writer = cv2.VideoWriter(str(target), cv2.VideoWriter_fourcc(*_CODEC), float(RATE_HZ), (WIDTH, HEIGHT))
     if not writer.isOpened():
-        raise GatewayError(f"{target} cannot be written as WebM: a path to write to, and an opencv with ffmpeg")
+        raise GatewayError(f"{target} cannot be written as WebM: is the folder writable, has opencv ffmpeg?")
     try:
         for done, frame in enumerate(frames.tolist()):
             writer.write(draw(found, muscles, frame, scene))

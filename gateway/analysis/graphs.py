@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.analysis.analysing import Analysis
+from gateway.analysis.muscles import MuscleResult
 from gateway.frames import FloatArray
 from gateway.report.drawing import LINES, panels, png, small_multiples
+
+_MOST_MUSCLES = 24
 
 
 def angles(found: Analysis) -> bytes:
@@ -57,6 +60,38 @@ def centre_of_mass(found: Analysis) -> bytes:
     axes[0].set_title("centre of mass from where it began, m", fontsize=8)
     axes[1].set_title("its velocity, m/s", fontsize=8)
     return png(figure)
+
+
+def muscle_map(found: Analysis, muscles: MuscleResult) -> bytes:
+    """Activity of all muscles over time, a row a muscle."""
+    figure, axes = panels(1, 0.115 * len(muscles.names) + 1.0)
+    image = axes[0].imshow(
+        muscles.activity.T, aspect="auto", cmap="YlOrRd", vmin=0, vmax=1, interpolation="nearest",
+        extent=(0.0, float(found.time_s[-1]), len(muscles.names) - 0.5, -0.5),
+    )  # fmt: skip
+    axes[0].set_yticks(range(len(muscles.names)), muscles.names, fontsize=4.5)
+    axes[0].set_xlabel("s", fontsize=7)
+    figure.colorbar(image, ax=axes[0], label="activity", pad=0.01)
+    return png(figure)
+
+
+def tensions(found: Analysis, muscles: MuscleResult) -> bytes:
+    """Of the muscles that pull most, left and right together, N."""
+    stems = [name[:-2] for name in muscles.names if name.endswith("_l")]
+    largest = {
+        stem: max(muscles.tension[:, muscles.names.index(f"{stem}_{side}")].max() for side in "lr")
+        for stem in stems
+    }
+    chosen = sorted(sorted(stems, key=lambda stem: -largest[stem])[:_MOST_MUSCLES])
+    shown = [
+        (
+            stem,
+            np.stack([muscles.tension[:, muscles.names.index(f"{stem}_{side}")] for side in "lr"], axis=1),
+            ("left", "right"),
+        )
+        for stem in chosen
+    ]
+    return small_multiples(found.time_s, shown)
 
 
 def _by_joint(found: Analysis, values: FloatArray) -> bytes:

@@ -62,6 +62,8 @@ NO_MASS_KG = 1e-6
 """Of segments that the tables count to their neighbours: the solver wants more than nothing."""
 HEEL_BEHIND_ANKLE = 0.25
 """Of the foot's length."""
+MEAN_STATURE_M = 1.738
+"""Of the people measured, men and women."""
 _PALM_OF_FOREARM = 0.5
 """A hand shorter than this is measured to the knuckle only."""
 _COLUMN = ("l5", "l3", "t12", "thorax")
@@ -150,7 +152,7 @@ def _add_trunk(found: BodyInertia, skeleton: Skeleton, sex: str | None) -> None:
     neck = next((placed[names.index(name)] for name in ("neck", "head") if name in names), None)
     lengths = {part: _mean(lengths, sex) for part, lengths in TRUNK_LENGTH.items()}
     if neck is None:  # legs alone
-        up, scale = np.array([0.0, 1.0, 0.0]), leg_stature(skeleton) or 1.74
+        up, scale = np.array([0.0, 1.0, 0.0]), leg_stature(skeleton) or MEAN_STATURE_M
     else:
         up = (neck - base) / np.linalg.norm(neck - base)
         scale = float(np.linalg.norm(neck - base)) / sum(lengths.values())
@@ -204,7 +206,7 @@ def _extent(skeleton: Skeleton, s: int) -> tuple[FloatArray, FloatArray]:
     tip = skeleton.tips[s]
     if part_name(skeleton.segment_names[s]) != "foot":
         return np.zeros(3), tip
-    stature = leg_stature(skeleton) or skeleton.stature_m or 1.74
+    stature = leg_stature(skeleton) or skeleton.stature_m or MEAN_STATURE_M
     length, depth = LENGTH_OF_STATURE["foot"] * stature, LENGTH_OF_STATURE["foot_height"] * stature
     heel = np.array([-HEEL_BEHIND_ANKLE * length, -0.5 * depth, 0.0])
     return heel, heel + np.array([length, 0.0, 0.0])

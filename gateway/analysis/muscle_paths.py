@@ -66,9 +66,7 @@ class MusclePaths:
         """(W,) N m that one newton in each wire gives to the knee's flexion by way of the patella."""
         jacobian = self._jacobian()
         total = np.zeros(len(self.wires))
-        for joint, row, size in zip(
-            _JOINTS, self._muscles.patella[side], self._patella_sizes(), strict=True
-        ):
+        for joint, row, size in zip(_JOINTS, self._muscles.patella[side], self._patella_sizes(), strict=True):
             column = int(self.model.joint(f"{side}{PATELLA}_{joint}").dofadr[0])
             total -= jacobian[:, column] * size * polyval(flexion, polyder(row))
         return total
@@ -143,8 +141,7 @@ class _Scaling:
 
     def __init__(self, skeleton: Skeleton, muscles: MuscleModel) -> None:
         names = skeleton.segment_names
-        wanted = ["pelvis", *(side + part for side in SIDES for part in ("thigh", "shank", "foot"))]
-        if absent := [name for name in wanted if name not in names]:
+        if absent := absent_segments(skeleton):
             raise GatewayError(f"body '{skeleton.name}' carries no muscles: it has no {', '.join(absent)}")
         self._tips = {name: skeleton.tips[names.index(name)] for name in muscles.tips}
         self._model_tips = muscles.tips
@@ -166,17 +163,23 @@ class _Scaling:
             along = float(position @ bone / (bone @ bone))
             moved: FloatArray = along * self._tips[segment] + self.size * (position - along * bone)
             return moved
-        scaled = self.size * position
+        scaled: FloatArray = self.size * position
         if segment == "pelvis":
-            return scaled + self._hips[_hip_of(name)]
+            scaled = scaled + self._hips[_hip_of(name)]
         if segment == "thorax":
-            return scaled + self._hips[""] - self._trunk
+            scaled = scaled + self._hips[""] - self._trunk
         return scaled
 
     def patella(self, side: str) -> FloatArray:
         """(3,) m where the patella's way begins, in axes of the thigh."""
         begun: FloatArray = self._tips[f"{side}thigh"] + self.size * self._patella_at[side]
         return begun
+
+
+def absent_segments(skeleton: Skeleton) -> list[str]:
+    """Segments that muscles need and the body does not have."""
+    wanted = ["pelvis", *(side + part for side in SIDES for part in ("thigh", "shank", "foot"))]
+    return [name for name in wanted if name not in skeleton.segment_names]
 
 
 def _hip_of(name: str) -> str:
@@ -198,7 +201,9 @@ def _bodies(world: Element, skeleton: Skeleton) -> dict[str, Element]:
 
 def _patella(thigh: Element, side: str, scaling: _Scaling) -> Element:
     body = SubElement(thigh, "body", name=side + PATELLA, pos=_text(scaling.patella(side)))
-    for joint, kind, axis in zip(_JOINTS, ("slide", "slide", "hinge"), ("1 0 0", "0 1 0", "0 0 1"), strict=True):
+    for joint, kind, axis in zip(
+        _JOINTS, ("slide", "slide", "hinge"), ("1 0 0", "0 1 0", "0 0 1"), strict=True
+    ):
         SubElement(body, "joint", name=f"{side}{PATELLA}_{joint}", type=kind, axis=axis)
     SubElement(body, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
     return body

@@ -68,9 +68,7 @@ def plain_costs(names: tuple[str, ...], frames: int) -> MuscleCosts:
     return MuscleCosts(np.ones(len(names)), np.zeros((frames, len(names))), np.ones((frames, len(names))))
 
 
-def load_costs(
-    path: Path, names: tuple[str, ...], peak_n: FloatArray, time_s: FloatArray
-) -> MuscleCosts:
+def load_costs(path: Path, names: tuple[str, ...], peak_n: FloatArray, time_s: FloatArray) -> MuscleCosts:
     """Of a file, for these muscles and instants. Raises ``SettingsError`` naming file, entry and remedy."""
     file = load_settings(path, MuscleFile)
     found = plain_costs(names, len(time_s))
@@ -79,7 +77,8 @@ def load_costs(
         meant = [i for i, name in enumerate(names) if fnmatchcase(name, entry.name)]
         if not meant:
             raise SettingsError(
-                f"{path}: muscles.{number}.name: no muscle is called '{entry.name}'" + nearest(entry.name, names)
+                f"{path}: muscles.{number}.name: no muscle is called '{entry.name}'"
+                + nearest(entry.name, names)
             )
         found.strength[meant] = file.strength * entry.strength
         found.bias[:, meant], found.weight[:, meant] = entry.bias, entry.weight

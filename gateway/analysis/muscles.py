@@ -10,7 +10,7 @@ import numpy as np
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.inertia import part_name
 from gateway.analysis.muscle_model import muscle_model
-from gateway.analysis.muscle_paths import MusclePaths
+from gateway.analysis.muscle_paths import MusclePaths, absent_segments
 from gateway.analysis.muscle_settings import MuscleCosts, plain_costs
 from gateway.analysis.tension import TensionSolver
 from gateway.body.anthropometry import SIDES
@@ -20,8 +20,8 @@ from gateway.frames import FloatArray
 
 Progress = Callable[[int, int], None]
 ASKED = {"thorax": 3, "thigh": 3, "shank": 1, "foot": 2}
-"""How many of a joint's angles muscles move, by its distal segment: a knee's ligaments take what would bend it
-sideways or twist it, the bones of the ankle what would twist it."""
+"""How many of a joint's angles muscles move, by its distal segment: a knee's ligaments take what would bend
+it sideways or twist it, the bones of the ankle what would twist it."""
 _FRAMES_A_TELLING = 16
 
 
@@ -61,8 +61,15 @@ def muscle_torques(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     return tuple(chosen)
 
 
+def has_muscles(skeleton: Skeleton) -> bool:
+    """Whether the body has the segments that the muscles of legs and trunk pull at."""
+    return not absent_segments(skeleton)
+
+
 def find_muscles(
-    found: Analysis, costs: Callable[[MusclePaths], MuscleCosts] | None = None, progress: Progress | None = None
+    found: Analysis,
+    costs: Callable[[MusclePaths], MuscleCosts] | None = None,
+    progress: Progress | None = None,
 ) -> MuscleResult:
     """costs: of the muscles that the body carries; None: all alike.
 

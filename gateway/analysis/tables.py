@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.floor import Source
+from gateway.analysis.muscles import MuscleResult
 from gateway.outputs.exporters.tables import write_csv_columns, write_parquet_columns
 
 Columns = dict[str, NDArray[Any]]
@@ -18,18 +19,18 @@ WRITERS = {"csv": write_csv_columns, "parquet": write_parquet_columns}
 """By the ending of the files."""
 
 
-def write_tables(found: Analysis, folder: Path, kind: str) -> list[Path]:
+def write_tables(found: Analysis, muscles: MuscleResult | None, folder: Path, kind: str) -> list[Path]:
     """All tables into a folder that exists. kind: of ``WRITERS``. Raises ``OSError``, and ``GatewayError``
     for Parquet without its extra."""
     written = []
-    for name, columns in tables(found).items():
+    for name, columns in tables(found, muscles).items():
         path = folder / f"{name}.{kind}"
         WRITERS[kind](columns, path)
         written.append(path)
     return written
 
 
-def tables(found: Analysis) -> dict[str, Columns]:
+def tables(found: Analysis, muscles: MuscleResult | None = None) -> dict[str, Columns]:
     """By name of the file: columns (F,) by name."""
     made = {
         "joints": _joints(found),
@@ -37,6 +38,8 @@ def tables(found: Analysis) -> dict[str, Columns]:
         "floor": _floor(found),
         "centre_of_mass": _centre_of_mass(found),
     }
+    if muscles is not None:
+        made["muscles"] = _muscles(found, muscles)
     return {name: {"time_s": found.time_s} | columns for name, columns in made.items()}
 
 
@@ -77,6 +80,17 @@ def _floor(found: Analysis) -> Columns:
 def _centre_of_mass(found: Analysis) -> Columns:
     columns = _vector("centre_of_mass", "m", found.dynamics.centre_of_mass)
     return columns | _vector("velocity", "m_per_s", found.dynamics.centre_of_mass_velocity)
+
+
+def _muscles(found: Analysis, muscles: MuscleResult) -> Columns:
+    columns: Columns = {}
+    for i, name in enumerate(muscles.names):
+        columns[f"{name}_activity"] = muscles.activity[:, i]
+        columns[f"{name}_tension_n"] = muscles.tension[:, i]
+    for r, (j, k) in enumerate(muscles.torques):
+        joint = found.skeleton.joints[j]
+        columns[f"{joint.name}_{joint.angles[k].name}_left_n_m"] = muscles.left[:, r]
+    return columns
 
 
 def _vector(name: str, unit: str, values: NDArray[np.float64]) -> Columns:

@@ -1,9 +1,9 @@
 """Sharing joint torques out among muscles: one bounded, weighted quadratic programme an instant.
 
-Minimised is ``Σ w (a − b)² + Σ (s / s₀)²`` with ``0 ≤ a ≤ 1`` and, for every torque, ``Σ r F a + s = τ``: a the
-activity (tension over the muscle's largest force F), b its bias, w its weight, r its moment arm, and s the
-torque that the muscles leave to something else (ligaments, the model's faults). Solved by OSQP (Stellato et al.
-2020, Math. Program. Comput. 12: 637–672), begun from the instant before.
+Minimised is ``Σ w (a − b)² + Σ (s / s₀)²`` with ``0 ≤ a ≤ 1`` and, for every torque, ``Σ r F a + s = τ``: a
+the activity (tension over the muscle's largest force F), b its bias, w its weight, r its moment arm, and s
+the torque that the muscles leave to something else (ligaments, the model's faults). Solved by OSQP (Stellato
+et al. 2020, Math. Program. Comput. 12: 637–672), begun from the instant before.
 """
 
 from __future__ import annotations
@@ -13,11 +13,14 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
 RESERVE_N_M = 1.0
 """s₀: a torque left over of this size costs as much as a muscle at its largest."""
 TOLERANCE = 1e-4
+_SOLVED = (1, 2)
+"""OSQP's states: solved, and solved less exactly."""
 
 
 class TensionSolver:
@@ -35,7 +38,7 @@ class TensionSolver:
         """Activity (W,) from 0 to 1, and torque left over (R,) N m.
 
         arms: (R, W) N m for one newton in each muscle. torques: (R,) N m. bias: (W,) from 0 to 1.
-        weight: (W,) of this instant; None: as told at first.
+        weight: (W,) of this instant; None: as told at first. Raises ``GatewayError`` without a solution.
         """
         weights = self._base_weight if weight is None else weight
         count, rows = len(self._peak), self._count
@@ -48,7 +51,12 @@ class TensionSolver:
             self._begin(square, linear, block, low, high)
         else:
             self._solver.update(Px=square, q=linear, Ax=self._values(block), l=low, u=high)
-        found = self._solver.solve()
+        found = self._solver.solve(raise_error=False)
+        if found.info.status_val not in _SOLVED:
+            raise GatewayError(
+                f"the share of muscles was not found ({found.info.status}): are the torques numbers, and of a "
+                "size that a person has?"
+            )
         activity = np.clip(found.x[:count], 0.0, 1.0)
         return activity, torques - (arms * self._peak) @ activity
 
@@ -71,9 +79,7 @@ class TensionSolver:
         indices = np.tile(per_muscle, (count, 1))
         indices[:, rows] = rows + np.arange(count)
         reserves = np.arange(rows)
-        pointers = np.concatenate(
-            [np.arange(count + 1) * (rows + 1), count * (rows + 1) + 1 + reserves]
-        )
+        pointers = np.concatenate([np.arange(count + 1) * (rows + 1), count * (rows + 1) + 1 + reserves])
         return sparse.csc_matrix(
             (self._values(block), np.concatenate([indices.ravel(), reserves]), pointers),
             shape=(rows + count, count + rows),

@@ -15,10 +15,14 @@ import typer
 from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
 from devices.marker_files import read_markers
 from devices.marker_files.force_plates import read_force_plates
-from gateway.analysis.analysing import Analysis, MeasuredForces, Tell, analyse
+from gateway.analysis.analysing import Analysis, MeasuredForces, analyse
 from gateway.analysis.body_model import require_biomech
+from gateway.analysis.film import write_film
 from gateway.analysis.inertia import BodyInertia, body_inertia
 from gateway.analysis.inertia_file import load_inertia
+from gateway.analysis.muscle_paths import MusclePaths
+from gateway.analysis.muscle_settings import MuscleCosts, load_costs
+from gateway.analysis.muscles import MuscleResult, find_muscles, has_muscles
 from gateway.analysis.page import write_page
 from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ
 from gateway.analysis.tables import write_tables
@@ -60,6 +64,12 @@ def analyse_file(
     forces: Annotated[
         str, typer.Option(metavar="auto|none|FILE", help="Force plates: the trial's own, none, or a C3D's.")
     ] = "auto",
+    muscles: Annotated[
+        str,
+        typer.Option(metavar="auto|none|FILE", help="Muscles: where the body has legs, none, or by a YAML."),
+    ] = "auto",
+    film: Annotated[bool, typer.Option("--film", help="Film of the body and its muscles too, WebM.")] = False,
+    slower: Annotated[float, typer.Option(min=0.1, max=50, help="How much slower the film runs.")] = 1.0,
     cutoff: Annotated[
         float, typer.Option(min=0, help="Low-pass without lag, Hz; 0: none.")
     ] = DEFAULT_CUTOFF_HZ,
@@ -73,7 +83,7 @@ def analyse_file(
     force: Annotated[bool, typer.Option("--force", "-f", help="Write into a folder that is there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
-    """Analyse a motion: joint torques, floor forces, centre of mass, as tables and one HTML page.
+    """Analyse a motion: joint torques, floor forces, muscles, as tables, one HTML page and a film.
 
     Floor forces are those of the trial's force plates, or estimated where there are none. Needs the extras
     `biomech` and `plot`.
@@ -87,16 +97,46 @@ def analyse_file(
         arrays, suit, told_kg = _motion(file, subject, tell_read)
     weighed = _inertia(arrays.skeleton, mass or told_kg, sex, inertia, file)
     measured = _measured(file, forces, suit)
-    with progress_bar("analysing", is_shown=not as_json) as tell:
-        told: Tell = lambda _what: tell  # noqa: E731 - one bar for all steps
-        found = analyse(arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, told)
+    with progress_bar("torques", is_shown=not as_json) as tell:
+        found = analyse(arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, lambda _: tell)
+    with progress_bar("muscles", is_shown=not as_json) as tell:
+        pulled = _muscles(found, muscles, tell)
+    written = _write(found, pulled, folder, to, slower if film else None, as_json)
+    _say(found, pulled, folder, written, as_json)
+
+
+def _write(
+    found: Analysis, pulled: MuscleResult | None, folder: Path, to: TableKind, slower: float | None,
+    as_json: bool,
+) -> list[Path]:  # fmt: skip
+    """Everything into the folder. slower: of the film; None: without."""
+    page, moving = folder / "report.html", folder / "film.webm"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        written = write_tables(found, folder, to.value)
+        written = write_tables(found, pulled, folder, to.value)
     except OSError as error:
         raise GatewayError(f"{folder} cannot be written: {error.strerror}") from error
-    write_page(found, folder / "report.html")
-    _say(found, folder, [*written, folder / "report.html"], as_json)
+    if slower is not None:
+        with progress_bar("film", is_shown=not as_json) as tell:
+            write_film(found, pulled, moving, slower, tell)
+    write_page(found, pulled, page, None if slower is None else moving)
+    return [*written, page, *([] if slower is None else [moving])]
+
+
+def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) -> MuscleResult | None:
+    """Those asked for; None where none were, or none were asked for and the body has no legs."""
+    if muscles == "none" or (muscles == "auto" and not has_muscles(found.skeleton)):
+        return None
+    if muscles == "auto":
+        return find_muscles(found, progress=tell)
+    path = Path(muscles)
+
+    def costs(paths: MusclePaths) -> MuscleCosts:
+        names = tuple(wire.name for wire in paths.wires)
+        peaks = np.array([wire.peak_force_n for wire in paths.wires])
+        return load_costs(path, names, peaks, found.time_s)
+
+    return find_muscles(found, costs, tell)
 
 
 def _motion(
@@ -144,7 +184,9 @@ def _measured(file: Path, forces: str, suit: WornSuit) -> MeasuredForces | None:
     return MeasuredForces(plates, "z" if suit.markers is None else suit.markers.vertical)
 
 
-def _say(found: Analysis, folder: Path, written: list[Path], as_json: bool) -> None:
+def _say(
+    found: Analysis, pulled: MuscleResult | None, folder: Path, written: list[Path], as_json: bool
+) -> None:
     left = float(np.sqrt(np.mean(np.sum(found.dynamics.residual_force**2, axis=1))))
     if as_json:
         outcome = {
@@ -153,6 +195,7 @@ def _say(found: Analysis, folder: Path, written: list[Path], as_json: bool) -> N
             "frames": len(found.time_s),
             "mass_kg": round(found.inertia.body_kg, 3),
             "residual_force_rms_n": round(left, 2),
+            "muscles": 0 if pulled is None else len(pulled.names),
             "notes": list(found.notes),
         }
         typer.echo(json.dumps(outcome, indent=2))

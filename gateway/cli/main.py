@@ -66,9 +66,9 @@ class _Commands(LazyGroup):
         ),
         "analyse": LazyCommand(
             "gateway.cli.analyse:analyse_file",
-            "Analyse a motion: joint torques, floor forces, centre of mass, as tables and one HTML page.",
+            "Analyse a motion: joint torques, floor forces, muscles, as tables, one HTML page and a film.",
             "Examples: mocap-gateway analyse walk.mcap --mass 70; "
-            "mocap-gateway analyse trial.c3d --subject me.yaml -o results/",
+            "mocap-gateway analyse trial.c3d --subject me.yaml --film -o results/",
         ),
         "batch": LazyCommand(
             "gateway.cli.batch:batch",

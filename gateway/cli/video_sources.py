@@ -15,6 +15,7 @@ from gateway.calibration.cameras_file import AXES, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.cameras.camera_process import CameraTask
 from gateway.errors import GatewayError
+from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
 
 Places = Annotated[
     list[str],
@@ -59,10 +60,12 @@ def matched(
     if up is not None and up not in AXES:
         raise GatewayError(f"--up {up}: one of {', '.join(AXES)} is wanted")
     known = {camera.name: camera for camera in load_cameras(calibration, up, unit)}
-    named = _named(places, list(known), calibration)
-    skipped = _offsets(offsets, list(known))
+    for weights in (weights_of(network), DETECTOR):
+        weights.verified_path()
+    by_name = named(places, list(known), calibration)
+    skipped = offsets_of(offsets, list(known))
     cameras, tasks = [], []
-    for name, place in named.items():
+    for name, place in by_name.items():
         source = open_pictures(place, rate_hz)
         source.close()
         try:
@@ -73,8 +76,8 @@ def matched(
     return tuple(cameras), tuple(tasks)
 
 
-def _named(places: Sequence[str], known: list[str], calibration: Path) -> dict[str, str]:
-    """Place by camera, in the order of the calibration."""
+def named(places: Sequence[str], known: list[str], calibration: Path) -> dict[str, str]:
+    """Place by camera, in the order of ``known``; raises as ``matched`` does."""
     if len(places) > len(known):
         raise GatewayError(f"{len(places)} cameras are given, and {calibration} holds {len(known)}")
     told: dict[str, str] = {}
@@ -105,13 +108,15 @@ def _speaks_of(path: Path, name: str) -> bool:
     return re.search(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])", path.stem) is not None
 
 
-def _offsets(texts: Sequence[str], known: list[str]) -> dict[str, int]:
+def offsets_of(texts: Sequence[str], known: list[str]) -> dict[str, int]:
+    """Pictures to leave out by camera. Raises ``GatewayError``."""
     offsets = {}
     for text in texts:
         name, _, number = text.partition("=")
         if name not in known or not number.isdigit():
             raise GatewayError(
-                f"--offset {text}: CAMERA=PICTURES is wanted, such as {known[0]}=3 (cameras: {', '.join(known)})"
+                f"--offset {text}: CAMERA=PICTURES is wanted, such as {known[0]}=3 "
+                f"(cameras: {', '.join(known)})"
             )
         offsets[name] = int(number)
     return offsets

@@ -110,10 +110,12 @@ def felt_into(
 
 @compiled
 def watch_rest(
-    state: FilterState, noise: Noise, s: int, force: FloatArray, rate: FloatArray, dt: float
+    state: FilterState, noise: Noise, s: int, force: FloatArray, rate: FloatArray, gain: float, dt: float
 ) -> bool:
-    """Whether segment s has rested for a while; ``state.rest[s, :3]`` is then its mean rate, the bias."""
-    gain = 1.0 - math.exp(-dt / REST_WINDOW_S)
+    """Whether segment s has rested for a while; ``state.rest[s, :3]`` is then its mean rate, the bias.
+
+    gain: of a low-pass of ``REST_WINDOW_S`` over dt.
+    """
     rest = state.rest[s]
     rate_change, force_change = 0.0, 0.0
     for i in range(3):
