@@ -28,7 +28,10 @@ SUITES = (
     "soak",
     "fuzz",
     "overload",
+    "held",
     "optical",
+    "video_speed",
+    "video",
     "analysis",
 )
 """Modules of this package with a function ``run() -> Report``."""

@@ -4,7 +4,6 @@ static optimisation, in a Python of its own."""
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,14 +13,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.opensim_task import coordinate_names, euler_angles, task_of
+from benchmarks.analysis_opensim_task import coordinate_names, euler_angles, task_of
+from benchmarks.opensim_peer import OpenSimMissingError, interpreter
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.muscles import MuscleResult
 from gateway.frames import FloatArray
 
-PYTHON = "OPENSIM_PYTHON"
-"""Environment variable: a Python that has OpenSim 4.6."""
-CHILD = Path(__file__).with_name("opensim_child.py")
+CHILD = Path(__file__).with_name("analysis_opensim_child.py")
 LEGS = ("thorax", *(f"{side}_{part}" for side in ("left", "right") for part in ("thigh", "shank", "foot")))
 _LONGEST_S = 900
 _AT_WORK = 0.05
@@ -41,14 +39,20 @@ class Peer:
 
 def opensim_beside(found: Analysis, muscles: MuscleResult, begin: int, end: int) -> Peer | str:
     """What OpenSim makes of the frames from begin to before end; or why it was not asked."""
-    program = os.environ.get(PYTHON)
-    if not program:
-        return f"{PYTHON} does not name a Python with OpenSim."
+    try:
+        program = interpreter()
+    except OpenSimMissingError as missing:
+        return f"{missing}."
     with TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "task.json").write_text(json.dumps(task_of(found, muscles, begin, end)))
         done = subprocess.run(
-            [program, str(CHILD), folder], capture_output=True, text=True, check=False, timeout=_LONGEST_S
+            [program, "-I", str(CHILD), folder],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=_LONGEST_S,
         )
         if done.returncode:
             return f"it ended with {done.returncode}: {(done.stderr or done.stdout).strip()[-400:]}"
@@ -77,8 +81,8 @@ def _compared(found: Analysis, muscles: MuscleResult, begin: int, end: int, answ
     note = (
         f"OpenSim {answer['version']}, {end - begin} frames of the left foot's step on its plate; the same "
         f"body, motion, floor forces and {len(muscles.names)} wires as ideal pullers (no force-length "
-        f"curves in either), squared activity. Its inverse dynamics took {1e3 * answer['torque_s'] / len(at):.1f} ms a "
-        f"frame. Shown are muscles that reach an activity of {_AT_WORK:g}."
+        f"curves in either), squared activity; inverse dynamics of {end - begin} frames, optimisation of "
+        f"{len(at)}, at push-off. Shown are muscles that reach an activity of {_AT_WORK:g}."
     )
     return Peer(float(np.sqrt(np.mean(np.square(wrong)))), 1e3 * answer["force_s"] / len(at), compared, note)
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from vqf import VQF
 
+from benchmarks import speed_optical
 from benchmarks.emulated_stream import LINK, relay_chunks, suit_17
 from benchmarks.figures import Figure, Report, table
 from benchmarks.speed_growth import SIZES, enlarged_frame, enlarged_suit
@@ -42,6 +43,9 @@ def run() -> Report:
     figures, growth = _growth(suit, frames)
     report.figures += figures
     report.tables.append(growth)
+    figures, beside_opensim = speed_optical.measured()
+    report.figures += figures
+    report.tables.append(beside_opensim)
     return report
 
 

@@ -14,7 +14,7 @@ from gateway.errors import SettingsError, nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.side_settings import OutputsSettings
-from gateway.reconstruction import OPTICAL, PUBLISHED, RECONSTRUCTORS, RootMode, RootSettings
+from gateway.reconstruction import OFFLINE, OPTICAL, RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
 
@@ -41,10 +41,10 @@ class LinkSettings(_Strict):
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
         "can://socketcan/can0, tcp://host:port, udp://host:port, markers:///path/walk.c3d, recording:///path/to/file.mcap",
     )
-    carries: Literal["suit", "gnss", "markers"] = Field(
+    carries: Literal["suit", "gnss", "markers", "heat_maps"] = Field(
         default="suit",
         description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver; "
-        "markers: messages of an optical system",
+        "markers: messages of an optical system; heat_maps: those of `mocap-gateway video serve-camera`",
     )
     device: int = Field(
         default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"
@@ -286,9 +286,9 @@ class GatewaySettings(_Strict):
     @field_validator("reconstructor")
     @classmethod
     def _is_known(cls, value: str) -> str:
-        if value == PUBLISHED:
+        if value in OFFLINE:
             raise ValueError(
-                f"{PUBLISHED} wants all frames at once: `mocap-gateway optical solve --method {PUBLISHED}`; "
+                f"{value} wants all frames at once: `mocap-gateway optical solve --method {value}`; "
                 f"of a stream, {OPTICAL}"
             )
         if value not in RECONSTRUCTORS and value != OPTICAL:

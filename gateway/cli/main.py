@@ -126,6 +126,9 @@ class _Commands(LazyGroup):
             "gateway.cli.optical:optical_app",
             "Markers of an optical system (C3D, TRC, live): fit a body, solve, play.",
         ),
+        "video": LazyCommand(
+            "gateway.cli.video:video_app", "Synchronised cameras without markers: solve, overlay, serve."
+        ),
         "calibrate": LazyCommand(
             "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."
         ),

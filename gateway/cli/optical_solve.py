@@ -18,17 +18,19 @@ from devices.marker_files import read_markers
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli.export import export
+from gateway.cli.preparing import make_ready
 from gateway.cli.progress import progress_bar
 from gateway.cli.replay import speed_of
 from gateway.cli.replay_live import QUEUE, Brake, tell_outcome
 from gateway.cli.replay_live import play as play_link
 from gateway.errors import GatewayError
 from gateway.outputs.exporters import FORMATS
-from gateway.reconstruction import PUBLISHED
+from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
 from gateway.recording.optical import (
     SolvedTrial,
     optical_settings,
+    write_both_ways_trial,
     write_published_trial,
     write_solved_trial,
 )
@@ -36,12 +38,16 @@ from gateway.service import Service
 from gateway.settings import load_gateway_settings
 
 Subject = Annotated[str, typer.Option("--subject", "-s", help="Subject file of `optical fit`.")]
-WRITERS = {"default": write_solved_trial, PUBLISHED: write_published_trial}
+WRITERS = {
+    "default": write_solved_trial,
+    BOTH_WAYS: write_both_ways_trial,
+    PUBLISHED: write_published_trial,
+}
 Method = Annotated[
     str,
     typer.Option(
-        help="default: whole body, frame by frame; published: that of CN1766831A, chain by chain, offline "
-        "and far slower."
+        help="default: whole body, frame by frame; both_ways: the same, offline, with gaps bridged from both "
+        "sides; published: that of CN1766831A, chain by chain, offline and far slower."
     ),
 ]
 
@@ -73,6 +79,8 @@ def solve(
     if target.exists() and force:
         target.unlink()
     trial = read_markers(file)
+    if write is write_solved_trial:
+        make_ready(OPTICAL)
     with progress_bar("solving", is_shown=not as_json) as tell:
         try:
             done = write(trial, file, suit, subject, target, tell)
@@ -100,7 +108,8 @@ def play(
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
     """Play a trial over MQTT like a live optical system: `watch`, `view` and all else see a suit."""
-    if _writer_of(method) is write_published_trial:
+    _writer_of(method)
+    if method in OFFLINE:
         raise GatewayError(
             f"--method {method} wants all frames at once and cannot stream: `mocap-gateway optical solve "
             f"{file} --method {method}`, or leave it out"
@@ -108,6 +117,7 @@ def play(
     suit = _subject(subject)
     pace = speed_of(speed)
     trial = read_markers(file)
+    make_ready(OPTICAL)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{file.resolve()}")
     if config is not None:
         given = load_gateway_settings(config)

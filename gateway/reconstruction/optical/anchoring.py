@@ -7,11 +7,13 @@ are put back to where the rules have them, on average, or to the neutral posture
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from gateway.frames import FloatArray
-from gateway.reconstruction.optical.pose_solver import BodyModel, Pose
+from gateway.reconstruction.optical.bundle import Adjusted
+from gateway.reconstruction.optical.pose_solver import Pose
 from gateway.reconstruction.optical.rule_body import mean_rotation
 
 
@@ -33,16 +35,12 @@ def turns_to_neutral(standing: Sequence[Pose], upright: FloatArray) -> FloatArra
     return np.stack([mean_rotation(R[:, s]).T @ upright for s in range(R.shape[1])])
 
 
-def turned_model(
-    model: BodyModel, poses: Sequence[Pose], tips: FloatArray, turns: FloatArray
-) -> tuple[BodyModel, list[Pose], FloatArray]:
+def turned(done: Adjusted, tips: FloatArray, turns: FloatArray) -> tuple[Adjusted, FloatArray]:
     """The same body and poses with axes turned by C: what lies on a segment turns back. tips: (S, 3) m."""
+    model = done.model
     parents = np.maximum(model.parents, 0)
     offsets = np.einsum("sji,sj->si", turns[parents], model.offsets)
     positions = np.einsum("mji,mj->mi", turns[model.segments], model.positions)
-    new_poses = [pose._replace(R=pose.R @ turns) for pose in poses]
-    return (
-        model._replace(offsets=offsets, positions=positions),
-        new_poses,
-        np.einsum("sji,sj->si", turns, tips),
-    )
+    poses = [pose._replace(R=pose.R @ turns) for pose in done.poses]
+    model = model._replace(offsets=offsets, positions=positions)
+    return replace(done, model=model, poses=poses), np.einsum("sji,sj->si", turns, tips)

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray
+from gateway.frames import FloatArray, IntArray
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.bundle_kernels import back_substituted, eliminate
 from gateway.reconstruction.optical.pose_solver import BodyModel, Pose, solve_pose
 
-INDEPENDENT_FRAMES = 5.0
+INDEPENDENT_FRAMES = 2.0
 """Frames count as no more than so many independent ones: skin moves alike in frames near each other."""
 PLACE_TRUST = 0.004
 """How far a marker's place may move against others on its segment from the mean that rules give, 1 σ, m. It
@@ -98,8 +98,18 @@ def _stiffness(model: BodyModel, trust: FloatArray) -> FloatArray:
 
 
 def _loose(model: BodyModel) -> BodyModel:
-    """What joints are allowed must hold poses that markers leave open, and not bend the body to fit."""
-    return model._replace(stiffness=model.stiffness * LOOSENESS, limit_stiffness=0.0)
+    """What joints are allowed must hold poses that markers leave open, and not bend the body to fit.
+
+    A segment with a single marker of its own keeps its stiffness: how it turns about the line through marker
+    and joint is not seen, and turns made up for it would move the joints on it.
+    """
+    looseness = np.where(own_markers(model)[model.distals] == 1, 1.0, LOOSENESS)
+    return model._replace(stiffness=model.stiffness * looseness[:, None], limit_stiffness=0.0)
+
+
+def own_markers(model: BodyModel) -> IntArray:
+    """(S,) how many markers each segment carries."""
+    return np.bincount(model.segments, minlength=len(model.parents))
 
 
 def weighted_rmse(poses: list[Pose]) -> float:

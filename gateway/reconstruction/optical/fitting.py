@@ -16,8 +16,14 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.anchoring import turned_model, turns_to_neutral, turns_to_rules
-from gateway.reconstruction.optical.bundle import Adjusted, adjusted, with_sigmas
+from gateway.reconstruction.optical.anchoring import turned, turns_to_neutral, turns_to_rules
+from gateway.reconstruction.optical.bundle import (
+    Adjusted,
+    adjusted,
+    own_markers,
+    weighted_rmse,
+    with_sigmas,
+)
 from gateway.reconstruction.optical.joint_ranges import shown_joints
 from gateway.reconstruction.optical.landmarks import (
     SegmentPlaces,
@@ -48,7 +54,11 @@ STILL_FRAMES = 10
 SMALLEST_SIGMA = 0.003
 """What a marker strays at the least, per coordinate, m: one that hangs on a segment alone is met exactly."""
 _NEAR_AT_FIRST = 0.15  # m: while the body is not known well, all markers have their say
-_HELD = 1e-4  # m: a joint that is to stay where it is
+_FREE = 0.1  # m: a joint that rules do not hold
+_SHOW_A_PLACE = 2
+"""Markers of its own that a segment needs to show where the joints lie that it bears; with fewer, rules have
+the say, by ``_HELD`` of their trust."""
+_HELD = 0.2
 _STILL = 0.05  # m, of a marker's standard deviation
 
 
@@ -97,36 +107,37 @@ def fit_body(
     sightings = [sighted(marker_set, trial, vertical, measured.lengths) for trial in trials]
     if options.neutral is not None:
         sightings = _stood_neutral(marker_set, sightings, trials[0], options.neutral)
-    skeleton, markers = from_rules(marker_set, sightings, vertical)
+    moving = _moving(sightings)
+    skeleton, markers = from_rules(marker_set, moving, vertical)
     model = body_model(skeleton, markers)
-    observed, starts = _chosen_frames(marker_set, sightings, skeleton, markers)
+    chosen = [_spread(each, MOST_FRAMES // len(sightings)) for each in moving]
+    columns = [marker_set.labels.index(label) for label in markers.labels]
+    observed = np.concatenate([sighting.markers[:, columns] for sighting in chosen])
+    axes = np.concatenate([sighting.places.axes for sighting in chosen])
+    roots = np.concatenate([sighting.places.origins[:, 0] for sighting in chosen])
     poses = [
-        _begun(model, seen, start, skeleton, sightings[0].name)
-        for seen, start in zip(observed, starts, strict=True)
+        _begun(model, seen, R, root, skeleton, sightings[0].name)
+        for seen, R, root in zip(observed, axes, roots, strict=True)
     ]
     if progress is not None:
-        progress(1, 3)
-    trust = _trust(marker_set, options.centres)
-    done = adjusted(model, observed, poses, trust, _NEAR_AT_FIRST)
+        progress(1, 2)
+    begun = Adjusted(model, poses, weighted_rmse(poses), 0)
+    moved = np.zeros(skeleton.n_segments)
+    done, tips = begun, skeleton.tips
+    if options.centres != "rules":
+        done = _moved_by_motion(marker_set, begun, observed, options.centres)
+        moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
+        if options.neutral is None:
+            done, tips = turned(done, tips, turns_to_rules(done.poses, axes))
+        else:
+            stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
+            done, tips = _anchored_in_neutral(marker_set, done, observed, stood, tips, options.centres)
+    final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
-        progress(2, 3)
-    done = adjusted(with_sigmas(done.model, done.poses, SMALLEST_SIGMA), observed, done.poses, trust, NEAR)
-    moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
-    if options.neutral is None:
-        turns = turns_to_rules(done.poses, np.stack([_rule_axes(start, skeleton) for start in starts]))
-        model, poses, tips = turned_model(done.model, done.poses, skeleton.tips, turns)
-    else:
-        stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
-        model, poses, tips = _made_neutral(marker_set.body, done, stood, skeleton.tips)
-        straight = model._replace(offsets=straightened(marker_set.body, model.offsets))
-        done = adjusted(straight, observed, poses, trust, NEAR)
-        model, poses, tips = _made_neutral(marker_set.body, done, stood, tips)
-    final = with_sigmas(model, poses, SMALLEST_SIGMA)
-    if progress is not None:
-        progress(3, 3)
+        progress(2, 2)
     sized = resized(marker_set, final.offsets, tips)
     return Fit(
-        skeleton=replace(sized, joints=shown_joints(sized, final, poses)),
+        skeleton=replace(sized, joints=shown_joints(sized, final, done.poses)),
         markers=replace(markers, positions=final.positions, sigmas=final.sigmas),
         marker_set=marker_set.file.name,
         lengths=measured.lengths,
@@ -135,6 +146,25 @@ def fit_body(
         rmse=done.rmse,
         moved=moved,
     )
+
+
+def _moved_by_motion(marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str) -> Adjusted:
+    """The body found together with its poses: first with all markers heard, then each by its own σ."""
+    trust = _trust(marker_set, begun.model, centres)
+    done = adjusted(begun.model, observed, begun.poses, trust, _NEAR_AT_FIRST)
+    return adjusted(with_sigmas(done.model, done.poses, SMALLEST_SIGMA), observed, done.poses, trust, NEAR)
+
+
+def _anchored_in_neutral(
+    marker_set: MarkerSet, done: Adjusted, observed: FloatArray, stood: FloatArray, tips: FloatArray,
+    centres: str,
+) -> tuple[Adjusted, FloatArray]:  # fmt: skip
+    """Axes by the neutral posture of the frames ``stood`` (n, M, 3), again once joints are straight."""
+    body = marker_set.body
+    done, tips = _made_neutral(body, done, stood, tips)
+    straight = done.model._replace(offsets=straightened(body, done.model.offsets))
+    done = adjusted(straight, observed, done.poses, _trust(marker_set, straight, centres), NEAR)
+    return _made_neutral(body, done, stood, tips)
 
 
 def sighted(
@@ -174,39 +204,33 @@ def _stood_neutral(
     ]
 
 
-def _trust(marker_set: MarkerSet, centres: str) -> FloatArray:
-    """(S,) m."""
+def _trust(marker_set: MarkerSet, model: BodyModel, centres: str) -> FloatArray:
+    """(S,) m: 1 σ of every joint's place in its parent."""
     entries = marker_set.file.segments
     trust = np.array([entries[name].trust_mm for name in marker_set.body.segment_names]) * 1e-3
-    if centres == "rules":
-        return np.full_like(trust, _HELD)
-    return np.maximum(trust, 0.1) if centres == "motion" else trust
+    if centres == "motion":
+        return np.maximum(trust, _FREE)
+    is_hardly_seen = own_markers(model)[model.parents] < _SHOW_A_PLACE
+    return np.where(is_hardly_seen & (model.parents >= 0), _HELD * trust, trust)
 
 
-def _chosen_frames(
-    marker_set: MarkerSet, sightings: Sequence[Sighting], skeleton: Skeleton, markers: BodyMarkers
-) -> tuple[FloatArray, list[tuple[FloatArray, FloatArray] | None]]:
-    """(K, M, 3) of frames with most markers seen, spread over the trials; and where rules find the body
-    there."""
-    columns = [marker_set.labels.index(label) for label in markers.labels]
-    observed: list[FloatArray] = []
-    starts: list[tuple[FloatArray, FloatArray] | None] = []
-    for sighting in sightings:
-        seen = sighting.markers[:, columns]
-        share = np.isfinite(seen).all(axis=2).mean(axis=1)
-        good = np.flatnonzero(share >= min(0.8, share.max()))
-        is_still = _largest_stray(seen) < _STILL
-        count = min(len(good), STILL_FRAMES if is_still else MOST_FRAMES // len(sightings))
-        for frame in good[np.linspace(0, len(good) - 1, count).astype(np.int64)]:
-            observed.append(seen[frame])
-            axes, origins = sighting.places.axes[frame], sighting.places.origins[frame]
-            is_known = np.isfinite(axes).all() and np.isfinite(origins[0]).all()
-            starts.append((axes, origins[0]) if is_known else None)
-    return np.stack(observed), starts
+def _moving(sightings: Sequence[Sighting]) -> list[Sighting]:
+    """The trials, few frames of those in which nothing moves.
+
+    A posture held for seconds is one posture: were all its frames to count, the body would be that of this
+    posture, with the skin where it pulled it (an acromion marker moves by 4 cm when the arm is raised).
+    """
+    return [
+        _spread(each, STILL_FRAMES) if _largest_stray(each.markers) < _STILL else each for each in sightings
+    ]
 
 
-def _rule_axes(start: tuple[FloatArray, FloatArray] | None, skeleton: Skeleton) -> FloatArray:
-    return np.full((skeleton.n_segments, 3, 3), np.nan) if start is None else start[0]
+def _spread(sighting: Sighting, count: int) -> Sighting:
+    """So many of the frames with most markers seen, at equal distances."""
+    share = np.isfinite(sighting.markers).all(axis=2).mean(axis=1)
+    good = np.flatnonzero(share >= min(0.8, share.max()))
+    chosen = np.linspace(0, len(good) - 1, min(len(good), count)).astype(np.int64)
+    return sighting.only(good[chosen])
 
 
 def _standing(
@@ -225,9 +249,8 @@ def _standing(
 
 def _made_neutral(
     body: Skeleton, done: Adjusted, stood: FloatArray, tips: FloatArray
-) -> tuple[BodyModel, list[Pose], FloatArray]:
-    """The fitted body with axes that make the standing frames (n, M, 3) neutral; its poses; its tips (S,
-    3)."""
+) -> tuple[Adjusted, FloatArray]:
+    """The fitted body with axes that make the standing frames (n, M, 3) neutral; its tips (S, 3)."""
     model, pose = done.model, done.poses[0]
     standing = []
     for seen in stood:
@@ -235,7 +258,7 @@ def _made_neutral(
         standing.append(pose)
     joints = [kernels.places(model.parents, model.offsets, each.R, each.root) for each in standing]
     upright = facing_axes(body, np.mean(joints, axis=0), standing[0].R[0])
-    return turned_model(model, done.poses, tips, turns_to_neutral(standing, upright))
+    return turned(done, tips, turns_to_neutral(standing, upright))
 
 
 def _largest_stray(seen: FloatArray) -> float:
@@ -249,16 +272,11 @@ def _largest_stray(seen: FloatArray) -> float:
 
 
 def _begun(
-    model: BodyModel,
-    seen: FloatArray,
-    start: tuple[FloatArray, FloatArray] | None,
-    skeleton: Skeleton,
-    name: str,
+    model: BodyModel, seen: FloatArray, axes: FloatArray, root: FloatArray, skeleton: Skeleton, name: str
 ) -> Pose:
-    if start is not None:
-        return solve_pose(
-            model, seen, np.ones(len(seen)), start[0], start[1], _NEAR_AT_FIRST, 30, start[0], 0.0
-        )
+    """From where rules find the body; from the markers alone where those do not know all of it."""
+    if np.isfinite(axes).all() and np.isfinite(root).all():
+        return solve_pose(model, seen, np.ones(len(seen)), axes, root, _NEAR_AT_FIRST, 30, axes, 0.0)
     pose = start_pose(model, seen, quaternion.to_matrix(skeleton.neutral))
     if pose is None:
         raise GatewayError(f"{name}: a frame with fewer than three markers: too few to fit a body to")

@@ -9,13 +9,16 @@ import numpy as np
 
 from devices.marker_files import MarkerTrial
 from gateway.errors import GatewayError, nearest
-from gateway.frames import FloatArray
+from gateway.frames import FloatArray, IntArray
 from gateway.reconstruction.optical import point_rules as rules
 from gateway.reconstruction.optical.marker_set import (
+    MARKER_DIAMETER,
+    MARKER_RADIUS,
     BelowLine,
     Between,
     Chord,
     DavisHip,
+    HaraHip,
     HarringtonHip,
     Length,
     MarkerSet,
@@ -110,6 +113,10 @@ class SegmentPlaces:
     axes: FloatArray  # (F, S, 3, 3) segment to world
     tips: FloatArray  # (F, S, 3) m; NaN where no rule tells
 
+    def only(self, frames: IntArray) -> SegmentPlaces:
+        """Some of its frames."""
+        return SegmentPlaces(self.origins[frames], self.axes[frames], self.tips[frames])
+
 
 class Landmarks:
     """Points of a trial, each worked out when it is first asked for."""
@@ -173,7 +180,9 @@ class Landmarks:
         return self.point(ends[0]), self.point(ends[1])
 
     def length(self, value: Length) -> float:
-        """In m: a number, or a measurement by name."""
+        """In m: a number, or a measurement by name, ``marker_radius`` among them."""
+        if value == MARKER_RADIUS:
+            return self.marker_radius
         return self._lengths[value] if isinstance(value, str) else value
 
     def inside(self, width: Length) -> float:
@@ -182,8 +191,9 @@ class Landmarks:
 
     @property
     def marker_radius(self) -> float:
-        """m."""
-        return self._set.file.marker_radius_m
+        """m: of the person's markers where it is known, else as the marker set has it."""
+        diameter = self._lengths.get(MARKER_DIAMETER)
+        return self._set.file.marker_radius_m if diameter is None else 0.5 * diameter
 
 
 def _chord(at: Landmarks, rule: Chord) -> FloatArray:
@@ -195,11 +205,17 @@ def _chord(at: Landmarks, rule: Chord) -> FloatArray:
 
 def _davis_hip(at: Landmarks, rule: DavisHip) -> FloatArray:
     legs = at.length(rule.legs[0]), at.length(rule.legs[1])
-    return rules.davis_hip(at.line(rule.asis), at.point(rule.sacrum), legs, at.marker_radius, rule.side)
+    measured = None if rule.measured is None else (at.length(rule.measured[0]), at.length(rule.measured[1]))
+    asis, sacrum = at.line(rule.asis), at.point(rule.sacrum)
+    return rules.davis_hip(asis, sacrum, legs, at.marker_radius, rule.side, measured)
 
 
 def _harrington_hip(at: Landmarks, rule: HarringtonHip) -> FloatArray:
     return rules.harrington_hip(at.line(rule.asis), at.point(rule.sacrum), rule.side)
+
+
+def _hara_hip(at: Landmarks, rule: HaraHip) -> FloatArray:
+    return rules.hara_hip(at.line(rule.asis), at.point(rule.sacrum), at.length(rule.leg), rule.side)
 
 
 def _between(at: Landmarks, rule: Between) -> FloatArray:
@@ -239,6 +255,7 @@ _APPLY: dict[str, Callable[..., FloatArray]] = {
     "chord": _chord,
     "davis_hip": _davis_hip,
     "harrington_hip": _harrington_hip,
+    "hara_hip": _hara_hip,
     "scaled_offset": _scaled_offset,
     "below_line": _below_line,
     "right_triangle": _right_triangle,

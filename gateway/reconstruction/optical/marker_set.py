@@ -18,6 +18,10 @@ Axis = Literal["x", "y", "z"]
 Side = Literal["left", "right"]
 Length = float | str
 """In m, or the name of a measurement."""
+MARKER_DIAMETER = "marker_diameter"
+"""The measurement that, where a set has it and it is known, stands for its ``marker_radius_m``."""
+MARKER_RADIUS = "marker_radius"
+"""Half of that, as a length in rules."""
 
 
 class _Strict(BaseModel):
@@ -87,6 +91,18 @@ class DavisHip(_Strict):
     sacrum: str
     side: Side
     legs: Line = Field(description="measurements of both legs' lengths: this side, the other")
+    measured: Line | None = Field(
+        default=None, description="of the person: distance of both ASIS; of this side's ASIS and trochanter"
+    )
+
+
+class HaraHip(_Strict):
+    """Hip by leg length alone."""
+
+    asis: Line
+    sacrum: str
+    side: Side
+    leg: Length
 
 
 class HarringtonHip(_Strict):
@@ -133,6 +149,7 @@ class PointRule(_Strict):
     chord: Chord | None = None
     davis_hip: DavisHip | None = None
     harrington_hip: HarringtonHip | None = None
+    hara_hip: HaraHip | None = None
     scaled_offset: ScaledOffset | None = None
     below_line: BelowLine | None = None
     right_triangle: RightTriangle | None = None
@@ -262,7 +279,7 @@ def _check_segments(marker_set: MarkerSet) -> None:
 def _check_points(marker_set: MarkerSet) -> None:
     file, path = marker_set.file, marker_set.path
     known = {*marker_set.labels}
-    fixed = {"left", "right", *marker_set.body.segment_names, *file.measurements}
+    fixed = {"left", "right", MARKER_RADIUS, *marker_set.body.segment_names, *file.measurements}
     for point in file.points:
         for rule in marker_set.rules(point):
             _refuse_unknown(path, f"points.{point}", names_in(getattr(rule, rule.kind)), known | fixed)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray
+from gateway.frames import FloatArray, IntArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.landmarks import SegmentPlaces
 from gateway.reconstruction.optical.marker_set import MarkerSet
@@ -30,6 +30,10 @@ class Sighting:
     name: str
     markers: FloatArray  # (F, M, 3) m, in the order of the marker set
     places: SegmentPlaces
+
+    def only(self, frames: IntArray) -> Sighting:
+        """Some of its frames."""
+        return Sighting(self.name, self.markers[frames], self.places.only(frames))
 
 
 def from_rules(

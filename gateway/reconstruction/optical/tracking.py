@@ -9,7 +9,13 @@ from gateway.geometry import rotation_matrix as rm
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.pose_solver import BodyModel, Pose, normal_equations, solve_pose
+from gateway.reconstruction.optical.pose_solver import (
+    LIMIT_SIGMA,
+    BodyModel,
+    Pose,
+    normal_equations,
+    solve_pose,
+)
 
 NEAR = 0.03
 """Distance at which a marker begins to lose its say once the pose is known, m."""
@@ -58,13 +64,46 @@ def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> P
 
     neutral: (3, 3) of every segment in the neutral posture. The body is laid over the markers as if it were
     rigid and then let loose, once from the neutral posture and once with all joints in the middle of their
-    limits: an arm with few markers may else end up bent the wrong way. The cheaper pose counts.
+    limits: an arm with few markers may else end up bent the wrong way. The cheaper pose counts, and each of
+    its segments that bears a joint bent beyond its limits is tried the other way round.
     """
     if np.isfinite(observed).all(axis=1).sum() < 3:
         return None
     straight = np.tile(neutral, (len(model.parents), 1, 1))
     poses = [_settled(model, observed, R) for R in (straight, _middle_posture(model, neutral))]
-    return min(poses, key=lambda pose: _price(model, observed, pose))
+    return _untwisted(model, observed, min(poses, key=lambda pose: _price(model, observed, pose)))
+
+
+def _untwisted(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose:
+    """The pose, or a cheaper one with segments turned half round about their length.
+
+    An elbow seen by one marker can be met with the upper arm turned round and the elbow bent backwards: a
+    minimum of its own, that no small step leads out of.
+    """
+    price, everyone = _price(model, observed, pose), np.ones(len(observed))
+    for row, distal in enumerate(model.distals.tolist()):
+        segment = int(model.parents[distal])
+        length = float(np.linalg.norm(model.offsets[distal]))
+        if model.parents[segment] < 0 or length == 0.0 or not _is_bent(model, row, pose):
+            continue
+        R, root = pose.R.copy(), pose.root
+        R[segment] = R[segment] @ rm.from_rotation_vector(np.pi / length * model.offsets[distal])
+        for scale in _SCALES[2:]:
+            other = solve_pose(model, observed, everyone, R, root, scale, _LONGEST, R, 0.0)
+            R, root = other.R, other.root
+        cheaper = _price(model, observed, other)
+        if cheaper < price:
+            pose, price = other, cheaper
+    return pose
+
+
+def _is_bent(model: BodyModel, row: int, pose: Pose) -> bool:
+    """Whether an angle of a joint is beyond its limits by more than ``LIMIT_SIGMA``."""
+    distal = model.distals[row]
+    angles, _, is_regular = kernels.cardan(pose.R[model.parents[distal]], pose.R[distal], model.axes[row])
+    angles = angles * model.signs[row]
+    beyond = np.maximum(model.limits[row, :, 0] - angles, angles - model.limits[row, :, 1])
+    return is_regular and bool((beyond > LIMIT_SIGMA).any())
 
 
 def _settled(model: BodyModel, observed: FloatArray, R: FloatArray) -> Pose:
