@@ -1,7 +1,7 @@
 """Runs in a Python that has OpenSim: builds the body it is told of, and asks OpenSim for the same things.
 
-``python analysis_opensim_child.py FOLDER``: reads ``task.json`` there, writes ``answer.json``. Needs nothing of this
-project.
+``python analysis_opensim_child.py FOLDER``: reads ``task.json`` there, writes ``answer.json``. Needs nothing
+of this project.
 """
 
 import json

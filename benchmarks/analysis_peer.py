@@ -72,8 +72,8 @@ def _compared(found: Analysis, muscles: MuscleResult, begin: int, end: int, answ
     compared = {}
     at = np.array(answer["forces"]["time"])
     for i, name in enumerate(muscles.names):
-        ours = muscles.activity[frames, i]
-        theirs = np.interp(found.time_s[frames], at, answer["forces"][name]) / muscles.largest_force[i]
+        ours = np.interp(at, found.time_s, muscles.activity[:, i])
+        theirs = np.array(answer["forces"][name]) / muscles.largest_force[i]
         if max(ours.max(), theirs.max()) > _AT_WORK:
             r = float(np.corrcoef(ours, theirs)[0, 1])
             error = float(np.sqrt(np.mean((ours - theirs) ** 2)))
