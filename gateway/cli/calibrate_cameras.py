@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from gateway.body.camera import Camera
-from gateway.calibration.cameras_file import AXES, cameras_text, load_cameras
+from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.video_extra import require_video_extra
@@ -65,32 +65,30 @@ def cameras(
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
     """Calibrate cameras with a checkerboard or ChArUco board, or take over another program's calibration."""
-    _check(output, up, force=force)
+    _check(output, force=force)
+    axis = axis_of(up)
     if import_file is not None:
-        found = load_cameras(import_file, up, unit)
+        found = load_cameras(import_file, axis, unit)
         _write(output, cameras_text(found))
         _tell(output, [_row(camera) for camera in found], as_json)
         return
     if board is None or not lenses:
         raise GatewayError("pictures (NAME=FOLDER for every camera) and --board are wanted, or --import FILE")
-    boards = board, scene_board or board
-    result = _calibrated(boards, lenses, scene or [], every, is_shown=not as_json)
+    result = _calibrated((board, scene_board or board), lenses, scene or [], every, is_shown=not as_json)
     folder = pictures or output.with_name(f"{output.stem}_boards")
-    written = _draw(boards[0], result, folder)
+    written = _draw(board, result, folder)
     text = cameras_text(result.cameras, result.placement.rms.tolist())
-    _write(output, text.replace("up: z", f"up: {up}", 1))
+    _write(output, text.replace("up: z", f"up: {axis}", 1))
     _tell(output, _rows(result), as_json)
     if not as_json:
         typer.echo(f"{folder}: {written} pictures with the corners found (green) and expected (red)")
 
 
-def _check(output: Path, up: str, *, force: bool) -> None:
+def _check(output: Path, *, force: bool) -> None:
     """Raises ``GatewayError`` for what can be told before any picture is read."""
     require_video_extra()
     if output.exists() and not force:
         raise GatewayError(f"{output} exists: name another file with --output, or replace it with --force")
-    if up not in AXES:
-        raise GatewayError(f"--up {up}: one of {', '.join(AXES)} is wanted")
 
 
 def _calibrated(
