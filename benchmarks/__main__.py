@@ -32,6 +32,7 @@ SUITES = (
     "optical",
     "video_speed",
     "video",
+    "analysis",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

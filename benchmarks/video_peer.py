@@ -35,8 +35,10 @@ CORNER_HZ = 6.0
 def triangulated(
     cameras: Sequence[Camera], points: FloatArray, likelihood: FloatArray
 ) -> tuple[str, FloatArray]:
-    """Who did it, and keypoints (F, n_keypoints, 3) m, of pixels (F, n_cameras, n_keypoints, 2) and how likely
-    they are. Raises ``GatewayError`` when the interpreter named cannot do it."""
+    """Who did it, and keypoints (F, n_keypoints, 3) m, of pixels (F, n_cameras, n_keypoints, 2).
+
+    likelihood: of the pixels. Raises ``GatewayError`` when the interpreter named cannot do it.
+    """
     python = os.environ.get(VARIABLE)
     if python:
         return "Pose2Sim's triangulation", _by_pose2sim(python, cameras, points, likelihood)

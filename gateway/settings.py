@@ -14,7 +14,7 @@ from gateway.errors import SettingsError, nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.side_settings import OutputsSettings
-from gateway.reconstruction import OPTICAL, PUBLISHED, RECONSTRUCTORS, RootMode, RootSettings
+from gateway.reconstruction import OFFLINE, OPTICAL, RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
 
@@ -286,9 +286,9 @@ class GatewaySettings(_Strict):
     @field_validator("reconstructor")
     @classmethod
     def _is_known(cls, value: str) -> str:
-        if value == PUBLISHED:
+        if value in OFFLINE:
             raise ValueError(
-                f"{PUBLISHED} wants all frames at once: `mocap-gateway optical solve --method {PUBLISHED}`; "
+                f"{value} wants all frames at once: `mocap-gateway optical solve --method {value}`; "
                 f"of a stream, {OPTICAL}"
             )
         if value not in RECONSTRUCTORS and value != OPTICAL:

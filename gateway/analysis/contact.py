@@ -98,7 +98,7 @@ def estimated_floor(
         if progress is not None and f % _FRAMES_A_TELLING == 0:
             progress(f, frames)
     shown = height if known is None else known.height_m
-    return FloorForces(segments, force, moment, source, shown)
+    return FloorForces(segments, force, moment, source, shown, () if known is None else known.notes)
 
 
 def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: ContactSettings) -> FloatArray:
@@ -114,7 +114,8 @@ def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: Co
 def smooth_split(
     time_s: FloatArray, standing: FloatArray, places: IntArray, settings: ContactSettings
 ) -> FloatArray:
-    """(F, C) share of each of two feet in the load while one takes over from the other; NaN elsewhere.
+    """(F, C) share of each of two feet in the load while one stands alone, or takes over from the other; NaN
+    elsewhere: in standing on both, in flight, and for other bodies.
 
     standing: (F, P). places: (P,) which foot each point belongs to.
     """
@@ -123,6 +124,8 @@ def smooth_split(
     if count != 2:
         return shares
     stands = np.stack([standing[:, places == c].max(axis=1) > _STANDS for c in range(count)], axis=1)
+    for c in range(count):
+        shares[stands[:, c] & ~stands[:, 1 - c]] = np.eye(count)[c]
     both = np.concatenate([[False], stands.all(axis=1), [False]]).astype(np.int8)
     begins, ends = np.flatnonzero(np.diff(both) == 1), np.flatnonzero(np.diff(both) == -1)
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):

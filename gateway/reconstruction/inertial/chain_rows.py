@@ -80,6 +80,8 @@ def joint_row(
     at_once = variance * min(1.0, dt / noise.row_memory_s)
     off = spread(middle[0], middle[1], middle[2], relative_covariance(state, s, p))
     widened = _misfit(state, noise, s, off, residual, at_once, dt)
+    if widened >= LOOSE:
+        return
     variance *= widened * _huber(off, residual, widened * at_once, noise.huber)
     add_joint(evidence, s, middle, residual, variance)
 
@@ -124,7 +126,7 @@ def _misfit(
     worse. Modules worn otherwise than the rig says disagree all the time, and their joint tells little.
 
     Where that comes out, what the joint has told until then is taken back: the segment is as uncertain as at
-    its start, and the field shows its heading.
+    its start, and stands on what its own module tells until the joint fits again.
     """
     square, expected = 0.0, 0.0
     for i in range(3):
@@ -135,7 +137,9 @@ def _misfit(
     if before < LOOSE <= state.misfit[s]:
         for i in range(3):
             state.P[s, i, i] += noise.start_heading**2 if i == 2 else noise.start_tilt**2
-    return max(1.0, state.misfit[s])
+        state.unaided_square[s] = 0.0
+    widened: float = max(1.0, state.misfit[s])
+    return widened
 
 
 @compiled

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.frames import FloatArray, SkeletonFrame
 from gateway.reconstruction.video.camera import Camera
@@ -103,7 +104,7 @@ def _merged(forward: _Run, backward: _Run) -> list[Sighting]:
     return [Sighting(*rows) for rows in zip(candidates, likelihood, strict=True)]
 
 
-def _bridged(lost: FloatArray, there: FloatArray, back: FloatArray) -> FloatArray:
+def _bridged(lost: NDArray[np.bool_], there: FloatArray, back: FloatArray) -> FloatArray:
     """(F, n_keypoints, 3) m: over every stretch of lost frames (F, n_keypoints) from one run to the other."""
     bridged = np.full_like(there, np.nan)
     for m in range(lost.shape[1]):

@@ -48,7 +48,8 @@ _VOLUME_HALF_WIDTH = 0.4
 _STEPS = 8
 _FIRST_STEPS = 40
 
-Maps = Sequence[CameraHeatMaps | None]
+CameraMaps = Sequence[CameraHeatMaps | None]
+"""Of one person, in the order of the cameras; None for one that has none."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ class KeypointTracker:
             return self.places
         return 2.0 * self._places[-1] - self._places[-2]
 
-    def track(self, maps: Maps) -> Sighting:
+    def track(self, maps: CameraMaps) -> Sighting:
         """Find the person in one frame, and keep the pose."""
         sighting = self._first(maps) if self.pose is None else self._search(maps)
         self._missed = np.where(sighting.lost, self._missed + 1, 0)
@@ -154,7 +155,7 @@ class KeypointTracker:
             self.pose.root, self.pose.R, HELD_SIGMA**-2, self.floor, steps,
         )  # fmt: skip
 
-    def _first(self, maps: Maps) -> Sighting:
+    def _first(self, maps: CameraMaps) -> Sighting:
         """A person from nothing but maps: rays, what they leave open from the volume, and a first pose."""
         n = len(self.keypoints.names)
         nobody = Sighting(np.full((n, 3), np.nan), np.zeros(n))
@@ -173,7 +174,7 @@ class KeypointTracker:
         return self._search(maps)
 
     def _in_volume(
-        self, maps: Maps, centre: FloatArray, points: FloatArray, likelihood: FloatArray
+        self, maps: CameraMaps, centre: FloatArray, points: FloatArray, likelihood: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Points, those that rays did not give by the best cell of the volume about the others."""
         cells, likely = initial.from_volume(self._models, maps, centre, _VOLUME_HALF_WIDTH, _VOLUME_CELL)
@@ -195,7 +196,7 @@ class KeypointTracker:
         self.pose = VideoBodyPose(turn @ neutral, shift, 0)
         self.solve(Sighting(points, np.ones(len(points))), _FIRST_STEPS)
 
-    def _search(self, maps: Maps) -> Sighting:
+    def _search(self, maps: CameraMaps) -> Sighting:
         """Both lattices, with inverse kinematics after each."""
         wide = np.minimum(1 + self._missed, WIDEST).astype(np.float64)
         # one camera tells no depth: going on as it went, the body would leave for nowhere
@@ -206,7 +207,9 @@ class KeypointTracker:
         self.solve(fine)
         return fine
 
-    def _candidates(self, maps: Maps, centres: FloatArray, spacing: FloatArray, is_fine: bool) -> Sighting:
+    def _candidates(
+        self, maps: CameraMaps, centres: FloatArray, spacing: FloatArray, is_fine: bool
+    ) -> Sighting:
         total = np.zeros((len(centres), (2 * HALF_WIDTH + 1) ** 3))
         n_cameras = 0
         for model, seen in zip(self._models, maps, strict=True):

@@ -12,14 +12,14 @@ from gateway.reconstruction.video.projection import camera_model, pixel, ray, un
 
 CAMERAS = ring_of_cameras(4)
 MODELS = [camera_model(camera) for camera in CAMERAS]
-MAP = np.array([[0.03, 0.0, 0.0], [0.0, 0.03, 3.0]])
-"""Pixels of the ring's cameras to cells: all of the picture in 40 columns and 64 rows."""
+MAP = np.array([[0.06, 0.0, 0.0], [0.0, 0.06, 6.0]])
+"""Pixels of the ring's cameras to cells: all of the picture in 80 columns and 128 rows."""
 
 
-def maps_of(camera, points, spread=1.5):
+def maps_of(camera, points, spread=2.0):
     """One blob a keypoint."""
     cells = project(camera, points) @ MAP[:, :2].T + MAP[:, 2]
-    rows, columns = np.mgrid[0:64, 0:40]
+    rows, columns = np.mgrid[0:128, 0:80]
     square = (columns - cells[:, 0, None, None]) ** 2 + (rows - cells[:, 1, None, None]) ** 2
     return CameraHeatMaps(np.exp(-0.5 * square / spread**2).astype(np.float32), MAP)
 
