@@ -39,7 +39,8 @@ class LinkSettings(_Strict):
     url: str = Field(
         min_length=1,
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
-        "can://socketcan/can0, tcp://host:port, udp://host:port, markers:///path/walk.c3d, recording:///path/to/file.mcap",
+        "can://socketcan/can0, tcp://host:port, udp://host:port, qtm://host, markers:///path/walk.c3d, "
+        "recording:///path/to/file.mcap",
     )
     carries: Literal["suit", "gnss", "markers", "heat_maps"] = Field(
         default="suit",
