@@ -73,6 +73,13 @@ class LinkSettings(_Strict):
         return given
 
     @model_validator(mode="after")
+    def _carries_what_it_can(self) -> LinkSettings:
+        scheme = self.url.partition("://")[0]
+        if scheme in {"qtm", "markers"} and self.carries not in {"suit", "markers"}:
+            raise ValueError(f"carries: {scheme}:// carries markers and nothing else: leave 'carries' out")
+        return self
+
+    @model_validator(mode="after")
     def _is_on_earth(self) -> LinkSettings:
         if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):
             raise ValueError("origin: latitude within ±90 and longitude within ±180 degrees are wanted")
