@@ -32,8 +32,8 @@ CHANGE = 0.5
 CUTOFF_HZ = 6.0
 _MOST_PASSES = 8
 _MOST_STEPS = 60
-"""Of BFGS in one chain and frame, where rounding keeps the gradient above ``GRADIENT``; the source has no such
-bound, nor one on passes."""
+"""Of BFGS in one chain and frame, where rounding keeps the gradient above ``GRADIENT``; the source has no
+such bound, nor one on passes."""
 _MM = 1e3
 
 Progress = Callable[[int, int], None]
