@@ -151,6 +151,12 @@ def _ratios(scores: dict[tuple[str, str], list[Score]]) -> Iterator[Figure]:
         peer, ours = (scores["pendulum", m][0].total[:2].mean() for m in (PEER, OURS))
         note = f"{COMPARED}, mean total error of segments 1 and 2: the third one's reference flips"
         yield Figure("pendulum_without_third_ratio_vqf", float(ours / peer), "", "", note)
+        peer, ours, floor = (scores["pendulum", m][0] for m in (PEER, OURS, FLOOR))
+        ratio = float(floor.total.mean() / peer.total.mean())
+        note = f"{FLOOR}, over `independent` (VQF), mean total error: the reference against its own modules"
+        yield Figure("pendulum_floor_ratio_vqf", ratio, "", "", note)
+        note = f"{COMPARED}, mean tilt error"
+        yield Figure("pendulum_tilt_ratio_vqf", float(ours.tilt.mean() / peer.tilt.mean()), "", "", note)
     for group in dict.fromkeys(group for group, _ in scores):
         both = [
             np.mean([np.mean(getattr(s, part)) for s in scores[group, method]])

@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.fast_arm import (
     ALL_ON,
+    IDEAL,
     RATE_HZ,
     Switches,
     carried_arm,
@@ -36,7 +37,10 @@ SETTLING_S = 4.0
 ALREADY_MOVING = Fade(rest_s=-10.0, ramp_s=1.0)
 SWITCHED = {
     "noise, bias, lever arms 1 cm off": Switches(),
-    "nothing wrong": Switches(has_noise=False, has_bias=False, lever_arm_m=0.0),
+    "nothing wrong": IDEAL,
+    "as first, lever arms known": Switches(lever_arm_m=0.0),
+    "as first, scales exact": Switches(has_scale=False),
+    "as first, no bias": Switches(has_bias=False),
     "and soft tissue": Switches(has_wobble=True),
     "and clock residue 0.1 ms": Switches(clock_residue_s=100e-6),
     "and iron near the base": Switches(is_field_disturbed=True),
@@ -69,6 +73,9 @@ RATIOS = (
     ("sim_arm_carried_ratio_vqf", "carried base", STANDARD, "independent", "<=0.15"),
     ("sim_arm_carried_all_ratio_vqf", "carried base", "all of it", "independent", ""),
     ("sim_arm_ideal_ratio_vqf", "fixed base", "nothing wrong", "independent", ""),
+    ("sim_arm_known_arms_ratio_vqf", "fixed base", "as first, lever arms known", "independent", ""),
+    ("sim_arm_exact_scale_ratio_vqf", "fixed base", "as first, scales exact", "independent", ""),
+    ("sim_arm_no_bias_ratio_vqf", "fixed base", "as first, no bias", "independent", ""),
     ("sim_arm_all_ratio_vqf", "fixed base", "all of it", "independent", ""),
 )
 """Figure, arm, what is wrong, the peer, target."""

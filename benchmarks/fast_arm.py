@@ -41,7 +41,9 @@ class Switches:
     has_noise: bool = True
     """White noise: 0.03 m/s², 0.1 °/s, 0.5 µT."""
     has_bias: bool = True
-    """0.05 m/s², 0.3 °/s and a walk of 0.005 °/s/√s; scale errors 0.2 %."""
+    """0.05 m/s², 0.3 °/s and a walk of 0.005 °/s/√s."""
+    has_scale: bool = True
+    """Scale errors of 0.2 % an axis."""
     lever_arm_m: float = 0.01
     """Each component of where a module really sits."""
     has_wobble: bool = False
@@ -52,6 +54,7 @@ class Switches:
     """Iron near the base: the field is bent by up to tens of degrees, otherwise at every place."""
 
 
+IDEAL = Switches(has_noise=False, has_bias=False, has_scale=False, lever_arm_m=0.0)
 ALL_ON = Switches(has_wobble=True, clock_residue_s=100e-6, is_field_disturbed=True)
 
 
@@ -171,8 +174,9 @@ def _measured(values: SensorValues, switches: Switches, rng: np.random.Generator
 
     def read(true: FloatArray, noise: float, bias: float, walk: float) -> FloatArray:
         result = true.copy()
-        if switches.has_bias:
+        if switches.has_scale:
             result *= 1.0 + 0.002 * rng.standard_normal(shape[1:])
+        if switches.has_bias:
             result += bias * rng.standard_normal(shape[1:])
             result += walk * np.sqrt(dt) * np.cumsum(rng.standard_normal(shape), axis=0)
         if switches.has_noise:

@@ -10,21 +10,27 @@ import subprocess
 import tempfile
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import psutil
 
+from benchmarks.emulated_bus import EmulatedBus
 from benchmarks.emulated_stream import suit_17
 from benchmarks.local_broker import mosquitto_program
-from devices.emulators import IDEAL, EmulatedSuit, SuitSettings, SuitTraffic
+from devices.emulators import IDEAL, EmulatedSuit, Encoding, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit, pull_cable
+from devices.emulators.motions import BodyMotion
 from devices.emulators.transports import PtyTransport
-from devices.link import gateway_time_ns
+from devices.emulators.transports.transport import Transport
+from devices.link import Framing, gateway_time_ns
 from gateway.accounting import unaccounted
+from gateway.body.skeleton import LocalDevice, WornSuit
+from gateway.cli.emulated_rig import dress, move
 from gateway.frames import SkeletonFrame, Status, StatusArray
 from gateway.service import Service
 from gateway.settings import GatewaySettings
@@ -107,19 +113,53 @@ class Outcome(NamedTuple):
         return bool(self.note) or (self.recovery_s <= self.limit_s and not self.unaccounted)
 
 
+class Wiring(NamedTuple):
+    """A suit, and how it is connected to the gateway."""
+
+    worn: WornSuit
+    motion: BodyMotion
+    settings: SuitSettings
+    transport: Transport
+    url: str
+    """Of the gateway's link."""
+
+    @classmethod
+    def by_cable(cls, folder: Path, local: Sequence[LocalDevice] = ()) -> Wiring:
+        """17 modules, and ``local`` devices, through a relay and a pseudo-terminal in the folder."""
+        worn, motion = suit_17()
+        if local:
+            worn = replace(worn, local_devices=tuple(local))
+            motion = move(dress(worn), worn.skeleton.name, seed=1)
+        port = folder / "suit"
+        return cls(worn, motion, SuitSettings(has_relay=True), PtyTransport(port), str(port))
+
+    @classmethod
+    def by_bus(cls, bus: EmulatedBus) -> Wiring:
+        """The same 17 modules on a CAN FD bus."""
+        worn, motion = suit_17()
+        return cls(worn, motion, SuitSettings(encoding=Encoding(Framing.CAN, is_fd=True)), bus, bus.url)
+
+
 class Bench:
     """A running service with a faulty suit at its link."""
 
-    def __init__(self, port: int, plan: FaultPlan, folder: Path, recordings: Path | None = None) -> None:
-        """port: of the broker; recordings: folder for them, on whatever disk."""
-        worn, motion = suit_17()
-        traffic = SuitTraffic(motion, SuitSettings(has_relay=True), IDEAL, seed=1)
+    def __init__(
+        self,
+        port: int,
+        plan: FaultPlan,
+        folder: Path,
+        recordings: Path | None = None,
+        wiring: Wiring | None = None,
+    ) -> None:
+        """port: of the broker; recordings: folder for them, on whatever disk; wiring: by cable, if none."""
+        worn, motion, suit_settings, transport, url = wiring or Wiring.by_cable(folder)
+        traffic = SuitTraffic(motion, suit_settings, IDEAL, seed=1)
         self.faulty = FaultySuit(traffic, plan)
         self.plan = plan
-        self.suit = EmulatedSuit(self.faulty, PtyTransport(folder / "suit"))
+        self.suit = EmulatedSuit(self.faulty, transport)
         settings = GatewaySettings.model_validate(
             {
-                "links": [{"name": "suit", "url": str(folder / "suit")}],
+                "links": [{"name": "suit", "url": url}],
                 "rig": "suit_17",
                 "reconstructor": METHOD,
                 "mqtt": {"port": port},

@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, Report, table
 from benchmarks.optical_agreement import Agreement
+from benchmarks.optical_opensim import OpenSimBeside
 from benchmarks.optical_simulation import simulated_rows
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.markers import BodyMarkers
@@ -64,6 +65,7 @@ def run() -> Report:
     report.tables.append("### Simulated truth: RMSE of joint angles, degrees\n\n" + table(*rows))
     compared: list[list[str]] = []
     agreement = Agreement()
+    beside = OpenSimBeside()
     for name, (set_name, static, motion) in TRIALS.items():
         if not (DATA / motion).is_file():
             continue
@@ -81,6 +83,7 @@ def run() -> Report:
             compared.append([name, method, *_explained(markers, outcome)])
             if method == "default":
                 report.figures += _figures(name, outcome)
+                beside.add(name, skeleton, markers, held, outcome)
             if is_plug_in_gait:
                 agreement.add(name, method, skeleton, outcome.q_wb, outcome.p_w, held)
     report.tables += [
@@ -92,6 +95,7 @@ def run() -> Report:
             ["trial", "method", "held-out frames", "left out, held", "left out, unheld", "ms a frame"],
             compared,
         ),
+        beside.text(),
         *agreement.tables(),
     ]
     return report

@@ -2,9 +2,13 @@
 
 A process of its own, so that what it needs does not count as the gateway's. The same suit without any fault
 goes through a second pipeline; poses of both are compared at the same instants. A segment is intact at an
-instant since its module's samples last were anything but measured in time (``status``), and since the last
-fault of that module or of its sensors. What the estimator remembers is an input too: so angles are told by
-how long the segment has been intact.
+instant since its module's samples last were anything but measured (``status``) and in time, and since the
+last fault of that module or of its sensors. When samples come is an input as well, from which clocks are
+estimated: where a burst or a busy machine makes them late, it is not what the fault-free run had.
+
+What the estimator remembers is an input too: so angles are told by how long the segment has been intact. A
+filter that had to begin anew has a heading that is off by tens of degrees, and corrects it with a time
+constant of 9 s (VQF, ``tauMag``): after 20 s a tenth is left.
 """
 
 from __future__ import annotations
@@ -33,6 +37,8 @@ SETTLED_S = 20.0
 """Both runs have found their heading by then."""
 AFTER_FAULT_S = 0.1
 """A fault of a module is over so much later for its samples, at the latest."""
+LATEST_S = 0.1
+"""Time from the instant of a pose to the pose beyond which its samples were late; usually 13 ms."""
 SINCE_S = (0.0, 1.0, 3.0, 10.0, 20.0)
 """Lower ends of the classes: for how long a segment has been intact."""
 _STEP, _LARGEST = 0.01, 180.0
@@ -43,9 +49,9 @@ _LARGEST_STEP_NS = 15_000_000
 
 
 def record_type(n_segments: int) -> np.dtype[Any]:
-    """A pose in the track: instant (ns; -1: the end); status, orientation and rate by segment."""
+    """A pose in the track: instant (ns; -1: the end), lateness; by segment status, orientation, rate."""
     vectors = [("q_wb", "<f4", (n_segments, 4)), ("angular_rate", "<f4", (n_segments, 3))]
-    return np.dtype([("time_ns", "<i8"), ("status", "u1", n_segments), *vectors])
+    return np.dtype([("time_ns", "<i8"), ("late_s", "<f4"), ("status", "u1", n_segments), *vectors])
 
 
 class Orientations(NamedTuple):
@@ -70,11 +76,18 @@ class Comparison:
         self._angles = np.zeros((len(SINCE_S), bins), dtype=np.int64)
         self._rates = np.zeros((len(SINCE_S), bins), dtype=np.int64)
 
-    def take(self, time_ns: int, status: NDArray[np.uint8], pose: Orientations, free: Orientations) -> None:
-        """One pose with its status (S,), and the fault-free one at its instant."""
+    def take(
+        self,
+        time_ns: int,
+        status: NDArray[np.uint8],
+        pose: Orientations,
+        free: Orientations,
+        late_s: float = 0.0,
+    ) -> None:
+        """One pose with its status (S,), the fault-free one at its instant, and how late it was."""
         now_s = (time_ns - self._start_ns) * 1e-9
         is_disturbed = status[self._sensed] != Status.MEASURED
-        is_disturbed |= time_ns - self._last_ns > _LARGEST_STEP_NS
+        is_disturbed |= time_ns - self._last_ns > _LARGEST_STEP_NS or late_s > LATEST_S
         for row, windows in enumerate(self._faults):
             is_disturbed[row] |= any(fault.is_on(now_s) or _is_fresh(fault, now_s) for fault in windows)
         self._last_ns = time_ns
@@ -170,7 +183,7 @@ def follow(track: Path, plan: FaultPlan, start_ns: int) -> list[dict[str, float]
                     return comparison.summary()
                 time_ns = int(pose["time_ns"])
                 live = Orientations(pose["q_wb"].astype(float), pose["angular_rate"].astype(float))
-                comparison.take(time_ns, pose["status"], live, free.at(time_ns))
+                comparison.take(time_ns, pose["status"], live, free.at(time_ns), float(pose["late_s"]))
             rest = rest[whole:]
             time.sleep(_POLL_S)
 

@@ -7,6 +7,8 @@ Reading order
 - ``serial_link`` (with ``raw_tty``, ``serial_ports``), ``rfc2217_link``, ``tcp_link``, ``udp_link``:
   byte streams.
 - ``socketcan_link``, ``can_link``, ``slcan_link`` (with the text codec ``slcan``): CAN frame records.
+- ``marker_file_link`` over ``marker_files``, ``qtm_link`` (with ``qtm_packets``): markers of an optical
+  system, as ``marker_messages``.
 - ``replay_link`` over a ``recording_file``: a recording is a link like any other.
 - ``loopback_link``: two ends joined in memory, for tests and for modules emulated in process.
 - ``reconnect``: keeps any live link open for ever.

@@ -8,6 +8,7 @@
 ``slcan:///dev/ttyACM0?bitrate=1000000&fd=1``             CAN adapter that speaks slcan
 ``can://socketcan/can0?fd=1``                             CAN interface of the Linux kernel
 ``can://virtual/suit``, ``can://pcan/PCAN_USBBUS1``       any other interface of python-can
+``qtm://host``, ``qtm://host:22223?version=1.20``          markers of Qualisys QTM, live
 ``markers:///path/walk.c3d?speed=max``                    C3D or TRC file of marker trajectories
 ``recording:///path.mcap?speed=max&link=suit``             recording; or its path, if it ends in .mcap
 ========================================================  ============================================
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -89,6 +91,12 @@ def _speed(text: str) -> float | None:
     return speed
 
 
+def _version(text: str) -> str:
+    if not re.fullmatch(r"1\.[1-9]?[0-9]", text):
+        raise ValueError("a version of the protocol is needed, such as 1.20")
+    return text
+
+
 @dataclass(frozen=True, slots=True)
 class _Scheme:
     example: str
@@ -134,6 +142,14 @@ def _marker_file(parts: SplitResult, parameters: dict[str, Any], name: str | Non
     return MarkerFileLink(_path(parts), name=name, **parameters)
 
 
+def _qtm(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
+    from devices.qtm_link import QtmLink  # noqa: PLC0415 - as above
+
+    if parts.port is None:
+        return QtmLink(_host(parts), name=name, **parameters)
+    return QtmLink(_host(parts), _port(parts), name=name, **parameters)
+
+
 def _recording(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
     return ReplayLink(_path(parts), name=name, **parameters)
 
@@ -150,6 +166,7 @@ _SCHEMES = {
     ),
     "can": _Scheme("can://socketcan/can0?fd=1", _can, _CAN_PARAMETERS),
     "markers": _Scheme("markers:///path/walk.c3d?speed=1", _marker_file, {"speed": _speed}),
+    "qtm": _Scheme("qtm://host:22223", _qtm, {"version": _version}),
     "recording": _Scheme("recording:///path.mcap?speed=max", _recording, {"speed": _speed, "link": str}),
 }
 

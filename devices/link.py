@@ -38,6 +38,9 @@ class Framing(Enum):
     MARKERS = "markers"
     """Marker messages of an optical system (``devices.marker_messages``); nothing is written to it."""
 
+    HEAT_MAPS = "heat_maps"
+    """Heat maps of cameras (``devices.cameras.heat_map_messages``); nothing is written to it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Chunk:

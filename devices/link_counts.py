@@ -30,6 +30,7 @@ class LostBefore(Enum):
     SERIAL_DAMAGED = "bytes came with a framing or parity error"
     KERNEL_OVERFLOW = "the socket's buffer was full: CAN frames or datagrams were lost"
     CONTROLLER_OVERFLOW = "the CAN controller's buffer was full: so many times frames were lost"
+    NOT_SENT = "frames that an optical system left out, by the gaps in its numbers"
 
 
 @dataclass

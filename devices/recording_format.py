@@ -9,6 +9,7 @@ whole in itself.
 ``/chunks/<link>``  what a link gave, as it came and before anything was parsed; log time: arrival
 ``/sent/<link>``    what the gateway wrote to a link; log time: the instant it calls the time of sending
 ``/skeleton``       skeleton frames, float64 bit for bit; log time: arrival of the data that completed it
+``/markers``        of poses made from markers: where each was, where the body has it, whether it had a say
 ``/events``         what happened: links up and down, restarts of modules, resets, calibrations, gaps
 ``/statistics``     counters and clock models of all modules, every so often and at the end
 ==================  ========================================================================================
@@ -34,6 +35,7 @@ bit-identical), ``name``.
 CHUNKS = "/chunks/"
 SENT = "/sent/"
 SKELETON = "/skeleton"
+MARKERS = "/markers"
 EVENTS = "/events"
 STATISTICS = "/statistics"
 
@@ -81,6 +83,19 @@ then, each if its bit is set:
        f64[S]   sigma, rad, standard deviation of the orientation
 """
 
+_MARKERS_TEXT = """All numbers little-endian; M markers in the order of suit.json, U points without a name.
+Places in world axes, m.
+offset 0   i64  sequence of the frame, that of its skeleton frame
+       8   i64  gateway time of the measurement, ns
+       16  u16  M
+       18  u16  U
+       20  i16[M] whose point the marker was given: its own number, another's, or -1 for a nameless one
+then   u8[M]    1: it had a say in the pose
+       f32[M,3] where it was seen, after names were put right; NaN: not seen
+       f32[M,3] where the body has it
+       f32[U,3] the points without a name
+"""
+
 _EVENT_SCHEMA = """{"type": "object", "required": ["time_ns", "name", "data"], "properties": {
 "time_ns": {"type": "integer", "description": "gateway time, ns"},
 "name": {"type": "string"}, "data": {"type": "object"}}}"""
@@ -92,6 +107,7 @@ _STATISTICS_SCHEMA = (
 CHUNK_KIND = ChannelKind("mocap.Bytes", "text", "bytes", _CHUNK_TEXT)
 KINDS: dict[str, ChannelKind] = {
     SKELETON: ChannelKind("mocap.SkeletonFrame", "text", "mocap.SkeletonFrame", _SKELETON_TEXT),
+    MARKERS: ChannelKind("mocap.MarkerFit", "text", "mocap.MarkerFit", _MARKERS_TEXT),
     EVENTS: ChannelKind("mocap.Event", "jsonschema", "json", _EVENT_SCHEMA),
     STATISTICS: ChannelKind("mocap.Statistics", "jsonschema", "json", _STATISTICS_SCHEMA),
 }

@@ -22,6 +22,28 @@ _KEEPALIVE = (
 )
 
 
+def keep_alive(connected: socket.socket) -> None:
+    """Have the system notice when the other side vanishes."""
+    for level, option, value in _KEEPALIVE:
+        connected.setsockopt(level, option, value)
+
+
+def connect_error(host: str, port: int, error: OSError) -> LinkError:
+    """What a connection that could not be made means to whoever wanted it."""
+    place = f"{host}:{port}"
+    if isinstance(error, socket.gaierror):
+        return LinkError(f"unknown host '{host}': correct the name or give its address")
+    if isinstance(error, TimeoutError):
+        return LinkError(f"{place} does not answer: check the address, the network and the firewall")
+    if isinstance(error, ConnectionRefusedError):
+        return LinkError(
+            f"{place} refused the connection: start what should listen there, or correct the port"
+        )
+    if error.errno in (errno.EHOSTUNREACH, errno.ENETUNREACH):
+        return LinkError(f"{place} is unreachable: connect this computer to the network of the device")
+    return LinkError(f"{place} cannot be connected: {error.strerror or error}")
+
+
 class TcpLink:
     """Bytes of one TCP connection that the gateway makes, without delay in either direction."""
 
@@ -59,7 +81,7 @@ class TcpLink:
         try:
             _, self._connection = await asyncio.wait_for(connecting, self._connect_timeout)
         except OSError as error:  # TimeoutError and gaierror among them
-            raise self._open_error(error) from error
+            raise connect_error(self.host, self.port, error) from error
         self._arrivals = arrivals
 
     def __aiter__(self) -> AsyncIterator[Chunk]:
@@ -76,20 +98,6 @@ class TcpLink:
         if self._connection is not None:
             await self._connection.close()
             self._connection = None
-
-    def _open_error(self, error: OSError) -> LinkError:
-        place = f"{self.host}:{self.port}"
-        if isinstance(error, socket.gaierror):
-            return LinkError(f"unknown host '{self.host}': correct the name or give its address")
-        if isinstance(error, TimeoutError):
-            return LinkError(f"{place} does not answer: check the address, the network and the firewall")
-        if isinstance(error, ConnectionRefusedError):
-            return LinkError(
-                f"{place} refused the connection: start what should listen there, or correct the port"
-            )
-        if error.errno in (errno.EHOSTUNREACH, errno.ENETUNREACH):
-            return LinkError(f"{place} is unreachable: connect this computer to the network of the device")
-        return LinkError(f"{place} cannot be connected: {error.strerror or error}")
 
 
 class _Connection(asyncio.Protocol):
@@ -121,8 +129,7 @@ class _Connection(asyncio.Protocol):
         self._transport = transport
         connected = transport.get_extra_info("socket")
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        for level, option, value in _KEEPALIVE:
-            connected.setsockopt(level, option, value)
+        keep_alive(connected)
 
     def data_received(self, data: bytes) -> None:
         self._arrivals.put(data, gateway_time_ns())

@@ -78,6 +78,7 @@ class FrameAssembler:
         self._times = np.full((n, _DEPTH), np.iinfo(np.int64).min, dtype=np.int64)
         self._sequences = np.zeros((n, _DEPTH), dtype=np.int64)
         self._values = np.full((n, _DEPTH, 9), np.nan)
+        self._clipped = np.zeros((n, _DEPTH), dtype=np.uint8)
         self._heads = np.zeros(n, dtype=np.int64)  # ring position of the newest reading
         self._newest = [-1] * n  # plain integers: compared once a reading
         self._newest_of_all = -1
@@ -157,6 +158,7 @@ class FrameAssembler:
             *(reading.angular_rate or _NAN3),
             *(reading.magnetic_field or _NAN3),
         )
+        self._clipped[row, slot] = reading.clipped
 
     def _insert_late(self, row: int, reading: InertialReading) -> bool:
         """A reading overtaken by newer ones on its way: still useful if its instant is yet to come."""
@@ -172,7 +174,7 @@ class FrameAssembler:
         newer = int(np.count_nonzero(times > reading.time_ns))
         head = (int(self._heads[row]) + 1) % _DEPTH
         target = (head - np.arange(newer)) % _DEPTH
-        for array in (self._times, self._sequences, self._values):
+        for array in (self._times, self._sequences, self._values, self._clipped):
             array[row, target] = array[row, order[:newer]]
         self._write(row, (head - newer) % _DEPTH, reading)
         self._heads[row] = head
@@ -235,7 +237,7 @@ class FrameAssembler:
         self._advance(count)
 
     def _frame(self, instant_ns: int) -> ImuFrame:
-        values, status, gap_ns = self._interpolate(instant_ns)
+        values, status, gap_ns, clipped = self._interpolate(instant_ns)
         local, self._local = _split(self._local, instant_ns)
         light, self._light = _split(self._light, instant_ns)
         frame = ImuFrame(
@@ -248,21 +250,22 @@ class FrameAssembler:
             gap_ns=gap_ns,
             local=local,
             light=light,
+            clipped=clipped if clipped.any() else None,
         )
         self._sequence += 1
         return frame
 
-    def _interpolate(self, instant_ns: int) -> tuple[FloatArray, StatusArray, IntArray]:
-        values, status, gap_ns = _interpolate_modules(
+    def _interpolate(self, instant_ns: int) -> tuple[FloatArray, StatusArray, IntArray, StatusArray]:
+        return _interpolate_modules(
             instant_ns,
             self._times,
             self._sequences,
             self._values,
+            self._clipped,
             self._heads,
             self._params.max_gap_ns,
             self._params.hold_ns,
         )
-        return values, status, gap_ns
 
 
 _Dated = TypeVar("_Dated", LocalReading, LightReading)
@@ -304,19 +307,21 @@ def _interpolate_modules(
     times: IntArray,
     sequences: IntArray,
     values: FloatArray,
+    clipped: StatusArray,
     heads: IntArray,
     max_gap_ns: int,
     hold_ns: int,
-) -> tuple[FloatArray, StatusArray, IntArray]:
-    """All modules at one instant: values (n, 9), status (n,) and gap (n,) of n modules.
+) -> tuple[FloatArray, StatusArray, IntArray, StatusArray]:
+    """All modules at one instant: values (n, 9), status, gap and ``Clipped`` sensors (n,) of n modules.
 
-    times, sequences: (n, depth); values: (n, depth, 9); heads: (n,) ring position of the newest.
+    times, sequences, clipped: (n, depth); values: (n, depth, 9); heads: (n,) ring position of the newest.
     A module's status is that of the first sensor that it has, in the order of the columns.
     """
     n = heads.shape[0]
     out = np.full((n, 9), np.nan)
     status = np.full(n, _MISSING, dtype=np.uint8)
     gap_ns = np.zeros(n, dtype=np.int64)
+    at_end = np.zeros(n, dtype=np.uint8)
     for m in range(n):
         judged = False
         for sensor in range(3):
@@ -326,12 +331,14 @@ def _interpolate_modules(
             columns = slice(3 * sensor, 3 * sensor + 3)
             age_ns = instant_ns - times[m, before]
             span_ns = times[m, after] - times[m, before] if after >= 0 else age_ns
+            at_end[m] |= clipped[m, before]
             if age_ns == 0:
                 out[m, columns] = values[m, before, columns]
                 kind = _MEASURED
                 span_ns = 0
             elif after >= 0 and (span_ns <= max_gap_ns or sequences[m, after] - sequences[m, before] == 1):
                 weight = age_ns / span_ns
+                at_end[m] |= clipped[m, after]
                 out[m, columns] = (1.0 - weight) * values[m, before, columns] + weight * values[
                     m, after, columns
                 ]
@@ -345,4 +352,4 @@ def _interpolate_modules(
                 status[m] = kind
                 gap_ns[m] = span_ns
                 judged = True
-    return out, status, gap_ns
+    return out, status, gap_ns, at_end

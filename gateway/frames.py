@@ -13,7 +13,7 @@ coordinates in a. Letters: w world (ENU), s sensor, b body segment.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,13 @@ class Status(IntEnum):
     silent, or its own accelerometer is saturated. (Numbers never change, hence the last.)"""
 
 
+class Clipped(IntFlag):
+    """Sensors of a module that were at the end of their range: what they felt was at least that much."""
+
+    SPECIFIC_FORCE = 1
+    ANGULAR_RATE = 2
+
+
 @dataclass(frozen=True, slots=True)
 class InertialReading:
     """One reading of one module, in its sensor axes. A sensor that was not read is None."""
@@ -56,6 +63,8 @@ class InertialReading:
     specific_force: Vector3 | None  # m/s²
     angular_rate: Vector3 | None  # rad/s
     magnetic_field: Vector3 | None  # µT
+    clipped: int = 0
+    """``Clipped`` sensors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +143,8 @@ class ImuFrame:
     """Readings of photoelectric cells since the frame before, in time order."""
     sun: SunSight | None = None
     """What they show; None: the suit has no cells in use."""
+    clipped: StatusArray | None = None
+    """(n_modules,) ``Clipped`` sensors of what this instant rests on; None: none of any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +156,30 @@ class MarkerFrame:
     positions: FloatArray  # (n_markers, 3) m; NaN: not seen
     unlabelled: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) m
     """Points that the optical system saw and could not name."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerFit:
+    """How a pose explains the markers of its instant: world axes, in the order of the fitted body."""
+
+    positions: FloatArray
+    """(M, 3) m, after names were put right; NaN: not seen."""
+    virtual: FloatArray
+    """(M, 3) m: where the body has its markers."""
+    residuals: FloatArray
+    """(M,) m; NaN where not seen. Points that had no say, ghosts among them, have one too."""
+    used: NDArray[np.bool_]
+    """(M,) had a say."""
+    renamed: tuple[tuple[int, int], ...] = ()
+    """(marker, whose point it had been; -1 for a nameless one)."""
+    unlabelled: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    """(n, 3) m, points that the optical system could not name, those among them that were given one here."""
+
+    @property
+    def rmse(self) -> float:
+        """m, of the markers used; NaN with none."""
+        chosen = self.residuals[self.used]
+        return float(np.sqrt(np.mean(chosen**2))) if len(chosen) else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,3 +196,5 @@ class SkeletonFrame:
     status: StatusArray  # (n_segments,) Status
     root: int
     """Index of the rank-1 segment."""
+    markers: MarkerFit | None = None
+    """Of a pose made from markers: what became of each."""

@@ -37,8 +37,8 @@ class MarkerFrames:
                 MarkerFrame(
                     message.sequence,
                     message.time_ns,
-                    to_world(positions, self._vertical),
-                    to_world(nameless, self._vertical),
+                    to_world(positions, message.up or self._vertical),
+                    to_world(nameless, message.up or self._vertical),
                 )
             )
         return frames

@@ -29,6 +29,7 @@ from gateway.errors import GatewayError, SettingsError
 from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, SkeletonFrame
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
+from gateway.heat_map_frames import NO_CAMERAS, HeatMapFrames
 from gateway.light import SunCompass
 from gateway.marker_frames import MarkerFrames
 from gateway.reconstruction import (
@@ -42,6 +43,8 @@ from gateway.reconstruction import (
     update_many,
 )
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
+from gateway.reconstruction.optical.warm_up import warm_up
+from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.resets import Resets
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.stream import ClockMode, Reading, Stream
@@ -59,6 +62,20 @@ class InputEvent(NamedTuple):
 
     name: str
     data: Mapping[str, Any]
+
+
+class NoModules:
+    """In the place of a reconstructor where no module is worn: no frame of any ever comes."""
+
+    def __init__(self, suit: WornSuit) -> None:
+        self._name = suit.skeleton.name
+
+    def update(self, observation: ImuFrame) -> SkeletonFrame:
+        """Raises ``GatewayError``."""
+        raise GatewayError(f"frame {observation.sequence} of modules, and none is worn on '{self._name}'")
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
 
 
 class Pipeline:
@@ -96,7 +113,11 @@ class Pipeline:
                 raise SettingsError(NO_MARKERS)
             reconstructor = "independent"  # for modules that may be worn beside the markers
             root = RootSettings(RootMode.FIXED)
-        self._make = partial(create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root)
+        self._make: Callable[[WornSuit], Reconstructor] = partial(
+            create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root
+        )
+        if not suit.module_ids and (suit.markers is not None or suit.video is not None):
+            self._make = NoModules  # or half a minute would go into compiling what is never used
         self.suit = suit
         """As worn now: a calibration may have changed it."""
         self.reconstructor = self._make(suit)
@@ -113,9 +134,13 @@ class Pipeline:
         self._gnss: dict[str, GnssReceiver] = {}
         self.optical: OpticalReconstructor | None = None
         """In the place of the other on links that carry markers; None for a suit without."""
-        if suit.markers is not None:
+        if suit.markers is not None and suit.video is None:
+            warm_up()
             self.optical = OpticalReconstructor(suit.skeleton, suit.markers)
         self._markers: dict[str, MarkerFrames] = {}
+        self.video = None if suit.video is None else HeatMapFrames(suit)
+        """Of cameras; it takes the heat maps of all links that carry some."""
+        self._heat_map_links: set[str] = set()
         self.satellite_readings = 0
         """Readings that satellite receivers gave, beside those of the stream."""
 
@@ -152,6 +177,10 @@ class Pipeline:
             if self.suit.markers is None:
                 raise SettingsError(f"link '{name}' carries markers: {NO_MARKERS}")
             self._markers[name] = MarkerFrames(self.suit.markers)
+        elif framing is Framing.HEAT_MAPS:
+            if self.video is None:
+                raise SettingsError(f"link '{name}' carries heat maps: {NO_CAMERAS}")
+            self._heat_map_links.add(name)
         else:
             self.stream.add_link(name, framing)
 
@@ -188,30 +217,32 @@ class Pipeline:
 
     def feed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The skeleton frames that a chunk completes."""
-        if chunk.link in self._markers:
-            return self._optical_frames(chunk)
+        if chunk.link in self._markers or chunk.link in self._heat_map_links:
+            return self._seen_frames(chunk)
         skeleton_frames = [
             self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self.imu_frames(chunk)
         ]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
 
-    def _optical_frames(self, chunk: Chunk) -> list[SkeletonFrame]:
-        assert self.optical is not None  # add_link saw to it
-        frames = [
-            self.resets.apply(self.optical.update(markers))
-            for markers in self._markers[chunk.link].receive(chunk)
-        ]
-        self.skeleton_frames += len(frames)
-        return frames
+    def _seen_frames(self, chunk: Chunk) -> list[SkeletonFrame]:
+        """Of an optical system or cameras."""
+        if chunk.link in self._heat_map_links:
+            assert self.video is not None  # add_link saw to it
+            made = self.video.receive(chunk)
+        else:
+            assert self.optical is not None  # add_link saw to it
+            made = [self.optical.update(markers) for markers in self._markers[chunk.link].receive(chunk)]
+        self.skeleton_frames += len(made)
+        return [self.resets.apply(frame) for frame in made]
 
     def replay(self, items: Iterable[Chunk | SentChunk | InputEvent]) -> Iterator[SkeletonFrame]:
         """A recording: the frames that ``feed``, ``sent`` and ``event`` of each item give, bit for bit, but
         many at a time. An event that is not possible with this suit or method is passed over."""
         block: list[ImuFrame] = []
         for item in items:
-            if isinstance(item, Chunk) and item.link in self._markers:
-                yield from self._optical_frames(item)
+            if isinstance(item, Chunk) and (item.link in self._markers or item.link in self._heat_map_links):
+                yield from self._seen_frames(item)
             elif isinstance(item, Chunk):
                 block += self.imu_frames(item)
             elif isinstance(item, SentChunk):
@@ -288,6 +319,7 @@ class Pipeline:
             **({"gnss": {name: r.statistics() for name, r in self._gnss.items()}} if self._gnss else {}),
             **({} if self.sun is None else {"light": self.sun.statistics()}),
             **({} if self.optical is None else {"markers": self._marker_statistics(self.optical)}),
+            **({} if self.video is None else {"video": self.video.statistics()}),
             "skeleton_frames": self.skeleton_frames,
             "left_out_frames": self.left_out,
             "dropped_by_link": dropped,

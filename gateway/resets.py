@@ -17,7 +17,7 @@ import numpy as np
 from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError, nearest
-from gateway.frames import FloatArray, SkeletonFrame
+from gateway.frames import FloatArray, MarkerFit, SkeletonFrame
 from gateway.geometry import quaternion
 
 FADE_S = 0.5
@@ -148,7 +148,18 @@ class Resets:
             angular_rate=rate,
             joint_acceleration=acceleration,
             p_w=self._places(frame, q_wb, turn),
+            markers=None if frame.markers is None else self._turned(frame.markers, turn),
         )
+
+    def _turned(self, markers: MarkerFit, turn: FloatArray) -> MarkerFit:
+        """With the root, so that residuals stay what they are; a reset of the mounting does not move them."""
+        raw, anchored = self._anchor
+        turned = quaternion.to_matrix(turn).T
+        places = {
+            name: anchored + (getattr(markers, name) - raw) @ turned
+            for name in ("positions", "virtual", "unlabelled")
+        }
+        return replace(markers, **places)
 
     def _places(self, frame: SkeletonFrame, q_wb: FloatArray, turn: FloatArray) -> FloatArray:
         """Joints by forward kinematics from the root, which turns about where it was at the reset."""

@@ -24,6 +24,7 @@ from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.host_sender import HostSender
 from gateway.losses import Cause
+from gateway.memory import bound_memory
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
@@ -49,9 +50,9 @@ log = logging.getLogger(__name__)
 REPORT_INTERVAL_S = 10.0
 _TOLD_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
-_LISTENED_TO = frozenset({Framing.GNSS, Framing.MARKERS})
+_LISTENED_TO = frozenset({Framing.GNSS, Framing.MARKERS, Framing.HEAT_MAPS})
 """Links with no module at the other end."""
-_OTHERS = {"gnss": Framing.GNSS, "markers": Framing.MARKERS}
+_OTHERS = {"gnss": Framing.GNSS, "markers": Framing.MARKERS, "heat_maps": Framing.HEAT_MAPS}
 
 
 class Service:
@@ -70,7 +71,12 @@ class Service:
         info = _describe(settings, suit)
         self.side = SideOutputs(settings.outputs, suit.skeleton, settings.gateway, settings.assembly.rate_hz)
         self.mqtt = MqttOutput(
-            settings.mqtt, suit.skeleton, info, self.statistics, lambda: self.side.counters
+            settings.mqtt,
+            suit.skeleton,
+            info,
+            self.statistics,
+            lambda: self.side.counters,
+            () if suit.markers is None or suit.video is not None else suit.markers.labels,
         )
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
         self.load = LoadWatch()
@@ -149,6 +155,7 @@ class Service:
         Raises ``OutputError`` if an output cannot start, ``RecordingError`` if what it is to record cannot be
         written.
         """
+        bound_memory()
         async with self.mqtt, self.side.running(), self.observer.watching():
             if self._records_at_start:
                 self.recording.start()

@@ -41,10 +41,10 @@ class LinkSettings(_Strict):
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
         "can://socketcan/can0, tcp://host:port, udp://host:port, markers:///path/walk.c3d, recording:///path/to/file.mcap",
     )
-    carries: Literal["suit", "gnss", "markers"] = Field(
+    carries: Literal["suit", "gnss", "markers", "heat_maps"] = Field(
         default="suit",
         description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver; "
-        "markers: messages of an optical system",
+        "markers: messages of an optical system; heat_maps: those of `mocap-gateway video serve-camera`",
     )
     device: int = Field(
         default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"

@@ -46,7 +46,7 @@ from gateway.clocks import (
     warm_up,
 )
 from gateway.exchanges import TimeExchanges
-from gateway.frames import FusedReading, InertialReading, LightReading, LocalReading, Quantity
+from gateway.frames import Clipped, FusedReading, InertialReading, LightReading, LocalReading, Quantity
 from gateway.losses import Cause, LinkLosses
 from gateway.statistics import ModuleRecord
 
@@ -241,8 +241,11 @@ def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, 
 def _inertial(
     record: ModuleRecord, packet: InertialSample | InertialSampleFine, sequence: int, time_ns: int
 ) -> Reading:
+    clipped = Clipped.SPECIFIC_FORCE if packet.specific_force_clipped else Clipped(0)
+    clipped |= Clipped.ANGULAR_RATE if packet.angular_rate_clipped else Clipped(0)
+    field = None if packet.magnetic_field_clipped else packet.magnetic_field  # it points elsewhere
     return InertialReading(
-        record.module, sequence, time_ns, packet.specific_force, packet.angular_rate, packet.magnetic_field
+        record.module, sequence, time_ns, packet.specific_force, packet.angular_rate, field, int(clipped)
     )
 
 

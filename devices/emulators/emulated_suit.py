@@ -55,6 +55,8 @@ class SuitCounts:
     """What the host sent."""
     worst_lateness_s: float = 0.0
     """Longest time from the moment a transmission was due until it was offered."""
+    lateness_s: float = 0.0
+    """The same of the newest one."""
 
 
 class EmulatedSuit:
@@ -195,7 +197,8 @@ class EmulatedSuit:
             while end < len(batch) and due[end] <= now:
                 end += 1
             if end > start:
-                self.counts.worst_lateness_s = max(self.counts.worst_lateness_s, (now - due[start]) * 1e-9)
+                self.counts.lateness_s = (now - due[start]) * 1e-9
+                self.counts.worst_lateness_s = max(self.counts.worst_lateness_s, self.counts.lateness_s)
                 await self._offer(b"".join(t.data for t in batch[start:end]))
             start = end
 

@@ -16,11 +16,12 @@ _LABEL_LISTS = 64
 
 
 @dataclass(frozen=True)
-class _Layout:
+class C3DLayout:
     """Where the points lie, and how."""
 
     n_points: int
     analog_per_frame: int
+    """Analog values of a frame: channels by samples."""
     n_frames: int
     scale: float
     """Negative: floats; else what integers are multiplied with."""
@@ -37,12 +38,50 @@ class _Layout:
         return (4 * self.n_points + self.analog_per_frame) * self.value_bytes
 
 
+@dataclass(frozen=True)
+class C3DFile:
+    """A file taken apart, before its values are given a meaning."""
+
+    path: Path
+    content: bytes
+    processor: int
+    parameters: dict[str, Parameter]
+    layout: C3DLayout
+
+    def rows(self) -> FloatArray:
+        """(F, 4 points + analog values) as stored. Raises ``FormatError`` for a file that is cut off."""
+        return _rows(self.content, self.layout, self.path)
+
+    def number(self, name: str, default: float) -> float:
+        """The first value of a parameter ``GROUP:NAME``."""
+        return _number(self.parameters, name, default)
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second. Raises ``FormatError``."""
+        return _rate(self.content, self.parameters, self.processor, self.path)
+
+
 def read_c3d(path: Path) -> MarkerTrial:
     """All points of a file. Raises ``FormatError`` with what was found, and where in the file.
 
     A point is missing where its residual is negative, and where all its coordinates are exactly zero, as
     some systems write it.
     """
+    file = open_c3d(path)
+    factor = metres_per_unit(file.parameters, path)
+    return MarkerTrial(
+        name=path.stem,
+        labels=_labels(file.parameters, file.layout.n_points),
+        rate_hz=file.rate_hz,
+        positions=_points(file.rows(), file.layout) * factor,
+        parameters=_scalars(file.parameters),
+        metres_per_unit=factor,
+    )
+
+
+def open_c3d(path: Path) -> C3DFile:
+    """Header and parameters read. Raises ``FormatError`` with what was found, and where in the file."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -52,19 +91,10 @@ def read_c3d(path: Path) -> MarkerTrial:
     if content[1] != _MAGIC:
         raise FormatError(f"{path}: not a C3D file: byte 1 is {content[1]:#04x} and not 0x50")
     processor, parameters = read_parameters(content, content[0], str(path))
-    layout = _layout(content, processor, parameters, path)
-    factor = _metres_per_unit(parameters, path)
-    return MarkerTrial(
-        name=path.stem,
-        labels=_labels(parameters, layout.n_points),
-        rate_hz=_rate(content, parameters, processor, path),
-        positions=_points(content, layout, path) * factor,
-        parameters=_scalars(parameters),
-        metres_per_unit=factor,
-    )
+    return C3DFile(path, content, processor, parameters, _layout(content, processor, parameters, path))
 
 
-def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], path: Path) -> _Layout:
+def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], path: Path) -> C3DLayout:
     words = np.frombuffer(content[:BLOCK], ">u2" if processor == MIPS else "<u2")
     header_scale = floats(content[12:16], processor)[0]
     scale = _number(parameters, "POINT:SCALE", float(header_scale))
@@ -79,11 +109,11 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
         raise FormatError(f"{path}: {n_points} points in {n_frames} frames: no marker trajectories")
     if scale == 0 or not np.isfinite(scale) or start < 1:
         raise FormatError(f"{path}: POINT:SCALE {scale:g}, POINT:DATA_START {start}: the file is damaged")
-    return _Layout(n_points, int(words[2]), n_frames, scale, (start - 1) * BLOCK, processor)
+    return C3DLayout(n_points, int(words[2]), n_frames, scale, (start - 1) * BLOCK, processor)
 
 
-def _points(content: bytes, layout: _Layout, path: Path) -> FloatArray:
-    """(F, M, 3) in the file's unit."""
+def _rows(content: bytes, layout: C3DLayout, path: Path) -> FloatArray:
+    """(F, 4 points + analog values) as stored."""
     end = layout.start + layout.n_frames * layout.frame_bytes
     if len(content) < end:
         whole = max(0, len(content) - layout.start) // layout.frame_bytes
@@ -96,8 +126,12 @@ def _points(content: bytes, layout: _Layout, path: Path) -> FloatArray:
         values = floats(data, layout.processor)
     else:
         values = np.frombuffer(data, ">i2" if layout.processor == MIPS else "<i2").astype(np.float64)
-    rows = values.reshape(layout.n_frames, -1)[:, : 4 * layout.n_points]
-    points = rows.reshape(layout.n_frames, layout.n_points, 4)
+    return values.reshape(layout.n_frames, -1)
+
+
+def _points(rows: FloatArray, layout: C3DLayout) -> FloatArray:
+    """(F, M, 3) in the file's unit."""
+    points = rows[:, : 4 * layout.n_points].reshape(layout.n_frames, layout.n_points, 4)
     places: FloatArray = points[:, :, :3] * (1.0 if layout.scale < 0 else layout.scale)
     unseen = (points[:, :, 3] < 0) | (places == 0).all(axis=2) | ~np.isfinite(places).all(axis=2)
     places[unseen] = np.nan
@@ -111,7 +145,8 @@ def _rate(content: bytes, parameters: dict[str, Parameter], processor: int, path
     return rate
 
 
-def _metres_per_unit(parameters: dict[str, Parameter], path: Path) -> float:
+def metres_per_unit(parameters: dict[str, Parameter], path: Path) -> float:
+    """Of the file's lengths. Raises ``FormatError`` for a unit that is not known."""
     texts = parameters["POINT:UNITS"].texts() if "POINT:UNITS" in parameters else []
     unit = texts[0].lower() if texts and texts[0] else "mm"
     if unit not in METRES:

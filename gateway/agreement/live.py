@@ -78,6 +78,7 @@ def comparison_message(found: Agreement, first_ns: int, second: str, window_s: f
                 heading_rms_deg=_known(figures.heading_rms_deg),
                 axes_apart_deg=_known(figures.axes_apart_deg),
                 position_rms_m=_known(figures.position_rms_m),
+                own_heading_deg=figures.own_heading_deg,
             )
             for figures in found.segments
         },

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from devices.calibration import SensorCalibration
+from gateway.body.camera import Camera
 from gateway.body.joints import Joint
 from gateway.body.markers import BodyMarkers
 from gateway.frames import FloatArray, IntArray, Quantity
@@ -90,6 +91,14 @@ class SunCells:
 
 
 @dataclass(frozen=True)
+class VideoSetUp:
+    """Calibrated cameras that look at the person, and the network that finds keypoints in their pictures."""
+
+    cameras: tuple[Camera, ...]
+    network: str
+
+
+@dataclass(frozen=True)
 class WornSuit:
     """A skeleton with modules strapped to it: all that a reconstructor needs to know beforehand."""
 
@@ -113,6 +122,8 @@ class WornSuit:
     """None: light readings are not used."""
     markers: BodyMarkers | None = None
     """For an optical system: where its markers sit; then there may be no modules."""
+    video: VideoSetUp | None = None
+    """For cameras without markers; ``markers`` are then the keypoints of the network."""
 
 
 def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:

@@ -18,7 +18,7 @@ from gateway.errors import SettingsError, nearest
 from gateway.outputs.exporters import Axes
 from gateway.reconstruction import RECONSTRUCTORS
 from gateway.recording.suit_snapshot import encode_suit
-from gateway.report.plots import require_matplotlib
+from gateway.report.drawing import require_matplotlib
 
 Kind = StrEnum("Kind", {name: name for name in KINDS})  # type: ignore[misc]  # from the list
 

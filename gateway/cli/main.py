@@ -64,6 +64,12 @@ class _Commands(LazyGroup):
             "settings.",
             "Example: mocap-gateway report walk.mcap -o walk.html",
         ),
+        "analyse": LazyCommand(
+            "gateway.cli.analyse:analyse_file",
+            "Analyse a motion: joint torques, floor forces, muscles, as tables, one HTML page and a film.",
+            "Examples: mocap-gateway analyse walk.mcap --mass 70; "
+            "mocap-gateway analyse trial.c3d --subject me.yaml --film -o results/",
+        ),
         "batch": LazyCommand(
             "gateway.cli.batch:batch",
             "Export, report or re-solve every recording of a folder, on all cores or on a Dask cluster.",
@@ -119,6 +125,9 @@ class _Commands(LazyGroup):
         "optical": LazyCommand(
             "gateway.cli.optical:optical_app",
             "Markers of an optical system (C3D, TRC, live): fit a body, solve, play.",
+        ),
+        "video": LazyCommand(
+            "gateway.cli.video:video_app", "Synchronised cameras without markers: solve, overlay, serve."
         ),
         "calibrate": LazyCommand(
             "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from gateway.cli.optical_fit import fit
+from gateway.cli.optical_serve import serve
 from gateway.cli.optical_solve import play, solve
 
 optical_app = typer.Typer(
@@ -22,3 +23,6 @@ optical_app.command(
 optical_app.command(
     epilog="Example: mocap-gateway optical play walk.c3d --subject anna.yaml --embedded --speed 0.5"
 )(play)
+optical_app.command(
+    epilog="Example: mocap-gateway optical serve walk.c3d --port 22223, and a link 'url: qtm://127.0.0.1:22223'"
+)(serve)

@@ -18,13 +18,14 @@ from devices.marker_files import read_markers
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli.export import export
+from gateway.cli.preparing import make_ready
 from gateway.cli.progress import progress_bar
 from gateway.cli.replay import speed_of
 from gateway.cli.replay_live import QUEUE, Brake, tell_outcome
 from gateway.cli.replay_live import play as play_link
 from gateway.errors import GatewayError
 from gateway.outputs.exporters import FORMATS
-from gateway.reconstruction import BOTH_WAYS, OFFLINE, PUBLISHED
+from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
 from gateway.recording.optical import (
     SolvedTrial,
@@ -78,6 +79,8 @@ def solve(
     if target.exists() and force:
         target.unlink()
     trial = read_markers(file)
+    if write is write_solved_trial:
+        make_ready(OPTICAL)
     with progress_bar("solving", is_shown=not as_json) as tell:
         try:
             done = write(trial, file, suit, subject, target, tell)
@@ -114,6 +117,7 @@ def play(
     suit = _subject(subject)
     pace = speed_of(speed)
     trial = read_markers(file)
+    make_ready(OPTICAL)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{file.resolve()}")
     if config is not None:
         given = load_gateway_settings(config)

@@ -17,7 +17,7 @@ from gateway.cli.preparing import make_ready
 from gateway.cli.run import until_signal
 from gateway.log_format import set_up_logging
 from gateway.service import Service
-from gateway.settings import GatewaySettings, load_gateway_settings
+from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
 
 REFRESH_S = 0.5
 
@@ -43,7 +43,7 @@ def record(
     settings = settings.model_copy(update={"recording": recording})
     suit = load_rig(settings.rig, config)
     set_up_logging(settings.log.level, settings.log.format)
-    make_ready(settings.reconstructor)
+    make_ready(fitting_suit(settings, suit).reconstructor)
     service = Service(settings, suit)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))
     status = service.recording.status()

@@ -12,7 +12,7 @@ from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.recording import open_recording
 from gateway.report import gather, write_report
-from gateway.report.plots import require_matplotlib
+from gateway.report.drawing import require_matplotlib
 
 
 def report(

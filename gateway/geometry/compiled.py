@@ -88,10 +88,17 @@ class Kernel:
         """
         return _compiler().njit(cache=True, error_model="numpy")(self._function)
 
+    @functools.cached_property
+    def _within(self) -> Any:
+        """The same as part of other kernels: without what Python and the disk would need of it, which takes
+        as long to compile as the kernel."""
+        numba = _compiler()
+        return numba.njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(self._function)
+
     @property
     def _numba_type_(self) -> Any:
         """What kernels that call this one see."""
-        return _compiler().types.Dispatcher(self.dispatcher)
+        return _compiler().types.Dispatcher(self._within)
 
     def __call__(self, *arguments: Any) -> Any:
         return self.dispatcher(*arguments)

@@ -11,9 +11,10 @@ import logging
 import os
 import secrets
 import socket
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import aiomqtt
@@ -66,16 +67,21 @@ class Backoff:
 
 @asynccontextmanager
 async def broker_connection(
-    settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Will | None = None
+    settings: MqttSettings,
+    port: int,
+    identifier: str,
+    will: aiomqtt.Will | None = None,
+    on_full: Callable[[], None] | None = None,
 ) -> AsyncIterator[aiomqtt.Client]:
     """A connected client, disconnected on leaving.
 
+    on_full: told of every message that was dropped because too many, or too large ones, wait to be read.
     Raises ``aiomqtt.MqttError``, ``OSError`` or ``CredentialError``; ``explain`` puts them into words.
 
     Left by an exception, the socket is closed at once without a farewell, so that the broker
     publishes the will.
     """
-    client = _client(settings, port, identifier, will)
+    client = _client(settings, port, identifier, will, partial(Inbox, on_full=on_full))
     try:
         # Not "async with": its exit waits for a broker that may be frozen, after any exception.
         await client.__aenter__()
@@ -122,7 +128,13 @@ def _explain_refusal(code: int | ReasonCode | None, settings: MqttSettings, wher
     )
 
 
-def _client(settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Will | None) -> aiomqtt.Client:
+def _client(
+    settings: MqttSettings,
+    port: int,
+    identifier: str,
+    will: aiomqtt.Will | None,
+    new_inbox: Callable[..., Inbox],
+) -> aiomqtt.Client:
     client = aiomqtt.Client(
         settings.host,
         port,
@@ -134,7 +146,7 @@ def _client(settings: MqttSettings, port: int, identifier: str, will: aiomqtt.Wi
         will=will,
         timeout=TIMEOUT_S,
         keepalive=settings.keepalive,
-        queue_type=Inbox,
+        queue_type=new_inbox,  # type: ignore[arg-type]  # it is only called
         max_queued_incoming_messages=MOST_MESSAGES,
         properties=_wishes(settings),
         tls_params=_tls_parameters(settings.tls) if settings.tls is not None else None,

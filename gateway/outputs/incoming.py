@@ -22,14 +22,18 @@ _log = logging.getLogger(__name__)
 class Inbox(asyncio.Queue[aiomqtt.Message]):
     """Messages that wait; full by their number, or by their bytes. aiomqtt drops what does not fit."""
 
-    def __init__(self, maxsize: int = MOST_MESSAGES) -> None:
+    def __init__(self, maxsize: int = MOST_MESSAGES, on_full: Callable[[], None] | None = None) -> None:
+        """on_full: told of every message that does not fit."""
         super().__init__(maxsize)
         self._bytes = 0
+        self._on_full = on_full
 
     def put_nowait(self, item: aiomqtt.Message) -> None:
         """Raises ``QueueFull``."""
         size = _size(item)
-        if size > LARGEST_MESSAGE or self._bytes + size > LARGEST_INBOX:
+        if self.full() or size > LARGEST_MESSAGE or self._bytes + size > LARGEST_INBOX:
+            if self._on_full is not None:
+                self._on_full()
             raise asyncio.QueueFull
         super().put_nowait(item)
         self._bytes += size

@@ -255,6 +255,32 @@ class SegmentMessage(Message):
     sigma: Number | None = Field(default=None, description="Standard deviation of the orientation, rad.")
 
 
+class PublishedMarker(Message):
+    """One marker of an optical source at one instant."""
+
+    position: Vector | None = Field(
+        description="Where it was seen, m, after names were put right; null: not seen."
+    )
+    expected: Vector = Field(description="Where the body of the pose has it, m.")
+    residual: Number | None = Field(description="Between the two, m; null: not seen.")
+    used: bool = Field(description="Whether it had a say in the pose; false also when it was not seen.")
+    taken_from: str | None = Field(
+        default=None,
+        description="Whose point it was given when names were put right: another marker's, or '' for a "
+        "nameless one; null: its own.",
+    )
+
+
+class MarkersMessage(Message):
+    """What became of the markers of one pose; from an optical source."""
+
+    t_ns: int = Field(description="Gateway time of the pose, ns.")
+    seq: int = Field(description="Frame number, that of the pose.")
+    frame: Literal["ENU"] = Field(description="World axes: east, north, up.")
+    markers: dict[str, PublishedMarker] = Field(description="By name, all that the body has.")
+    unlabelled: tuple[Vector, ...] = Field(description="Points that the optical system could not name, m.")
+
+
 class ComparedSegment(Message):
     """How far two gateways agree on one segment; null: no instant in common."""
 
@@ -266,6 +292,10 @@ class ComparedSegment(Message):
         description="Constant difference of the two's segment axes, taken off before, degrees."
     )
     position_rms_m: Number | None = Field(description="Between the proximal joints, RMS, m.")
+    own_heading_deg: Number = Field(
+        default=0.0,
+        description="Heading of the segment beside the common one, taken off too, degrees; 0: it has none.",
+    )
 
 
 class ComparisonMessage(Message):
@@ -300,6 +330,7 @@ PUBLICATIONS: tuple[Publication, ...] = (
     Publication(topics.POSE, PoseMessage, qos=0, retain=False),
     Publication(topics.POSE_MSGPACK, PoseMessage, qos=0, retain=False, content_type=MSGPACK),
     Publication(topics.SEGMENT, SegmentMessage, qos=0, retain=False),
+    Publication(topics.MARKERS, MarkersMessage, qos=0, retain=False),
     Publication(topics.MODULE_STATE, ModuleState, qos=1, retain=True),
     Publication(topics.MODULE_AVAILABILITY, ModuleAvailability, qos=1, retain=True),
     Publication(topics.COMPARISON, ComparisonMessage, qos=0, retain=False),

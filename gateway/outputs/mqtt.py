@@ -68,6 +68,7 @@ class MqttOutput:
     info: published on ``bridge/info``; its gateway name is the second level of the topics.
     others: counters of other outputs, to go with them.
     health: called for every ``bridge/health`` message, for the statistics to go with it.
+    markers: names of the markers that the body has.
     Raises ``ValueError`` for a gateway name that cannot stand in a topic.
     """
 
@@ -78,6 +79,7 @@ class MqttOutput:
         info: BridgeInfo,
         health: Callable[[], Mapping[str, object]] = dict,
         others: Callable[[], Mapping[str, OutputCounters]] = dict,
+        markers: tuple[str, ...] = (),
     ) -> None:
         self.topics = Topics(settings.base_topic, info.gateway)
         self.is_connected = False
@@ -85,7 +87,7 @@ class MqttOutput:
         """Port of the broker; with port 0 in the settings, the one that was found free."""
         self._settings = settings
         self._identifier = settings.client_id or unique_identifier(info.gateway)
-        self._publications = PosePublications(settings, skeleton, self.topics)
+        self._publications = PosePublications(settings, skeleton, self.topics, markers)
         self._properties = properties_of(settings.spoken_protocol, JSON)
         self._info = info
         self._utc: UtcAnchor | None = None
@@ -103,6 +105,7 @@ class MqttOutput:
         self._relief = Thinning(None)
         self._queue: deque[SkeletonFrame] = deque()
         self._published = self._dropped = self._thinned = self._connections = 0
+        self._in_hand = 0  # 1 while a pose is on its way to the broker
         self._complaints: set[str] = set()
         self._wake = asyncio.Event()
         self._stopping = asyncio.Event()
@@ -117,7 +120,7 @@ class MqttOutput:
             published=self._published,
             dropped=self._dropped,
             thinned=self._thinned,
-            queued=len(self._queue),
+            queued=len(self._queue) + self._in_hand,
             connections=self._connections,
         )
 
@@ -262,16 +265,23 @@ class MqttOutput:
             await self._publish_pose(client, self._queue.popleft())
 
     async def _publish_pose(self, client: aiomqtt.Client, frame: SkeletonFrame) -> None:
-        self._dropped += 1  # until it is out
         try:
             outgoing = list(self._publications.of(frame))
         except Exception as error:
+            self._dropped += 1
             self._complain("pose", f"a pose cannot be encoded ({error!r}): it is dropped")
             return
-        for topic, payload, properties in outgoing:
-            await client.publish(topic, payload, properties=properties)
-        self._dropped -= 1
-        self._published += 1
+        self._in_hand = 1
+        try:
+            for topic, payload, properties in outgoing:
+                await client.publish(topic, payload, properties=properties)
+        except BaseException:
+            self._dropped += 1
+            raise
+        else:
+            self._published += 1
+        finally:
+            self._in_hand = 0
 
     async def _publish_health(self, client: aiomqtt.Client) -> None:
         try:

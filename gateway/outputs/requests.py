@@ -106,7 +106,9 @@ class RequestResponder:
         while True:
             try:
                 identifier = unique_identifier("requests")
-                async with broker_connection(self._settings, port, identifier) as client:
+                async with broker_connection(
+                    self._settings, port, identifier, on_full=self._note_dropped
+                ) as client:
                     await client.subscribe(self._topics.request("#"), qos=1)
                     self._client, self.is_connected, waited = client, True, 0.0
                     async for message in client.messages:
@@ -138,14 +140,17 @@ class RequestResponder:
 
     def _is_in_time(self) -> bool:
         """Whether one more request is taken now; if not, that is counted, and said now and then."""
-        now_s = time.monotonic()
-        if self._allowance.takes(now_s):
+        if self._allowance.takes(time.monotonic()):
             return True
+        self._note_dropped()
+        return False
+
+    def _note_dropped(self) -> None:
+        now_s = time.monotonic()
         self.dropped += 1
         if now_s - self._complained_s > _COMPLAINT_INTERVAL_S:
             self._complained_s = now_s
             _log.warning("requests come faster than %g a second: %d dropped", MOST_A_SECOND, self.dropped)
-        return False
 
     async def _work(self) -> None:
         while True:

@@ -135,6 +135,14 @@ class MqttSettings(BaseModel):
         description="Most messages a second on each segment/<name>, Hz; none: no such topics. A message of "
         "its own for every segment costs far more than one for all.",
     )
+    marker_rate: float | None = Field(
+        default=30,
+        gt=0,
+        le=1000,
+        allow_inf_nan=False,
+        description="Most messages a second on topic markers, Hz, where poses are made from markers; "
+        "none: no such topic.",
+    )
     pose_expiry_s: int = Field(
         default=2,
         ge=1,

@@ -30,7 +30,14 @@ from gateway.outputs.connection import (
     explain,
     unique_identifier,
 )
-from gateway.outputs.messages import BodyMessage, BridgeHealth, BridgeInfo, BridgeState, PoseMessage
+from gateway.outputs.messages import (
+    BodyMessage,
+    BridgeHealth,
+    BridgeInfo,
+    BridgeState,
+    MarkersMessage,
+    PoseMessage,
+)
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.topics import ANY_GATEWAY, Topics
 
@@ -69,17 +76,23 @@ class PoseSubscriber:
     Messages are input from outside: what does not decode is counted, never raised.
     """
 
-    def __init__(self, settings: MqttSettings, gateway: str = ANY_GATEWAY) -> None:
+    def __init__(
+        self, settings: MqttSettings, gateway: str = ANY_GATEWAY, *, with_markers: bool = False
+    ) -> None:
+        """with_markers: what became of markers is received too."""
         self.states: dict[str, Literal["online", "offline"]] = {}
         """Last known state of each gateway."""
         self.infos: dict[str, BridgeInfo] = {}
         self.bodies: dict[str, BodyMessage] = {}
         self.healths: dict[str, BridgeHealth] = {}
+        self.markers: dict[str, MarkersMessage] = {}
+        """The last of each gateway."""
         self.is_connected = False
         self.undecodable = 0
         """Messages that were not what their topic promises."""
         self.dropped = 0
         """Poses that the reader did not take in time."""
+        self._with_markers = with_markers
         self._settings = settings
         self._topics = Topics(settings.base_topic, gateway)
         self._backlog: deque[ReceivedPose] = deque()
@@ -142,7 +155,9 @@ class PoseSubscriber:
 
     async def _subscribe(self, client: aiomqtt.Client) -> None:
         kept = (self._topics.bridge_state, self._topics.bridge_info, self._topics.body)
-        passing = (self._topics.bridge_health, self._topics.pose)
+        passing = [self._topics.bridge_health, self._topics.pose]
+        if self._with_markers:
+            passing.append(self._topics.markers)
         await client.subscribe([(topic, 1) for topic in kept] + [(topic, 0) for topic in passing])
         self.is_connected = True
 
@@ -170,6 +185,8 @@ class PoseSubscriber:
                     self.dropped += 1
                 self._backlog.append(ReceivedPose(gateway, arrived_ns, pose, payload))
                 self._arrival.set()
+            case topics.MARKERS if self._with_markers:
+                self.markers[gateway] = MarkersMessage.model_validate_json(payload)
             case topics.BRIDGE_STATE:
                 self.states[gateway] = BridgeState.model_validate_json(payload).state
             case topics.BRIDGE_INFO:

@@ -13,6 +13,7 @@ BODY = "body"
 POSE = "pose"
 POSE_MSGPACK = "pose/msgpack"
 SEGMENT = "segment/{name}"
+MARKERS = "markers"
 MODULE_STATE = "module/{id}/state"
 MODULE_AVAILABILITY = "module/{id}/availability"
 
@@ -72,6 +73,11 @@ class Topics:
     def segment(self, name: str) -> str:
         """One segment of the poses, where configured."""
         return f"{self.root}/{SEGMENT.format(name=name)}"
+
+    @property
+    def markers(self) -> str:
+        """What became of the markers, from an optical source."""
+        return f"{self.root}/{MARKERS}"
 
     @property
     def comparison(self) -> str:

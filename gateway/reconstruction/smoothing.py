@@ -25,6 +25,7 @@ from gateway.frames import (
     StatusArray,
 )
 from gateway.reconstruction.inertial.joint import ChainReconstructor
+from gateway.reconstruction.inertial.observations import clipped_of
 from gateway.reconstruction.inertial.sun_rows import sight_of, stacked_sights
 from gateway.reconstruction.inertial.time_reversal import seen_backward
 from gateway.reconstruction.inertial.two_ways import put_together
@@ -49,6 +50,7 @@ class _Block:
     observed_rate: FloatArray  # (T, m, 3)
     magnetic_field: FloatArray  # (T, m, 3)
     observed_status: StatusArray  # (T, m)
+    clipped: StatusArray  # (T, m)
     sights: FloatArray  # (T, m + 1, 4) see ``stacked_sights``
     resting: FloatArray  # (T, n)
     step_s: FloatArray  # (T,)
@@ -75,7 +77,7 @@ class _Block:
             ImuFrame(
                 int(self.sequence[t]), int(self.time_ns[t]), self.specific_force[t], self.observed_rate[t],
                 self.magnetic_field[t], self.observed_status[t], nothing, tuple(local[t]),
-                sun=sight_of(self.sights[t]),
+                sun=sight_of(self.sights[t]), clipped=self.clipped[t],
             )
             for t in range(len(self.time_ns))
         ]  # fmt: skip
@@ -140,6 +142,7 @@ class Smoother:
             observed_rate=np.stack([frame.angular_rate for frame in clean]),
             magnetic_field=np.stack([frame.magnetic_field for frame in clean]),
             observed_status=np.stack([frame.status for frame in clean]),
+            clipped=np.stack([clipped_of(frame) for frame in clean]),
             sights=stacked_sights(clean),
             resting=resting,
             step_s=np.array([one.dt for one in prepared]),

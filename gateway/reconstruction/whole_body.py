@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gateway.body.interpolation import follow, following_rules
 from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, ImuFrame, Quantity, SkeletonFrame, Status
+from gateway.frames import Clipped, FloatArray, ImuFrame, Quantity, SkeletonFrame, Status, StatusArray
 from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
 from gateway.reconstruction.inertial.root_position import (
     Contacts,
@@ -208,6 +208,7 @@ class WholeBodyReconstructor:
         _, observed, resting, dt = prepared
         q_wb, rate = np.array(found.q_wb, np.float64), np.array(found.angular_rate, np.float64)
         sigma, status = np.array(found.sigma, np.float64), np.array(found.status, np.uint8)
+        _tell_clipped(status, observed)
         follow(self._rules, q_wb, rate, sigma, status)
         force = np.where(np.isfinite(rate), observed.specific_force, np.nan)
         watch_joints(self._joints, self._memory.agreement, q_wb, force, rate, dt)
@@ -275,6 +276,14 @@ class _Resumable(Protocol):
     def state(self) -> dict[str, NDArray[np.generic]]: ...
 
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None: ...
+
+
+def _tell_clipped(status: StatusArray, observed: SegmentObservations) -> None:
+    """In place: whoever found the orientations, a gyrometer at the end of its range does not say how far its
+    segment has turned, nor such an accelerometer where down is."""
+    is_told = status <= Status.INTERPOLATED
+    status[is_told & (observed.clipped & Clipped.SPECIFIC_FORCE > 0)] = Status.UNAIDED
+    status[is_told & (observed.clipped & Clipped.ANGULAR_RATE > 0)] = Status.PREDICTED
 
 
 def _contacts(suit: WornSuit, root: RootSettings) -> Contacts | None:

@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.body.skeleton import Skeleton
-from gateway.frames import FloatArray, IntArray, SkeletonFrame, StatusArray
+from gateway.frames import FloatArray, IntArray, MarkerFit, SkeletonFrame, StatusArray
+
+
+@dataclass(frozen=True)
+class MarkerArrays:
+    """What became of M markers in F frames, those of the skeleton: world axes, m."""
+
+    labels: tuple[str, ...]
+    positions: FloatArray  # (F, M, 3) after names were put right; NaN: not seen, or not recorded
+    virtual: FloatArray  # (F, M, 3) where the body has them
+    used: NDArray[np.bool_]  # (F, M) had a say in the pose
+    unlabelled: tuple[FloatArray, ...]  # F times (n, 3)
+
+    @property
+    def residuals(self) -> FloatArray:
+        """(F, M) m; NaN where not seen."""
+        apart: FloatArray = np.linalg.norm(self.positions - self.virtual, axis=2)
+        return apart
 
 
 @dataclass(frozen=True)
@@ -24,6 +42,8 @@ class SkeletonArrays:
     sigma: FloatArray  # (F, S) rad, standard deviation of the orientation
     status: StatusArray  # (F, S) Status
     skeleton: Skeleton
+    markers: MarkerArrays | None = None
+    """Of poses made from markers, where that was recorded."""
 
     @property
     def segment_names(self) -> tuple[str, ...]:
@@ -68,3 +88,22 @@ def arrays_of(frames: Iterable[SkeletonFrame], skeleton: Skeleton) -> SkeletonAr
         status=np.stack([frame.status for frame in kept]),
         skeleton=skeleton,
     )
+
+
+def marker_arrays(
+    labels: tuple[str, ...], time_ns: IntArray, fits: Mapping[int, MarkerFit]
+) -> MarkerArrays | None:
+    """The fits by instant stacked for the frames at ``time_ns`` (F,); None when there is none.
+
+    One of another number of markers is left out.
+    """
+    n_frames, n = len(time_ns), len(labels)
+    positions, virtual = np.full((n_frames, n, 3), np.nan), np.full((n_frames, n, 3), np.nan)
+    used = np.zeros((n_frames, n), dtype=bool)
+    nameless = [np.zeros((0, 3))] * n_frames
+    found = [(row, fits[instant]) for row, instant in enumerate(time_ns.tolist()) if instant in fits]
+    for row, fit in found:
+        if len(fit.used) == n:
+            positions[row], virtual[row], used[row] = fit.positions, fit.virtual, fit.used
+            nameless[row] = fit.unlabelled
+    return MarkerArrays(labels, positions, virtual, used, tuple(nameless)) if found else None

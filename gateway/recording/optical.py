@@ -23,16 +23,15 @@ from devices.recording_writer import RecordingWriter, session_record
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray, SkeletonFrame
+from gateway.frames import FloatArray, MarkerFit, SkeletonFrame
 from gateway.marker_frames import MarkerFrames
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import BOTH_WAYS, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.landmarks import to_world
 from gateway.reconstruction.optical.published_trial import published_trial
-from gateway.reconstruction.optical.reconstructor import MarkerFit
+from gateway.recording.marker_encoding import frame_messages
 from gateway.recording.reading import Progress
-from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import AssemblySettings, GatewaySettings, LinkSettings
 
@@ -166,11 +165,11 @@ def write_both_ways_trial(
     renamed: list[tuple[int, str, str]] = []
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     with _writer(target, source, attachments_of(settings, suit), solved_by=BOTH_WAYS) as writer:
-        for index, (chunk, each) in enumerate(zip(chunks, solved, strict=True)):
-            _add(writer, chunk, [each.frame])
-            if each.fit is not None:
-                residuals[index], used[index] = each.fit.residuals, each.fit.used
-                renamed += _told(index, markers, each.fit)
+        for index, (chunk, frame) in enumerate(zip(chunks, solved, strict=True)):
+            _add(writer, chunk, [frame])
+            if frame.markers is not None:
+                residuals[index], used[index] = frame.markers.residuals, frame.markers.used
+                renamed += _told(index, markers, frame.markers)
     return SolvedTrial(
         target, len(solved), markers.labels, residuals, used, tuple(renamed), dict(counts),
         1e3 * spent / max(len(solved), 1),
@@ -208,7 +207,8 @@ def _writer(
 def _add(writer: RecordingWriter, chunk: Chunk, made: Sequence[SkeletonFrame]) -> None:
     writer.add_chunk(chunk, Framing.MARKERS)
     for frame in made:
-        writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(frame))
+        for topic, message in frame_messages(frame):
+            writer.add(topic, chunk.arrived_ns, message)
 
 
 def _session(target: Path, begun_ns: int) -> dict[str, str]:

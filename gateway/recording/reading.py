@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,9 @@ from devices.link import Chunk, Framing, SentChunk
 from devices.recording_file import RecordedMessage, RecordingError, RecordingParts
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.errors import SettingsError
-from gateway.frames import SkeletonFrame
-from gateway.recording.arrays import SkeletonArrays, arrays_of
+from gateway.frames import MarkerFit, SkeletonFrame
+from gateway.recording.arrays import SkeletonArrays, arrays_of, marker_arrays
+from gateway.recording.marker_encoding import RecordedMarkers, decode_markers
 from gateway.recording.skeleton_encoding import decode_skeleton_frame
 from gateway.recording.suit_snapshot import decode_suit
 from gateway.settings import GatewaySettings
@@ -57,7 +58,7 @@ class RecordedStatistics:
     values: dict[str, Any]
 
 
-RecordedItem = Chunk | SentChunk | RecordedEvent | RecordedStatistics | SkeletonFrame
+RecordedItem = Chunk | SentChunk | RecordedEvent | RecordedStatistics | SkeletonFrame | RecordedMarkers
 
 
 class RecordingMeta:
@@ -72,9 +73,9 @@ class RecordingMeta:
         """Unique; the same in all parts of a session."""
         self.software = session.get("software", "")
         """Version of the gateway that wrote it."""
-        self.begun_ns = int(session.get("begun_ns", 0))
+        self.begun_ns = self._nanoseconds(session, "begun_ns")
         """Gateway time at the beginning, ns."""
-        self.begun_utc_ns = int(session.get("begun_utc_ns", 0))
+        self.begun_utc_ns = self._nanoseconds(session, "begun_utc_ns")
         """The host's wall clock at the same instant, ns since 1970."""
         self.from_start = session.get("from_start") == "1" and head.part == 1
         """Whether it has all that the gateway was fed: then a replay is bit-identical."""
@@ -127,25 +128,39 @@ class RecordingMeta:
 
     @property
     def rig(self) -> str:
-        """The rig as the text of a rig file."""
-        return self._attachment(fmt.RIG).decode()
+        """The rig as the text of a rig file. Raises ``SettingsError`` for one that is damaged."""
+        return self._text(fmt.RIG)
 
     @property
     def body(self) -> str:
-        """The body as the text of a body file."""
-        return self._attachment(fmt.BODY).decode()
+        """The body as the text of a body file. Raises ``SettingsError`` for one that is damaged."""
+        return self._text(fmt.BODY)
 
     @property
     def clock_table(self) -> str | None:
-        """Text of the clock table used; None without one."""
-        text = self.attachments.get(fmt.CLOCK_TABLE)
-        return None if text is None else text.decode()
+        """Text of the clock table used; None without one. Raises ``SettingsError`` for a damaged one."""
+        return self._text(fmt.CLOCK_TABLE) if fmt.CLOCK_TABLE in self.attachments else None
 
     @property
     def host(self) -> dict[str, Any]:
-        """Versions, kernel and processor of the machine that recorded."""
-        host: dict[str, Any] = json.loads(self.attachments.get(fmt.HOST, b"{}"))
-        return host
+        """Versions, kernel and processor of the machine that recorded; nothing where that is damaged."""
+        try:
+            host = json.loads(self.attachments.get(fmt.HOST, b"{}"))
+        except ValueError:
+            return {}
+        return host if isinstance(host, dict) else {}
+
+    def _nanoseconds(self, session: Mapping[str, str], key: str) -> int:
+        try:
+            return int(session.get(key, 0))
+        except ValueError as error:
+            raise SettingsError(f"{self.path}: the recorded '{key}' is no number: {error}") from error
+
+    def _text(self, name: str) -> str:
+        try:
+            return self._attachment(name).decode()
+        except UnicodeDecodeError as error:
+            raise SettingsError(f"{self.path}: the recorded '{name}' is damaged: {error}") from error
 
     def _attachment(self, name: str) -> bytes:
         if name not in self.attachments:
@@ -199,19 +214,34 @@ class Recording:
         """The reconstruction as it was while recording."""
         return (item for item in self._decoded(fmt.SKELETON, progress) if isinstance(item, SkeletonFrame))
 
+    def markers(self) -> Iterator[RecordedMarkers]:
+        """What became of the markers, of poses made from any."""
+        return (item for item in self._decoded(fmt.MARKERS) if isinstance(item, RecordedMarkers))
+
     def skeleton_bytes(self) -> Iterator[bytes]:
         """The same, as it stands in the file."""
         return (message.data for message in self.parts.messages() if message.topic == fmt.SKELETON)
 
     def skeleton_arrays(self, progress: Progress | None = None) -> SkeletonArrays:
         """The whole reconstruction as arrays. Raises ``RecordingError`` when none was recorded."""
-        arrays = arrays_of(self.skeleton_frames(progress), self.meta.skeleton)
+        fits: dict[int, MarkerFit] = {}
+        arrays = arrays_of(self._frames_with(fits, progress), self.meta.skeleton)
         if arrays is None:
             raise RecordingError(
                 f"{self.parts.path} has no skeleton frames: make some with "
                 f"`mocap-gateway replay {self.parts.path} --offline --output NEW.mcap`"
             )
-        return arrays
+        if not fits or self.meta.suit.markers is None:
+            return arrays
+        return replace(arrays, markers=marker_arrays(self.meta.suit.markers.labels, arrays.time_ns, fits))
+
+    def _frames_with(self, fits: dict[int, MarkerFit], progress: Progress | None) -> Iterator[SkeletonFrame]:
+        """The reconstruction; what became of its markers goes to ``fits``, by instant."""
+        for item in self._decoded((fmt.SKELETON, fmt.MARKERS), progress):
+            if isinstance(item, RecordedMarkers):
+                fits[item.time_ns] = item.fit
+            elif isinstance(item, SkeletonFrame):
+                yield item
 
     def _decoded(
         self, prefix: str | tuple[str, ...], progress: Progress | None = None
@@ -279,6 +309,7 @@ def _statistics(message: RecordedMessage) -> RecordedItem:
 
 _DECODERS: dict[str, Callable[[RecordedMessage], RecordedItem]] = {
     fmt.SKELETON: lambda message: decode_skeleton_frame(message.data),
+    fmt.MARKERS: lambda message: decode_markers(message.data),
     fmt.EVENTS: _event,
     fmt.STATISTICS: _statistics,
 }

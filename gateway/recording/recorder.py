@@ -21,6 +21,7 @@ from devices import recording_format as fmt
 from devices.link import Chunk, Framing, SentChunk, gateway_time_ns
 from gateway.frames import SkeletonFrame
 from gateway.outputs.messages import plain_json
+from gateway.recording.marker_encoding import encode_markers_of
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 
 LONGEST_QUEUE_BYTES = 32 << 20
@@ -49,7 +50,8 @@ class Sink(NamedTuple):
 
 @dataclass
 class Counts:
-    """What became of what was handed over, by kind of message: chunks, sent, skeleton, events, statistics."""
+    """What became of what was handed over, by kind of message: chunks, sent, skeleton, markers, events,
+    statistics."""
 
     queued: Counter[str] = field(default_factory=Counter)
     written: Counter[str] = field(default_factory=Counter)
@@ -109,6 +111,8 @@ class Recorder:
     def skeleton(self, frame: SkeletonFrame, arrived_ns: int) -> None:
         """Take a frame, and when the chunk that completed it arrived."""
         self._put(fmt.SKELETON, arrived_ns, frame, {})
+        if frame.markers is not None:
+            self._put(fmt.MARKERS, arrived_ns, frame, {})
 
     def event(self, name: str, data: Mapping[str, object], time_ns: int) -> None:
         """Take something that happened."""
@@ -203,9 +207,7 @@ class Recorder:
             self._unflushed.update(_kind(topic) for topic, *_ in items)
         written = 0
         for topic, time_ns, data, metadata in items:
-            self._sink.write(
-                topic, time_ns, data if isinstance(data, bytes) else encode_skeleton_frame(data), metadata
-            )
+            self._sink.write(topic, time_ns, _encoded(topic, data), metadata)
             written += len(data) if isinstance(data, bytes) else _FRAME_BYTES
         reason = self._sink.flush()
         with self._lock:
@@ -232,6 +234,14 @@ class Recorder:
             self._on_end(reason)
 
 
+def _encoded(topic: str, data: bytes | SkeletonFrame) -> bytes:
+    if isinstance(data, bytes):
+        return data
+    if topic == fmt.MARKERS and data.markers is not None:
+        return encode_markers_of(data.sequence, data.time_ns, data.markers)
+    return encode_skeleton_frame(data)
+
+
 def _kind(topic: str) -> str:
-    """``chunks``, ``sent``, ``skeleton``, ``events``, ``statistics``."""
+    """``chunks``, ``sent``, ``skeleton``, ``markers``, ``events``, ``statistics``."""
     return topic.split("/", 2)[1]

@@ -48,4 +48,14 @@ def decode_skeleton_frame(data: bytes) -> SkeletonFrame:
         else:
             arrays[name] = np.full(shape, np.nan)
     status = np.frombuffer(data, np.uint8, n_segments, _HEAD.size).copy()
-    return SkeletonFrame(sequence=sequence, time_ns=time_ns, status=status, root=root, **arrays)
+    return SkeletonFrame(
+        sequence,
+        time_ns,
+        arrays["q_wb"],
+        arrays["angular_rate"],
+        arrays["joint_acceleration"],
+        arrays["p_w"],
+        arrays["sigma"],
+        status,
+        root,
+    )

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import InputEvent, Pipeline
 from gateway.recording.arrays import SkeletonArrays, arrays_of
+from gateway.recording.marker_encoding import frame_messages
 from gateway.recording.reading import (
     Progress,
     RecordedEvent,
@@ -31,12 +33,14 @@ from gateway.recording.reading import (
     Recording,
     decode_message,
 )
-from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
+from gateway.recording.skeleton_encoding import decode_skeleton_frame
 from gateway.recording.smoothing import SmoothedPoses
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
 
 _MESSAGES_A_TELLING = 512
+
+_MOST_WAITING = 4096
 
 
 @dataclass(frozen=True)
@@ -108,16 +112,19 @@ def smoothed_arrays(recording: Recording, progress: Progress | None = None) -> S
 
 
 def verify(recording: Recording, progress: Progress | None = None) -> Verification:
-    """Recompute every skeleton frame, and compare it with the recorded one byte by byte.
+    """Recompute every skeleton frame, and compare it with the recorded one byte by byte; and what became of
+    its markers, where that was recorded.
 
     Raises ``RecordingError`` when no skeleton frames were recorded, or an offline method made them.
     """
     if recording.meta.solved_by:
         raise RecordingError(
             f"{recording.parts.path}: its poses are of the offline method '{recording.meta.solved_by}', "
-            "which replaying cannot compare: solve the trial again, with `mocap-gateway optical solve`"
+            "which replaying cannot compare: solve the trial again, with `mocap-gateway optical solve` or "
+            "`video solve`"
         )
     recomputed: deque[bytes] = deque()
+    markers: deque[bytes] = deque(maxlen=_MOST_WAITING)  # nobody takes them where none were recorded
     compared = 0
     with _poses_by_message(recording, recorded_source(recording), progress) as (poses_of, tell):
         for message in _told(recording, tell):
@@ -126,8 +133,13 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
                 if made != message.data:
                     return Verification(compared, _difference(compared, message.data, made), 0)
                 compared += 1
+            elif message.topic == fmt.MARKERS:
+                if not markers or markers.popleft() != message.data:
+                    what = "its markers were explained in another way"
+                    return Verification(compared, f"frame {compared - 1} (counted from 0): {what}", 0)
             else:
-                recomputed.extend(encode_skeleton_frame(frame) for frame in poses_of(message))
+                for topic, made_now in chain.from_iterable(map(frame_messages, poses_of(message))):
+                    (recomputed if topic == fmt.SKELETON else markers).append(made_now)
     if compared == 0:
         raise RecordingError(f"{recording.parts.path} has no skeleton frames to compare with")
     return Verification(compared, None, len(recomputed))
@@ -161,10 +173,11 @@ def write_solved(
         RecordingWriter(target, session, attachments, meta.begun_ns) as writer,
     ):
         for count, message in enumerate(_told(recording, tell)):
-            if message.topic != fmt.SKELETON:
+            if message.topic not in (fmt.SKELETON, fmt.MARKERS):
                 writer.add(message.topic, message.time_ns, message.data, _metadata(recording, message.topic))
             for frame in poses_of(message):
-                writer.add(fmt.SKELETON, message.time_ns, encode_skeleton_frame(frame))
+                for topic, made in frame_messages(frame):
+                    writer.add(topic, message.time_ns, made)
                 frames += 1
             if count % _MESSAGES_A_TELLING == 0:
                 writer.flush()

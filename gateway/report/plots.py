@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
-import io
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gateway.errors import GatewayError
 from gateway.frames import FloatArray, Status
 from gateway.recording.arrays import SkeletonArrays
+from gateway.report.drawing import colours, panels, png, small_multiples
 from gateway.report.gathering import Findings
 
-_DPI = 110
-_WIDTH_IN = 10.0
-_COLUMNS = 3
 _STATUS_COLOURS = {
     Status.MEASURED: "#2e9e5b",
     Status.INTERPOLATED: "#a8d08d",
@@ -27,18 +21,11 @@ _STATUS_COLOURS = {
     Status.MISSING: "#d1495b",
     Status.UNAIDED: "#e07a1f",
 }
-_LINES = ("#1f6fb2", "#e07a1f", "#4f9d4f")
-
-
-def require_matplotlib() -> None:
-    """Raises ``GatewayError`` where the extra is not installed."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise GatewayError("a report needs the extra 'plot': pip install 'mocap-gateway[plot]'")
 
 
 def loss(found: Findings) -> bytes:
     """Share of packets lost, module by time."""
-    figure, axes = _figure(1, 0.22 * len(found.modules) + 1.2)
+    figure, axes = panels(1, 0.22 * len(found.modules) + 1.2)
     sent = np.array([module.lost + module.received for module in found.modules])
     with np.errstate(invalid="ignore", divide="ignore"):
         share = 100.0 * np.array([module.lost for module in found.modules]) / sent
@@ -48,26 +35,26 @@ def loss(found: Findings) -> bytes:
     axes[0].set_yticks(range(len(found.modules)), [_label(module) for module in found.modules], fontsize=7)
     axes[0].set_xlabel("s")
     figure.colorbar(image, ax=axes[0], label="lost, %", pad=0.01)
-    return _png(figure)
+    return png(figure)
 
 
 def clocks(found: Findings) -> bytes:
     """Rate of every module's clock against the gateway's, and how far its stamps scatter."""
-    figure, axes = _figure(2, 3.4)
-    colours = _colours(len(found.modules))
-    for module, colour in zip(found.modules, colours, strict=True):
+    figure, axes = panels(2, 3.4)
+    shades = colours(len(found.modules))
+    for module, colour in zip(found.modules, shades, strict=True):
         axes[0].plot(found.bin_times_s, module.clock_ppm, lw=0.9, color=colour, label=_label(module))
         axes[1].plot(found.bin_times_s, module.residual_us * 1e-3, lw=0.9, color=colour)
     axes[0].set(title="clock rate, ppm", xlabel="s")
     axes[1].set(title="residual of arrival times, ms", xlabel="s")
     figure.legend(loc="outside lower center", ncols=6, fontsize=6, frameon=False)
-    return _png(figure)
+    return png(figure)
 
 
 def orientations(poses: SkeletonArrays) -> bytes:
     """Heading, pitch and roll of every segment against its neutral posture, degrees."""
     angles = _heading_pitch_roll(poses)
-    return _small_multiples(
+    return small_multiples(
         poses.time_s,
         [(name, angles[:, s], ("heading", "pitch", "roll")) for s, name in enumerate(poses.segment_names)],
     )
@@ -83,19 +70,19 @@ def joints(poses: SkeletonArrays, angles: FloatArray) -> bytes:
         )
         for j, joint in enumerate(poses.skeleton.joints)
     ]
-    return _small_multiples(poses.time_s, rows)
+    return small_multiples(poses.time_s, rows)
 
 
 def sigma(poses: SkeletonArrays) -> bytes:
     """Standard deviation of the orientations, as the method itself judges it."""
-    figure, axes = _figure(1, 3.2)
-    for s, colour in enumerate(_colours(len(poses.segment_names))):
+    figure, axes = panels(1, 3.2)
+    for s, colour in enumerate(colours(len(poses.segment_names))):
         axes[0].plot(
             poses.time_s, np.degrees(poses.sigma[:, s]), lw=0.9, color=colour, label=poses.segment_names[s]
         )
     axes[0].set(xlabel="s", ylabel="sigma, °", yscale="log")
     figure.legend(loc="outside lower center", ncols=6, fontsize=6, frameon=False)
-    return _png(figure)
+    return png(figure)
 
 
 def status(poses: SkeletonArrays) -> bytes:
@@ -103,7 +90,7 @@ def status(poses: SkeletonArrays) -> bytes:
     from matplotlib.colors import ListedColormap  # noqa: PLC0415 - an extra
     from matplotlib.patches import Patch  # noqa: PLC0415
 
-    figure, axes = _figure(1, 0.22 * len(poses.segment_names) + 1.2)
+    figure, axes = panels(1, 0.22 * len(poses.segment_names) + 1.2)
     span = (0.0, max(float(poses.time_s[-1]), 1e-3), len(poses.segment_names) - 0.5, -0.5)
     colours = ListedColormap([_STATUS_COLOURS[each] for each in Status])
     axes[0].imshow(poses.status.T, aspect="auto", cmap=colours, vmin=-0.5, vmax=len(Status) - 0.5,
@@ -112,7 +99,7 @@ def status(poses: SkeletonArrays) -> bytes:
     axes[0].set_xlabel("s")
     names = [Patch(color=_STATUS_COLOURS[each], label=each.name.lower().replace("_", " ")) for each in Status]
     figure.legend(handles=names, loc="outside lower center", ncols=6, fontsize=7, frameon=False)
-    return _png(figure)
+    return png(figure)
 
 
 def _heading_pitch_roll(poses: SkeletonArrays) -> FloatArray:
@@ -133,41 +120,6 @@ def _heading_pitch_roll(poses: SkeletonArrays) -> FloatArray:
     return degrees
 
 
-def _small_multiples(times: FloatArray, panels: Sequence[tuple[str, FloatArray, tuple[str, ...]]]) -> bytes:
-    rows = -(-len(panels) // _COLUMNS)
-    figure, axes = _figure(len(panels), 1.55 * rows + 0.3, _COLUMNS)
-    for panel, (title, values, names) in zip(axes, panels, strict=False):
-        for line, name in enumerate(names):
-            panel.plot(times, values[:, line], lw=0.8, color=_LINES[line], label=name.replace("_", " "))
-        panel.set_title(title.replace("_", " "), fontsize=8)
-        panel.legend(fontsize=5, loc="upper right", handlelength=1, borderpad=0.2, framealpha=0.6)
-    for panel in axes[-_COLUMNS:]:
-        panel.set_xlabel("s", fontsize=7)
-    return _png(figure)
-
-
-def _figure(panels: int, height_in: float, columns: int | None = None) -> tuple[Any, list[Any]]:
-    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
-
-    columns = columns or panels
-    rows = -(-panels // columns)
-    figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in grid:
-        axes.tick_params(labelsize=6)
-        if panels > 1:
-            axes.grid(lw=0.3, alpha=0.6)
-    for axes in grid[panels:]:
-        axes.set_axis_off()
-    return figure, list(grid)
-
-
-def _colours(count: int) -> list[Any]:
-    from matplotlib import colormaps  # noqa: PLC0415 - an extra
-
-    return [colormaps["nipy_spectral"](0.05 + 0.87 * i / max(count - 1, 1)) for i in range(count)]
-
-
 def _extent(found: Findings, table: FloatArray) -> tuple[float, float, float, float]:
     width = 2 * float(found.bin_times_s[0])
     return 0.0, width * table.shape[1], len(table) - 0.5, -0.5
@@ -175,9 +127,3 @@ def _extent(found: Findings, table: FloatArray) -> tuple[float, float, float, fl
 
 def _label(module: Any) -> str:
     return f"{module.module} {module.segment}".strip()
-
-
-def _png(figure: Any) -> bytes:
-    target = io.BytesIO()
-    figure.savefig(target, format="png", dpi=_DPI, metadata={"Software": None})
-    return target.getvalue()

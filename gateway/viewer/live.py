@@ -14,11 +14,13 @@ from devices.link import gateway_time_ns
 from gateway.cli.pose_table import STALE_AFTER_S, PoseView
 from gateway.errors import GatewayError
 from gateway.modules.remote import remote_suit
-from gateway.outputs.messages import BodyMessage
+from gateway.outputs.messages import BodyMessage, MarkersMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
 from gateway.outputs.topics import ANY_GATEWAY
 from gateway.viewer.appearance import silent_segments, status_summary
+from gateway.viewer.live_markers import LiveMarkers
+from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import module_rows, module_table
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
@@ -51,6 +53,8 @@ class LiveViewer:
         self._worn: frozenset[str] = frozenset()
         self._requests: set[concurrent.futures.Future[None]] = set()
         self._stage = Stage(server)
+        self._markers = LiveMarkers(server, self._stage)
+        self._instant: MarkerInstant | None = None
         self._panel = Panel(
             server,
             (
@@ -71,7 +75,8 @@ class LiveViewer:
             await asyncio.sleep(RETRY_S)
 
     async def _show(self) -> None:
-        async with PoseSubscriber(self._settings, self._gateway) as poses, asyncio.TaskGroup() as tasks:
+        subscriber = PoseSubscriber(self._settings, self._gateway, with_markers=True)
+        async with subscriber as poses, asyncio.TaskGroup() as tasks:
             tasks.create_task(self._collect(poses), name="poses")
             tasks.create_task(self._draw_for_ever(poses), name="pictures")
 
@@ -82,6 +87,7 @@ class LiveViewer:
             if received.gateway == self._gateway:
                 self._latest = received
                 self._view.add(received)
+                self._markers.add(received)
                 self._panel.add_pose(received.pose)
 
     async def _draw_for_ever(self, poses: PoseSubscriber) -> None:
@@ -91,7 +97,7 @@ class LiveViewer:
                 self._take_choices()
                 self._show_texts(poses)
             self._take_body(poses.bodies.get(self._gateway))
-            self._draw()
+            self._draw(poses.markers.get(self._gateway))
             picture += 1
 
     def _take_body(self, body: BodyMessage | None) -> None:
@@ -104,10 +110,10 @@ class LiveViewer:
         self._body, self._drawn = body, None
         self._scene, self._keeper = BodyScene(self._server, self._stage, skeleton), PostureKeeper(skeleton)
 
-    def _draw(self) -> None:
-        latest = self._latest
-        if latest is None or self._scene is None or self._keeper is None:
+    def _draw(self, markers: MarkersMessage | None) -> None:
+        if self._latest is None or self._scene is None or self._keeper is None:
             return
+        latest, instant = self._markers.pose_of(markers, self._latest)
         is_stale = self._is_stale()
         if latest is self._drawn and is_stale == self._was_stale:
             return
@@ -116,6 +122,10 @@ class LiveViewer:
         if self._panel.follow.value:
             self._stage.follow(posture.place)
         self._scene.draw(posture, is_stale, self._silent())
+        self._markers.draw(instant)
+        self._instant = instant
+        if instant is not None:
+            self._panel.add_markers(latest.pose.t_ns, instant)
 
     def _take_choices(self) -> None:
         if self._scene is None:
@@ -149,7 +159,10 @@ class LiveViewer:
         rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
         when = f"latency {latency * 1e3:.1f} ms" if latency < RECORDED_AFTER_S else _instant(latest)
         pace = f"{rate:.0f} poses/s, {when}"
-        return (pace,) if latest is None else (pace, status_summary(latest.pose.status, self._silent()))
+        if latest is None:
+            return (pace,)
+        markers = () if self._instant is None else self._instant.summary()
+        return pace, status_summary(latest.pose.status, self._silent()), *markers
 
     def _silent(self) -> tuple[str, ...]:
         return () if self._latest is None else silent_segments(self._latest.pose.status, self._worn)

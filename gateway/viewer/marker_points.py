@@ -15,6 +15,7 @@ from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
 from gateway.marker_frames import MarkerFrames
 from gateway.recording import Recording, SkeletonArrays
+from gateway.recording.arrays import MarkerArrays
 from gateway.viewer.appearance import Colour, chips
 from gateway.viewer.stage import Stage
 
@@ -23,18 +24,25 @@ NEAR_M, FAR_M = 0.005, 0.03
 NEAR: Colour = (90, 235, 130)
 FAR: Colour = (255, 60, 40)
 NAMELESS: Colour = (150, 150, 160)
+LEFT_OUT: Colour = (200, 80, 255)
+WORST = 3
+"""So many markers are told by name."""
 POINT_M = 0.022
 _POINTS, _LINES = "/markers/points", "/markers/residuals"
 
 
 @dataclass(frozen=True)
 class MarkerInstant:
-    """Markers of one pose, as they were sent: names are not put right."""
+    """Markers of one pose, as it was made of them."""
 
+    labels: tuple[str, ...]
+    """Of those seen."""
     positions: FloatArray
     """(m, 3) m, those seen."""
     virtual: FloatArray
     """(m, 3) m: where the body has them."""
+    used: NDArray[np.bool_]
+    """(m,) had a say in the pose."""
     unlabelled: FloatArray
     """(k, 3) m."""
 
@@ -44,18 +52,52 @@ class MarkerInstant:
         apart: FloatArray = np.linalg.norm(self.positions - self.virtual, axis=1)
         return apart
 
-    def summary(self) -> str:
-        """``39 markers, 2.8 mm RMS from the body, 1 beyond 30 mm``."""
-        residuals = self.residuals
+    def summary(self) -> tuple[str, ...]:
+        """``39 markers, 2.8 mm RMS from the body, 1 left out``, and those farthest off."""
+        residuals, used = self.residuals, self.used
         if not len(residuals):
-            return "no markers"
-        rms, far = 1e3 * np.sqrt(np.mean(residuals**2)), int((residuals > FAR_M).sum())
-        beyond = f", {far} beyond {1e3 * FAR_M:.0f} mm" if far else ""
-        return f"{len(residuals)} markers, {rms:.1f} mm RMS from the body{beyond}"
+            return ("no markers",)
+        rms = (
+            f", {1e3 * np.sqrt(np.mean(residuals[used] ** 2)):.1f} mm RMS from the body" if used.any() else ""
+        )
+        left_out = f", {(~used).sum()} left out" if not used.all() else ""
+        farthest = np.argsort(-residuals)[:WORST]
+        worst = ", ".join(f"{self.labels[m]} {1e3 * residuals[m]:.0f}" for m in farthest.tolist())
+        return f"{len(residuals)} markers{rms}{left_out}", f"farthest, mm: {worst}"
+
+
+NO_MARKERS = MarkerInstant((), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool), np.zeros((0, 3)))
+
+
+def instant_of(
+    labels: tuple[str, ...],
+    positions: FloatArray,
+    virtual: FloatArray,
+    used: NDArray[np.bool_],
+    unlabelled: FloatArray,
+) -> MarkerInstant:
+    """All M markers of a body at one instant: those that were seen. NaN: not seen, or without a pose."""
+    seen: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(positions + virtual), axis=1)
+    known = np.isfinite(unlabelled).all(axis=1)
+    names = tuple(label for label, is_there in zip(labels, seen.tolist(), strict=True) if is_there)
+    return MarkerInstant(names, positions[seen], virtual[seen], used[seen], unlabelled[known])
 
 
 class RecordedMarkers:
-    """All markers of a recording, from the bytes that came over its links, beside its poses."""
+    """The markers of a recording that tells what became of them."""
+
+    def __init__(self, markers: MarkerArrays) -> None:
+        self._markers = markers
+
+    def at(self, index: int) -> MarkerInstant:
+        """Those that the pose of that index was made of; none where it was made of something else."""
+        m = self._markers
+        return instant_of(m.labels, m.positions[index], m.virtual[index], m.used[index], m.unlabelled[index])
+
+
+class ReceivedMarkers:
+    """The markers of a recording that tells only what came over its links: names are not put right, and all
+    count as used."""
 
     def __init__(self, markers: BodyMarkers, frames: Iterable[MarkerFrame], arrays: SkeletonArrays) -> None:
         self._markers = markers
@@ -68,22 +110,26 @@ class RecordedMarkers:
         frame = self._frames.get(int(arrays.time_ns[index]))
         q_wb, p_w = arrays.q_wb[index][segments], arrays.p_w[index][segments]
         if frame is None:
-            return MarkerInstant(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
+            return NO_MARKERS
         turned = [quaternion.rotate(q, place) for q, place in zip(q_wb, self._markers.positions, strict=True)]
-        virtual = p_w + np.array(turned)
-        seen = np.isfinite(frame.positions + virtual).all(axis=1)
-        known = np.isfinite(frame.unlabelled).all(axis=1)
-        return MarkerInstant(frame.positions[seen], virtual[seen], frame.unlabelled[known])
+        used = np.ones(len(segments), bool)
+        return instant_of(
+            self._markers.labels, frame.positions, p_w + np.array(turned), used, frame.unlabelled
+        )
 
 
-def recorded_markers(recording: Recording, arrays: SkeletonArrays) -> RecordedMarkers | None:
+def recorded_markers(
+    recording: Recording, arrays: SkeletonArrays
+) -> RecordedMarkers | ReceivedMarkers | None:
     """The markers of a recording; None where no link carried any."""
+    if arrays.markers is not None:
+        return RecordedMarkers(arrays.markers)
     links = {name for name, framing in recording.meta.links.items() if framing is Framing.MARKERS}
     if not links or recording.meta.suit.markers is None:
         return None
     markers = recording.meta.suit.markers
     receivers = {name: MarkerFrames(markers) for name in links}
-    return RecordedMarkers(markers, _frames(recording.chunks(), receivers), arrays)
+    return ReceivedMarkers(markers, _frames(recording.chunks(), receivers), arrays)
 
 
 def _frames(chunks: Iterable[Chunk], receivers: dict[str, MarkerFrames]) -> Iterable[MarkerFrame]:
@@ -98,6 +144,13 @@ def residual_colours(residuals: FloatArray) -> NDArray[np.uint8]:
     colours: NDArray[np.uint8] = np.round((1.0 - part) * np.array(NEAR) + part * np.array(FAR)).astype(
         np.uint8
     )
+    return colours
+
+
+def marker_colours(instant: MarkerInstant) -> NDArray[np.uint8]:
+    """(m, 3) RGB: by residual, and of their own for those that were left out."""
+    colours = residual_colours(instant.residuals)
+    colours[~instant.used] = LEFT_OUT
     return colours
 
 
@@ -118,7 +171,7 @@ class MarkerScene:
         """Bring the page to an instant."""
         middle = self._stage.middle
         points = np.vstack([instant.positions, instant.unlabelled]) - middle
-        by_residual = residual_colours(instant.residuals)
+        by_residual = marker_colours(instant)
         nameless = np.tile(np.array(NAMELESS, np.uint8), (len(instant.unlabelled), 1))
         colours = np.vstack([by_residual, nameless])
         lines = np.stack([instant.positions, instant.virtual], axis=1) - middle
@@ -160,6 +213,7 @@ def _legend() -> str:
     meanings = (
         (f"marker within {1e3 * NEAR_M:.0f} mm of its place", NEAR),
         (f"{1e3 * FAR_M:.0f} mm off and more", FAR),
+        ("left out by the solver", LEFT_OUT),
         ("without a name", NAMELESS),
     )
     return chips(meanings)

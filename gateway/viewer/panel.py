@@ -6,16 +6,19 @@ import html
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import viser
 
 from gateway.cli.pose_table import attitude
 from gateway.outputs.messages import PoseMessage
 from gateway.viewer.appearance import legend
 from gateway.viewer.history import History
+from gateway.viewer.marker_points import MarkerInstant
 
 PLOT_SPAN_S = 10.0
 _LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
 _UNDEFINED = float("nan")
+_RESIDUALS = "distances of markers"
 
 
 class ButtonRow(NamedTuple):
@@ -49,11 +52,14 @@ class Panel:
             self._modules = gui.add_html("")
         self._shown: dict[int, str] = {}
         self._offered: tuple[str, ...] = ()
+        self._has_markers = False
 
     def add_pose(self, pose: PoseMessage) -> None:
         """A pose for the plot: attitudes of segments, and of joints the angles where poses carry them."""
         joints = pose.joint_angles or {}
         offered = (*(f"angles of {joint}" for joint in joints), *(f"attitude of {s}" for s in pose.segments))
+        if self._has_markers:
+            offered += (_RESIDUALS,)
         if offered != self._offered:
             self._offered = self._plotted.options = offered
         kind, _, name = self._plotted.value.partition(" of ")
@@ -65,6 +71,14 @@ class Panel:
             found = joints[name] or {}
             movements = [movement.replace("_", " ") for movement in found]
             self._plot.add(f"{name} °", pose.t_ns, movements, list(found.values()))
+
+    def add_markers(self, t_ns: int, markers: MarkerInstant) -> None:
+        """The same instant's markers: their distances from the body."""
+        self._has_markers = True
+        residuals = 1e3 * markers.residuals
+        if self._plotted.value == _RESIDUALS and markers.used.any():
+            values = (float(np.sqrt(np.mean(residuals[markers.used] ** 2))), float(residuals.max()))
+            self._plot.add("markers from the body, mm", t_ns, ("RMS of those used", "farthest"), values)
 
     def draw_plot(self) -> None:
         """Bring the plot up to date."""

@@ -13,7 +13,7 @@ from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
-from gateway.viewer.marker_points import MarkerScene, RecordedMarkers
+from gateway.viewer.marker_points import MarkerScene, ReceivedMarkers, RecordedMarkers
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
@@ -32,7 +32,7 @@ class Playback:
         server: viser.ViserServer,
         arrays: SkeletonArrays,
         name: str,
-        markers: RecordedMarkers | None = None,
+        markers: RecordedMarkers | ReceivedMarkers | None = None,
     ) -> None:
         self._arrays = arrays
         self._times_s = arrays.time_s.tolist()
@@ -90,13 +90,14 @@ class Playback:
             self._stage.follow(posture.place)
         self._scene.draw(posture, is_stale=False, silent=silent)
         self._panel.add_pose(pose)
-        self._panel.draw_plot()
         where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"
         lines = [where, status_summary(pose.status, silent)]
         if self._markers is not None and self._marker_scene is not None:
             instant = self._markers.at(index)
             self._marker_scene.draw(instant)
-            lines.append(instant.summary())
+            lines += instant.summary()
+            self._panel.add_markers(pose.t_ns, instant)
+        self._panel.draw_plot()
         self._panel.show_status(self._name, *lines, is_alarm=False)
 
     def _take_choices(self) -> None:

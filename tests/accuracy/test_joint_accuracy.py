@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 from simulated_body import angular_error_deg, arm, imu_frames, instants, simulate
 
-from benchmarks.fast_arm import Switches, carried_arm, carried_motion, fast_arm, fast_motion, sampled
+from benchmarks.fast_arm import IDEAL, Switches, carried_arm, carried_motion, fast_arm, fast_motion, sampled
 from benchmarks.offline import imu_frames as recorded_frames
 from benchmarks.offline import orientations
+from benchmarks.peers import SMOOTHED, solved
 from benchmarks.scoring import score
 from benchmarks.simulation import errors_deg
 from devices.emulators.motions import generic_motion
 from devices.emulators.recording_formats import read_ring_chain5
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_rig import dress
+from gateway.comparison import orientation_error
+from gateway.frames import Status
 from gateway.reconstruction import create_reconstructor
 from gateway.reconstruction.inertial.joint import ChainSettings, JointReconstructor
 
@@ -62,12 +65,69 @@ def test_an_arm_on_a_base_that_is_carried_about_is_far_better_still():
     assert means[0] < 0.15 * means[1]
 
 
+@pytest.mark.parametrize("switches", [IDEAL, Switches()])
+def test_a_fast_arm_that_ends_in_mid_swing_is_no_worse_smoothed_than_live(switches):
+    suit = fast_arm()
+    motion = fast_motion(suit, 5)
+    observed = sampled(suit, motion, switches, 5)
+    live, smoothed = (
+        np.mean(errors_deg(solved(method, suit, 0.01, observed), motion, 4.0))
+        for method in ("joint", SMOOTHED)
+    )
+    assert smoothed < max(live, 0.05)
+
+
+def test_two_seconds_of_rest_at_the_start_show_the_gyrometers_biases():
+    suit = fast_arm()
+    reconstructor = JointReconstructor(suit, 0.01)
+    true = np.radians(
+        [[0.5, -0.4, 0.9], [-0.6, 0.1, -0.5], [0.3, 0.3, -0.7], [0.0, 0.8, 0.4], [0.4, -0.2, 0.1]]
+    )
+    for frame in sampled(suit, fast_motion(suit, 3), replace(Switches(), has_bias=False), 3)[:200]:
+        reconstructor.update(replace(frame, angular_rate=frame.angular_rate + true))
+    np.testing.assert_allclose(reconstructor.state()["bias"], true, atol=np.radians(0.1))
+
+
+@pytest.mark.parametrize("silent_s", [0.5, 2.0])
+def test_a_module_that_is_silent_in_mid_swing_and_comes_back_claims_no_more_than_it_knows(silent_s):
+    suit = fast_arm()
+    inside = []
+    for seed in (4, 5, 6):
+        motion, reconstructor = fast_motion(suit, seed), JointReconstructor(suit, 0.01)
+        for k, frame in enumerate(sampled(suit, motion, Switches(), seed)[:1200]):
+            since_s = k * 0.01 - 8.0
+            status = frame.status.copy()
+            status[3] = Status.MISSING if 0.0 <= since_s < silent_s else Status.MEASURED
+            found = reconstructor.update(replace(frame, status=status))
+            if 0.0 <= since_s < silent_s + 1.0:
+                true = motion.state(np.array([k * 0.01])).q_wb
+                error = orientation_error(found.q_wb[None], true).total[0, 3]
+                inside.append(error < 2.0 * found.sigma[3])
+    assert np.mean(inside) > 0.9
+
+
+def test_an_accelerometer_that_says_it_is_clipped_is_not_believed():
+    """Of ±3 g, on an arm whose last modules feel more than that a third of the time."""
+    suit, limit = fast_arm(), 30.0
+    motion = fast_motion(suit, 4)
+    observed = []
+    for frame in sampled(suit, motion, Switches(), 4):
+        beyond = (np.abs(frame.specific_force) > limit).any(axis=1)
+        force = frame.specific_force.clip(-limit, limit)
+        observed.append((replace(frame, specific_force=force), beyond.astype(np.uint8)))
+    told, untold = (
+        np.mean(errors_deg(solved("joint", suit, 0.01, frames), motion, 4.0))
+        for frames in ([replace(f, clipped=c) for f, c in observed], [f for f, _ in observed])
+    )
+    assert told < 0.5 * untold
+
+
 def test_lever_arms_that_are_wrong_are_found_where_they_show():
     suit = fast_arm()
     motion = fast_motion(suit, 2)
     wrong = replace(suit, lever_arms=suit.lever_arms + np.array([0.0, 0.02, 0.0]))
     reconstructor = JointReconstructor(wrong, 0.01)
-    for frame in sampled(suit, motion, Switches(False, False, 0.0), 2):
+    for frame in sampled(suit, motion, IDEAL, 2):
         reconstructor.update(frame)
     # to_joint is minus the lever arm: too small by 0.02 along y, on the links that turn about all axes
     found = reconstructor.state()["arm"][2:, 1]
@@ -78,7 +138,7 @@ def test_with_perfect_sensors_little_is_left_of_the_error_of_integrating_rates()
     suit = fast_arm()
     motion = fast_motion(suit, 1)
     reconstructor = create_reconstructor("joint", suit, 0.01)
-    frames = [reconstructor.update(frame) for frame in sampled(suit, motion, Switches(False, False, 0.0), 1)]
+    frames = [reconstructor.update(frame) for frame in sampled(suit, motion, IDEAL, 1)]
     # the trapezoid alone leaves 0.2° on the last links, a sample's rate for a whole interval 2°
     assert np.max(errors_deg(frames, motion, 4.0)) < 0.08
 
@@ -89,7 +149,7 @@ def test_a_fixed_point_shows_the_accelerometers_error_along_gravity_while_the_ba
     wrong = np.zeros((5, 3))
     wrong[0] = [0.05, -0.06, 0.04]
     reconstructor = JointReconstructor(suit, 0.01)
-    for frame in sampled(suit, motion, Switches(False, False, 0.0), 2):
+    for frame in sampled(suit, motion, IDEAL, 2):
         reconstructor.update(replace(frame, specific_force=frame.specific_force + wrong))
     found = reconstructor.state()["force_bias"]
     assert found[0, 2] == pytest.approx(wrong[0, 2], abs=0.01)
@@ -102,7 +162,7 @@ def test_a_heading_lost_by_a_saturated_gyrometer_is_open_until_motion_shows_it_a
     motion = fast_motion(suit, 1)
     reconstructor = JointReconstructor(suit, 0.01, ChainSettings(uses_field=False))
     frames, was_open = [], False
-    for frame in sampled(suit, motion, Switches(False, False, 0.0), 1):
+    for frame in sampled(suit, motion, IDEAL, 1):
         if 10.0 <= frame.time_ns * 1e-9 < 10.4:
             frame.angular_rate[3] = 40.0
         frames.append(reconstructor.update(frame))

@@ -1,10 +1,12 @@
 """Frame assembly: interpolation against closed form, status, waiting, gaps, determinism."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gateway.assembly import AssemblyParams, FrameAssembler, Lost
-from gateway.frames import InertialReading, LocalReading, Quantity, Status
+from gateway.frames import Clipped, InertialReading, LocalReading, Quantity, Status
 
 MS = 1_000_000
 PARAMS = AssemblyParams(frame_interval_ns=10 * MS, max_wait_ns=20 * MS, max_gap_ns=50 * MS, hold_ns=200 * MS)
@@ -37,6 +39,17 @@ def test_values_between_samples_are_interpolated_linearly_and_count_as_measured(
         assert set(frame.status) == {Status.MEASURED}
     assert np.all(np.diff([frame.time_ns for frame in frames]) == 10 * MS)
     assert [frame.sequence for frame in frames] == list(range(len(frames)))
+
+
+def test_what_rests_on_a_clipped_reading_is_marked_so():
+    readings = []
+    for k in range(50):
+        early = reading(0, k, 10 * MS * k)
+        readings.append(replace(early, clipped=int(Clipped.ANGULAR_RATE)) if k == 20 else early)
+        readings.append(reading(1, k, 10 * MS * k + 3 * MS))
+    frames, _ = run(readings)
+    marked = {frame.time_ns // MS: frame.clipped.tolist() for frame in frames if frame.clipped is not None}
+    assert marked == {193: [Clipped.ANGULAR_RATE, 0], 203: [Clipped.ANGULAR_RATE, 0]}
 
 
 def test_a_lost_sample_is_bridged_and_marked_with_its_gap():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import GatewayError
 from gateway.frames import Status
-from gateway.outputs.exporters.take import Take
+from gateway.outputs.exporters.take import Take, markers_of
 
 _LENGTHS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 _STATUS = np.array([status.name.lower() for status in Status])
@@ -44,26 +44,46 @@ def columns(take: Take, units_per_m: float) -> Iterator[tuple[str, NDArray[Any]]
         yield f"{name}_status", np.where(row >= 0, status[np.maximum(row, 0)], "not_recorded")
     for joint, angle, name in take.angle_names:
         yield f"{name}_deg", np.degrees(take.joint_angles[:, joint, angle])
+    yield from _marker_columns(take, units_per_m, unit)
+
+
+def _marker_columns(take: Take, units_per_m: float, unit: str) -> Iterator[tuple[str, NDArray[Any]]]:
+    markers = markers_of(take)
+    if markers is None:
+        return
+    for m, label in enumerate(markers.labels):
+        for i, axis in enumerate("xyz"):
+            yield f"marker_{label}_{axis}_{unit}", markers.positions[:, m, i] * units_per_m
+        yield f"marker_{label}_residual_{unit}", markers.residuals[:, m] * units_per_m
+        yield f"marker_{label}_used", markers.used[:, m]
 
 
 def write_csv(take: Take, path: Path, units_per_m: float) -> None:
     """Raises ``OSError``."""
-    table = list(columns(take, units_per_m))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([name for name, _ in table])
-        writer.writerows(zip(*(_cells(values) for _, values in table), strict=True))
+    write_csv_columns(dict(columns(take, units_per_m)), path)
 
 
 def write_parquet(take: Take, path: Path, units_per_m: float) -> None:
     """Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
+    write_parquet_columns(dict(columns(take, units_per_m)), path)
+
+
+def write_csv_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Columns of one length by name. Raises ``OSError``."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(table)
+        writer.writerows(zip(*(_cells(values) for values in table.values()), strict=True))
+
+
+def write_parquet_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Columns of one length by name. Raises ``GatewayError`` without the extra ``export``, ``OSError``."""
     try:
         import pyarrow  # noqa: PLC0415 - an extra
         import pyarrow.parquet  # noqa: PLC0415
     except ImportError:
         raise GatewayError("Parquet needs the extra 'export': pip install 'mocap-gateway[export]'") from None
-    table = pyarrow.table(dict(columns(take, units_per_m)))
-    pyarrow.parquet.write_table(table, path)
+    pyarrow.parquet.write_table(pyarrow.table(dict(table)), path)
 
 
 def _at(values: NDArray[Any], row: NDArray[np.int64]) -> NDArray[Any]:

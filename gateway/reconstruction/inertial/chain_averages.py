@@ -18,7 +18,11 @@ from gateway.geometry.vectors import dot
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
 
 SETTLED = 3.0
-"""Time constants after which an average has forgotten how it was begun (to 5 %)."""
+"""Time constants after which a row counts: over less, it is mostly the noise of rates."""
+FILLED = 20.0
+"""Time constants after which nothing is missing."""
+FIRST_SAMPLE_S = 1e-9
+"""Averages of one sample have lasted no time, but have been begun."""
 REST_S = 0.7
 REST_WINDOW_S = 0.5
 REST_FORCE = 0.3
@@ -44,7 +48,6 @@ def average(
     f, f_w, W = np.empty(3), np.empty(3), np.empty((3, 3))
     gain = 1.0 - math.exp(-dt / noise.smoothing_s)
     long_gain = 1.0 - math.exp(-dt / noise.unaided_window_s)
-    per_s = gain / dt
     for s in range(len(body.parents)):
         if is_valid[s] < 2.0:
             state.fresh_s[s] = 0.0
@@ -58,6 +61,8 @@ def average(
             rate[s, 2] - state.bias[s, 2],
         )
         is_fresh = state.fresh_s[s] == 0.0
+        filled = _filled(state.fresh_s[s] + dt, noise.smoothing_s)
+        per_s, force_gain = gain / dt / filled, gain / filled
         mean_gain = max(long_gain, dt / (state.fresh_s[s] + dt))
         square = 0.0
         for i in range(3):
@@ -69,7 +74,7 @@ def average(
                 state.force[s, i], state.last_force[s, i], state.long_force[s, i] = f_w[i], f_w[i], f_w[i]
                 state.swing[s, i] = W[i]
             # the mean over the step, as the difference of W is
-            state.force[s, i] += gain * (0.5 * (f_w[i] + state.last_force[s, i]) - state.force[s, i])
+            state.force[s, i] += force_gain * (0.5 * (f_w[i] + state.last_force[s, i]) - state.force[s, i])
             state.last_force[s, i] = f_w[i]
             state.long_force[s, i] += mean_gain * (f_w[i] - state.long_force[s, i])
             for j in range(3):
@@ -77,7 +82,19 @@ def average(
                 state.swing[s, i, j] += gain * (W[i, j] - state.swing[s, i, j])
                 square += K[s, i, j] ** 2
         motion[s] = math.sqrt(0.5 * square)
-        state.fresh_s[s] += dt
+        state.fresh_s[s] += FIRST_SAMPLE_S if is_fresh else dt
+
+
+@compiled
+def _filled(lasted_s: float, smoothing_s: float) -> float:
+    """Part of the low-pass that has been filled since it was begun.
+
+    Divided by it, both sides are means over that time alone: what the averages were begun with is not in
+    them, neither after a gap nor where a recording begins in motion.
+    """
+    if lasted_s > FILLED * smoothing_s:
+        return 1.0
+    return 1.0 - math.exp(-lasted_s / smoothing_s)
 
 
 @compiled
@@ -93,10 +110,12 @@ def felt_into(
 
 @compiled
 def watch_rest(
-    state: FilterState, noise: Noise, s: int, force: FloatArray, rate: FloatArray, dt: float
+    state: FilterState, noise: Noise, s: int, force: FloatArray, rate: FloatArray, gain: float, dt: float
 ) -> bool:
-    """Whether segment s has rested for a while; ``state.rest[s, :3]`` is then its mean rate, the bias."""
-    gain = 1.0 - math.exp(-dt / REST_WINDOW_S)
+    """Whether segment s has rested for a while; ``state.rest[s, :3]`` is then its mean rate, the bias.
+
+    gain: of a low-pass of ``REST_WINDOW_S`` over dt.
+    """
     rest = state.rest[s]
     rate_change, force_change = 0.0, 0.0
     for i in range(3):

@@ -16,7 +16,6 @@ from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import is_finite
-from gateway.reconstruction.inertial.chain_prediction import exceeds
 from gateway.reconstruction.inertial.chain_scratch import Scratch
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.chain_step import mark_unaided, note_sigma, step
@@ -61,6 +60,7 @@ class Inputs(NamedTuple):
     angular_rate: FloatArray  # (T, m, 3)
     magnetic_field: FloatArray  # (T, m, 3)
     status: StatusArray  # (T, m)
+    clipped: StatusArray  # (T, m)
     root_position: FloatArray  # (T, 3) measured, m; of no meaning without a device for it
     readings_end: IntArray  # (T,) how many of the readings have come with this instant
     readings: FloatArray  # (k, 8) device of the filter, s since the first frame, value, standard deviation
@@ -93,6 +93,7 @@ def advance(
     angular_rate: FloatArray,
     magnetic_field: FloatArray,
     status: StatusArray,
+    clipped: StatusArray,
     root_position: FloatArray,
     readings_end: IntArray,
     readings: FloatArray,
@@ -111,7 +112,7 @@ def advance(
     for t in range(n_frames):
         by_segment_into(
             scratch.observed, wearing.module_of_segment, wearing.R_bs, specific_force[t], angular_rate[t],
-            magnetic_field[t], status[t],
+            magnetic_field[t], status[t], clipped[t],
         )  # fmt: skip
         dt = _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
         time_s = (time_ns[t] - state.time_ns[1]) * 1e-9
@@ -127,7 +128,7 @@ def advance(
             for s in range(n):
                 scratch.is_valid[s] = 0.0
         taken = readings_end[t]
-        _outputs(wearing, state, scratch, held.noise.largest_rate, q_wb[t], rate[t], status_out[t])
+        _outputs(wearing, state, scratch, q_wb[t], rate[t], status_out[t])
         mark_unaided(held.body, state, scratch, held.fixed, time_s, status_out[t])
         note_sigma(sigma[t], state)
         if len(covariance) > 0:
@@ -190,7 +191,6 @@ def _outputs(
     wearing: Wearing,
     state: FilterState,
     scratch: Scratch,
-    largest_rate: float,
     q_wb: FloatArray,
     rate: FloatArray,
     status: StatusArray,
@@ -214,7 +214,7 @@ def _outputs(
             quaternion.from_matrix_into(q_wb[s], state.R[s])
             for i in range(3):
                 rate[s, i] = state.rate[s, i] - state.bias[s, i]
-            if scratch.is_valid[s] == 0.0 or exceeds(state.rate[s], largest_rate):
+            if scratch.is_valid[s] < 1.0:
                 status[s] = PREDICTED
             elif scratch.is_valid[s] == 1.0:
                 status[s] = UNAIDED

@@ -6,18 +6,22 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray, Quantity, StatusArray
+from gateway.frames import Clipped, FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import is_finite, norm
+from gateway.geometry.vectors import dot, is_finite, norm
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.tree_filter import propagate
+from gateway.reconstruction.inertial.observations import SegmentObservations
+from gateway.reconstruction.inertial.tree_filter import propagate, propagate_own
 
+FORCE_CLIPPED, RATE_CLIPPED = Clipped.SPECIFIC_FORCE.value, Clipped.ANGULAR_RATE.value
 AIR_VELOCITY = Quantity.AIR_VELOCITY.value
 LONGEST_COAST_S = 0.1
 """A silent segment keeps its rate for about that long."""
 LONGEST_SILENCE_S = 1.0
 """After a longer silence, or saturation, a segment begins anew."""
+START_ARM = 0.3
+"""m: of a module from what it turns about when it begins."""
 SATURATED_NOISE = 5.0
 """rad/s/√Hz of a gyrometer at its limit."""
 
@@ -29,12 +33,13 @@ def predict(
     noise: Noise,
     rate: FloatArray,
     is_valid: FloatArray,
+    is_joint: bool,
     dt: float,
     before: FloatArray,
 ) -> None:
     """Turns every started segment over dt by the mean of its last two rates (n, 3), in place.
 
-    before: (n, 3, 3) to be used on the way.
+    is_joint: whether segments and their parents share covariance. before: (n, 3, 3) to be used on the way.
     """
     turn, w = np.empty((3, 3)), np.empty(3)
     for s in range(len(body.parents)):
@@ -45,7 +50,7 @@ def predict(
             _mean_rate(w, state, s, rate[s], dt)
             speed = norm(w)
             density = noise.gyrometer**2 + (noise.gyrometer_scale * speed) ** 2 * noise.scale_memory_s
-            if exceeds(rate[s], noise.largest_rate):
+            if is_valid[s] < 1.0:
                 density += SATURATED_NOISE**2
                 state.silent_s[s] += dt
             else:
@@ -58,18 +63,18 @@ def predict(
                 w[i] = (state.rate[s, i] - state.bias[s, i]) * math.exp(-dt / LONGEST_COAST_S)
                 state.rate[s, i] = state.bias[s, i] + w[i]
             state.silent_s[s] += dt
-            density = noise.dead_rate**2 * LONGEST_COAST_S
+            density = (noise.dead_rate**2 + dot(w, w)) * LONGEST_COAST_S
             state.slope[s] = np.nan
         if state.silent_s[s] > LONGEST_SILENCE_S:
             state.is_started[s] = 2
         rotation_matrix.exponential_into(turn, w[0] * dt, w[1] * dt, w[2] * dt)
         rotation_matrix.turn_rows(state.R[s], turn)
-        propagate(state.P[s], before[s], before[s], dt)
+        propagate_own(state.P[s], before[s], dt)
         for i in range(3):
             # an orientation cannot be worse than unknown: keeps a long silence finite
             state.P[s, i, i] += density * dt if state.P[s, i, i] < OPEN_SIGMA**2 else 0.0
             state.P[s, 3 + i, 3 + i] += noise.bias_walk**2 * dt
-        if body.parents[s] >= 0:
+        if is_joint and body.parents[s] >= 0:
             propagate(state.C[s], before[s], before[body.parents[s]], dt)
 
 
@@ -80,16 +85,15 @@ def _mean_rate(w: FloatArray, state: FilterState, s: int, rate: FloatArray, dt: 
     The trapezoid, less its error by Euler and Maclaurin's formula, and the coning of an axis that moves
     (Bortz 1971). At 100 Hz the trapezoid alone is off by up to a degree in fast motion.
     """
-    bias, last = state.bias[s], state.rate[s]
-    a, b = np.empty(3), np.empty(3)
+    bias, last, slope = state.bias[s], state.rate[s], state.slope[s]
+    a = last[0] - bias[0], last[1] - bias[1], last[2] - bias[2]
+    b = rate[0] - bias[0], rate[1] - bias[1], rate[2] - bias[2]
+    w[0] = 0.5 * (a[0] + b[0]) + (a[1] * b[2] - a[2] * b[1]) * dt / 12.0
+    w[1] = 0.5 * (a[1] + b[1]) + (a[2] * b[0] - a[0] * b[2]) * dt / 12.0
+    w[2] = 0.5 * (a[2] + b[2]) + (a[0] * b[1] - a[1] * b[0]) * dt / 12.0
     for i in range(3):
-        a[i], b[i] = last[i] - bias[i], rate[i] - bias[i]
-        w[i] = 0.5 * (a[i] + b[i])
-        if math.isfinite(state.slope[s, i]):
-            w[i] -= (b[i] - a[i] - state.slope[s, i] * dt) / 12.0
-    w[0] += (a[1] * b[2] - a[2] * b[1]) * dt / 12.0
-    w[1] += (a[2] * b[0] - a[0] * b[2]) * dt / 12.0
-    w[2] += (a[0] * b[1] - a[1] * b[0]) * dt / 12.0
+        if math.isfinite(slope[i]):
+            w[i] -= (rate[i] - last[i] - slope[i] * dt) / 12.0
 
 
 @compiled
@@ -99,16 +103,23 @@ def exceeds(v: FloatArray, limit: float) -> bool:
 
 
 @compiled
-def note_valid_rows(
-    is_valid: FloatArray, noise: Noise, force: FloatArray, rate: FloatArray, status: StatusArray
-) -> None:
-    """is_valid (n,) ← 0: no sample; 1: turns by its gyrometer; 2: its specific force counts too."""
+def note_valid_rows(is_valid: FloatArray, noise: Noise, observed: SegmentObservations) -> None:
+    """is_valid (n,) ← 0: no sample; 0.5: turns by a gyrometer at the end of its range; 1: turns by its
+    gyrometer; 2: its specific force counts too.
+
+    A sensor is at the end of its range where its module says so, and at the largest range there is.
+    """
+    force, rate, status, clipped = (
+        observed.specific_force, observed.angular_rate, observed.status, observed.clipped
+    )  # fmt: skip
     for s in range(len(status)):
         is_valid[s] = 0.0
         if status[s] <= 1 and is_finite(rate[s]):
             is_valid[s] = 1.0
-            usable = is_finite(force[s]) and not exceeds(force[s], noise.largest_force)
-            if usable and not exceeds(rate[s], noise.largest_rate):
+            is_usable = is_finite(force[s]) and clipped[s] & FORCE_CLIPPED == 0
+            if exceeds(rate[s], noise.largest_rate) or clipped[s] & RATE_CLIPPED > 0:
+                is_valid[s] = 0.5
+            elif is_usable and not exceeds(force[s], noise.largest_force):
                 is_valid[s] = 2.0
 
 
@@ -129,8 +140,9 @@ def start(
     for i in range(3):
         state.bias[s, i], state.rate[s, i], state.slope[s, i] = 0.0, w[i], np.nan
     state.P[s], state.C[s] = 0.0, 0.0
+    tilt = noise.start_tilt**2 + _start_acceleration(body, f, w) / dot(body.gravity, body.gravity)
     for i in range(3):
-        state.P[s, i, i] = noise.start_tilt**2
+        state.P[s, i, i] = min(tilt, OPEN_SIGMA**2)
         state.P[s, 3 + i, 3 + i] = noise.bias**2
     state.P[s, 2, 2] = OPEN_SIGMA**2
     # a module that comes back may sit elsewhere
@@ -139,7 +151,18 @@ def start(
         state.arm_covariance[s, i, i] = noise.lever_arm_offset**2
     state.is_started[s], state.is_open[s] = 1, body.opens[s]
     state.fresh_s[s], state.silent_s[s], state.compass_s[s] = 0.0, 0.0, 0.0
-    state.heading[s], state.rest[s] = 0.0, 0.0
+    state.heading[s], state.rest[s], state.misfit[s] = 0.0, 0.0, 0.0
+    for i in range(3):  # means of one sample: begun at zero, gravity alone would be a change for seconds
+        state.rest[s, i], state.rest[s, 3 + i] = w[i], f[i]
+
+
+@compiled
+def _start_acceleration(body: ChainBody, f: FloatArray, w: FloatArray) -> float:
+    """(m/s²)², square of what a module may accelerate by, as its first sample shows: as much as it feels more
+    or less than gravity, and as it turns at the end of ``START_ARM``."""
+    turning = dot(w, w) * START_ARM
+    square: float = (norm(f) - norm(body.gravity)) ** 2 + turning * turning
+    return square
 
 
 @compiled

@@ -9,6 +9,7 @@ With u and u_p in their own places noise would seem to show a turn of both toget
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
@@ -38,6 +39,11 @@ AIDED_TILT = 0.15
 """rad: an inclination less sure than that tells no mean acceleration."""
 AIDED_RISE_S, AIDED_FALL_S = 2.0, 30.0
 """How fast larger and smaller mean accelerations are believed."""
+MISFIT_S = 5.0
+"""Over which a joint's residuals are compared with what is expected of them."""
+LARGEST_MISFIT = 1e4
+LOOSE = 9.0
+"""Misfit of a joint that holds nothing together: three times the deviations expected, for seconds."""
 REST_RATE_SIGMA = 0.002
 """rad/s: of a mean rate at rest against the bias."""
 
@@ -73,7 +79,10 @@ def joint_row(
     middle = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
     at_once = variance * min(1.0, dt / noise.row_memory_s)
     off = spread(middle[0], middle[1], middle[2], relative_covariance(state, s, p))
-    variance *= _huber(off, residual, at_once, noise.huber)
+    widened = _misfit(state, noise, s, off, residual, at_once, dt)
+    if widened >= LOOSE:
+        return
+    variance *= widened * _huber(off, residual, widened * at_once, noise.huber)
     add_joint(evidence, s, middle, residual, variance)
 
 
@@ -104,7 +113,37 @@ def known_row(
 
 
 @compiled
-def _horizontal_square(v: FloatArray) -> float:
+def _misfit(
+    state: FilterState,
+    noise: Noise,
+    s: int,
+    uncertain: Three,
+    residual: Three,
+    variance: float,
+    dt: float,
+) -> float:
+    """By how much the joint of segment s and its parent agrees worse than its noise says, variances; 1: no
+    worse. Modules worn otherwise than the rig says disagree all the time, and their joint tells little.
+
+    Where that comes out, what the joint has told until then is taken back: the segment is as uncertain as at
+    its start, and stands on what its own module tells until the joint fits again.
+    """
+    square, expected = 0.0, 0.0
+    for i in range(3):
+        square += residual[i] ** 2
+        expected += uncertain[i] + variance
+    surprise, before = min(square / expected, LARGEST_MISFIT), state.misfit[s]
+    state.misfit[s] += (1.0 - math.exp(-dt / MISFIT_S)) * (surprise - before)
+    if before < LOOSE <= state.misfit[s]:
+        for i in range(3):
+            state.P[s, i, i] += noise.start_heading**2 if i == 2 else noise.start_tilt**2
+        state.unaided_square[s] = 0.0
+    widened: float = max(1.0, state.misfit[s])
+    return widened
+
+
+@compiled
+def _horizontal_square(v: FloatArray | Three) -> float:
     square: float = v[0] * v[0] + v[1] * v[1]
     return square
 
@@ -131,52 +170,72 @@ def _seen(R: FloatArray, m: FloatArray) -> Three:
     )
 
 
+class ExpectedField(NamedTuple):
+    """What every segment's field is held against, and how fast, the same for all of an instant."""
+
+    norm: float  # µT
+    dip: float  # rad, above the horizontal
+    horizontal: float  # square of the part of it that shows a heading
+    gain: float  # of a low-pass of ``FIELD_MEMORY_S``
+    change_gain: float  # and of ``FIELD_CHANGE_S``
+
+
 @compiled
-def field_error(body: ChainBody, state: FilterState, s: int, m: FloatArray) -> tuple[float, float]:
-    """Heading by which the field is seen off, rad, and how disturbed it looks (1: not at all)."""
+def expected_field(body: ChainBody, dt: float) -> ExpectedField:
+    """dt: since the instant before, s."""
+    h = body.field
+    level, square = h[0] * h[0] + h[1] * h[1], dot(h, h)
+    return ExpectedField(
+        math.sqrt(square),
+        math.atan2(h[2], math.sqrt(level)),
+        max(level / square, LEAST_HORIZONTAL**2),
+        1.0 - math.exp(-dt / FIELD_MEMORY_S),
+        1.0 - math.exp(-dt / FIELD_CHANGE_S),
+    )
+
+
+@compiled
+def watch_field(
+    body: ChainBody, state: FilterState, s: int, m: FloatArray, expected: ExpectedField, dt: float
+) -> tuple[float, float]:
+    """Heading by which the field is seen off, rad, and how disturbed it looks (1: not at all).
+
+    How much its norm and dip change while segment s moves goes to ``state.field_seen[s]``.
+    """
     h, seen = body.field, _seen(state.R[s], m)
     off = math.atan2(h[0] * seen[1] - h[1] * seen[0], h[0] * seen[0] + h[1] * seen[1])
-    dip_seen = math.atan2(seen[2], math.hypot(seen[0], seen[1]))
-    dip = dip_seen - math.atan2(h[2], math.hypot(h[0], h[1]))
-    length = math.sqrt(dot(m, m) / dot(h, h)) - 1.0
-    return off, 1.0 + (dip / DIP_TOLERANCE) ** 2 + (length / NORM_TOLERANCE) ** 2
-
-
-@compiled
-def watch_field(body: ChainBody, state: FilterState, s: int, m: FloatArray, dt: float) -> None:
-    """How much the field's norm and dip change while segment s moves: ``state.field_seen[s]``."""
-    seen = _seen(state.R[s], m)
-    length, dip = math.sqrt(dot(m, m)), math.atan2(seen[2], math.hypot(seen[0], seen[1]))
+    length, dip = math.sqrt(dot(m, m)), math.atan2(seen[2], math.sqrt(_horizontal_square(seen)))
     mean = state.field_seen[s]
     if mean[3] == 0.0:
         mean[0], mean[1], mean[2] = length, dip, FIELD_CHANGE**2
     mean[3] += dt
-    gain = max(1.0 - math.exp(-dt / FIELD_MEMORY_S), dt / mean[3])
+    gain = max(expected.gain, dt / mean[3])
     mean[0] += gain * (length - mean[0])
     mean[1] += gain * (dip - mean[1])
     change = (length / mean[0] - 1.0) ** 2 + (dip - mean[1]) ** 2
-    mean[2] += (1.0 - math.exp(-dt / FIELD_CHANGE_S)) * (change - mean[2])
-
-
-@compiled
-def _heading_variance(body: ChainBody, state: FilterState, noise: Noise, s: int) -> float:
-    """rad², of the field's heading: what bends the dip bends it too, the more the steeper the field."""
-    h = body.field
-    horizontal = max((h[0] * h[0] + h[1] * h[1]) / dot(h, h), LEAST_HORIZONTAL**2)
-    variance: float = noise.heading**2 + state.field_seen[s, 2] / horizontal
-    return variance
+    mean[2] += expected.change_gain * (change - mean[2])
+    steeper, stronger = (dip - expected.dip) / DIP_TOLERANCE, (length / expected.norm - 1.0) / NORM_TOLERANCE
+    return off, 1.0 + steeper * steeper + stronger * stronger
 
 
 @compiled
 def field_row(
-    evidence: Evidence, body: ChainBody, state: FilterState, noise: Noise, s: int, m: FloatArray, dt: float
+    evidence: Evidence,
+    body: ChainBody,
+    state: FilterState,
+    noise: Noise,
+    s: int,
+    off: float,
+    disturbance: float,
+    expected: ExpectedField,
+    dt: float,
 ) -> None:
-    """Heading by the field, weak: it is off to the same side for ``heading_memory_s``."""
-    off, disturbance = field_error(body, state, s, m)
-    straying = _heading_variance(body, state, noise, s)
+    """Heading by the field, weak: it is off to the same side for ``heading_memory_s``. off, disturbance: see
+    ``watch_field``; what bends the dip bends the heading too, the more the steeper the field."""
+    straying = noise.heading**2 + state.field_seen[s, 2] / expected.horizontal
     sigma = math.sqrt(straying + min(state.P[s, 2, 2], OPEN_SIGMA**2))
     weight = max(1.0, abs(off) / sigma / noise.huber) * disturbance
-    is_first = body.opens[s] == 0 and state.P[s, 2, 2] > straying
+    is_first = (body.opens[s] == 0 or state.misfit[s] >= LOOSE) and state.P[s, 2, 2] > straying
     memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
     variance = straying * memory_s / dt * weight
     add_own(evidence, s, (0.0, 0.0, 1.0), -off, variance)

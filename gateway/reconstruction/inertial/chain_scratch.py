@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gateway.frames import FloatArray, IntArray
+from gateway.reconstruction.inertial.lever_arms import Learning, learning
 from gateway.reconstruction.inertial.observations import SegmentObservations, no_observations
 from gateway.reconstruction.inertial.tree_filter import Evidence, Workspace, no_evidence, workspace
 
@@ -16,7 +17,7 @@ class Scratch(NamedTuple):
 
     observed: SegmentObservations
     sun: FloatArray  # (n + 1, 4) see ``follow_sun``
-    is_valid: FloatArray  # (n,) 0: no sample; 1: turns by its gyrometer; 2: its specific force counts too
+    is_valid: FloatArray  # (n,) see ``note_valid_rows``
     before: FloatArray  # (n, 3, 3) orientations of the frame before
     K: FloatArray  # (n, 3, 3) swing, 1/s², world
     motion: FloatArray  # (n,) ‖[ω̇, ω]‖, 1/s²
@@ -29,6 +30,7 @@ class Scratch(NamedTuple):
     U: FloatArray  # (n, 3) specific force at the proximal joint as the segment sees it, world
     U_beyond: FloatArray  # (n, 3) and, of a bridged one, at the joint beyond; see ``chain_bridges``
     U_parent: FloatArray  # (n, 3) there as its parent sees it
+    learning: Learning
     evidence: Evidence
     tree: Workspace
 
@@ -41,5 +43,6 @@ def scratch(n: int) -> Scratch:
 
     return Scratch(
         no_observations(n), np.full((n + 1, 4), np.nan), z(), z(3, 3), z(3, 3), z(), z(3), z(3, 3), z(), z(),
-        np.zeros(n, np.int64), z(), z(3), z(3), z(3), no_evidence(n), workspace(n),
+        np.zeros(n, np.int64), z(), z(3), z(3), z(3), learning(), no_evidence(n),
+        workspace(n),
     )  # fmt: skip

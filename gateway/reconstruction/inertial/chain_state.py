@@ -128,6 +128,7 @@ class FilterState(NamedTuple):
     history: FloatArray  # (d, N_HISTORY, 7) time, R f, R r or R (ω × r) towards the device
     unaided_square: FloatArray  # (n,) mean square acceleration over the unaided window while aided, (m/s²)²
     sun: FloatArray  # (n, 3) cosine and sine sums of the headings that the sun showed, their length; seconds
+    misfit: FloatArray  # (n,) of the joint to the parent: mean square of its residual over what is expected
 
 
 def initial_state(n: int, d: int) -> FilterState:
@@ -144,7 +145,7 @@ def initial_state(n: int, d: int) -> FilterState:
         z(d, N_READINGS, 5),
         np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, 7), -np.inf),
-        z(n), z(n, 3),
+        z(n), z(n, 3), z(n),
     )  # fmt: skip
 
 

@@ -17,7 +17,6 @@ from gateway.reconstruction.inertial.chain_averages import (
     watch_rest,
 )
 from gateway.reconstruction.inertial.chain_prediction import (
-    exceeds,
     note_valid_rows,
     predict,
     start,
@@ -34,7 +33,7 @@ from gateway.reconstruction.inertial.heading_start import (
     tilt_spread,
     turn_evidence,
 )
-from gateway.reconstruction.inertial.lever_arms import learn_device_arm, learn_joint_arms
+from gateway.reconstruction.inertial.lever_arms import Learning, learn_device_arm, learn_joint_arms
 from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
 from gateway.reconstruction.inertial.rest_rows import note_rolling, rest_rows
 from gateway.reconstruction.inertial.sun_rows import follow_sun
@@ -78,9 +77,9 @@ def step(
     observed, is_valid, K, motion = scratch.observed, scratch.is_valid, scratch.K, scratch.motion
     evidence, turns = scratch.evidence, scratch.turns
     force, rate, field = observed.specific_force, observed.angular_rate, observed.magnetic_field
-    note_valid_rows(is_valid, noise, force, rate, observed.status)
+    note_valid_rows(is_valid, noise, observed)
     note_rolling(scratch.rolling, state, rate, resting, dt)
-    predict(body, state, noise, rate, is_valid, dt, scratch.before)
+    predict(body, state, noise, rate, is_valid, is_joint, dt, scratch.before)
     _start_segments(body, state, noise, scratch)
     reopen_headings(body, state)
     average(body, state, noise, force, rate, is_valid, dt, K, motion)
@@ -92,8 +91,9 @@ def step(
     _device_rows(body, state, noise, scratch, fixed, dt, time_s)
     rest_rows(evidence, body, state, noise, is_valid, force, resting, scratch.rolling, dt, scratch.anchored)
     _joint_rows(body, state, noise, scratch, is_joint, dt)
+    rest_gain = 1.0 - math.exp(-dt / REST_WINDOW_S)
     for s in range(len(is_valid)):
-        if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], dt):
+        if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], rest_gain, dt):
             chain_rows.rest_row(evidence, state, s, REST_WINDOW_S, dt)
     turn_segments(body, state, turns, scratch.rotations)
     if is_joint:
@@ -145,16 +145,16 @@ def _follow_field(
     turns: FloatArray,
 ) -> None:
     """A row where the heading is settled; where it is open the field leads it as a compass."""
+    expected = chain_rows.expected_field(body, dt)
     for s in range(len(body.parents)):
-        if is_valid[s] == 0.0 or exceeds(state.rate[s], noise.largest_rate):
+        if is_valid[s] < 1.0:
             continue  # a saturated gyrometer has lost it: the field would seem disturbed
         if not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
             continue
-        chain_rows.watch_field(body, state, s, field[s], dt)
+        off, disturbance = chain_rows.watch_field(body, state, s, field[s], expected, dt)
         if state.is_open[s] == 0:
-            chain_rows.field_row(evidence, body, state, noise, s, field[s], dt)
+            chain_rows.field_row(evidence, body, state, noise, s, off, disturbance, expected, dt)
             continue
-        off, disturbance = chain_rows.field_error(body, state, s, field[s])
         turns[s, 2] = compass_turn(state, s, off, disturbance, dt)
     for s in range(len(body.parents)):
         turn_evidence(state, s, turns[s, 2])
@@ -180,9 +180,9 @@ def _device_rows(
         if scratch.is_valid[s] < 2.0:
             continue
         if fixed[d]:
+            anchored[s] = 1.0  # also while its row waits for the averages
             if state.fresh_s[s] > SETTLED * noise.smoothing_s:
-                _fixed_row(evidence, body, state, noise, d, s, scratch.K[s], motion[s], dt)
-                anchored[s] = 1.0
+                _fixed_row(evidence, body, state, noise, scratch.learning, d, s, scratch.K[s], motion[s], dt)
             continue
         note_frame(body, state, noise, scratch.observed, d, time_s)
         is_new, u, y, variance, span = local_pair(body, state, noise, d, time_s)
@@ -230,6 +230,7 @@ def _fixed_row(
     body: ChainBody,
     state: FilterState,
     noise: Noise,
+    learning: Learning,
     d: int,
     s: int,
     K: FloatArray,
@@ -245,7 +246,7 @@ def _fixed_row(
     felt_into(u, state.force[s], K, body.device_arm[d], state.device_shift[d], 0)
     variance = chain_rows.row_variance(noise, motion, dt)
     at_once = variance * dt / noise.row_memory_s
-    variance += learn_device_arm(state, noise, d, s, u, body.at_rest, K, variance, at_once, dt)
+    variance += learn_device_arm(state, noise, learning, d, s, u, body.at_rest, K, variance, at_once, dt)
     chain_rows.known_row(evidence, state, noise, s, u, body.at_rest, variance, False)
 
 
@@ -290,9 +291,10 @@ def _joint_rows(
         felt_into(scratch.U[s], state.force[s], scratch.K[s], body.to_joint[s], state.arm[s], 0)
         if p < 0 or is_valid[s] < 2.0 or is_valid[p] < 2.0:
             continue
-        chain[s] = chain[p]  # also while its row waits for the averages: after a gap nothing has changed
+        if state.misfit[s] < chain_rows.LOOSE:  # else what holds up the one does not hold up the other
+            chain[s] = chain[p]  # also while its row waits for the averages: after a gap nothing has changed
         if is_joint:
-            anchored[chain[p]] = max(anchored[chain[p]], anchored[s])
+            anchored[chain[s]] = max(anchored[chain[s]], anchored[s])
         if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
             continue
         _joint_row(body, state, noise, scratch, s, p, dt)
@@ -325,7 +327,7 @@ def _joint_row(
     K, motion, evidence, turns = scratch.K, scratch.motion, scratch.evidence, scratch.turns
     u, u_p = scratch.U[s], scratch.U_parent[s]
     felt_into(u_p, state.force[p], K[p], body.from_parent[s], state.arm[s], 3)
-    moved = math.hypot(motion[s], motion[p])
+    moved = math.sqrt(motion[s] ** 2 + motion[p] ** 2)
     variance = chain_rows.row_variance(noise, moved, dt)
     if body.is_bridged[s]:
         u = scratch.U_beyond[s]
@@ -353,7 +355,9 @@ def _joint_row(
         return  # this instant's averages are those before the turn
     else:
         at_once = variance * dt / noise.row_memory_s
-        variance += learn_joint_arms(state, noise, s, p, u, u_p, K[s], K[p], variance, at_once, dt)
+        variance += learn_joint_arms(
+            state, noise, scratch.learning, s, p, u, u_p, K[s], K[p], variance, at_once, dt
+        )
     chain_rows.joint_row(evidence, state, noise, s, p, u, u_p, variance, dt, is_lost)
 
 

@@ -20,9 +20,13 @@ from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame, Status
 from gateway.geometry import derivatives, quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import norm
+from gateway.reconstruction.inertial.chain_state import Noise
 from gateway.reconstruction.inertial.observations import SegmentObserver, with_sun_as_field
 
 HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
+UNAIDED = Status.UNAIDED.value
+RANGES = Noise()
+"""Where sensors are saturated, the same as for ``joint``."""
 
 LONGEST_GAP_S = 0.2
 """A filter step stands for one nominal interval: after a longer gap the turn during it is not bridged."""
@@ -33,7 +37,10 @@ class IndependentReconstructor:
 
     A module without values for an instant keeps its last orientation: HELD, and PREDICTED once
     ``LONGEST_GAP_S`` has passed. How far it has turned by then nobody knows, so its filter begins anew when
-    it is back. A segment without module follows its parent rigidly, axes parallel as in the calibration pose
+    it is back. Likewise after its gyrometers have been saturated for so long; for less, the end of their
+    range is the best guess. While its accelerometer is saturated, a segment turns by its gyrometers alone
+    (UNAIDED).
+    A segment without module follows its parent rigidly, axes parallel as in the calibration pose
     (PREDICTED). MISSING: nothing yet, or a module without accelerometer or gyrometers.
 
     angular_rate: as measured, bias included. joint_acceleration: the module's specific force moved to the
@@ -119,21 +126,36 @@ class IndependentReconstructor:
         f, w, x = (np.array(v, np.float64, order="C") for v in _rows_of(observation))
         is_inertial, has_field = _has_values(f, w), _has_values(x)
         is_inertial &= observation.status <= Status.HELD
+        is_unaided, is_blind = _beyond(f, RANGES.largest_force), _beyond(w, RANGES.largest_rate)
         for segment, row, vqf in zip(self._observed, self._rows, self._filters, strict=True):
-            if not is_inertial[row]:
+            is_silent = self._is_silent(segment, observation.time_ns)
+            if not is_inertial[row] or (is_blind[row] and is_silent):
                 status[segment] = MISSING if np.isnan(self._q_vqf[segment, 0]) else HELD
                 continue
-            if self._is_silent(segment, observation.time_ns):
+            if is_silent:
                 vqf.resetState()
-            self._heard_ns[segment] = observation.time_ns
-            if has_field[row]:
-                self._has_field[segment] = True
-                vqf.update(w[row], f[row], x[row])
-            else:
-                vqf.update(w[row], f[row])
+            if not is_blind[row]:
+                self._heard_ns[segment] = observation.time_ns
+            self._has_field[segment] = bool(self._has_field[segment] or has_field[row])
+            _step(vqf, w[row], None if is_unaided[row] else f[row], x[row] if has_field[row] else None)
             self._q_vqf[segment] = vqf.getQuat9D() if self._has_field[segment] else vqf.getQuat6D()
-            status[segment] = observation.status[row]
+            status[segment] = UNAIDED if is_unaided[row] else observation.status[row]
         return status
+
+
+def _step(vqf: VQF, w: FloatArray, f: FloatArray | None, x: FloatArray | None) -> None:
+    """One sample; None where a sensor has nothing to say."""
+    vqf.updateGyr(w)
+    if f is not None:
+        vqf.updateAcc(f)
+    if x is not None:
+        vqf.updateMag(x)
+
+
+def _beyond(values: FloatArray, largest: float) -> NDArray[np.bool_]:
+    """(n_modules,) whether a sensor is at the end of its range on any axis."""
+    is_beyond: NDArray[np.bool_] = np.logical_or.reduce(np.abs(values) > largest, axis=1)
+    return is_beyond
 
 
 def _rows_of(observation: ImuFrame) -> tuple[FloatArray, FloatArray, FloatArray]:

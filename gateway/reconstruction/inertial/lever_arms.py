@@ -12,15 +12,32 @@ through the low-pass; between two modules it does not show well enough to be of 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial.blocks import times_vector_into
 from gateway.reconstruction.inertial.chain_state import FilterState, Noise
 from gateway.reconstruction.inertial.tree_filter import Three
 
 ORIENTATION_MEMORY_S = 1.0
+
+
+class Learning(NamedTuple):
+    """What learning works in."""
+
+    rows: FloatArray  # (3, 6) of the observation
+    gains: FloatArray  # (3, 6) covariance of each row's value with what is learnt, after the rows before it
+    scaled: FloatArray  # (3, 6) over the variance of the innovation
+    found: FloatArray  # (3,) innovations
+    change: FloatArray  # (6,) of what is learnt
+
+
+def learning() -> Learning:
+    """To be used again and again."""
+    return Learning(np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((3, 6)), np.zeros(3), np.zeros(6))
 
 
 Symmetric = tuple[float, float, float, float, float, float]
@@ -63,6 +80,7 @@ def spread(x: float, y: float, z: float, D: Symmetric) -> Three:
 def learn_joint_arms(
     state: FilterState,
     noise: Noise,
+    work: Learning,
     s: int,
     p: int,
     u: FloatArray,
@@ -78,21 +96,20 @@ def learn_joint_arms(
     variance: of a component of the row that comes every dt, (m/s²)²; at_once: of a single one. Returns what
     the arms' uncertainty adds to the former.
     """
-    rows = np.empty((3, 6))
     for i in range(3):
         for j in range(3):
-            rows[i, j], rows[i, 3 + j] = -K[i, j], K_p[i, j]
+            work.rows[i, j], work.rows[i, 3 + j] = -K[i, j], K_p[i, j]
     off = spread(
         0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2]), relative_covariance(state, s, p)
     )
-    before = state.arm[s].copy()
-    added = _learn(
-        state.arm[s], state.arm_covariance[s], rows, u - u_p, off, variance, at_once, noise.huber, dt
-    )
+    residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
+    added = _learn(state.arm_covariance[s], work, residual, off, variance, at_once, noise.huber, dt)
+    change = work.change
+    for i in range(6):
+        state.arm[s, i] += change[i]
     for i in range(3):
-        for j in range(3):
-            u[i] += K[i, j] * (state.arm[s, j] - before[j])
-            u_p[i] += K_p[i, j] * (state.arm[s, 3 + j] - before[3 + j])
+        u[i] += K[i, 0] * change[0] + K[i, 1] * change[1] + K[i, 2] * change[2]
+        u_p[i] += K_p[i, 0] * change[3] + K_p[i, 1] * change[4] + K_p[i, 2] * change[5]
     return added * noise.row_memory_s / dt
 
 
@@ -100,6 +117,7 @@ def learn_joint_arms(
 def learn_device_arm(
     state: FilterState,
     noise: Noise,
+    work: Learning,
     d: int,
     s: int,
     u: FloatArray,
@@ -111,58 +129,73 @@ def learn_device_arm(
 ) -> float:
     """The same of fixed point d of segment s, at which u must be the known y; and ``state.force_bias[s]``."""
     off = spread(y[0], y[1], y[2], own_covariance(state, s))
-    rows, x = np.empty((3, 6)), np.empty(6)
+    rows, change = work.rows, work.change
     for i in range(3):
-        x[i], x[3 + i] = state.device_shift[d, i], state.force_bias[s, i]
         for j in range(3):
             rows[i, j] = -K[i, j]
             # R through the low-pass, whose derivative went through it as the swing
             rows[i, 3 + j] = state.R[s, i, j] - noise.smoothing_s * state.swing[s, i, j]
-    before = x.copy()
-    added = _learn(x, state.device_covariance[d], rows, u - y, off, variance, at_once, noise.huber, dt)
+    residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
+    added = _learn(state.device_covariance[d], work, residual, off, variance, at_once, noise.huber, dt)
     for i in range(3):
-        state.device_shift[d, i], state.force_bias[s, i] = x[i], x[3 + i]
+        state.device_shift[d, i] += change[i]
+        state.force_bias[s, i] += change[3 + i]
         for j in range(6):
-            u[i] -= rows[i, j] * (x[j] - before[j])
+            u[i] -= rows[i, j] * change[j]
         for j in range(3, 6):  # the averages as if the accelerometer's error had always been known so
-            state.force[s, i] -= rows[i, j] * (x[j] - before[j])
-            state.last_force[s, i] -= state.R[s, i, j - 3] * (x[j] - before[j])
+            state.force[s, i] -= rows[i, j] * change[j]
+            state.last_force[s, i] -= state.R[s, i, j - 3] * change[j]
     return added * noise.row_memory_s / dt
 
 
 @compiled
 def _learn(
-    x: FloatArray,
     P: FloatArray,
-    rows: FloatArray,
-    residual: FloatArray,
+    work: Learning,
+    residual: Three,
     off: Three,
     variance: float,
     at_once: float,
     huber: float,
     dt: float,
 ) -> float:
-    """Three scalar updates of x (m,) and P (m, m) in place by rows (3, m) and their residuals; the mean
-    variance that P meant for a component beforehand."""
-    m, added = len(x), 0.0
-    gain, start = np.empty(m), x.copy()
+    """``work.change`` ← three scalar updates by ``work.rows`` and their residuals; P (6, 6) changes in place.
+    Returns the mean variance that P meant for a component beforehand.
+
+    P itself is changed once, by all three: a row's gain is that by the first P less its shares in the gains
+    of the rows before it.
+    """
+    rows, gains, scaled, found, added = work.rows, work.gains, work.scaled, work.found, 0.0
+    memory = max(1.0, ORIENTATION_MEMORY_S / dt)
     for i in range(3):
-        for a in range(m):
-            for b in range(m):
-                added += rows[i, a] * P[a, b] * rows[i, b] / 3.0
+        times_vector_into(gains[i], P, rows[i])
+        added += _dot(rows[i], gains[i])
     for i in range(3):
-        innovation, uncertain = residual[i], 0.0
-        for a in range(m):
-            innovation -= rows[i, a] * (x[a] - start[a])
-            gain[a] = 0.0
-            for b in range(m):
-                gain[a] += P[a, b] * rows[i, b]
-            uncertain += rows[i, a] * gain[a]
-        white = variance + off[i] * max(1.0, ORIENTATION_MEMORY_S / dt)
-        surprise = abs(innovation) / math.sqrt(at_once + off[i] + uncertain)
-        total = uncertain + white * max(1.0, surprise / huber)
-        for a in range(m):
-            x[a] += gain[a] * innovation / total
-            for b in range(m):
-                P[a, b] -= gain[a] * gain[b] / total
-    return added
+        innovation = residual[i]
+        for k in range(i):
+            share = _dot(rows[i], scaled[k])
+            innovation -= share * found[k]
+            for a in range(6):
+                gains[i, a] -= share * gains[k, a]
+        uncertain = _dot(rows[i], gains[i])
+        white, plausible = variance + off[i] * memory, huber * huber * (at_once + off[i] + uncertain)
+        if innovation * innovation > plausible:
+            white *= math.sqrt(innovation * innovation / plausible)
+        weight = 1.0 / (uncertain + white)
+        found[i] = innovation
+        for a in range(6):
+            scaled[i, a] = gains[i, a] * weight
+    for a in range(6):
+        x, y, z = scaled[0, a], scaled[1, a], scaled[2, a]
+        work.change[a] = x * found[0] + y * found[1] + z * found[2]
+        for b in range(a + 1):
+            P[a, b] -= x * gains[0, b] + y * gains[1, b] + z * gains[2, b]
+            P[b, a] = P[a, b]
+    return added / 3.0
+
+
+@compiled
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    """a · b; shapes (6,), (6,)."""
+    product: float = (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
+    return product

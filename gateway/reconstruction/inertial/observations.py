@@ -23,6 +23,7 @@ class SegmentObservations(NamedTuple):
     angular_rate: FloatArray  # (n_segments, 3) rad/s, segment axes
     magnetic_field: FloatArray  # (n_segments, 3) µT, segment axes
     status: StatusArray  # (n_segments,) of the module's row; MISSING without module or specific force
+    clipped: StatusArray  # (n_segments,) of its sensors, ``Clipped``
 
 
 class SegmentObserver:
@@ -37,16 +38,23 @@ class SegmentObserver:
         # copied, so that a read-only or strided array does not have the kernel compiled again
         rows = (imu_frame.specific_force, imu_frame.angular_rate, imu_frame.magnetic_field)
         f, w, x = (np.array(row, np.float64, order="C") for row in rows)
-        status = np.array(imu_frame.status, np.uint8)
+        status, clipped = np.array(imu_frame.status, np.uint8), clipped_of(imu_frame)
         observed = no_observations(len(self._module_of_segment))
-        by_segment_into(observed, self._module_of_segment, self._R_bs, f, w, x, status)
+        by_segment_into(observed, self._module_of_segment, self._R_bs, f, w, x, status, clipped)
         return observed
 
 
 def no_observations(n: int) -> SegmentObservations:
     """Of n segments."""
     f, w, x = (np.full((n, 3), np.nan) for _ in range(3))
-    return SegmentObservations(f, w, x, np.full(n, MISSING, np.uint8))
+    return SegmentObservations(f, w, x, np.full(n, MISSING, np.uint8), np.zeros(n, np.uint8))
+
+
+def clipped_of(imu_frame: ImuFrame) -> StatusArray:
+    """(n_modules,) ``Clipped`` sensors of a frame."""
+    if imu_frame.clipped is None:
+        return np.zeros(len(imu_frame.status), np.uint8)
+    return np.array(imu_frame.clipped, np.uint8)
 
 
 def with_sun_as_field(imu_frame: ImuFrame, sun: SunSight) -> ImuFrame:
@@ -68,6 +76,7 @@ def by_segment_into(
     angular_rate: FloatArray,
     magnetic_field: FloatArray,
     status: StatusArray,
+    clipped: StatusArray,
 ) -> None:
     """Rows by module, (m, 3) and (m,), turned by R_bs (n, 3, 3) and sorted by segment.
 
@@ -81,3 +90,4 @@ def by_segment_into(
             rotation_matrix.rotate_into(observed.magnetic_field[s], R_bs[s], magnetic_field[row])
             is_measured = is_finite(observed.specific_force[s])
             observed.status[s] = status[row] if is_measured else MISSING
+            observed.clipped[s] = clipped[row]

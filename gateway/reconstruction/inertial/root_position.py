@@ -45,6 +45,10 @@ class PositionSettings(NamedTuple):
     """Two feet that are held share out what they contradict each other."""
     push_off_s: float = 0.3
     """A foot counts as what the body stands on for so long after it began to roll."""
+    longest_flight_s: float = 1.5
+    """No jump lasts longer: then the feet tell nothing (silent, stuck), and the body stays in place."""
+    halt_s: float = 0.5
+    """Time constant with which it halts then, and comes back to the floor."""
     floor_s: float = 0.05
     """Time constant with which a contact is drawn to the floor: a running foot is on it for 0.1 s."""
 
@@ -115,7 +119,11 @@ def advance_position(
     to_root = -quaternion.rotate(q_wb[ref], contacts.arm) - _joint_of(contacts, q_wb, ref)
     if state.clock[0] == 0.0 and not _begin(contacts, state, r, to_root):
         return np.full(3, np.nan), -1
-    _predict(contacts, settings, state, quaternion.rotate(q_wb[ref], force[ref]) + contacts.gravity, dt)
+    acceleration = quaternion.rotate(q_wb[ref], force[ref]) + contacts.gravity
+    if state.clock[1] > settings.longest_flight_s:
+        acceleration[:] = np.nan
+        _halt(contacts, settings, state, r, dt)
+    _predict(contacts, settings, state, acceleration, dt)
     n_held = 0
     for c in range(len(contacts.segments)):
         resting_s = resting[contacts.segments[c]]
@@ -212,6 +220,21 @@ def _predict(
         P[1, 1] += noise**2 * dt
         P[2, 2] += settings.acceleration_error**2 * (1.0 - keep**2)
         state.P[k] = P
+
+
+@compiled
+def _halt(
+    contacts: Contacts, settings: PositionSettings, state: PositionState, r: FloatArray, dt: float
+) -> None:
+    """Accelerations summed up twice are metres off within seconds: without a contact they count no longer."""
+    keep, lowest = math.exp(-dt / settings.halt_s), np.inf
+    for c in range(len(r)):
+        if is_finite(r[c]):
+            lowest = min(lowest, state.x[2, 0] + r[c, 2])
+    for axis in range(3):
+        state.x[axis, 1] *= keep
+    if contacts.has_floor and math.isfinite(lowest):
+        state.x[2, 0] += (contacts.floor - lowest) * (1.0 - keep)
 
 
 @compiled

@@ -14,7 +14,6 @@ import numpy as np
 from gateway.frames import FloatArray, ImuFrame, IntArray, SunSight
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.chain_prediction import exceeds
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.heading_start import turn_evidence
 from gateway.reconstruction.inertial.tree_filter import Evidence, add_own
@@ -86,7 +85,7 @@ def follow_sun(
     across = math.hypot(world[0], world[1])
     for s in range(n):
         is_seen = math.isfinite(sun[s, 0] + sun[s, 3] + across)
-        if is_valid[s] == 0.0 or not is_seen or exceeds(state.rate[s], noise.largest_rate):
+        if is_valid[s] < 1.0 or not is_seen:
             continue
         off, height_off = _sun_error(state.R[s], sun[s, :3].copy(), world)
         tilt = 0.5 * (state.P[s, 0, 0] + state.P[s, 1, 1])

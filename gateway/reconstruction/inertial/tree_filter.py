@@ -135,6 +135,21 @@ def propagate(P: FloatArray, R: FloatArray, R_other: FloatArray, dt: float) -> N
             P[i, j] -= x * R_other[j, 0] + y * R_other[j, 1] + z * R_other[j, 2]
 
 
+@compiled
+def propagate_own(P: FloatArray, R: FloatArray, dt: float) -> None:
+    """The same of a segment with itself: P (6, 6) is symmetric before and after, to the last bit."""
+    for i in range(2, -1, -1):
+        x, y, z = dt * R[i, 0], dt * R[i, 1], dt * R[i, 2]
+        for j in range(i + 1):  # rows up to this one are as they were
+            P[i, j] -= x * P[j, 3] + y * P[j, 4] + z * P[j, 5]
+        for j in range(3, 6):
+            P[i, j] -= x * P[3, j] + y * P[4, j] + z * P[5, j]
+            P[j, i] = P[i, j]
+        for j in range(i + 1):
+            P[i, j] -= dt * (P[i, 3] * R[j, 0] + P[i, 4] * R[j, 1] + P[i, 5] * R[j, 2])
+            P[j, i] = P[i, j]
+
+
 class Workspace(NamedTuple):
     """What one update needs besides its arguments, and what it finds."""
 

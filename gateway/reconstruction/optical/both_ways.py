@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from gateway.reconstruction.optical.joint_smoothing import (
     smoothed_turns,
 )
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Pose
-from gateway.reconstruction.optical.reconstructor import MarkerFit, OpticalReconstructor
+from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 
 Progress = Callable[[int, int], None]
 
@@ -32,28 +31,19 @@ BRIDGED_SIGMA = np.radians(5.0)
 """How far a joint may be from where it was smoothed to before that counts, rad."""
 
 
-@dataclass(frozen=True)
-class Solved:
-    """One instant: its pose, and how that explains the markers (None: it was lost)."""
-
-    frame: SkeletonFrame
-    fit: MarkerFit | None
-
-
 def solve_both_ways(
     skeleton: Skeleton,
     markers: BodyMarkers,
     frames: Sequence[MarkerFrame],
     progress: Progress | None = None,
-) -> tuple[list[Solved], Counter[str]]:
+) -> tuple[list[SkeletonFrame], Counter[str]]:
     """All frames, and what was put right. Frames without a pose of their own stay as the streaming method has
     them."""
     forward = OpticalReconstructor(skeleton, markers)
     poses: list[Pose | None] = []
-    solved: list[Solved] = []
+    solved: list[SkeletonFrame] = []
     for index, observation in enumerate(frames):
-        made = forward.update(observation)
-        solved.append(Solved(made, forward.last))
+        solved.append(forward.update(observation))
         poses.append(None if forward.last is None else forward.pose)
         if progress is not None:
             progress(index, 2 * len(frames))
@@ -66,12 +56,11 @@ def solve_both_ways(
     turns = smoothed_turns(times - times[0], [_seen(parents, pose) for pose in poses[first:last]])
     again = OpticalReconstructor(skeleton, markers)
     for f in known:
-        pose, fit = poses[f], solved[f].fit
+        pose, fit = poses[f], solved[f].markers
         assert pose is not None
         assert fit is not None
         held = from_turns(parents, turns[f - first])
-        made = again.solve_again(frames[f], fit, held, pose.root, BRIDGED_SIGMA**-2)
-        solved[f] = Solved(made, again.last)
+        solved[f] = again.solve_again(frames[f], fit, held, pose.root, BRIDGED_SIGMA**-2)
         if progress is not None:
             progress(len(frames) + f, 2 * len(frames))
     return solved, forward.counts

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
-from gateway.frames import FloatArray, MarkerFrame, SkeletonFrame, Status
+from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame, Status
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.carrying import Carrying
@@ -38,28 +36,6 @@ _SMALLEST_VARIANCE = 0.25
 
 Renamed = tuple[tuple[int, int], ...]
 """(marker, whose point it had been; -1 for a nameless one)."""
-
-
-@dataclass(frozen=True)
-class MarkerFit:
-    """How the last pose explains the markers, in the order of the fitted body."""
-
-    positions: FloatArray
-    """(M, 3) m, after names were put right; NaN: not seen."""
-    virtual: FloatArray
-    """(M, 3) m: where the body has its markers."""
-    residuals: FloatArray
-    """(M,) m; NaN where not seen. Points that had no say, ghosts among them, have one too."""
-    used: NDArray[np.bool_]
-    """(M,) had a say."""
-    renamed: Renamed
-    """(marker, whose point it had been; -1 for a nameless one)."""
-
-    @property
-    def rmse(self) -> float:
-        """m, of the markers used; NaN with none."""
-        chosen = self.residuals[self.used]
-        return float(np.sqrt(np.mean(chosen**2))) if len(chosen) else float("nan")
 
 
 class OpticalReconstructor:
@@ -189,7 +165,8 @@ class OpticalReconstructor:
         virtual = self._virtual(pose)
         positions = _with_names(frame, renamed, virtual)
         residuals = np.linalg.norm(positions - virtual, axis=1)
-        return MarkerFit(positions, virtual, residuals, pose.weights > _ACCEPTED, renamed)
+        used = pose.weights > _ACCEPTED
+        return MarkerFit(positions, virtual, residuals, used, renamed, frame.unlabelled)
 
     def _frame(self, frame: MarkerFrame, pose: Pose) -> SkeletonFrame:
         p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
@@ -207,6 +184,7 @@ class OpticalReconstructor:
             sigma=orientation_sigmas(self.model.parents, pose.factor, self._variance(pose)),
             status=np.where(carried, Status.MEASURED, Status.PREDICTED).astype(np.uint8),
             root=0,
+            markers=self.last,
         )
 
     def _variance(self, pose: Pose) -> float:

@@ -27,11 +27,15 @@ def test_an_inbox_is_full_by_bytes_and_by_number():
         inbox.put_nowait(message(1))
     inbox.get_nowait()
     inbox.put_nowait(message(LARGEST_MESSAGE))  # its bytes were given back
-    small = Inbox(2)
+    told: list[str] = []
+    small = Inbox(2, lambda: told.append("full"))
     for _ in range(2):
         small.put_nowait(message(1))
-    with pytest.raises(asyncio.QueueFull):
-        small.put_nowait(message(1))
+    assert told == []
+    for size in (1, LARGEST_MESSAGE + 1):
+        with pytest.raises(asyncio.QueueFull):
+            small.put_nowait(message(size))
+    assert told == ["full", "full"]
 
 
 @given(st.lists(st.integers(0, LARGEST_MESSAGE + 5) | st.none(), max_size=200))

@@ -22,7 +22,7 @@ def test_topics_are_those_of_the_contract() -> None:
     assert {"mocap/lab/module/7/state", "mocap/lab/module/7/availability"} <= named
     named |= {topics.pose_msgpack, topics.segment("left_hand")}
     assert {"mocap/lab/pose/msgpack", "mocap/lab/segment/left_hand"} <= named
-    named.add(topics.comparison)
+    named |= {topics.comparison, topics.markers}
     assert named == {f"{topics.root}/{each.topic.format(id=7, name='left_hand')}" for each in PUBLICATIONS}
 
 

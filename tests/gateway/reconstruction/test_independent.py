@@ -138,3 +138,29 @@ def test_a_module_silent_for_long_is_predicted_and_begins_anew_when_it_is_back()
     assert frames[400].status[1] == Status.MEASURED
     steady = run(body.suit(), observations[400:])
     np.testing.assert_allclose(frames[400].q_wb[1], steady[0].q_wb[1], atol=1e-9)
+
+
+def test_gyrometers_saturated_for_long_have_the_module_begin_anew():
+    """They used to be believed, bias and all: 20° off half a minute after a second of it."""
+    body = arm(on_joint=False, from_rest=True)
+    truth = simulate(body, instants(100, 6.0, start_s=-1.0))
+    observations = imu_frames(body, truth, gyrometers=True)
+    for observation in observations[300:400]:
+        observation.angular_rate[1] = np.radians(2000.0) * np.array([1.0, -1.0, 1.0])
+    frames = run(body.suit(), observations)
+    assert frames[310].status[1] == Status.MEASURED  # a fast swing of 0.1 s is not thrown away
+    assert {frames[k].status[1] for k in range(321, 400)} == {Status.PREDICTED}
+    steady = run(body.suit(), observations[400:])
+    for k in (0, 50, -1):
+        np.testing.assert_allclose(frames[400:][k].q_wb[1], steady[k].q_wb[1], atol=1e-9)
+
+
+def test_a_saturated_accelerometer_tells_no_inclination():
+    body, truth, observations = resting(20.0)
+    for observation in observations[1000:]:
+        observation.specific_force[1] = [160.0, 160.0, 160.0]
+    frames = run(body.suit(), observations)
+    assert {frame.status[1] for frame in frames[1000:]} == {Status.UNAIDED}
+    assert {frame.status[1] for frame in frames[:1000]} == {Status.MEASURED}
+    assert angular_error_deg(frames[-1].q_wb, truth.R[-1]).max() < 0.3
+    assert np.isnan(frames[-1].joint_acceleration[1]).all()

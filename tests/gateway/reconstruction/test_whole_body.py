@@ -15,7 +15,7 @@ from devices.emulators.ideal_sensors import sense
 from devices.emulators.motions import gait_motion, generic_motion
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_rig import dress
-from gateway.frames import ImuFrame, Quantity, SkeletonFrame, Status
+from gateway.frames import Clipped, ImuFrame, Quantity, SkeletonFrame, Status
 from gateway.reconstruction.whole_body import RootMode, RootSettings, WholeBodyReconstructor
 
 RATE_HZ = 100
@@ -220,6 +220,39 @@ def test_a_walk_goes_on_over_one_foot(suit, walked, fault):
         assert np.isfinite(seen.p_w).all()
     walked_m = state.joint_position[1199, 0] - state.joint_position[0, 0]
     assert np.linalg.norm(seen.p_w[0, :2] - walked_m[:2]) < 0.05 * walked_m[0]
+
+
+def test_both_feet_stuck_neither_carry_the_body_away_nor_hold_it_for_ever(suit, walked):
+    """From 6 s to 10 s both feet repeat what they said in mid-stride; then the walk goes on."""
+    state, frames = walked
+    reconstructor = WholeBodyReconstructor(suit, KnownOrientations(state))
+    feet = [suit.module_of_segment[suit.skeleton.index(f"{side}_foot")] for side in ("left", "right")]
+    place = []
+    for k, frame in enumerate(frames):
+        shown = frame
+        if 600 <= k < 1000:
+            force, rate = frame.specific_force.copy(), frame.angular_rate.copy()
+            force[feet], rate[feet] = frames[600].specific_force[feet], frames[600].angular_rate[feet]
+            shown = replace(frame, specific_force=force, angular_rate=rate)
+        place.append(reconstructor.update(shown).p_w[0])
+    place, true = np.array(place), state.joint_position[:, 0]
+    halted = place[850:1000]  # no foot has told anything for two seconds
+    assert np.ptp(halted[:, :2], axis=0).max() < 0.05
+    assert np.linalg.norm(halted[-1, :2] - place[600, :2]) < 3.0
+    assert np.abs(place[600:, 2] - true[600:, 2]).max() < 0.15
+    walks_on = (place[1400] - place[1050]) - (true[1400] - true[1050])
+    assert np.linalg.norm(walks_on) < 0.1
+
+
+def test_a_sensor_at_the_end_of_its_range_is_told_whatever_finds_the_orientations(suit, walked):
+    state, frames = walked
+    reconstructor = WholeBodyReconstructor(suit, KnownOrientations(state))
+    clipped = np.zeros(len(suit.module_ids), np.uint8)
+    pelvis, foot = (suit.module_of_segment[suit.skeleton.index(s)] for s in ("pelvis", "left_foot"))
+    clipped[pelvis], clipped[foot] = Clipped.SPECIFIC_FORCE, Clipped.SPECIFIC_FORCE | Clipped.ANGULAR_RATE
+    seen = reconstructor.update(replace(frames[0], clipped=clipped))
+    told = {suit.skeleton.segment_names[s]: Status(seen.status[s]) for s in np.flatnonzero(seen.status)}
+    assert told == {"pelvis": Status.UNAIDED, "left_foot": Status.PREDICTED}
 
 
 class Seen(KnownOrientations):

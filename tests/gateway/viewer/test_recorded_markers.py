@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,13 @@ from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
 from gateway.recording import open_recording
 from gateway.recording.optical import write_solved_trial
+from gateway.recording.solving import verify
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
 
 from gateway.viewer.marker_points import (  # noqa: E402 - needs the extra
     FAR,
+    LEFT_OUT,
     NEAR,
     recorded_markers,
     residual_colours,
@@ -65,8 +68,34 @@ def test_markers_stand_where_they_were_with_their_distance_from_the_body(recordi
     np.testing.assert_allclose(before.unlabelled, [[2.0, 2.0, 2.0]], atol=1e-9)
     assert after.residuals[GHOST] == pytest.approx(OFF_M, abs=0.003)
     assert np.delete(after.residuals, GHOST).max() < 0.003
-    assert after.summary().endswith("1 beyond 30 mm")
-    assert "beyond" not in before.summary()
+    assert after.summary()[0].endswith("1 left out")
+    assert after.summary()[1].startswith(f"farthest, mm: m{GHOST} 2")
+    assert "left out" not in before.summary()[0]
+    assert [label for label, used in zip(after.labels, after.used, strict=True) if not used] == [f"m{GHOST}"]
+
+
+def test_a_recording_that_tells_only_what_came_shows_the_same_places(recording):
+    opened, _ = recording
+    arrays = opened.skeleton_arrays()
+    told, received = (
+        recorded_markers(opened, each).at(6) for each in (arrays, replace(arrays, markers=None))
+    )
+    assert told.labels == received.labels
+    for name in ("positions", "virtual", "unlabelled"):
+        np.testing.assert_allclose(getattr(told, name), getattr(received, name), atol=1e-6)
+    assert received.used.all()
+
+
+def test_markers_out_of_a_recording_are_those_of_its_poses(recording):
+    opened, standing = recording
+    arrays = opened.skeleton_arrays()
+    assert arrays.markers.labels == tuple(f"m{i}" for i in range(len(standing)))
+    assert np.isnan(arrays.markers.positions[:, HIDDEN]).all()
+    assert not arrays.markers.used[:, HIDDEN].any()
+    np.testing.assert_array_equal(arrays.markers.used[:, GHOST], np.arange(N_FRAMES) < 4)
+    assert np.nanmax(np.delete(arrays.markers.residuals, [HIDDEN, GHOST], axis=1)) < 0.003
+    assert [len(each) for each in arrays.markers.unlabelled] == [1] * N_FRAMES
+    assert verify(opened).is_identical
 
 
 def test_colours_go_from_near_to_far():
@@ -85,7 +114,7 @@ def test_the_page_draws_them_and_hides_them_when_asked(recording):
         n = len(recorded_markers(opened, arrays).at(5).positions)
         assert len(scene._points.points) == n + 1
         assert len(scene._lines.points) == n
-        assert tuple(scene._points.colors[GHOST]) == FAR
+        assert tuple(scene._points.colors[GHOST]) == LEFT_OUT
         assert scene._points.visible
         scene._is_wanted.value = False
         playback.advance(0.01)

@@ -1,0 +1,191 @@
+"""Pictures of one camera: a video file, a folder of images, or a live capture device.
+
+walk.mp4             a file that OpenCV (FFmpeg) reads
+pictures/cam01       a folder of images, in the order of the numbers in their names
+v4l:///dev/video0    a capture device of Linux (Video4Linux); v4l:///dev/video0?width=1280&height=720&fps=30
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+from urllib.parse import parse_qsl, urlsplit
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.device_errors import DeviceError
+from devices.link import gateway_time_ns
+
+Picture = NDArray[np.uint8]
+"""(rows, columns, 3) blue, green, red."""
+IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
+LIVE = "v4l://"
+_FOLDER_RATE_HZ = 60.0
+_WHOLE = 0.98
+"""Of the pictures that a file promises, those that must be readable."""
+
+
+class CameraError(DeviceError):
+    """A camera, or a file of one, gives no pictures; ``str(error)`` says what would help."""
+
+
+@dataclass(frozen=True, slots=True)
+class PictureInfo:
+    """What a source says of itself before its first picture."""
+
+    name: str
+    width: int
+    height: int
+    rate_hz: float
+    count: int | None
+    """None: a live device, which has no end."""
+
+
+class PictureSource(Protocol):
+    """An opened camera."""
+
+    info: PictureInfo
+
+    def __iter__(self) -> Iterator[tuple[int, Picture]]:
+        """Instants in ns since the first picture (live: gateway time), and pictures."""
+
+    def close(self) -> None:
+        """Let go of the file or device."""
+
+
+def open_pictures(place: str, rate_hz: float | None = None) -> PictureSource:
+    """The source at a place; rate_hz: of a folder, whose images tell none. Raises ``CameraError``."""
+    if place.startswith(LIVE):
+        return LiveCamera(place)
+    path = Path(place)
+    if path.is_dir():
+        return PictureFolder(path, rate_hz or _FOLDER_RATE_HZ)
+    if not path.is_file():
+        raise CameraError(f"{place}: no such video, folder of images or device (v4l:///dev/video0)")
+    return VideoFile(path)
+
+
+class VideoFile:
+    """A video file. One that ends early or cannot be decoded is told by ``CameraError``."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._capture = cv2.VideoCapture(str(path))
+        width, height = _size(self._capture)
+        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if not self._capture.isOpened() or width <= 0 or height <= 0:
+            raise CameraError(f"{path}: is no video that can be read: is it whole, and a video at all?")
+        if not 0 < rate < 10_000 or count <= 0:
+            raise CameraError(
+                f"{path}: says {rate:g} pictures a second and {count} in all: copy it into a file with an "
+                "index (MP4, MKV), or into a folder of images"
+            )
+        self.info = PictureInfo(path.stem, width, height, float(rate), count)
+
+    def __iter__(self) -> Iterator[tuple[int, Picture]]:
+        assert self.info.count is not None
+        done = 0
+        while True:
+            is_read, picture = self._capture.read()
+            if not is_read:
+                break
+            yield round(done * 1e9 / self.info.rate_hz), picture.astype(np.uint8, copy=False)
+            done += 1
+        if done < _WHOLE * self.info.count:
+            raise CameraError(
+                f"{self._path}: picture {done + 1} of {self.info.count} cannot be decoded: the file is "
+                "damaged or was cut off"
+            )
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._capture.release()
+
+
+class PictureFolder:
+    """Images of one size, one a picture."""
+
+    def __init__(self, folder: Path, rate_hz: float) -> None:
+        self._files = image_files(folder)
+        if not self._files:
+            raise CameraError(f"{folder}: has no images ({', '.join(sorted(IMAGES))})")
+        height, width = read_image(self._files[0]).shape[:2]
+        self.info = PictureInfo(folder.name, width, height, rate_hz, len(self._files))
+
+    def __iter__(self) -> Iterator[tuple[int, Picture]]:
+        for index, file in enumerate(self._files):
+            picture = read_image(file)
+            if picture.shape[:2] != (self.info.height, self.info.width):
+                raise CameraError(
+                    f"{file}: is {picture.shape[1]}×{picture.shape[0]} pixels, "
+                    f"the images before it {self.info.width}×{self.info.height}"
+                )
+            yield round(index * 1e9 / self.info.rate_hz), picture
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+class LiveCamera:
+    """A capture device; its pictures are stamped when they come."""
+
+    def __init__(self, url: str) -> None:
+        parts = urlsplit(url)
+        wanted = dict(parse_qsl(parts.query))
+        unknown = sorted(set(wanted) - set(_LIVE_PROPERTIES))
+        if unknown:
+            raise CameraError(f"{url}: unknown parameter '{unknown[0]}' ({', '.join(_LIVE_PROPERTIES)})")
+        self._url = url
+        self._capture = cv2.VideoCapture(parts.path)
+        if not self._capture.isOpened():
+            raise CameraError(f"{parts.path}: is no camera that can be opened: is it there, free, permitted?")
+        for key, text in wanted.items():
+            if not text.isdigit():
+                raise CameraError(f"{url}: {key}={text} is no whole number")
+            self._capture.set(_LIVE_PROPERTIES[key], int(text))
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        width, height = _size(self._capture)
+        rate = float(self._capture.get(cv2.CAP_PROP_FPS)) or 30.0
+        self.info = PictureInfo(Path(parts.path).name, width, height, rate, None)
+
+    def __iter__(self) -> Iterator[tuple[int, Picture]]:
+        while True:
+            is_read, picture = self._capture.read()
+            if not is_read:
+                raise CameraError(f"{self._url}: gives no more pictures: was it unplugged?")
+            yield gateway_time_ns(), picture.astype(np.uint8, copy=False)
+
+    def close(self) -> None:
+        """Let go of the device."""
+        self._capture.release()
+
+
+_LIVE_PROPERTIES = {
+    "width": cv2.CAP_PROP_FRAME_WIDTH,
+    "height": cv2.CAP_PROP_FRAME_HEIGHT,
+    "fps": cv2.CAP_PROP_FPS,
+}
+
+
+def image_files(folder: Path) -> list[Path]:
+    """The images of a folder in the order of the numbers in their names."""
+    found = [file for file in folder.iterdir() if file.suffix.lower() in IMAGES]
+    return sorted(found, key=lambda file: [int(n) for n in re.findall(r"\d+", file.stem)] or [0])
+
+
+def read_image(file: Path) -> Picture:
+    """An image in colour. Raises ``CameraError``."""
+    picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise CameraError(f"{file}: is no image that can be read")
+    return picture.astype(np.uint8, copy=False)
+
+
+def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
+    return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))

@@ -1,0 +1,217 @@
+"""Qualisys QTM as a link: its real-time stream of 3-D markers, by the vendor's client (extra ``optical``)."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import AsyncIterator
+from enum import Enum
+from typing import Any, NamedTuple
+
+from devices.arrivals import Arrivals
+from devices.link import Chunk, Framing, LinkError, gateway_time_ns
+from devices.link_counts import LinkCounts, LostBefore
+from devices.qtm_packets import DataPacket, Marking, QtmPacketError, marking_of, message_of, packets_of
+from devices.tcp_link import CONNECT_TIMEOUT_S, connect_error, keep_alive
+
+DEFAULT_PORT = 22223
+"""That of the protocol with little-endian numbers."""
+DEFAULT_VERSION = "1.20"
+"""Of the protocol: QTM speaks its own version and all before it."""
+ANSWER_TIMEOUT_S = 5.0
+_LARGEST_GAP = 100_000
+"""In the numbers of frames; a larger one means that QTM has begun to count otherwise."""
+_WHAT_WOULD_DO = "open a measurement or a file in QTM and start it (preview, or Play with Real-Time output)"
+_IS_IT_THE_PORT = f"is it the port for little-endian numbers ({DEFAULT_PORT} unless QTM was told otherwise)?"
+_UNREADABLE = (QtmPacketError, struct.error, ValueError, KeyError, IndexError)
+
+
+class QtmLink:
+    """Labelled and unlabelled 3-D markers of one QTM, as marker messages (``devices.marker_messages``).
+
+    Frames that QTM left out are counted (``NOT_SENT``). When its markers are called otherwise, or it begins
+    another measurement, the link is lost, and made anew with the names of then.
+    """
+
+    framing = Framing.MARKERS
+
+    def __init__(
+        self, host: str, port: int = DEFAULT_PORT, *, version: str = DEFAULT_VERSION, name: str | None = None
+    ) -> None:
+        self.name = name or f"qtm://{host}:{port}"
+        self.host = host
+        self.port = port
+        self.version = version
+        self.counts = LinkCounts()
+        self._arrivals = Arrivals.never_opened(self.name)
+        self._connection: _Checked | None = None
+        self._numbers = _Numbers(self.counts)
+
+    async def open(self) -> None:
+        """Connect, learn the names, have the frames sent. Raises ``LinkError``: no QTM there, it refuses, it
+        has no 3-D data, or the extra is missing."""
+        if self._connection is not None and not self._arrivals.has_ended:
+            raise LinkError(f"{self.name} is already open")
+        client = _client()
+        loop = asyncio.get_running_loop()
+        arrivals = Arrivals(self.name, counts=self.counts)
+        protocol = client.QTMProtocol(loop=loop, on_event=lambda event: _restarted(arrivals, event))
+        connecting = loop.create_connection(
+            lambda: _Checked(protocol, arrivals, f"QTM at {self.host}:{self.port}"), self.host, self.port
+        )
+        try:
+            _, self._connection = await asyncio.wait_for(connecting, CONNECT_TIMEOUT_S)
+        except OSError as error:  # TimeoutError and gaierror among them
+            raise connect_error(self.host, self.port, error) from error
+        self._arrivals = arrivals
+        try:
+            await self._begin(client, client.QRTConnection(protocol, ANSWER_TIMEOUT_S), protocol)
+        except LinkError:
+            await self.close()
+            raise
+
+    async def _begin(self, client: _Client, connection: Any, protocol: Any) -> None:
+        place = f"QTM at {self.host}:{self.port}"
+        would_do = "write ?version=… with one that it knows behind the address"
+        choosing = protocol.set_version(self.version)
+        await self._answered(client, choosing, f"{place} refuses version {self.version}", would_do)
+        asking = connection.get_parameters(["3d"])
+        try:
+            refused = f"{place} refuses its 3D parameters"
+            marking = marking_of(await self._answered(client, asking, refused, _WHAT_WOULD_DO))
+        except QtmPacketError as error:
+            raise LinkError(f"{place}: {error}; {_WHAT_WOULD_DO}") from error
+        streaming = connection.stream_frames(
+            "allframes", ["3d", "3dnolabels"], on_packet=lambda packet: self._take(packet, marking)
+        )
+        await self._answered(client, streaming, f"{place} refuses to stream", _WHAT_WOULD_DO)
+
+    async def _answered(self, client: _Client, asking: Any, refused: str, would_do: str) -> bytes:
+        """What QTM says to something asked. Raises ``LinkError``."""
+        assert self._connection is not None  # open sees to it
+        answering = asyncio.ensure_future(asking)
+        hung_up = asyncio.ensure_future(self._connection.gone.wait())
+        try:
+            await asyncio.wait({answering, hung_up}, timeout=ANSWER_TIMEOUT_S, return_when="FIRST_COMPLETED")
+            if answering.done():
+                return answering.result() or b""  # of the version, nothing
+        except client.QRTCommandException as error:
+            said = error.value
+            text = said.decode(errors="replace") if isinstance(said, bytes) else str(said)
+            raise self._arrivals.error or LinkError(f"{refused}: '{text}'; {would_do}") from error
+        finally:
+            answering.cancel()
+            hung_up.cancel()
+        raise self._arrivals.error or LinkError(
+            f"{self.host}:{self.port} does not answer as QTM does: {_IS_IT_THE_PORT}"
+        )
+
+    def _take(self, packet: DataPacket, marking: Marking) -> None:
+        """One frame, in the receive callback; what it was that cannot be read is told by ``_Checked``."""
+        sequence = self._numbers.next(packet.framenumber)
+        self._arrivals.put(message_of(packet, sequence, marking), gateway_time_ns())
+
+    def __aiter__(self) -> AsyncIterator[Chunk]:
+        return self._arrivals
+
+    async def write(self, data: bytes) -> None:
+        """Nothing: QTM takes no commands of modules."""
+
+    async def close(self) -> None:
+        """Hang up; iterating ends."""
+        if self._connection is not None:
+            await self._connection.close()
+            self._connection = None
+
+
+class _Client(NamedTuple):
+    """What is used of the vendor's client."""
+
+    QTMProtocol: Any
+    QRTConnection: Any
+    QRTCommandException: Any
+
+
+def _client() -> _Client:
+    """The vendor's client. Raises ``LinkError`` without the extra."""
+    try:
+        from qtm_rt import protocol, qrt  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise LinkError("qtm:// needs the extra 'optical': pip install 'mocap-gateway[optical]'") from None
+    return _Client(protocol.QTMProtocol, qrt.QRTConnection, protocol.QRTCommandException)
+
+
+_BEGINNINGS = frozenset({"EventConnected", "EventRTfromFileStarted"})
+"""After these, markers may be called otherwise than before."""
+
+
+def _restarted(arrivals: Arrivals, event: Enum) -> None:
+    """QTM tells what happens to it."""
+    if event.name in _BEGINNINGS:
+        arrivals.end(LinkError("QTM has begun another measurement: its names are asked for again"))
+
+
+class _Numbers:
+    """Sequence numbers out of those of QTM's frames, which begin anew with a measurement or a file.
+
+    Some versions have number 1 on every frame of a live stream; then nothing tells what was left out.
+    """
+
+    def __init__(self, counts: LinkCounts) -> None:
+        self._counts = counts
+        self._last: int | None = None
+        self._sequence = -1
+
+    def next(self, number: int) -> int:
+        """Of the frame with QTM's number, one more than the last one's where none was left out."""
+        step = 1 if self._last is None else number - self._last
+        self._last = number
+        if not 0 < step < _LARGEST_GAP:
+            step = 1
+        self._counts.before[LostBefore.NOT_SENT] += step - 1
+        self._sequence += step
+        return self._sequence
+
+
+class _Checked(asyncio.Protocol):
+    """Before the vendor's client: only whole packets of sizes that there are reach it.
+
+    Left to itself, it turns for ever at a packet of size 0 and keeps all that a foreign server sends.
+    """
+
+    def __init__(self, client: asyncio.Protocol, arrivals: Arrivals, place: str) -> None:
+        self._client = client
+        self._arrivals = arrivals
+        self._place = place
+        self._rest = b""
+        self._transport: asyncio.Transport | None = None
+        self.gone = asyncio.Event()
+        """Set once there is no connection any more."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        keep_alive(transport.get_extra_info("socket"))
+        self._client.connection_made(transport)
+
+    def data_received(self, data: bytes) -> None:
+        try:
+            packets, self._rest = packets_of(self._rest + data)
+            for packet in packets:
+                self._client.data_received(packet)
+        except _UNREADABLE as error:
+            self._end(LinkError(f"{self._place} sent what cannot be read: {error}; {_IS_IT_THE_PORT}"))
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._client.connection_lost(error)
+        self._end(LinkError(f"{self._place} has hung up" + (f": {error}" if error else "")))
+        self.gone.set()
+
+    async def close(self) -> None:
+        self._end(None)
+        await self.gone.wait()
+
+    def _end(self, error: LinkError | None) -> None:
+        self._arrivals.end(error)
+        if self._transport is not None:
+            self._transport.abort()

@@ -1,0 +1,160 @@
+"""A motion analysed: angles, what the floor does, torques; one call for all callers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from devices.marker_files.force_plates import ForcePlates
+from gateway.analysis.contact import estimated_floor
+from gateway.analysis.floor import FloorForces, Source, feet
+from gateway.analysis.inertia import BodyInertia
+from gateway.analysis.inverse_dynamics import Dynamics, inverse_dynamics
+from gateway.analysis.joint_torques import angle_axes, joint_torques
+from gateway.analysis.plates import measured_floor
+from gateway.analysis.smooth_motion import SmoothMotion, smooth_motion
+from gateway.body.joint_angles import joint_angles
+from gateway.body.skeleton import Skeleton
+from gateway.frames import FloatArray
+from gateway.outputs.exporters import Axes, take_of
+from gateway.recording import SkeletonArrays
+
+Tell = Callable[[str], Callable[[int, int], None]]
+"""What is begun, to what is then told how far it is."""
+_WHOLE_BODY = 0.97
+
+
+@dataclass(frozen=True)
+class MeasuredForces:
+    """Plates that the motion walked over."""
+
+    plates: ForcePlates
+    vertical: str
+    """Axis of their file that points up."""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """F instants of S segments and J joints; SI units, world ENU."""
+
+    name: str
+    skeleton: Skeleton
+    motion: SmoothMotion
+    inertia: BodyInertia
+    angles: FloatArray  # (F, J, 3) rad; NaN beyond a joint's last angle
+    angle_rates: FloatArray  # (F, J, 3) rad/s
+    angle_accelerations: FloatArray  # (F, J, 3) rad/s²
+    axes: FloatArray  # (F, J, 3, 3) unit world axes of the angles
+    torques: FloatArray  # (F, J, 3) N m, in the sense of the angles' names
+    power: FloatArray  # (F, J) W, that the joint gives to the motion
+    floor: FloorForces
+    dynamics: Dynamics
+    notes: tuple[str, ...]
+    """Sentences on what was assumed and how well it explains the motion."""
+
+    @property
+    def time_s(self) -> FloatArray:
+        return self.motion.time_s
+
+    @property
+    def weight_n(self) -> float:
+        return 9.81 * float(self.inertia.mass.sum())
+
+
+def analyse(
+    arrays: SkeletonArrays,
+    name: str,
+    inertia: BodyInertia,
+    gravity: FloatArray,
+    cutoff_hz: float | None,
+    measured: MeasuredForces | None = None,
+    tell: Tell | None = None,
+) -> Analysis:
+    """Everything but muscles. measured: None where the floor's forces are to be estimated.
+
+    Raises ``GatewayError`` for a motion too short, a cut-off too high, or without mujoco.
+    """
+    told = tell or (lambda _: lambda _done, _total: None)
+    take = take_of(arrays, name, Axes.Z_UP)
+    skeleton = arrays.skeleton
+    root = int(np.flatnonzero(skeleton.parents < 0)[0])
+    motion = smooth_motion(skeleton, take.time_s, take.q_wb, take.p_w[:, root], cutoff_hz)
+    free = inverse_dynamics(motion, inertia, gravity, progress=told("inverse dynamics without the floor"))
+    known = None
+    if measured is not None:
+        known = measured_floor(measured.plates, measured.vertical, motion, free, cutoff_hz)
+    floor = _floor(motion, free, known, inertia, told)
+    dynamics = inverse_dynamics(motion, inertia, gravity, floor, told("inverse dynamics"))
+    q_wb = motion.orientations()
+    angles = joint_angles(skeleton, q_wb)
+    rates, accelerations = _derivatives(motion.time_s, angles)
+    axes = angle_axes(skeleton, angles, dynamics.rotation_wb)
+    torques = joint_torques(skeleton, axes, dynamics.moment)
+    return Analysis(
+        name, skeleton, motion, inertia, angles, rates, accelerations, axes, torques,
+        _power(skeleton, motion, dynamics), floor, dynamics,
+        (*_notes(inertia, floor, dynamics), *_fill_notes(take.filled)),
+    )  # fmt: skip
+
+
+def _floor(
+    motion: SmoothMotion, free: Dynamics, known: FloorForces | None, inertia: BodyInertia, told: Tell
+) -> FloorForces:
+    """Measured where it was, estimated elsewhere if the body is whole and has feet."""
+    on = feet(motion.skeleton)
+    frames = len(motion.time_s)
+    if len(on) and inertia.share > _WHOLE_BODY:
+        return estimated_floor(motion, free, known, progress=told("floor forces"))
+    if known is not None:
+        return known
+    nothing = np.zeros((frames, len(on), 3))
+    return FloorForces(on, nothing, nothing, np.zeros(nothing.shape[:2], dtype=np.uint8))
+
+
+def _derivatives(time_s: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """First and second, by time; NaN where there is no angle."""
+    flat = angles.reshape(len(angles), -1)
+    first, second = np.full((2, *flat.shape), np.nan)
+    known = np.isfinite(flat).all(axis=0)
+    if known.any():
+        curve = make_interp_spline(time_s, flat[:, known], k=5)
+        first[:, known], second[:, known] = curve(time_s, 1), curve(time_s, 2)
+    return first.reshape(angles.shape), second.reshape(angles.shape)
+
+
+def _power(skeleton: Skeleton, motion: SmoothMotion, dynamics: Dynamics) -> FloatArray:
+    """(F, J) W of moment and rate against the parent, at each joint's distal segment."""
+    distal = [joint.distal for joint in skeleton.joints]
+    turned = dynamics.rotation_wb[:, distal]
+    rates = np.einsum("fjik,fjk->fji", turned, motion.angular_velocity[:, distal])
+    power: FloatArray = np.einsum("fji,fji->fj", dynamics.moment[:, distal], rates)
+    return power
+
+
+def _notes(inertia: BodyInertia, floor: FloorForces, dynamics: Dynamics) -> list[str]:
+    notes = []
+    if inertia.share <= _WHOLE_BODY:
+        notes.append(
+            f"The body carries {100 * inertia.share:.0f} % of the person: floor forces are not estimated, "
+            "and what is left over at the root is the part that is not there."
+        )
+    for source, word in ((Source.MEASURED, "measured"), (Source.ESTIMATED, "estimated")):
+        share = float((floor.source == source).any(axis=1).mean()) if floor.source.size else 0.0
+        if share:
+            notes.append(f"Floor forces are {word} in {100 * share:.0f} % of the frames.")
+    notes += floor.notes
+    left = np.linalg.norm(dynamics.residual_force, axis=1)
+    notes.append(
+        f"Left over at the root: {np.sqrt(np.mean(left**2)):.0f} N RMS, {left.max():.0f} N at most; "
+        f"{np.sqrt(np.mean(np.sum(dynamics.residual_moment**2, axis=1))):.0f} N m RMS."
+    )
+    return notes
+
+
+def _fill_notes(filled: np.ndarray) -> list[str]:
+    if not filled.any():
+        return []
+    return [f"{100 * float(filled.mean()):.1f} % of the orientations were put in between neighbours in time."]

@@ -1,0 +1,110 @@
+"""The graphs of an analysis, as PNG bytes. Needs matplotlib (extra ``plot``)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gateway.analysis.analysing import Analysis
+from gateway.analysis.muscles import MuscleResult
+from gateway.frames import FloatArray
+from gateway.report.drawing import LINES, panels, png, small_multiples
+
+_MOST_MUSCLES = 24
+
+
+def angles(found: Analysis) -> bytes:
+    """Of every joint, degrees."""
+    return _by_joint(found, np.degrees(found.angles))
+
+
+def rates(found: Analysis) -> bytes:
+    """Of every joint's angles, degrees a second."""
+    return _by_joint(found, np.degrees(found.angle_rates))
+
+
+def torques(found: Analysis) -> bytes:
+    """Of every joint, N m a kilogram of the person."""
+    return _by_joint(found, found.torques / found.inertia.body_kg)
+
+
+def powers(found: Analysis) -> bytes:
+    """Of every joint, W a kilogram."""
+    return small_multiples(
+        found.time_s,
+        [
+            (joint.name, found.power[:, j : j + 1] / found.inertia.body_kg, ("power",))
+            for j, joint in enumerate(found.skeleton.joints)
+        ],
+    )
+
+
+def floor(found: Analysis) -> bytes:
+    """Force on each foot as a share of weight, and what no force explains."""
+    count = len(found.floor.segments)
+    figure, axes = panels(count + 1, 2.6)
+    for c, segment in enumerate(found.floor.segments.tolist()):
+        _lines(axes[c], found.time_s, found.floor.force[:, c] / found.weight_n)
+        axes[c].set_title(found.skeleton.segment_names[segment].replace("_", " "), fontsize=8)
+    _lines(axes[count], found.time_s, found.dynamics.residual_force / found.weight_n)
+    axes[count].set_title("left over at the root", fontsize=8)
+    axes[0].set_ylabel("of weight", fontsize=7)
+    return png(figure)
+
+
+def centre_of_mass(found: Analysis) -> bytes:
+    """Its path from where it began, and its velocity."""
+    figure, axes = panels(2, 2.4)
+    path = found.dynamics.centre_of_mass
+    _lines(axes[0], found.time_s, path - path[0])
+    _lines(axes[1], found.time_s, found.dynamics.centre_of_mass_velocity)
+    axes[0].set_title("centre of mass from where it began, m", fontsize=8)
+    axes[1].set_title("its velocity, m/s", fontsize=8)
+    return png(figure)
+
+
+def muscle_map(found: Analysis, muscles: MuscleResult) -> bytes:
+    """Activity of all muscles over time, a row a muscle."""
+    figure, axes = panels(1, 0.115 * len(muscles.names) + 1.0)
+    image = axes[0].imshow(
+        muscles.activity.T, aspect="auto", cmap="YlOrRd", vmin=0, vmax=1, interpolation="nearest",
+        extent=(0.0, float(found.time_s[-1]), len(muscles.names) - 0.5, -0.5),
+    )  # fmt: skip
+    axes[0].set_yticks(range(len(muscles.names)), muscles.names, fontsize=4.5)
+    axes[0].set_xlabel("s", fontsize=7)
+    figure.colorbar(image, ax=axes[0], label="activity", pad=0.01)
+    return png(figure)
+
+
+def tensions(found: Analysis, muscles: MuscleResult) -> bytes:
+    """Of the muscles that pull most, left and right together, N."""
+    stems = [name[:-2] for name in muscles.names if name.endswith("_l")]
+    largest = {
+        stem: max(muscles.tension[:, muscles.names.index(f"{stem}_{side}")].max() for side in "lr")
+        for stem in stems
+    }
+    chosen = sorted(sorted(stems, key=lambda stem: -largest[stem])[:_MOST_MUSCLES])
+    shown = [
+        (
+            stem,
+            np.stack([muscles.tension[:, muscles.names.index(f"{stem}_{side}")] for side in "lr"], axis=1),
+            ("left", "right"),
+        )
+        for stem in chosen
+    ]
+    return small_multiples(found.time_s, shown)
+
+
+def _by_joint(found: Analysis, values: FloatArray) -> bytes:
+    shown = [
+        (joint.name, values[:, j, : len(joint.angles)], tuple(angle.name for angle in joint.angles))
+        for j, joint in enumerate(found.skeleton.joints)
+    ]
+    return small_multiples(found.time_s, shown)
+
+
+def _lines(axes: object, time_s: FloatArray, values: FloatArray) -> None:
+    """Three components of (F, 3)."""
+    for i, name in enumerate(("x east", "y north", "z up")):
+        axes.plot(time_s, values[:, i], lw=0.9, color=LINES[i], label=name)  # type: ignore[attr-defined]
+    axes.set_xlabel("s", fontsize=7)  # type: ignore[attr-defined]
+    axes.legend(fontsize=6, framealpha=0.6)  # type: ignore[attr-defined]

@@ -1,0 +1,125 @@
+"""Tensions and activities of muscles over an analysed motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.analysis.analysing import Analysis
+from gateway.analysis.inertia import part_name
+from gateway.analysis.muscle_model import muscle_model
+from gateway.analysis.muscle_paths import MusclePaths, absent_segments
+from gateway.analysis.muscle_settings import MuscleCosts, plain_costs
+from gateway.analysis.tension import TensionSolver
+from gateway.body.anthropometry import SIDES
+from gateway.body.skeleton import Skeleton
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray
+
+Progress = Callable[[int, int], None]
+ASKED = {"thorax": 3, "thigh": 3, "shank": 1, "foot": 2}
+"""How many of a joint's angles muscles move, by its distal segment: a knee's ligaments take what would bend
+it sideways or twist it, the bones of the ankle what would twist it."""
+_FRAMES_A_TELLING = 16
+
+
+@dataclass(frozen=True)
+class MuscleResult:
+    """F instants of W muscles, and the R torques that they were asked for."""
+
+    names: tuple[str, ...]
+    largest_force: FloatArray  # (W,) N
+    activity: FloatArray  # (F, W) tension over largest force, 0 to 1
+    paths: tuple[tuple[FloatArray, ...], ...]
+    """For each instant and muscle its points (n, 3) m in the world."""
+    torques: tuple[tuple[int, int], ...]
+    """(joint, angle) of what muscles were asked for."""
+    arms: FloatArray  # (F, R, W) m
+    left: FloatArray  # (F, R) N m that no muscle gives
+
+    @property
+    def tension(self) -> FloatArray:
+        """(F, W) N."""
+        tension: FloatArray = self.activity * self.largest_force
+        return tension
+
+
+def muscle_torques(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
+    """(joint, angle) of the torques that muscles of legs and trunk are asked for, by ``ASKED``. Raises
+    ``GatewayError`` for a body without them."""
+    chosen = []
+    names = skeleton.segment_names
+    for j, joint in enumerate(skeleton.joints):
+        is_whole = joint.proximal < 0 or names[joint.proximal] != "t12"  # pelvis to thorax, not one vertebra
+        if is_whole:
+            count = ASKED.get(part_name(names[joint.distal]), 0)
+            chosen += [(j, k) for k in range(min(count, len(joint.angles)))]
+    if not chosen:
+        raise GatewayError(f"body '{skeleton.name}' has no joints that muscles of legs and trunk move")
+    return tuple(chosen)
+
+
+def has_muscles(skeleton: Skeleton) -> bool:
+    """Whether the body has the segments that the muscles of legs and trunk pull at."""
+    return not absent_segments(skeleton)
+
+
+def find_muscles(
+    found: Analysis,
+    costs: Callable[[MusclePaths], MuscleCosts] | None = None,
+    progress: Progress | None = None,
+) -> MuscleResult:
+    """costs: of the muscles that the body carries; None: all alike.
+
+    Raises ``GatewayError`` for a body without legs, or without the extra ``biomech``.
+    """
+    paths = MusclePaths(found.skeleton, muscle_model())
+    asked = muscle_torques(found.skeleton)
+    frames, names = len(found.time_s), tuple(wire.name for wire in paths.wires)
+    chosen = plain_costs(names, frames) if costs is None else costs(paths)
+    largest = np.array([wire.peak_force_n for wire in paths.wires]) * chosen.strength
+    solver = TensionSolver(largest, len(asked), chosen.weight[0])
+    activity, arms = np.zeros((frames, len(names))), np.zeros((frames, len(asked), len(names)))
+    left = np.zeros((frames, len(asked)))
+    drawn = []
+    knees = _knees(found)
+    for f in range(frames):
+        flexion = {side: float(angles[f]) for side, angles in knees.items()}
+        paths.place(found.motion.root[f], found.motion.rotation[f], flexion)
+        arms[f] = _arms(found, paths, asked, f, flexion)
+        wanted = np.array([found.torques[f, j, k] for j, k in asked])
+        activity[f], left[f] = solver.solve(arms[f], wanted, chosen.bias[f], chosen.weight[f])
+        drawn.append(tuple(paths.polylines()))
+        if progress is not None and f % _FRAMES_A_TELLING == 0:
+            progress(f, frames)
+    return MuscleResult(names, largest, activity, tuple(drawn), asked, arms, left)
+
+
+def _arms(
+    found: Analysis, paths: MusclePaths, asked: tuple[tuple[int, int], ...], f: int, flexion: dict[str, float]
+) -> FloatArray:
+    """(R, W) m: the work of each wire's newton on each angle."""
+    rows = []
+    names = found.skeleton.segment_names
+    for j, k in asked:
+        joint = found.skeleton.joints[j]
+        axis = found.dynamics.rotation_wb[f, joint.distal].T @ found.axes[f, j, k]
+        row = paths.moments(joint.distal) @ axis
+        side = next((side for side in SIDES if names[joint.distal] == f"{side}shank"), None)
+        if side is not None and k == 0:
+            row = row + paths.patella_moments(side, flexion[side])
+        rows.append(row)
+    return np.stack(rows)
+
+
+def _knees(found: Analysis) -> dict[str, FloatArray]:
+    """(F,) rad of the knees' flexion by side."""
+    names = found.skeleton.segment_names
+    return {
+        side: found.angles[:, j, 0]
+        for j, joint in enumerate(found.skeleton.joints)
+        for side in SIDES
+        if names[joint.distal] == f"{side}shank"
+    }

@@ -1,0 +1,113 @@
+"""Force plates: which foot stands on which, when, and what the floor does to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from devices.marker_files.force_plates import ForcePlate, ForcePlates
+from gateway.analysis.floor import (
+    LEAST_FORCE_N,
+    FloorForces,
+    Source,
+    feet,
+    sole_paths,
+    sole_points,
+)
+from gateway.analysis.inverse_dynamics import Dynamics
+from gateway.analysis.smooth_motion import SmoothMotion, low_pass
+from gateway.frames import FloatArray, IntArray
+from gateway.reconstruction.optical.landmarks import to_world
+
+_SHORTEST_STEP_S = 0.1
+"""What loads a plate for less is not a step."""
+_FARTHEST_FOOT_M = 0.35
+"""From the centre of pressure to the middle of the sole; beyond it the load is nobody's (a cane, a cart)."""
+
+_MARGIN_M = 0.01
+_DOWN_M = 0.03
+_LONG_SHARE = 0.1
+"""A point of the sole that is lower than the second counts as down, and beside the plate if it is farther out
+than the first in more than the third of a step's frames."""
+
+
+def measured_floor(
+    plates: ForcePlates, vertical: str, motion: SmoothMotion, free: Dynamics, cutoff_hz: float | None
+) -> FloorForces:
+    """Forces of the feet from plates whose file has the given axis up; its first sample is at the motion's
+    first frame.
+
+    cutoff_hz: of a low-pass without lag; that of the motion keeps impacts of both in step (Kristianslund et
+    al. 2012). None: as measured.
+    """
+    on = feet(motion.skeleton)
+    carriers, points = sole_points(motion.skeleton)
+    paths = sole_paths(carriers, points, free.p_w, free.rotation_wb)
+    middles = np.stack([paths[:, carriers == s].mean(axis=1) for s in on], axis=1)  # (F, C, 3)
+    frames = len(motion.time_s)
+    samples = np.round((motion.time_s - motion.time_s[0]) * plates.rate_hz).astype(np.int64)
+    force, moment = np.zeros((2, frames, len(on), 3))
+    source = np.full((frames, len(on)), Source.NONE, dtype=np.uint8)
+    notes: list[str] = []
+    for number, plate in enumerate(plates.plates, 1):
+        at = samples[samples < len(plate.force)]
+        turned = _in_world(plate, vertical)
+        smooth = [low_pass(values, plates.rate_hz, cutoff_hz)[at] for values in turned[:2]]
+        for begin, end, first, last in _steps(turned[0][at, 2], motion.time_s):
+            c = _foot_of(turned[2][at[begin:end]], middles[begin:end])
+            if c is not None:
+                force[first:last, c] += smooth[0][first:last]
+                moment[first:last, c] += smooth[1][first:last]
+                source[begin:end, c] = Source.MEASURED
+                own = to_world(plate.corners, vertical)
+                if _is_beside(paths[begin:end, carriers == on[c]], own):
+                    name = motion.skeleton.segment_names[on[c]].replace("_", " ")
+                    notes.append(
+                        f"The {name} stands partly beside plate {number} at {motion.time_s[begin]:.2f}–"
+                        f"{motion.time_s[end - 1]:.2f} s: its force is larger than measured."
+                    )
+    heights = [to_world(plate.centre[None], vertical)[0, 2] for plate in plates.plates]
+    return FloorForces(on, force, moment, source, float(np.mean(heights)), tuple(notes))
+
+
+def _in_world(plate: ForcePlate, vertical: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Force (N, 3) N, moment about the world's origin (N, 3) N m, centre of pressure (N, 3) m."""
+    stacked = np.stack(
+        [plate.force, plate.moment + np.cross(plate.centre, plate.force), plate.centre_of_pressure()], axis=1
+    )
+    turned = to_world(stacked, vertical)
+    return turned[:, 0], turned[:, 1], turned[:, 2]
+
+
+def _steps(up: FloatArray, time_s: FloatArray) -> Iterator[tuple[int, int, int, int]]:
+    """First and past-last frame of each load, and of the time around it that is nearer to it than to any
+    other. up: (F,) N."""
+    loaded = np.concatenate([[False], up > LEAST_FORCE_N, [False]]).astype(np.int8)
+    begins, ends = np.flatnonzero(np.diff(loaded) == 1), np.flatnonzero(np.diff(loaded) == -1)
+    interval = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    long = (ends - begins) * interval >= _SHORTEST_STEP_S
+    begins, ends = begins[long], ends[long]
+    between = (ends[:-1] + begins[1:]) // 2
+    edges: IntArray = np.concatenate([[0], between, [len(up)]])
+    yield from zip(begins.tolist(), ends.tolist(), edges[:-1].tolist(), edges[1:].tolist(), strict=False)
+
+
+def _is_beside(sole: FloatArray, corners: FloatArray) -> bool:
+    """Whether points of a sole (F, P, 3) that are down lie outside a plate (4, 3) for long."""
+    middle = corners.mean(axis=0)
+    outside = np.zeros(sole.shape[:2], dtype=bool)
+    for side in (corners[0] - corners[1], corners[1] - corners[2]):
+        half = 0.5 * np.linalg.norm(side)
+        along = (sole - middle) @ (side / np.linalg.norm(side))
+        outside |= np.abs(along) > half + _MARGIN_M
+    down = sole[..., 2] - sole[..., 2].min() < _DOWN_M
+    return float((outside & down).any(axis=1).mean()) > _LONG_SHARE
+
+
+def _foot_of(pressure: FloatArray, middles: FloatArray) -> int | None:
+    """Index of the foot whose sole is nearest to the pressure over a step; None where none is near."""
+    away = np.linalg.norm(pressure[:, None, :2] - middles[..., :2], axis=-1)
+    mean = np.nanmean(away, axis=0)
+    nearest = int(np.argmin(mean))
+    return nearest if mean[nearest] < _FARTHEST_FOOT_M else None

@@ -1,0 +1,98 @@
+"""An analysis as tables: CSV or Parquet, a row an instant, units in the names of the columns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.analysis.analysing import Analysis
+from gateway.analysis.floor import Source
+from gateway.analysis.muscles import MuscleResult
+from gateway.outputs.exporters.tables import write_csv_columns, write_parquet_columns
+
+Columns = dict[str, NDArray[Any]]
+_SOURCES = np.array([source.name.lower() for source in Source])
+WRITERS = {"csv": write_csv_columns, "parquet": write_parquet_columns}
+"""By the ending of the files."""
+
+
+def write_tables(found: Analysis, muscles: MuscleResult | None, folder: Path, kind: str) -> list[Path]:
+    """All tables into a folder that exists. kind: of ``WRITERS``. Raises ``OSError``, and ``GatewayError``
+    for Parquet without its extra."""
+    written = []
+    for name, columns in tables(found, muscles).items():
+        path = folder / f"{name}.{kind}"
+        WRITERS[kind](columns, path)
+        written.append(path)
+    return written
+
+
+def tables(found: Analysis, muscles: MuscleResult | None = None) -> dict[str, Columns]:
+    """By name of the file: columns (F,) by name."""
+    made = {
+        "joints": _joints(found),
+        "segments": _segments(found),
+        "floor": _floor(found),
+        "centre_of_mass": _centre_of_mass(found),
+    }
+    if muscles is not None:
+        made["muscles"] = _muscles(found, muscles)
+    return {name: {"time_s": found.time_s} | columns for name, columns in made.items()}
+
+
+def _joints(found: Analysis) -> Columns:
+    columns: Columns = {}
+    for j, joint in enumerate(found.skeleton.joints):
+        for k, angle in enumerate(joint.angles):
+            name = f"{joint.name}_{angle.name}"
+            columns[f"{name}_deg"] = np.degrees(found.angles[:, j, k])
+            columns[f"{name}_rate_deg_per_s"] = np.degrees(found.angle_rates[:, j, k])
+            columns[f"{name}_acceleration_deg_per_s2"] = np.degrees(found.angle_accelerations[:, j, k])
+            columns[f"{name}_torque_n_m"] = found.torques[:, j, k]
+        columns[f"{joint.name}_power_w"] = found.power[:, j]
+    return columns
+
+
+def _segments(found: Analysis) -> Columns:
+    columns: Columns = {}
+    for s, name in enumerate(found.skeleton.segment_names):
+        columns |= _vector(f"{name}_joint_position", "m", found.dynamics.p_w[:, s])
+        if found.skeleton.parents[s] >= 0:
+            columns |= _vector(f"{name}_joint_moment", "n_m", found.dynamics.moment[:, s])
+    columns |= _vector("residual_force", "n", found.dynamics.residual_force)
+    return columns | _vector("residual_moment", "n_m", found.dynamics.residual_moment)
+
+
+def _floor(found: Analysis) -> Columns:
+    columns = _vector("total_force", "n", found.floor.total())
+    pressure = found.floor.centre_of_pressure()
+    for c, segment in enumerate(found.floor.segments.tolist()):
+        name = found.skeleton.segment_names[segment]
+        columns |= _vector(f"{name}_force", "n", found.floor.force[:, c])
+        columns |= _vector(f"{name}_centre_of_pressure", "m", pressure[:, c])
+        columns[f"{name}_source"] = _SOURCES[found.floor.source[:, c]]
+    return columns
+
+
+def _centre_of_mass(found: Analysis) -> Columns:
+    columns = _vector("centre_of_mass", "m", found.dynamics.centre_of_mass)
+    return columns | _vector("velocity", "m_per_s", found.dynamics.centre_of_mass_velocity)
+
+
+def _muscles(found: Analysis, muscles: MuscleResult) -> Columns:
+    columns: Columns = {}
+    for i, name in enumerate(muscles.names):
+        columns[f"{name}_activity"] = muscles.activity[:, i]
+        columns[f"{name}_tension_n"] = muscles.tension[:, i]
+    for r, (j, k) in enumerate(muscles.torques):
+        joint = found.skeleton.joints[j]
+        columns[f"{joint.name}_{joint.angles[k].name}_left_n_m"] = muscles.left[:, r]
+    return columns
+
+
+def _vector(name: str, unit: str, values: NDArray[np.float64]) -> Columns:
+    """Three columns of (F, 3), east, north, up."""
+    return {f"{name}_{axis}_{unit}": values[:, i] for i, axis in enumerate("xyz")}

@@ -1,0 +1,1 @@
+"""Synchronised cameras of this machine: a process for each, from pictures to heat maps."""

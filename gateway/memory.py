@@ -1,0 +1,42 @@
+"""Memory of a process that runs for weeks: what its threads add is bounded, and there from the start."""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import threading
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+
+POOL_THREADS = 8
+"""For what blocks: opening and closing ports, writing to CAN buses, reading configurations."""
+MOST_ARENAS = 2
+"""Of the C library: the main thread's, and one that all others share."""
+_M_ARENA_MAX = -8  # <malloc.h>
+_bounded: weakref.WeakSet[asyncio.AbstractEventLoop] = weakref.WeakSet()
+
+
+def bound_memory() -> None:
+    """Of the running event loop's process, before it starts anything; does nothing for the second time.
+
+    glibc gives every thread that allocates a heap of its own, which never shrinks, and a pool of threads
+    makes a new one whenever all are busy: megabytes at a time, hours after the start. Both are settled here.
+    """
+    loop = asyncio.get_running_loop()
+    if loop in _bounded:
+        return
+    _bounded.add(loop)
+    limit = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries have no arenas to limit
+    if limit is not None:
+        limit(_M_ARENA_MAX, MOST_ARENAS)
+    loop.set_default_executor(_started_pool())
+
+
+def _started_pool() -> ThreadPoolExecutor:
+    """All of its threads run already."""
+    pool = ThreadPoolExecutor(POOL_THREADS, thread_name_prefix="gateway")
+    all_run = threading.Barrier(POOL_THREADS + 1)
+    for _ in range(POOL_THREADS):
+        pool.submit(all_run.wait)
+    all_run.wait()
+    return pool

@@ -1,0 +1,172 @@
+"""Where keypoints are when nothing is known yet: from rays, by DLT, or out of the whole volume. Compiled.
+
+Step 3 of JP2020-042476A: of all pairs of cameras, the one whose rays through the centroids of a keypoint's
+maps pass each other most closely, nearer than 20 mm; the keypoint is in the middle of their common
+perpendicular. Or the direct linear transform over all cameras (Hartley & Zisserman 2004, Multiple View
+Geometry, 12.2), here of undistorted directions. Or, step 4, the cell of a volume with the largest summed PCM.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gateway.frames import FloatArray
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import cross, dot
+from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.reconstruction.video.lattice import Maps, add_likelihood, best_points
+from gateway.reconstruction.video.projection import CameraModel, ray
+
+NEAR_RAYS = 0.020
+"""Largest distance of two rays that may meet in a keypoint, m."""
+LEAST_LIKELIHOOD = 0.3
+"""Of a map's highest value, under which its centroid says nothing."""
+_NEIGHBOURHOOD = 2
+"""Pixels about the highest value of which the centroid is taken."""
+_PARALLEL = 0.1
+"""Sine of the angle between two rays under which they do not tell depth."""
+PERSON_RADIUS = 1.3
+"""No keypoint of a person is farther than this from the median of all, m."""
+
+
+@compiled
+def centroids(maps: Maps) -> tuple[FloatArray, FloatArray]:
+    """Centroids (n_keypoints, 2), column and row, about the highest value; and that value (n_keypoints,)."""
+    n, rows, columns = maps.shape
+    places, peaks = np.full((n, 2), np.nan), np.zeros(n)
+    for m in range(n):
+        at = np.argmax(maps[m])
+        top, left = at // columns, at % columns
+        peaks[m] = maps[m, top, left]
+        total, x, y = 0.0, 0.0, 0.0
+        for i in range(max(0, top - _NEIGHBOURHOOD), min(rows, top + _NEIGHBOURHOOD + 1)):
+            for j in range(max(0, left - _NEIGHBOURHOOD), min(columns, left + _NEIGHBOURHOOD + 1)):
+                total += maps[m, i, j]
+                x += maps[m, i, j] * j
+                y += maps[m, i, j] * i
+        if total > 0.0:
+            places[m, 0], places[m, 1] = x / total, y / total
+    return places, peaks
+
+
+def rays_through(model: CameraModel, maps: CameraHeatMaps) -> tuple[FloatArray, FloatArray]:
+    """Unit directions (n_keypoints, 3), world axes, through the centroids of one camera's maps, and how high
+    the maps are there (n_keypoints,)."""
+    places, peaks = centroids(maps.likelihood)
+    A = maps.map_from_pixel
+    pixels = np.linalg.solve(A[:, :2], (places - A[:, 2]).T).T
+    return np.stack([ray(model, u, v) for u, v in pixels]), peaks
+
+
+@compiled
+def closest_pair(
+    positions: FloatArray, directions: FloatArray, peaks: FloatArray, farthest: float
+) -> tuple[FloatArray, float]:
+    """Midpoint (3,) of the shortest common perpendicular among all pairs of rays, and its length, m.
+
+    positions, directions: (n_cameras, 3); peaks: (n_cameras,). NaN where no pair is nearer than ``farthest``.
+    """
+    best, point = farthest, np.full(3, np.nan)
+    for a in range(len(positions)):
+        for b in range(a + 1, len(positions)):
+            if peaks[a] < LEAST_LIKELIHOOD or peaks[b] < LEAST_LIKELIHOOD:
+                continue
+            across = cross(directions[a], directions[b])
+            square = dot(across, across)
+            if square < _PARALLEL * _PARALLEL:
+                continue
+            between = positions[b] - positions[a]
+            apart = abs(dot(between, across)) / np.sqrt(square)
+            along_a = dot(cross(between, directions[b]), across) / square
+            along_b = dot(cross(between, directions[a]), across) / square
+            if apart < best and along_a > 0.0 and along_b > 0.0:
+                best = apart
+                point = 0.5 * (
+                    positions[a] + along_a * directions[a] + positions[b] + along_b * directions[b]
+                )
+    return point, best
+
+
+@compiled
+def nearest_to_rays(positions: FloatArray, directions: FloatArray, weights: FloatArray) -> FloatArray:
+    """The point (3,) m with the least weighted sum of squared distances from rays (n_cameras, 3): DLT.
+
+    Distances from rays instead of the algebraic error, which weighs far cameras more. NaN with fewer than
+    two rays or parallel ones.
+    """
+    A, b, n = np.zeros((3, 3)), np.zeros(3), 0
+    for c in range(len(positions)):
+        if not weights[c] > 0.0:
+            continue
+        n += 1
+        d = directions[c]
+        along = dot(d, positions[c])
+        for i in range(3):
+            b[i] += weights[c] * (positions[c, i] - along * d[i])
+            for j in range(3):
+                A[i, j] += weights[c] * ((1.0 if i == j else 0.0) - d[i] * d[j])
+    if n < 2 or np.linalg.det(A) < 1e-9:
+        return np.full(3, np.nan)
+    point: FloatArray = np.linalg.solve(A, b).astype(np.float64)
+    return point
+
+
+def from_rays(
+    models: Sequence[CameraModel], maps: Sequence[CameraHeatMaps | None], use_dlt: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Keypoints (n_keypoints, 3) m and their summed peaks (n_keypoints,); NaN where rays do not meet.
+
+    use_dlt: over all cameras, else by the closest pair.
+    """
+    chosen = [(model, seen) for model, seen in zip(models, maps, strict=True) if seen is not None]
+    n = chosen[0][1].likelihood.shape[0] if chosen else 0
+    points, likelihood = np.full((n, 3), np.nan), np.zeros(n)
+    if len(chosen) < 2:
+        return points, likelihood
+    positions = np.stack([model.position for model, _ in chosen])
+    found = [rays_through(model, seen) for model, seen in chosen]
+    directions = np.stack([rays for rays, _ in found], axis=1)
+    peaks = np.stack([peak for _, peak in found], axis=1)
+    for m in range(n):
+        if use_dlt:
+            weights = np.where(peaks[m] >= LEAST_LIKELIHOOD, peaks[m], 0.0)
+            points[m] = nearest_to_rays(positions, directions[m], weights)
+        else:
+            points[m], _ = closest_pair(positions, directions[m], peaks[m], NEAR_RAYS)
+        likelihood[m] = peaks[m].sum()
+    return points, likelihood
+
+
+def from_volume(
+    models: Sequence[CameraModel],
+    maps: Sequence[CameraHeatMaps | None],
+    centre: FloatArray,
+    half_width: float,
+    cell: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Keypoints (n_keypoints, 3) m, and their summed PCM: the best cell of a cube of the volume.
+
+    centre: (3,) m; half_width: of the cube, m; cell: its grid, m.
+    """
+    n = next(seen.likelihood.shape[0] for seen in maps if seen is not None)
+    k = int(np.ceil(half_width / cell))
+    centres, spacing = np.tile(centre, (n, 1)), np.full(n, cell)
+    total = np.zeros((n, (2 * k + 1) ** 3))
+    for model, seen in zip(models, maps, strict=True):
+        if seen is not None:
+            add_likelihood(total, model, seen.likelihood, seen.map_from_pixel, centres, spacing, k, False)
+    return best_points(total, centres, spacing, k, False)
+
+
+def within_person(points: FloatArray) -> FloatArray:
+    """Keypoints (n_keypoints, 3) with those that cannot be of the same person as most taken out (NaN).
+
+    The gate: within ``PERSON_RADIUS`` of the median. A bystander that one camera pair agrees on is beyond.
+    """
+    if not np.isfinite(points).any():
+        return points
+    middle = np.nanmedian(points, axis=0)
+    apart = np.linalg.norm(points - middle, axis=1)
+    return np.where((apart < PERSON_RADIUS)[:, None], points, np.nan)

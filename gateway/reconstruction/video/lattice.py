@@ -1,0 +1,164 @@
+"""Candidates for keypoints: lattices of points, and how likely all cameras together find each. Compiled.
+
+Step 4 of JP2020-042476A: around where keypoint n is expected stand (2 k + 1)³ points with spacing s. Every
+point is projected into all cameras, the values of the part confidence maps (PCM) there are added, and the
+point with the largest sum is the candidate, or the middle of the 7-point cluster (a point and its six
+neighbours) with the largest sum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.frames import FloatArray
+from gateway.geometry.compiled import compiled
+from gateway.reconstruction.video.projection import CameraModel, pixel
+
+Maps = NDArray[np.float32]
+_NEARER = 0.01
+"""Summed PCM by which the middle of a face may be likelier than that of the lattice, without being taken."""
+
+
+@compiled
+def bilinear(values: Maps, column: float, row: float) -> float:
+    """A map (rows, columns) between its values; 0 outside it."""
+    rows, columns = values.shape
+    if not (0.0 <= column <= columns - 1.0 and 0.0 <= row <= rows - 1.0):
+        return 0.0
+    i, j = min(int(row), rows - 2), min(int(column), columns - 2)
+    a, b = column - j, row - i
+    upper = (1.0 - a) * values[i, j] + a * values[i, j + 1]
+    lower = (1.0 - a) * values[i + 1, j] + a * values[i + 1, j + 1]
+    value: float = (1.0 - b) * upper + b * lower
+    return value
+
+
+@compiled
+def smooth(values: Maps, column: float, row: float) -> float:
+    """A map (rows, columns) under a quadratic B-spline, nine values wide; 0 outside it.
+
+    Bilinear values have their maxima at the middles of cells, which are centimetres apart: the fine lattice
+    would follow the cells.
+    """
+    rows, columns = values.shape
+    if not (1.0 <= column <= columns - 2.0 and 1.0 <= row <= rows - 2.0):
+        return bilinear(values, column, row)
+    i, j = int(row + 0.5), int(column + 0.5)
+    a, b = column - j, row - i
+    left, middle, right = 0.5 * (0.5 - a) ** 2, 0.75 - a * a, 0.5 * (0.5 + a) ** 2
+    above = left * values[i - 1, j - 1] + middle * values[i - 1, j] + right * values[i - 1, j + 1]
+    here = left * values[i, j - 1] + middle * values[i, j] + right * values[i, j + 1]
+    below = left * values[i + 1, j - 1] + middle * values[i + 1, j] + right * values[i + 1, j + 1]
+    value: float = 0.5 * (0.5 - b) ** 2 * above + (0.75 - b * b) * here + 0.5 * (0.5 + b) ** 2 * below
+    return value
+
+
+@compiled
+def add_likelihood(
+    total: FloatArray, camera: CameraModel, maps: Maps, affine: FloatArray, centres: FloatArray,
+    spacing: FloatArray, k: int, is_fine: bool,
+) -> None:  # fmt: skip
+    """Add what one camera says to the likelihoods of all lattices.
+
+    total: (n_keypoints, (2 k + 1)³), x slowest, changed. maps: (n_keypoints, rows, columns).
+    affine: (2, 3) pixel of the distorted picture to column and row. centres: (n_keypoints, 3) m; NaN: no
+    lattice. spacing: (n_keypoints,) m. is_fine: by ``smooth`` values, else ``bilinear`` ones.
+    """
+    n = 2 * k + 1
+    R = camera.rotation
+    for m in range(len(centres)):
+        if not np.isfinite(centres[m, 0]):
+            continue
+        s = spacing[m]
+        start = camera.translation.copy()
+        for i in range(3):
+            for j in range(3):
+                start[i] += R[i, j] * (centres[m, j] - k * s)
+        at = 0
+        for a in range(n):
+            for b in range(n):
+                x = start[0] + s * (a * R[0, 0] + b * R[0, 1])
+                y = start[1] + s * (a * R[1, 0] + b * R[1, 1])
+                z = start[2] + s * (a * R[2, 0] + b * R[2, 1])
+                for c in range(n):
+                    u, v = pixel(camera, x + s * c * R[0, 2], y + s * c * R[1, 2], z + s * c * R[2, 2])
+                    column = affine[0, 0] * u + affine[0, 1] * v + affine[0, 2]
+                    row = affine[1, 0] * u + affine[1, 1] * v + affine[1, 2]
+                    if is_fine:
+                        total[m, at] += smooth(maps[m], column, row)
+                    else:
+                        total[m, at] += bilinear(maps[m], column, row)
+                    at += 1
+
+
+@compiled
+def best_points(
+    total: FloatArray, centres: FloatArray, spacing: FloatArray, k: int, cluster: bool
+) -> tuple[FloatArray, FloatArray]:
+    """The candidates (n_keypoints, 3) m of lattices, and their summed PCM (n_keypoints,).
+
+    cluster: by the sum over a point and its six neighbours (then only inner points count). Between the
+    points of the lattice the maximum is that of a parabola along each axis. Of points as likely as each
+    other, such as those along one camera's ray, the one nearest the middle is taken (``_NEARER``).
+    """
+    n = 2 * k + 1
+    found = np.full((len(centres), 3), np.nan)
+    likelihood = np.zeros(len(centres))
+    for m in range(len(centres)):
+        if not np.isfinite(centres[m, 0]):
+            continue
+        score = _nearer_preferred(total[m].reshape((n, n, n)), k)
+        if cluster:
+            score = _clustered(score)
+        at = int(np.argmax(score))
+        place = (at // (n * n), at // n % n, at % n)
+        likelihood[m] = total[m, at]
+        for i in range(3):
+            beyond = _vertex(score, place, i, n)
+            found[m, i] = centres[m, i] + (place[i] - k + beyond) * spacing[m]
+    return found, likelihood
+
+
+@compiled
+def _nearer_preferred(total: FloatArray, k: int) -> FloatArray:
+    """Sums (n, n, n) less what being away from the middle costs."""
+    score = total.copy()
+    for a in range(len(score)):
+        for b in range(len(score)):
+            for c in range(len(score)):
+                score[a, b, c] -= _NEARER * ((a - k) ** 2 + (b - k) ** 2 + (c - k) ** 2) / (k * k)
+    return score
+
+
+@compiled
+def _clustered(score: FloatArray) -> FloatArray:
+    """Sums over a point and its six neighbours; minus infinity on the faces of the lattice."""
+    n = len(score)
+    sums = np.full((n, n, n), -np.inf)
+    for a in range(1, n - 1):
+        for b in range(1, n - 1):
+            for c in range(1, n - 1):
+                sums[a, b, c] = (
+                    score[a, b, c]
+                    + score[a - 1, b, c] + score[a + 1, b, c]
+                    + score[a, b - 1, c] + score[a, b + 1, c]
+                    + score[a, b, c - 1] + score[a, b, c + 1]
+                )  # fmt: skip
+    return sums
+
+
+@compiled
+def _vertex(score: FloatArray, place: tuple[int, int, int], axis: int, n: int) -> float:
+    """Where the parabola through a maximum and its neighbours along one axis is highest, -0.5 to 0.5."""
+    if not 0 < place[axis] < n - 1:
+        return 0.0
+    a, b, c = place
+    here = score[a, b, c]
+    before = score[a - (axis == 0), b - (axis == 1), c - (axis == 2)]
+    after = score[a + (axis == 0), b + (axis == 1), c + (axis == 2)]
+    bend = before - 2.0 * here + after
+    if not (np.isfinite(bend) and bend < 0.0):
+        return 0.0
+    vertex: float = 0.5 * (before - after) / bend
+    return vertex

@@ -1,0 +1,112 @@
+"""BlazePose's detector: the people in a whole picture, each with hips, shoulders and size.
+
+Bazarevsky et al. 2020; a single-shot detector over fixed anchors, weights of MediaPipe.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from gateway.frames import FloatArray
+from gateway.reconstruction.video.networks.cropping import cropped
+from gateway.reconstruction.video.networks.network import Picture
+from gateway.reconstruction.video.networks.tensors import FloatTensor, LiteModel
+from gateway.reconstruction.video.networks.weights import DETECTOR
+from gateway.reconstruction.video.region import PersonRegion, upright_region
+
+_STRIDES = ((8, 2), (16, 2), (32, 6))
+"""Pixels between anchors, and how many stand at each place."""
+_LEAST_SCORE = 0.5
+_SAME_PERSON = 0.3
+"""Share of two boxes' union that they have in common, from which they show one person."""
+
+
+@dataclass(frozen=True, slots=True)
+class Person:
+    """One person in a picture, pixels."""
+
+    score: float
+    hips: FloatArray  # (2,) their middle
+    shoulders: FloatArray  # (2,) their middle
+    radius: float
+    """Of the circle about the hips that holds the person."""
+
+    @property
+    def region(self) -> PersonRegion:
+        """For the landmark network."""
+        return upright_region(self.hips, self.shoulders, self.radius)
+
+
+class PersonDetector:
+    """Raises ``GatewayError`` when its weights are missing."""
+
+    def __init__(self, threads: int = 1) -> None:
+        self._model = LiteModel(DETECTOR.verified_path(), threads)
+
+    def people(self, picture: Picture, window: PersonRegion | None = None) -> list[Person]:
+        """The people of a picture, or of one part of it, the likeliest first.
+
+        Whoever stands on the head is found in a window that is turned as well.
+        """
+        size = self._model.size
+        window = whole_picture(picture) if window is None else window
+        map_to_crop = window.affine(size)
+        crop = cropped(picture, map_to_crop, size)[:, :, ::-1].astype(np.float32) / np.float32(127.5) - 1
+        boxes, scores = self._model.run(crop, "Identity", "Identity_1")
+        found = _decoded(boxes[0], scores[0, :, 0], size)
+        linear, shift = map_to_crop[:, :2], map_to_crop[:, 2]
+        people = []
+        for score, points in found:
+            hips, edge, shoulders = np.linalg.solve(linear, (points - 0.5 - shift).T).T
+            people.append(Person(score, hips, shoulders, float(np.linalg.norm(edge - hips))))
+        return people
+
+
+def whole_picture(picture: Picture, roll: float = 0.0) -> PersonRegion:
+    """A region that holds all of a picture."""
+    height, width = picture.shape[:2]
+    return PersonRegion(0.5 * np.array([width - 1.0, height - 1.0]), float(max(width, height)), roll)
+
+
+@cache
+def _anchors(size: int) -> FloatArray:
+    """(n, 2) middles, 0 to 1 of the picture, in the order of the network's rows."""
+    anchors = []
+    for stride, at_each in _STRIDES:
+        n = size // stride
+        middles = (np.arange(n) + 0.5) / n
+        x, y = np.meshgrid(middles, middles)
+        anchors.append(np.repeat(np.stack([x.ravel(), y.ravel()], axis=1), at_each, axis=0))
+    return np.concatenate(anchors)
+
+
+def _decoded(boxes: FloatTensor, scores: FloatTensor, size: int) -> list[tuple[float, FloatArray]]:
+    """Of each person: the score, and hips, circle's edge and shoulders, (3, 2) crop pixels from the edge."""
+    likely = 1.0 / (1.0 + np.exp(-np.clip(scores.astype(np.float64), -60, 60)))
+    rows = np.flatnonzero(likely >= _LEAST_SCORE)
+    rows = rows[np.argsort(-likely[rows], kind="stable")]
+    anchors = size * _anchors(size)[rows]
+    values = boxes[rows].astype(np.float64)
+    middles, sizes = values[:, :2] + anchors, values[:, 2:4]
+    points = values[:, 4:12].reshape(-1, 4, 2) + anchors[:, None]
+    found: list[tuple[float, FloatArray]] = []
+    left = list(range(len(rows)))
+    while left:
+        same = [i for i in left if _overlap(middles[left[0]], sizes[left[0]], middles[i], sizes[i])]
+        weights = likely[rows[same]]
+        mean = np.average(points[same], axis=0, weights=weights)
+        found.append((float(likely[rows[left[0]]]), mean[[0, 1, 2]]))
+        left = [i for i in left if i not in same]
+    return found
+
+
+def _overlap(middle: FloatArray, size: FloatArray, other: FloatArray, other_size: FloatArray) -> bool:
+    """Whether two boxes show one person: intersection over union."""
+    low = np.maximum(middle - size / 2, other - other_size / 2)
+    high = np.minimum(middle + size / 2, other + other_size / 2)
+    common = float(np.prod(np.clip(high - low, 0.0, None)))
+    union = float(np.prod(size) + np.prod(other_size)) - common
+    return common >= _SAME_PERSON * max(union, 1e-9)

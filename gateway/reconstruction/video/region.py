@@ -1,0 +1,95 @@
+"""The part of a picture that a pose network looks at: a square about one person, turned so that the trunk
+stands upright in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.frames import FloatArray
+from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+
+ROLL_STEP = np.radians(30.0)
+"""Pictures are turned in steps, so that the network sees steady pictures while a person sways."""
+ROOM = 1.25
+"""Side of a region over the diameter of the circle about the hips that holds the person."""
+_HEAD_ROOM = 1.1
+"""Keypoints end at the eyes, the wrists and the toes: the person does a little later."""
+_LEAST_LIKELIHOOD = 0.3
+_FEWEST = 6
+"""Keypoints that must be likely for a region to follow from them."""
+_LEAST_PIXELS = 16.0
+
+
+@dataclass(frozen=True, slots=True)
+class PersonRegion:
+    """A square of a picture, turned with the person's trunk."""
+
+    centre: FloatArray  # (2,) pixels of the distorted picture
+    size: float  # pixels, side
+    roll: float
+    """rad, a multiple of 30°: how far the trunk is turned clockwise, as the picture is seen, from upright."""
+
+    def affine(self, pixels: int) -> FloatArray:
+        """(2, 3): pixel (x, y, 1) of the picture to pixel of a crop of ``pixels`` × ``pixels``; pixel (0, 0)
+        is the middle of the upper left one."""
+        scale = pixels / self.size
+        c, s = scale * np.cos(self.roll), scale * np.sin(self.roll)
+        A = np.array([[c, s, 0.0], [-s, c, 0.0]], dtype=np.float64)
+        A[:, 2] = (pixels - 1) / 2 - A[:, :2] @ self.centre
+        return A
+
+
+def upright_region(hips: FloatArray, shoulders: FloatArray, radius: float) -> PersonRegion:
+    """The region of a person: hips and shoulders (2,) are the middles of either, pixels; radius: of the
+    circle about the hips that holds the whole person, pixels."""
+    trunk = shoulders - hips
+    roll = float(np.round(np.arctan2(trunk[0], -trunk[1]) / ROLL_STEP) * ROLL_STEP)
+    return PersonRegion(hips, max(2.0 * ROOM * radius, _LEAST_PIXELS), roll)
+
+
+def region_of_points(
+    points: FloatArray, likelihood: FloatArray, keypoints: Sequence[str]
+) -> PersonRegion | None:
+    """The region of a person whose keypoints are at ``points`` (n, 2), pixels; NaN or a low likelihood (n,)
+    counts as not seen. None when too little of the trunk, or of the person, is seen."""
+    seen = np.isfinite(points).all(axis=1) & (likelihood >= _LEAST_LIKELIHOOD)
+    if seen.sum() < _FEWEST:
+        return None
+    hips = _middle(points, seen, keypoints, "hip")
+    shoulders = _middle(points, seen, keypoints, "shoulder")
+    if hips is None or shoulders is None:
+        return None
+    radius = float(np.linalg.norm(points[seen] - hips, axis=1).max())
+    trunk = float(np.linalg.norm(shoulders - hips))
+    return upright_region(hips, shoulders, max(_HEAD_ROOM * radius, 1.5 * trunk))
+
+
+def region_of_maps(maps: CameraHeatMaps, keypoints: Sequence[str]) -> PersonRegion | None:
+    """The region of the person for the next picture, by the peaks of this one's heat maps."""
+    points, likelihood = peaks(maps)
+    return region_of_points(points, likelihood, keypoints)
+
+
+def peaks(maps: CameraHeatMaps) -> tuple[FloatArray, FloatArray]:
+    """Where every keypoint is likeliest, (n, 2) pixels of the picture, and how likely, (n,)."""
+    n, _, columns = maps.likelihood.shape
+    flat = maps.likelihood.reshape(n, -1)
+    best = flat.argmax(axis=1)
+    places: FloatArray = np.stack([best % columns, best // columns], axis=1).astype(np.float64)
+    linear, shift = maps.map_from_pixel[:, :2], maps.map_from_pixel[:, 2]
+    points = np.asarray(np.linalg.solve(linear, (places - shift).T).T, dtype=np.float64)
+    return points, flat[np.arange(n), best].astype(np.float64)
+
+
+def _middle(
+    points: FloatArray,
+    seen: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    keypoints: Sequence[str],
+    part: str,
+) -> FloatArray | None:
+    sides = [keypoints.index(f"{side}_{part}") for side in ("left", "right")]
+    sides = [index for index in sides if seen[index]]
+    return np.asarray(points[sides].mean(axis=0), dtype=np.float64) if sides else None

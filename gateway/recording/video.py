@@ -1,0 +1,233 @@
+"""Heat maps of synchronised cameras solved into a recording, which replays and exports like any other."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gateway
+from devices import recording_format as fmt
+from devices.cameras.heat_map_messages import HeatMapReceiver, retimed
+from devices.link import Chunk, Framing
+from devices.recording_writer import RecordingWriter, session_record
+from gateway.body.camera import Camera
+from gateway.body.camera_entries import entry_of
+from gateway.body.rig import WorldSettings, worn_without_modules
+from gateway.body.skeleton import VideoSetUp, WornSuit
+from gateway.body.subject_file import subject_content
+from gateway.errors import GatewayError
+from gateway.heat_map_frames import heat_maps_of
+from gateway.pipeline import Pipeline
+from gateway.reconstruction import OPTICAL
+from gateway.reconstruction.video.heat_maps import HeatMapFrame
+from gateway.reconstruction.video.keypoint_set import load_keypoint_set
+from gateway.reconstruction.video.low_pass import DELAY
+from gateway.reconstruction.video.networks.weights import weights_of
+from gateway.reconstruction.video.offline import reconstruct_recorded
+from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor
+from gateway.reconstruction.video.tracker import VideoOptions
+from gateway.recording.reading import Progress
+from gateway.recording.skeleton_encoding import encode_skeleton_frame
+from gateway.recording.snapshot import attachments_of
+from gateway.recording.suit_files import body_of
+from gateway.settings import AssemblySettings, GatewaySettings, LinkSettings
+
+LINK = "cameras"
+OFFLINE = "offline"
+"""The method that goes through all instants forwards and backwards."""
+_BEGUN_NS = 10**9
+"""Gateway time that a capture begins at."""
+_SIZING_FRAMES = 40
+_INSTANTS_A_TELLING = 16
+
+
+@dataclass(frozen=True)
+class SolvedVideo:
+    """What came of it."""
+
+    path: Path
+    frames: int
+    keypoints: tuple[str, ...]
+    poses: tuple[VideoPose, ...]
+    """Of every instant, before smoothing."""
+    counts: dict[str, object]
+    ms_per_frame: float
+    """Processor time of all that follows the heat maps."""
+
+
+def video_settings(subject: str, rate_hz: float, name: str = "video") -> GatewaySettings:
+    """A configuration that solves the heat maps of one link."""
+    return GatewaySettings(
+        gateway=name,
+        links=[LinkSettings(name=LINK, url="tcp://localhost:9765", carries="heat_maps")],
+        rig=subject,
+        reconstructor=OPTICAL,
+        assembly=AssemblySettings(rate_hz=rate_hz),
+    )
+
+
+def video_suit(
+    cameras: Sequence[Camera],
+    network: str,
+    messages: Sequence[Sequence[bytes]],
+    known: WornSuit | None = None,
+) -> WornSuit:
+    """The person that the first instants show, and the cameras that look on. Raises ``GatewayError`` when
+    nobody is found, or ``known`` has other keypoints.
+
+    messages: of every instant, one a camera; known: a person whose lengths are known already.
+    """
+    video = VideoSetUp(tuple(cameras), network)
+    if known is not None:
+        wanted = load_keypoint_set(weights_of(network).keypoint_set).names
+        if known.markers is None or known.markers.labels != wanted:
+            raise GatewayError(
+                f"--subject has no keypoints of the network '{network}': fit one with --fit-subject"
+            )
+        return replace(known, video=video)
+    keypoints = load_keypoint_set(weights_of(network).keypoint_set)
+    reconstructor = VideoReconstructor(cameras, keypoints)
+    found = 0
+    for sequence, instant in enumerate(messages):
+        pose = reconstructor.update(heat_map_frame(sequence, instant))
+        found += bool(np.isfinite(pose.keypoints).all())
+        if found >= _SIZING_FRAMES:
+            break
+    if not found:
+        raise GatewayError(
+            f"in {len(messages)} pictures of {len(cameras)} cameras nobody is seen by rays that meet: does "
+            "the calibration belong to these cameras, in this order, and are they synchronised?"
+        )
+    person = reconstructor.person
+    suit = worn_without_modules(person.skeleton, person.markers, WorldSettings())
+    return replace(suit, video=video)
+
+
+def video_subject(name: str, suit: WornSuit) -> dict[str, Any]:
+    """The content of a subject file: person, keypoints, network and cameras."""
+    assert suit.markers is not None
+    assert suit.video is not None
+    content = subject_content(
+        name, weights_of(suit.video.network).keypoint_set, body_of(suit.skeleton), suit.skeleton,
+        suit.markers, {}, {},
+    )  # fmt: skip
+    cameras = [entry_of(camera) for camera in suit.video.cameras]
+    return {**content, "video": {"network": suit.video.network, "cameras": cameras}}
+
+
+def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:
+    """One instant of messages, in the order of the cameras; its time is that of the first."""
+    read = [HeatMapReceiver().receive(message)[0] for message in messages]
+    return HeatMapFrame(sequence, read[0].time_ns, tuple(map(heat_maps_of, read)))
+
+
+def write_solved_video(
+    messages: Sequence[Sequence[bytes]],
+    rate_hz: float,
+    suit: WornSuit,
+    subject: str,
+    target: Path,
+    progress: Progress | None = None,
+) -> SolvedVideo:
+    """Every instant through the pipeline into ``target``. Raises ``RecordingError`` when that exists, OSError
+    as ``open`` does."""
+    assert suit.video is not None
+    assert suit.markers is not None
+    settings = video_settings(subject, rate_hz)
+    pipeline = Pipeline.from_settings(settings, suit)
+    pipeline.add_link(LINK, Framing.HEAT_MAPS)
+    assert pipeline.video is not None
+    poses: list[VideoPose] = []
+    frames, spent = 0, 0.0
+    chunks = video_chunks(messages, rate_hz)
+    with RecordingWriter(target, _session(target), attachments_of(settings, suit), _BEGUN_NS) as writer:
+        for index, chunk in enumerate(chunks):
+            began = time.process_time()
+            made = pipeline.feed(chunk)
+            spent += time.process_time() - began
+            writer.add_chunk(chunk, Framing.HEAT_MAPS)
+            for frame in made:
+                writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(frame))
+            frames += len(made)
+            if pipeline.video.last is not None and index < len(messages):
+                poses.append(pipeline.video.last)
+            if progress is not None and index % _INSTANTS_A_TELLING == 0:
+                progress(index, len(chunks))
+        writer.add(fmt.STATISTICS, chunks[-1].arrived_ns, json.dumps(pipeline.statistics()).encode())
+    return SolvedVideo(
+        target, frames, suit.markers.labels, tuple(poses), pipeline.video.statistics(),
+        1e3 * spent / max(len(chunks), 1),
+    )  # fmt: skip
+
+
+def write_offline_video(
+    messages: Sequence[Sequence[bytes]],
+    rate_hz: float,
+    suit: WornSuit,
+    subject: str,
+    target: Path,
+    progress: Progress | None = None,
+) -> SolvedVideo:
+    """The same recording with poses from tracking forwards and backwards: what was hidden for a while is
+    recovered from later instants. Raises as ``write_solved_video``."""
+    assert suit.video is not None
+    assert suit.markers is not None
+    keypoints = load_keypoint_set(weights_of(suit.video.network).keypoint_set)
+    keypoints = replace(keypoints, skeleton=suit.skeleton, markers=suit.markers)
+    done = itertools.count(1)
+
+    def advanced() -> None:
+        if progress is not None:
+            progress(next(done), 2 * len(messages))
+
+    observed = [heat_map_frame(index, instant) for index, instant in enumerate(messages)]
+    began = time.process_time()
+    frames = reconstruct_recorded(
+        suit.video.cameras, keypoints, observed, VideoOptions(is_measured=True), advanced
+    )
+    spent = time.process_time() - began
+    chunks = video_chunks(messages, rate_hz)[: len(messages)]
+    attachments = attachments_of(video_settings(subject, rate_hz), suit)
+    with RecordingWriter(target, _session(target, OFFLINE), attachments, _BEGUN_NS) as writer:
+        for chunk, frame in zip(chunks, frames, strict=True):
+            writer.add_chunk(chunk, Framing.HEAT_MAPS)
+            timed = replace(frame, time_ns=chunk.arrived_ns)
+            writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(timed))
+    return SolvedVideo(target, len(frames), suit.markers.labels, (), {}, 1e3 * spent / max(len(frames), 1))
+
+
+def _session(target: Path, solved_by: str = "") -> dict[str, str]:
+    record = session_record(
+        {LINK: Framing.HEAT_MAPS},
+        session=uuid.uuid4().hex,
+        software=gateway.__version__,
+        begun_ns=str(_BEGUN_NS),
+        begun_utc_ns="0",
+        from_start="1",
+        name=target.stem,
+        imported_from="video",
+    )
+    return record | ({"solved_by": solved_by} if solved_by else {})
+
+
+def video_chunks(messages: Sequence[Sequence[bytes]], rate_hz: float) -> list[Chunk]:
+    """A chunk an instant. The last instant is repeated, so that the smoothing, which is late, gives its pose:
+    as the first one is in front."""
+    instants = [b"".join(instant) for instant in messages]
+    chunks = [
+        Chunk(data, _BEGUN_NS + round(index * 1e9 / rate_hz), LINK) for index, data in enumerate(instants)
+    ]
+    for late in range(DELAY):
+        index = len(messages) + late
+        time_ns = round(index * 1e9 / rate_hz)
+        repeated = b"".join(retimed(message, index, time_ns) for message in messages[-1])
+        chunks.append(Chunk(repeated, _BEGUN_NS + time_ns, LINK))
+    return chunks
