@@ -75,7 +75,7 @@ def run() -> Report:
         + table(*_floor_rows(walk))
     )
     step = _on_plates(walk, "left")
-    peer = opensim_beside(walk.measured, walk.muscles, int(step[0]), int(step[-1]) + 1)
+    peer = opensim_beside(walk.measured, int(step[0]), int(step[-1]) + 1)
     if isinstance(peer, str):
         report.tables.append(f"### OpenSim beside it\n\nNot run: {peer}")
     else:

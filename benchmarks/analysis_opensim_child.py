@@ -56,7 +56,7 @@ def free_axes(entry):
 
 def add_wires(model, bodies, wires):
     """Every muscle as an ideal puller along its wire."""
-    for number, wire in enumerate(wires):
+    for wire in wires:
         pull = osim.PathActuator()
         pull.setName(wire["name"])
         pull.setOptimalForce(wire["peak"])
@@ -67,10 +67,8 @@ def add_wires(model, bodies, wires):
             name = f"{wire['name']}_{index}"
             if point["kind"] == "point":
                 path.appendNewPathPoint(name, bodies[point["body"]], vector(point["place"]))
-            elif point["kind"] == "moving":
-                path.updPathPointSet().adoptAndAppend(moving(model, bodies, point, name))
             else:
-                add_wrap(path, bodies[point["body"]], point, f"{name}_{number}")
+                path.updPathPointSet().adoptAndAppend(moving(model, bodies, point, name))
         model.addForce(pull)
 
 
@@ -87,19 +85,6 @@ def moving(model, bodies, point, name):
         getattr(made, f"set_{axis}_location")(spline)
         getattr(made, f"connectSocket_{axis}_coordinate")(coordinate)
     return made
-
-
-def add_wrap(path, body, point, name):
-    wrap = osim.WrapSphere() if point["kind"] == "sphere" else osim.WrapCylinder()
-    wrap.setName(name)
-    wrap.set_translation(vector(point["place"]))
-    wrap.set_xyz_body_rotation(vector(point["turn"]))
-    wrap.set_quadrant(point["quadrant"])
-    wrap.set_radius(point["radius"])
-    if point["kind"] == "cylinder":
-        wrap.set_length(0.4)
-    body.addWrapObject(wrap)
-    path.addPathWrap(wrap)
 
 
 def add_helpers(model, asked):

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gateway.analysis.analysing import Analysis
-from gateway.analysis.muscle_model import PATELLA, muscle_model
+from gateway.analysis.muscle_model import PATELLA, MuscleModel, muscle_model
 from gateway.analysis.muscle_paths import MusclePaths
 from gateway.analysis.muscles import MuscleResult
 from gateway.body.anthropometry import SIDES
 from gateway.frames import FloatArray
 
-_SITE, _SPHERE, _CYLINDER = 3, 4, 5
 _KNEE_SAMPLES = np.linspace(-0.15, 2.0, 16)
 """rad of flexion, between which the kneecap's way is a spline."""
-_OPTIMISED, _BEFORE_END = 10, 12
+_OPTIMISED, _BEFORE_END = 5, 12
 """Frames that are optimised, as OpenSim takes its time for each, and how many come after them: push-off."""
 _MARGIN = 25
 """Frames of motion before and after what is asked for: splines know little at their ends."""
@@ -102,8 +102,8 @@ def _asked(found: Analysis, muscles: MuscleResult) -> list[str]:
 
 
 def _wires(found: Analysis, muscles: MuscleResult) -> list[dict[str, Any]]:
-    """As mujoco has them, on our body."""
-    paths = MusclePaths(found.skeleton, muscle_model())
+    """As mujoco has them on our body, without what they slide over."""
+    paths = MusclePaths(found.skeleton, straight())
     model = paths.model
     wires = []
     for name, peak in zip(muscles.names, muscles.largest_force, strict=True):
@@ -114,28 +114,23 @@ def _wires(found: Analysis, muscles: MuscleResult) -> list[dict[str, Any]]:
     return wires
 
 
+def straight() -> MuscleModel:
+    """The muscles without the bodies that they slide over: the two programs slide differently, and this is
+    to compare what comes after."""
+    model = muscle_model()
+    wires = [
+        replace(wire, points=tuple(point for point in wire.points if point.rotation is None))
+        for wire in model.wires
+    ]
+    return replace(model, wires=tuple(wires))
+
+
 def _point(paths: MusclePaths, wrap: int, found: Analysis) -> dict[str, Any]:
-    model = paths.model
-    kind, thing = int(model.wrap_type[wrap]), int(model.wrap_objid[wrap])
-    if kind == _SITE:
-        body = model.body(int(model.site_bodyid[thing])).name
-        if body.endswith(PATELLA):
-            return _moving(paths, body, model.site_pos[thing], found)
-        return {"kind": "point", "body": body, "place": model.site_pos[thing].tolist()}
-    turned = Rotation.from_quat(model.geom_quat[thing], scalar_first=True)
-    quadrant, side = "all", int(model.wrap_prm[wrap])
-    if side >= 0:
-        beside = turned.inv().apply(model.site_pos[side] - model.geom_pos[thing])
-        axis = int(np.argmax(np.abs(beside[:2])))
-        quadrant = f"{'+' if beside[axis] > 0 else '-'}{'xy'[axis]}"
-    return {
-        "kind": "sphere" if kind == _SPHERE else "cylinder",
-        "body": model.body(int(model.geom_bodyid[thing])).name,
-        "place": model.geom_pos[thing].tolist(),
-        "turn": turned.as_euler("XYZ").tolist(),
-        "radius": float(model.geom_size[thing, 0]),
-        "quadrant": quadrant,
-    }
+    model, site = paths.model, int(paths.model.wrap_objid[wrap])
+    body = model.body(int(model.site_bodyid[site])).name
+    if body.endswith(PATELLA):
+        return _moving(paths, body, model.site_pos[site], found)
+    return {"kind": "point", "body": body, "place": model.site_pos[site].tolist()}
 
 
 def _moving(paths: MusclePaths, body: str, place: FloatArray, found: Analysis) -> dict[str, Any]:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.analysis_opensim_task import coordinate_names, euler_angles, task_of
+from benchmarks.analysis_opensim_task import coordinate_names, euler_angles, straight, task_of
 from benchmarks.opensim_peer import OpenSimMissingError, interpreter
 from gateway.analysis.analysing import Analysis
-from gateway.analysis.muscles import MuscleResult
+from gateway.analysis.muscles import MuscleResult, find_muscles
 from gateway.frames import FloatArray
 
 CHILD = Path(__file__).with_name("analysis_opensim_child.py")
@@ -37,12 +37,13 @@ class Peer:
     note: str
 
 
-def opensim_beside(found: Analysis, muscles: MuscleResult, begin: int, end: int) -> Peer | str:
+def opensim_beside(found: Analysis, begin: int, end: int) -> Peer | str:
     """What OpenSim makes of the frames from begin to before end; or why it was not asked."""
     try:
         program = interpreter()
     except OpenSimMissingError as missing:
         return f"{missing}."
+    muscles = find_muscles(found, model=straight())
     with TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "task.json").write_text(json.dumps(task_of(found, muscles, begin, end)))
@@ -80,8 +81,8 @@ def _compared(found: Analysis, muscles: MuscleResult, begin: int, end: int, answ
             compared[name] = (r, error, float(theirs.max()), float(ours.max()))
     note = (
         f"OpenSim {answer['version']}, {end - begin} frames of the left foot's step on its plate; the same "
-        f"body, motion, floor forces and {len(muscles.names)} wires as ideal pullers (no force-length "
-        f"curves in either), squared activity; inverse dynamics of {end - begin} frames, optimisation of "
+        f"body, motion, floor forces and {len(muscles.names)} straight wires as ideal pullers (no bodies "
+        f"to slide over, no force-length curves in either), squared activity; inverse dynamics of {end - begin} frames, optimisation of "
         f"{len(at)}, at push-off. Shown are muscles that reach an activity of {_AT_WORK:g}."
     )
     return Peer(float(np.sqrt(np.mean(np.square(wrong)))), 1e3 * answer["force_s"] / len(at), compared, note)
