@@ -17,7 +17,7 @@ from gateway.reconstruction.optical.landmarks import to_world
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 WORST_MM = {"right knee": 20.0, "left elbow": 12.0, "left shoulder": 8.0}
 """By default 7. The left arm of this subject carries a single marker, the right thigh's wand moves most."""
 
