@@ -28,7 +28,7 @@ from gateway.recording import SkeletonArrays
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
-def bowing(name="human_17", frames=60):
+def bowing(name="human_17", frames=180):
     """Feet still, the trunk bows to 40° and back."""
     body = load_body(name)
     q_wb = np.tile(body.neutral, (frames, body.n_segments, 1))
@@ -65,7 +65,7 @@ def test_bowing_takes_the_trunk_moment_of_statics(bow):
     ahead = centres[:, 0] - placed[thorax, 0]
     still = float(np.sum(bow.inertia.mass[above] * 9.81 * ahead))
     assert still > 50
-    assert -bow.torques[middle, joint, 0] == pytest.approx(still, rel=0.35)
+    assert -bow.torques[middle, joint, 0] == pytest.approx(still, rel=0.15)
     assert bow.torques[0, joint, 0] == pytest.approx(0.0, abs=15)
 
 
@@ -187,7 +187,7 @@ def test_what_cannot_be_analysed_is_told(arguments, told, tmp_path, monkeypatch)
 def test_film_and_page_hold_all_of_it(tmp_path, bow):
     pulled = find_muscles(bow)
     film, page = tmp_path / "film.webm", tmp_path / "report.html"
-    assert write_film(bow, pulled, film) == 36
+    assert write_film(bow, pulled, film) == 108
     write_page(bow, pulled, page, film)
     text = page.read_text()
     assert text.count("<h2>") == 9
