@@ -81,7 +81,7 @@ def run() -> Report:
         ),
         Figure(
             "mirrored_peaks_cells", _mirrored_offset(places[2]), "cells", "<=0.1",
-            "by which peaks in mirrored pictures are not the mirrored peaks: half-pixel conventions are right",
+            "by which peaks in mirrored pictures are not the mirrored peaks: half-pixel conventions",
         ),
         Figure(
             "wall_frames_per_s", _wall_frames_per_s(cameras, places), "1/s", "",

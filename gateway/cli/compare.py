@@ -87,7 +87,9 @@ def compare(
             base_topic=base_topic,
         )
         raise typer.Exit(
-            run_live(settings, Live(first, second, renamed, largest_lag, window, count, as_json))
+            run_live(
+                settings, Live(first, second, renamed, largest_lag, window, count, as_json, own_headings)
+            )
         )
     tracks = _of_files(Path(first), Path(second), not as_json)
     counted = None if span is None else seconds_of("--span", span)

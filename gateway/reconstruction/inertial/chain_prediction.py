@@ -151,7 +151,7 @@ def start(
         state.arm_covariance[s, i, i] = noise.lever_arm_offset**2
     state.is_started[s], state.is_open[s] = 1, body.opens[s]
     state.fresh_s[s], state.silent_s[s], state.compass_s[s] = 0.0, 0.0, 0.0
-    state.heading[s], state.rest[s] = 0.0, 0.0
+    state.heading[s], state.rest[s], state.misfit[s] = 0.0, 0.0, 0.0
     for i in range(3):  # means of one sample: begun at zero, gravity alone would be a change for seconds
         state.rest[s, i], state.rest[s, 3 + i] = w[i], f[i]
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gateway.frames import ImuFrame, LocalReading, Quantity
-from gateway.reconstruction.inertial.chain_state import FilterState, initial_state
+from gateway.reconstruction.inertial.chain_state import FilterState, Noise, initial_state
 
 KEPT = (
     "R", "is_started", "is_open", "silent_s", "force_bias", "arm", "arm_covariance", "compass_s",
@@ -22,13 +22,14 @@ KEPT = (
 """Of the state, what is the same seen backward."""
 
 
-def turned_back(state: FilterState) -> FilterState:
+def turned_back(state: FilterState, noise: Noise) -> FilterState:
     """The state to go backward with from where ``state`` is: orientations, biases, lever arms and shown
-    headings are kept, and how sure they are; the rows' averages begin anew. The clock stands at 0, where the
-    last frame lies: it has been taken, and turning by its rate once more would be off by a whole interval.
+    headings are kept; the rows' averages begin anew. The clock stands at 0, where the last frame lies: it has
+    been taken, and turning by its rate once more would be off by a whole interval.
 
     Recordings end in mid-motion as often as at rest: a backward filter that knew nothing would first of all
-    take that motion's acceleration for a tilt.
+    take that motion's acceleration for a tilt. But it is as unsure as a beginning: what the forward filter
+    knows would count twice where the two are put together, and an error at its end would be carried back.
     """
     back = initial_state(len(state.is_started), len(state.device_age_s))
     sign = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
@@ -39,6 +40,8 @@ def turned_back(state: FilterState) -> FilterState:
     back.rest[:, :3] *= -1.0
     back.P[...] = state.P * np.outer(sign, sign)
     back.C[...] = state.C * np.outer(sign, sign)
+    forgotten = np.array([noise.start_tilt] * 2 + [noise.start_heading] + [noise.bias] * 3) ** 2
+    back.P[:, range(6), range(6)] += forgotten
     return back
 
 

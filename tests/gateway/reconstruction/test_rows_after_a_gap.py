@@ -49,16 +49,6 @@ def test_a_chain_is_held_up_also_while_its_rows_wait_for_their_averages(fresh_s,
     assert len(rows) == (N if fresh_s > 1.0 else 0)
 
 
-def test_a_joint_that_does_not_fit_holds_nothing_up(monkeypatch):
-    state, scratch = initial_state(N, 1), chain_step_scratch()
-    state.fresh_s[:] = 10.0
-    state.misfit[3] = 100.0
-    monkeypatch.setattr(chain_step, "_joint_row", lambda *a: None)
-    monkeypatch.setattr(chain_step, "_unaided_rows", lambda *a: None)
-    chain_step._joint_rows.__wrapped__(BODY, state, Noise(), scratch, True, DT)
-    assert scratch.chain.tolist() == [0, 0, 0, 3, 3]
-
-
 def chain_step_scratch():
     """Of segments whose modules all speak."""
     return SimpleNamespace(

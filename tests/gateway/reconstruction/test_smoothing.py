@@ -10,7 +10,7 @@ from simulated_body import angular_error_deg, arm, imu_frames, instants, simulat
 from gateway.errors import GatewayError
 from gateway.frames import ImuFrame, LocalReading, Quantity, Status
 from gateway.reconstruction import create_reconstructor, smoothing, update_many
-from gateway.reconstruction.inertial.chain_state import initial_state
+from gateway.reconstruction.inertial.chain_state import Noise, initial_state
 from gateway.reconstruction.inertial.time_reversal import seen_backward, turned_back
 from gateway.reconstruction.inertial.two_ways import put_together
 from gateway.reconstruction.smoothing import Smoother
@@ -73,7 +73,7 @@ def test_turning_a_state_back_twice_keeps_what_it_knows():
     state, rng = initial_state(3, 1), np.random.default_rng(1)
     for name in ("bias", "force_bias", "arm", "C", "field_seen", "device_shift"):
         getattr(state, name)[...] = rng.normal(size=getattr(state, name).shape)
-    again = turned_back(turned_back(state))
+    again = turned_back(turned_back(state, Noise()), Noise())
     for name in ("bias", "force_bias", "arm", "C", "field_seen", "device_shift"):
         np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
 
@@ -82,7 +82,7 @@ def test_the_last_frame_is_not_taken_twice():
     state = initial_state(2, 1)
     state.time_ns[:] = 7_000_000_000, 1_000_000_000
     state.rest[:] = np.arange(10.0)
-    back = turned_back(state)
+    back = turned_back(state, Noise())
     (last, _), _ = seen_backward([frame(10), frame(20)], 20, [])
     assert last.time_ns == 0 == back.time_ns[0]
     np.testing.assert_array_equal(back.rest[0], [-0.0, -1.0, -2.0, *range(3, 10)])
