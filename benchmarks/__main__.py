@@ -28,7 +28,11 @@ SUITES = (
     "soak",
     "fuzz",
     "overload",
+    "held",
     "optical",
+    "video_speed",
+    "video",
+    "analysis",
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

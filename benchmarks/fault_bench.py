@@ -32,7 +32,6 @@ from gateway.accounting import unaccounted
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.cli.emulated_rig import dress, move
 from gateway.frames import SkeletonFrame, Status, StatusArray
-from gateway.memory import bound_memory
 from gateway.service import Service
 from gateway.settings import GatewaySettings
 
@@ -174,7 +173,6 @@ class Bench:
         self._lost_before: Counter[str] = Counter()
 
     async def __aenter__(self) -> Bench:
-        bound_memory()  # as the process of a user does
         self._tasks = [
             asyncio.create_task(self.suit.run(), name="suit"),
             asyncio.create_task(pull_cable(self.plan, self.suit), name="cable"),

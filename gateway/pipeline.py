@@ -44,6 +44,7 @@ from gateway.reconstruction import (
 )
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.warm_up import warm_up
+from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.resets import Resets
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.stream import ClockMode, Reading, Stream
@@ -61,6 +62,20 @@ class InputEvent(NamedTuple):
 
     name: str
     data: Mapping[str, Any]
+
+
+class NoModules:
+    """In the place of a reconstructor where no module is worn: no frame of any ever comes."""
+
+    def __init__(self, suit: WornSuit) -> None:
+        self._name = suit.skeleton.name
+
+    def update(self, observation: ImuFrame) -> SkeletonFrame:
+        """Raises ``GatewayError``."""
+        raise GatewayError(f"frame {observation.sequence} of modules, and none is worn on '{self._name}'")
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
 
 
 class Pipeline:
@@ -98,7 +113,11 @@ class Pipeline:
                 raise SettingsError(NO_MARKERS)
             reconstructor = "independent"  # for modules that may be worn beside the markers
             root = RootSettings(RootMode.FIXED)
-        self._make = partial(create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root)
+        self._make: Callable[[WornSuit], Reconstructor] = partial(
+            create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root
+        )
+        if not suit.module_ids and (suit.markers is not None or suit.video is not None):
+            self._make = NoModules  # or half a minute would go into compiling what is never used
         self.suit = suit
         """As worn now: a calibration may have changed it."""
         self.reconstructor = self._make(suit)
@@ -210,16 +229,12 @@ class Pipeline:
         """Of an optical system or cameras."""
         if chunk.link in self._heat_map_links:
             assert self.video is not None  # add_link saw to it
-            frames = [self.resets.apply(frame) for frame in self.video.receive(chunk)]
-            self.skeleton_frames += len(frames)
-            return frames
-        assert self.optical is not None  # add_link saw to it
-        frames = [
-            self.resets.apply(self.optical.update(markers))
-            for markers in self._markers[chunk.link].receive(chunk)
-        ]
-        self.skeleton_frames += len(frames)
-        return frames
+            made = self.video.receive(chunk)
+        else:
+            assert self.optical is not None  # add_link saw to it
+            made = [self.optical.update(markers) for markers in self._markers[chunk.link].receive(chunk)]
+        self.skeleton_frames += len(made)
+        return [self.resets.apply(frame) for frame in made]
 
     def replay(self, items: Iterable[Chunk | SentChunk | InputEvent]) -> Iterator[SkeletonFrame]:
         """A recording: the frames that ``feed``, ``sent`` and ``event`` of each item give, bit for bit, but

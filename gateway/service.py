@@ -24,6 +24,7 @@ from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.host_sender import HostSender
 from gateway.losses import Cause
+from gateway.memory import bound_memory
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
@@ -75,7 +76,7 @@ class Service:
             info,
             self.statistics,
             lambda: self.side.counters,
-            () if suit.markers is None else suit.markers.labels,
+            () if suit.markers is None or suit.video is not None else suit.markers.labels,
         )
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
         self.load = LoadWatch()
@@ -154,6 +155,7 @@ class Service:
         Raises ``OutputError`` if an output cannot start, ``RecordingError`` if what it is to record cannot be
         written.
         """
+        bound_memory()
         async with self.mqtt, self.side.running(), self.observer.watching():
             if self._records_at_start:
                 self.recording.start()

@@ -14,7 +14,7 @@ from gateway.errors import SettingsError, nearest
 from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.side_settings import OutputsSettings
-from gateway.reconstruction import OPTICAL, PUBLISHED, RECONSTRUCTORS, RootMode, RootSettings
+from gateway.reconstruction import OFFLINE, OPTICAL, RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
 
@@ -39,7 +39,8 @@ class LinkSettings(_Strict):
     url: str = Field(
         min_length=1,
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
-        "can://socketcan/can0, tcp://host:port, udp://host:port, markers:///path/walk.c3d, recording:///path/to/file.mcap",
+        "can://socketcan/can0, tcp://host:port, udp://host:port, qtm://host, markers:///path/walk.c3d, "
+        "recording:///path/to/file.mcap",
     )
     carries: Literal["suit", "gnss", "markers", "heat_maps"] = Field(
         default="suit",
@@ -70,6 +71,13 @@ class LinkSettings(_Strict):
             del given["url"]
             raise ValueError("url: a link takes no user name or password: leave out what stands before the @")
         return given
+
+    @model_validator(mode="after")
+    def _carries_what_it_can(self) -> LinkSettings:
+        scheme = self.url.partition("://")[0]
+        if scheme in {"qtm", "markers"} and self.carries not in {"suit", "markers"}:
+            raise ValueError(f"carries: {scheme}:// carries markers and nothing else: leave 'carries' out")
+        return self
 
     @model_validator(mode="after")
     def _is_on_earth(self) -> LinkSettings:
@@ -286,9 +294,9 @@ class GatewaySettings(_Strict):
     @field_validator("reconstructor")
     @classmethod
     def _is_known(cls, value: str) -> str:
-        if value == PUBLISHED:
+        if value in OFFLINE:
             raise ValueError(
-                f"{PUBLISHED} wants all frames at once: `mocap-gateway optical solve --method {PUBLISHED}`; "
+                f"{value} wants all frames at once: `mocap-gateway optical solve --method {value}`; "
                 f"of a stream, {OPTICAL}"
             )
         if value not in RECONSTRUCTORS and value != OPTICAL:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from benchmarks.fuzzing.files import in_a_file, refused_or_read
 from gateway.body.rig import load_body, load_rig
 from gateway.body.urdf import import_urdf
-from gateway.clocks.table import load_clock_table
+from gateway.clocks.table import load_clock_table, save_clock_table
 from gateway.imports.map_files import read_maps
 from gateway.settings import load_gateway_settings
 
@@ -29,13 +29,19 @@ def body_file(data: bytes) -> None:
 
 
 def clock_table(data: bytes) -> None:
-    """A clock table, and every module's rate from it."""
+    """A clock table: every module's rate and time from it, and what is written is what was read."""
     path = in_a_file("clocks.yaml", data)
 
     def read() -> None:
         table = load_clock_table(path)
+        for module in (*table.alpha, 255):
+            times = [table.reference_us(module, counted_us) for counted_us in (-1e6, 0.0, 1e7, 1e12)]
+            assert times == sorted(times), (module, times)
         for module in table.alpha:
             table.skew_ppm(module)
+        save_clock_table(table, path)
+        again = load_clock_table(path)
+        assert (again.ranking, again.interval_s) == (table.ranking, table.interval_s)
 
     refused_or_read(read)
 

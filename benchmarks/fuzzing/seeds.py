@@ -9,7 +9,8 @@ import io
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,11 @@ from firmware_protocol.device_settings import factory_settings
 from firmware_protocol.flash_slots import encode_slot
 from gateway.body.rig import load_rig
 from gateway.frames import SkeletonFrame
+from gateway.outputs.messages import BridgeInfo, BridgeState, ModuleInfo, describe_body
+from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.pose_publications import PosePublications
+from gateway.outputs.settings import MqttSettings, PoseMap
+from gateway.outputs.topics import Topics
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings, LinkSettings
@@ -36,6 +42,12 @@ from gateway.settings_files import shipped_folder
 _VECTORS = Path(firmware_protocol.__file__).parent / "vectors"
 _DATA = Path(os.environ.get("MOCAP_DATA", CORPORA.parent.parent.parent.parent / "shared" / "data"))
 _ROWS = 6
+_RIG = "arm_4"
+_EVENTS: dict[str, dict[str, Any]] = {
+    "reset": {"kind": "heading", "facing": 0.0},
+    "load": {"stage": "side_outputs", "solve_every": 1},
+    "link": {"link": "suit", "state": "down", "reason": "gone"},
+}
 _GATEWAY = b"""gateway: g
 links: [{name: a, url: 'tcp://h:1'}]
 rig: arm_4
@@ -133,10 +145,7 @@ def _of_files() -> dict[str, list[bytes]]:
         "gateway_file": [*texts(*sorted(config.glob("*.yaml")), *Path("docker").glob("*.yaml")), _GATEWAY],
         "rig_file": texts(*sorted((config / "rigs").glob("*.yaml"))),
         "body_file": texts(*sorted((config / "bodies").glob("*.yaml"))),
-        "clock_table": [
-            b"reference: 1\ninterval_s: 1.0\nrepetitions: 2\nranking: [1, 2]\n"
-            b"alpha: {1: [0.0, 0.0], 2: [1.0, 1.0]}\n"
-        ],
+        "clock_table": list(_clock_tables()),
         "urdf": texts(Path("tests/data/arm6.urdf")),
         "map_file": [
             b"00B42279: pelvis\n00B42268: thorax\n",
@@ -146,14 +155,28 @@ def _of_files() -> dict[str, list[bytes]]:
     }
 
 
-def _of_recordings() -> dict[str, list[bytes]]:
-    suit = load_rig("arm_4")
-    settings = GatewaySettings(links=[LinkSettings(name="suit", url="tcp://127.0.0.1:1")], rig="arm_4")
-    attachments = dict(attachments_of(settings, suit))
-    n = suit.skeleton.n_segments
-    frame = SkeletonFrame(
-        sequence=1,
-        time_ns=10,
+def _clock_tables() -> Iterator[bytes]:
+    """Good ones, and one for every way in which a table is refused."""
+    table = "reference: {}\ninterval_s: {}\nrepetitions: 2\nranking: {}\nalpha: {}\n"
+    rows = "{1: [1.0, 1.0], 2: [0.9999, 0.99995]}"
+    for reference, interval_s, ranking, alpha in (
+        (1, 1.0, "[1, 2]", rows),
+        (2, 60.0, "[2, 1]", "{1: [1.0001], 2: [1.0]}"),
+        (3, 1.0, "[1, 2]", rows),
+        (1, 1.0, "[1, 3]", rows),
+        (1, 0.0, "[1, 2]", rows),
+        (1, 1.0, "[1, 2]", "{1: [1.0], 2: [1.0, 1.0]}"),
+        (1, 1.0, "[1, 2]", "{1: [0.5], 2: [1.0]}"),
+        (1, 1.0, "[1]", "{1: []}"),
+    ):
+        yield table.format(reference, interval_s, ranking, alpha).encode()
+
+
+def _frame(sequence: int) -> SkeletonFrame:
+    n = load_rig(_RIG).skeleton.n_segments
+    return SkeletonFrame(
+        sequence=sequence,
+        time_ns=10 * sequence,
         q_wb=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
         angular_rate=np.zeros((n, 3)),
         joint_acceleration=np.zeros((n, 3)),
@@ -162,24 +185,43 @@ def _of_recordings() -> dict[str, list[bytes]]:
         status=np.zeros(n, np.uint8),
         root=0,
     )
-    encoded = encode_skeleton_frame(frame)
+
+
+def _of_recordings() -> dict[str, list[bytes]]:
+    suit = load_rig(_RIG)
+    settings = GatewaySettings(links=[LinkSettings(name="suit", url="tcp://127.0.0.1:1")], rig=_RIG)
+    attachments = dict(attachments_of(settings, suit))
+    whole, bare = _recording(attachments), _recording({})
+    cut = [whole[:-8], whole[: len(whole) // 2], bare[:-40]]
+    spoilt = whole[:200] + b"\xff\xff\xff\x7f" + whole[204:]
+    return {
+        "recording": [whole, bare, *cut, spoilt],
+        "recorded_suit": [attachments["suit.json"].replace(b"\n", b"").replace(b"  ", b"")],
+        "recorded_frame": [encode_skeleton_frame(_frame(1))],
+    }
+
+
+def _recording(attachments: Mapping[str, bytes]) -> bytes:
+    """Two links, something of every kind, and two MCAP chunks."""
+    links = {"suit": Framing.BYTE_STREAM, "bus": Framing.CAN}
+    session = session_record(links, session="s", part="1", begun_ns="0", name="seed")
+    packet = _vectors("packets")[0]
+    chunks = {"suit": bytes.fromhex(packet["byte_stream"]), "bus": _can(packet["can_classic"]["frames"])}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "seed.mcap"
-        links = {"suit": Framing.BYTE_STREAM}
-        session = session_record(links, session="s", part="1", begun_ns="0", name="seed")
         with RecordingWriter(path, session, attachments, 0) as writer:
-            stream = bytes.fromhex(_vectors("packets")[0]["byte_stream"])
-            writer.add_chunk(Chunk(stream, 5, "suit"), Framing.BYTE_STREAM)
-            writer.add("/skeleton", 10, encoded, {})
-            writer.add("/events", 11, b'{"time_ns": 11, "name": "reset", "data": {"kind": "heading"}}', {})
-            writer.add("/statistics", 12, b"{}", {})
+            for k in (1, 2):
+                for name, framing in links.items():
+                    writer.add_chunk(Chunk(chunks[name], 5 * k, name), framing)
+                writer.add("/sent/suit", 6 * k, chunks["suit"], {"link": "suit"})
+                writer.add("/skeleton", 10 * k, encode_skeleton_frame(_frame(k)), {})
+                for name, data in _EVENTS.items():
+                    event = {"time_ns": 11 * k, "name": name, "data": data}
+                    writer.add("/events", 11 * k, json.dumps(event).encode(), {})
+                writer.add("/statistics", 12 * k, b'{"modules": {"1": {"received": 5, "lost": 1}}}', {})
+                writer.flush()
         RecordingFile(path)
-        whole = path.read_bytes()
-    return {
-        "recording": [whole, whole[: len(whole) // 2]],
-        "recorded_suit": [attachments["suit.json"].replace(b"\n", b"").replace(b"  ", b"")],
-        "recorded_frame": [encoded],
-    }
+        return path.read_bytes()
 
 
 def _of_vendors() -> dict[str, list[bytes]]:
@@ -250,12 +292,22 @@ def _requests() -> Iterator[bytes]:
 
 
 def _published() -> list[bytes]:
+    """What a gateway publishes, in the order of ``requests._TOPICS``."""
+    suit = load_rig(_RIG)
+    frame = replace(_frame(1), p_w=np.zeros((suit.skeleton.n_segments, 3)))
+    everything = MqttSettings(include=frozenset(PoseMap))
+    poses = PosePublications(everything, suit.skeleton, Topics("mocap", "g"))
+    modules = tuple(ModuleInfo(module=module, segment=f"s{module}") for module in suit.module_ids)
+    info = BridgeInfo(
+        version="0", gateway="g", reconstructor="independent", frame_rate=100.0, modules=modules
+    )
+    health = MqttOutput(everything, suit.skeleton, info).health()
     return [
-        b'{"v":1,"t_ns":1,"seq":1,"segments":{"a":[1,0,0,0]},"status":{}}',
-        b'{"state":"online"}',
-        b'{"version":"0","gateway":"g","reconstructor":"r","frame_rate":100,"modules":[]}',
-        b'{"t_ns":1,"uptime_s":1,"mqtt":{"published":0,"dropped":0}}',
-        b'{"name":"a","segments":[]}',
+        next(poses.of(frame)).payload,
+        BridgeState(state="online").payload(),
+        info.payload(),
+        health.payload(),
+        describe_body(suit.skeleton).payload(),
     ]
 
 

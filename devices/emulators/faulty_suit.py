@@ -44,6 +44,11 @@ class FaultySuit:
         """What befell the suit, by kind of fault."""
         return self._happened + self.link.counts + self.sensors.counts
 
+    @property
+    def reached_s(self) -> float:
+        """Motion time up to which it has been asked; behind the clock where the machine is too busy."""
+        return self._now_s
+
     def receive(self, data: bytes, at_s: float) -> None:
         """As ``SuitTraffic.receive``."""
         if not hears_nothing(self.plan, at_s):

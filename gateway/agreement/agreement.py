@@ -10,7 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from gateway.agreement.time_alignment import TimeAlignment, align_time
 from gateway.agreement.tracks import Tracks, pairs_of, resampled, selected
-from gateway.agreement.world_alignment import WorldAlignment, align_world, aligned, place_aligned
+from gateway.agreement.world_alignment import (
+    WorldAlignment,
+    align_segments,
+    align_world,
+    aligned,
+    place_aligned,
+)
 from gateway.comparison import orientation_error
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
@@ -36,6 +42,8 @@ class SegmentAgreement:
     """Of the rotation against the parent segment; NaN for one that has none."""
     position_rms_m: float
     """Of the proximal joint, the whole body turned about the vertical and moved once."""
+    own_heading_deg: float = 0.0
+    """Of the segment beside the common heading, taken off too; 0 with one heading for all."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +70,15 @@ def agreement(
     second: Tracks,
     renamed: Mapping[str, str] | None = None,
     largest_lag_s: float | None = None,
+    span_s: tuple[float, float] | None = None,
+    *,
+    own_headings: bool = False,
 ) -> Agreement:
     """Compare two sources of one motion, each on its own clock and in its own world (Z up).
 
     renamed: the first's segments that the second calls otherwise. largest_lag_s: see ``align_time``.
+    span_s: only from then to then of the first counts, s from its beginning; clocks are aligned by all.
+    own_headings: a heading for every segment, in the place of one for all.
     Raises ``GatewayError`` when they have no segment, no time or no motion in common.
     """
     pairs = pairs_of(first, second, renamed or {})
@@ -73,12 +86,18 @@ def agreement(
     other = selected(second, [name for _, name in pairs])
     time = align_time(one, other, largest_lag_s)
     on_second = time.of_second(one.time_s)
-    instants = one.time_s[(on_second >= other.time_s[0]) & (on_second <= other.time_s[-1])]
+    counts = (on_second >= other.time_s[0]) & (on_second <= other.time_s[-1])
+    if span_s is not None:
+        elapsed = one.time_s - one.time_s[0]
+        counts &= (elapsed >= span_s[0]) & (elapsed <= span_s[1])
+    instants = one.time_s[counts]
     if len(instants) < 2:
-        raise GatewayError("the two have too little time in common to be compared")
+        where = "" if span_s is None else f" from {span_s[0]:g} to {span_s[1]:g} s"
+        raise GatewayError(f"the two have too little time in common{where} to be compared")
     one, other = resampled(one, instants), resampled(other, time.of_second(instants))
-    as_defined = align_world(one.q_wb, other.q_wb, with_mounting=False)
-    mounted = align_world(one.q_wb, other.q_wb)
+    align = align_segments if own_headings else align_world
+    as_defined = align(one.q_wb, other.q_wb, with_mounting=False)
+    mounted = align(one.q_wb, other.q_wb)
     q = aligned(one.q_wb, mounted)
     p = place_aligned(one.p_w, other.p_w)
     raw = orientation_error(aligned(one.q_wb, as_defined), other.q_wb).total
@@ -146,6 +165,7 @@ def _figures(
         max_deg=float(total.max()),
         joint_rms_deg=_rms(joint_deg),
         position_rms_m=_rms(apart_m),
+        own_heading_deg=float(np.degrees(mounted.own_heading[s])),
     )
 
 

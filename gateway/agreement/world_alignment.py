@@ -23,6 +23,8 @@ class WorldAlignment(NamedTuple):
     """About the vertical, counter-clockwise seen from above."""
     mounting: FloatArray
     """(S, 4) the second's segment axes to the first's."""
+    own_heading: FloatArray
+    """(S,) rad, of each segment beside the common one; zeros where there is only that."""
 
 
 def align_world(q: FloatArray, q_reference: FloatArray, with_mounting: bool = True) -> WorldAlignment:
@@ -46,14 +48,27 @@ def align_world(q: FloatArray, q_reference: FloatArray, with_mounting: bool = Tr
     mounting = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     for s, rotation in zip(columns, mountings, strict=True):
         mounting[s] = rotation.as_quat(scalar_first=True)
-    return WorldAlignment(float(heading.as_rotvec()[2]), mounting)
+    return WorldAlignment(float(heading.as_rotvec()[2]), mounting, np.zeros(n))
+
+
+def align_segments(q: FloatArray, q_reference: FloatArray, with_mounting: bool = True) -> WorldAlignment:
+    """The same with a heading of its own for every segment: for modules in a field that is not homogeneous.
+
+    The common heading is the mean of all.
+    """
+    n = q.shape[1]
+    single = [align_world(q[:, [s]], q_reference[:, [s]], with_mounting) for s in range(n)]
+    headings = np.array([each.heading_rad for each in single])
+    common = float(np.angle(np.exp(1j * headings).mean()))
+    own: FloatArray = np.angle(np.exp(1j * (headings - common)))
+    return WorldAlignment(common, np.concatenate([each.mounting for each in single]), own)
 
 
 def aligned(q: FloatArray, alignment: WorldAlignment) -> FloatArray:
     """``q`` (T, S, 4) in the other's world and axes; NaN stays."""
-    heading = Rotation.from_rotvec([0.0, 0.0, alignment.heading_rad])
     result = np.full_like(q, np.nan)
     for s in range(q.shape[1]):
+        heading = Rotation.from_rotvec([0.0, 0.0, alignment.heading_rad + alignment.own_heading[s]])
         known = np.isfinite(q[:, s]).all(axis=1)
         if known.any():
             mounting = Rotation.from_quat(alignment.mounting[s], scalar_first=True)

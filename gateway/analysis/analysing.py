@@ -145,6 +145,7 @@ def _notes(inertia: BodyInertia, floor: FloorForces, dynamics: Dynamics) -> list
         share = float((floor.source == source).any(axis=1).mean()) if floor.source.size else 0.0
         if share:
             notes.append(f"Floor forces are {word} in {100 * share:.0f} % of the frames.")
+    notes += floor.notes
     left = np.linalg.norm(dynamics.residual_force, axis=1)
     notes.append(
         f"Left over at the root: {np.sqrt(np.mean(left**2)):.0f} N RMS, {left.max():.0f} N at most; "

@@ -41,9 +41,9 @@ class ContactSettings:
     speed_m_s: float = 1.0
     """At which a point is half as likely to carry."""
     speed_spread_m_s: float = 0.15
-    arm_m: float = 0.15
+    arm_m: float = 1.0
     """A moment counts as much as a force at this arm."""
-    cost: float = 1e-4
+    cost: float = 1e-3
     """Of the squared load of a point that stands, against the squared force left over."""
     split: float = 10.0
     """Of the squared distance from the smooth split in double support, as ``cost``."""
@@ -98,7 +98,7 @@ def estimated_floor(
         if progress is not None and f % _FRAMES_A_TELLING == 0:
             progress(f, frames)
     shown = height if known is None else known.height_m
-    return FloorForces(segments, force, moment, source, shown)
+    return FloorForces(segments, force, moment, source, shown, () if known is None else known.notes)
 
 
 def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: ContactSettings) -> FloatArray:
@@ -114,7 +114,8 @@ def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: Co
 def smooth_split(
     time_s: FloatArray, standing: FloatArray, places: IntArray, settings: ContactSettings
 ) -> FloatArray:
-    """(F, C) share of each of two feet in the load while one takes over from the other; NaN elsewhere.
+    """(F, C) share of each of two feet in the load while one stands alone, or takes over from the other; NaN
+    elsewhere: in standing on both, in flight, and for other bodies.
 
     standing: (F, P). places: (P,) which foot each point belongs to.
     """
@@ -123,6 +124,8 @@ def smooth_split(
     if count != 2:
         return shares
     stands = np.stack([standing[:, places == c].max(axis=1) > _STANDS for c in range(count)], axis=1)
+    for c in range(count):
+        shares[stands[:, c] & ~stands[:, 1 - c]] = np.eye(count)[c]
     both = np.concatenate([[False], stands.all(axis=1), [False]]).astype(np.int8)
     begins, ends = np.flatnonzero(np.diff(both) == 1), np.flatnonzero(np.diff(both) == -1)
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):

@@ -103,7 +103,8 @@ class _View:
         x = self._left + 0.5 * _PANE + scale * (places @ self._across - self._middle)
         y = HEIGHT - 30 - scale * (places[:, 2] - self._scene.floor_m)
         fine = np.stack([x, y], axis=1) * 2**_SUBPIXEL
-        return np.round(fine).astype(np.int32)[:, None]
+        rounded: NDArray[np.int32] = np.round(fine).astype(np.int32)[:, None]
+        return rounded
 
     def line(self, places: FloatArray, colour: tuple[int, ...], width: int) -> None:
         """A polyline through places (n, 3) m."""

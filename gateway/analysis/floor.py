@@ -41,6 +41,8 @@ class FloorForces:
     source: NDArray[np.uint8]  # (F, C) Source
     height_m: float = 0.0
     """Of the floor."""
+    notes: tuple[str, ...] = ()
+    """Sentences on what is doubtful."""
 
     def total(self) -> FloatArray:
         """(F, 3) N."""

@@ -3,14 +3,13 @@
 The model is ``myolegs_abdomen`` of the package ``myo-sim`` (Apache-2.0; legs after Rajagopal et al. 2016,
 IEEE Trans. Biomed. Eng. 63(10): 2068–2079, MIT; trunk after Delp et al. 1990): 80 muscles of the legs, 6 of
 the trunk. Its arms come from a source for non-commercial use only and are not touched. Its segments' axes are
-ours (x forward, y up, z to the right, all parallel when standing), so its wires move over by shifts and scales.
+ours (x forward, y up, z to the right, all parallel when standing), so its wires are only shifted and scaled.
 """
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
-import io
+import logging
 import warnings
 from dataclasses import dataclass
 from functools import cache
@@ -22,6 +21,8 @@ from gateway.analysis.body_model import EXTRA, require_biomech
 from gateway.analysis.smooth_motion import matrices
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
+
+_log = logging.getLogger(__name__)
 
 MODEL = "myolegs_abdomen"
 _SEGMENTS = {
@@ -87,17 +88,21 @@ def muscle_model() -> MuscleModel:
     import mujoco  # noqa: PLC0415 - an extra
     import myo_sim  # noqa: PLC0415
 
-    with warnings.catch_warnings(), contextlib.redirect_stderr(io.StringIO()):
-        warnings.simplefilter("ignore")  # it warns of saving the model, which nobody does
-        model = myo_sim.load_spec(MODEL).compile()
+    mujoco.set_mju_user_warning(_log.debug)  # it warns of saving the model, which nobody does
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            model = myo_sim.load_spec(MODEL).compile()
+    finally:
+        mujoco.set_mju_user_warning(None)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     try:
         return _Reader(model, data).muscles()
     except (KeyError, IndexError) as error:
         raise GatewayError(
-            f"the installed myo-sim holds another model '{MODEL}' than is known here ({error}); a version 0.2 "
-            f"is wanted: {EXTRA}"
+            f"the installed myo-sim holds another model '{MODEL}' than is known here ({error}); a version "
+            f"0.2 is wanted: {EXTRA}"
         ) from error
 
 

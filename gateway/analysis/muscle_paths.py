@@ -163,11 +163,11 @@ class _Scaling:
             along = float(position @ bone / (bone @ bone))
             moved: FloatArray = along * self._tips[segment] + self.size * (position - along * bone)
             return moved
-        scaled = self.size * position
+        scaled: FloatArray = self.size * position
         if segment == "pelvis":
-            return scaled + self._hips[_hip_of(name)]
+            scaled = scaled + self._hips[_hip_of(name)]
         if segment == "thorax":
-            return scaled + self._hips[""] - self._trunk
+            scaled = scaled + self._hips[""] - self._trunk
         return scaled
 
     def patella(self, side: str) -> FloatArray:

@@ -75,8 +75,8 @@ def _muscle_note(muscles: MuscleResult) -> str:
     full = 100.0 * float((muscles.activity > _FULL).any(axis=1).mean())
     return (
         f"<p>{len(muscles.names)} muscles against {len(muscles.torques)} torques; {left:.2f} N m RMS of them "
-        f"are left to others. In {full:.0f} % of the frames a muscle pulls with all its force: there the motion "
-        "asks for more than the model has.</p>"
+        f"are left to others. In {full:.0f} % of the frames a muscle pulls with all its force: there the "
+        "motion asks for more than the model has.</p>"
     )
 
 

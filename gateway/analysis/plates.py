@@ -25,6 +25,12 @@ _SHORTEST_STEP_S = 0.1
 _FARTHEST_FOOT_M = 0.35
 """From the centre of pressure to the middle of the sole; beyond it the load is nobody's (a cane, a cart)."""
 
+_MARGIN_M = 0.01
+_DOWN_M = 0.03
+_LONG_SHARE = 0.1
+"""A point of the sole that is lower than the second counts as down, and beside the plate if it is farther out
+than the first in more than the third of a step's frames."""
+
 
 def measured_floor(
     plates: ForcePlates, vertical: str, motion: SmoothMotion, free: Dynamics, cutoff_hz: float | None
@@ -43,7 +49,8 @@ def measured_floor(
     samples = np.round((motion.time_s - motion.time_s[0]) * plates.rate_hz).astype(np.int64)
     force, moment = np.zeros((2, frames, len(on), 3))
     source = np.full((frames, len(on)), Source.NONE, dtype=np.uint8)
-    for plate in plates.plates:
+    notes: list[str] = []
+    for number, plate in enumerate(plates.plates, 1):
         at = samples[samples < len(plate.force)]
         turned = _in_world(plate, vertical)
         smooth = [low_pass(values, plates.rate_hz, cutoff_hz)[at] for values in turned[:2]]
@@ -53,8 +60,15 @@ def measured_floor(
                 force[first:last, c] += smooth[0][first:last]
                 moment[first:last, c] += smooth[1][first:last]
                 source[begin:end, c] = Source.MEASURED
+                own = to_world(plate.corners, vertical)
+                if _is_beside(paths[begin:end, carriers == on[c]], own):
+                    name = motion.skeleton.segment_names[on[c]].replace("_", " ")
+                    notes.append(
+                        f"The {name} stands partly beside plate {number} at {motion.time_s[begin]:.2f}–"
+                        f"{motion.time_s[end - 1]:.2f} s: its force is larger than measured."
+                    )
     heights = [to_world(plate.centre[None], vertical)[0, 2] for plate in plates.plates]
-    return FloorForces(on, force, moment, source, float(np.mean(heights)))
+    return FloorForces(on, force, moment, source, float(np.mean(heights)), tuple(notes))
 
 
 def _in_world(plate: ForcePlate, vertical: str) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -77,6 +91,18 @@ def _steps(up: FloatArray, time_s: FloatArray) -> Iterator[tuple[int, int, int, 
     between = (ends[:-1] + begins[1:]) // 2
     edges: IntArray = np.concatenate([[0], between, [len(up)]])
     yield from zip(begins.tolist(), ends.tolist(), edges[:-1].tolist(), edges[1:].tolist(), strict=False)
+
+
+def _is_beside(sole: FloatArray, corners: FloatArray) -> bool:
+    """Whether points of a sole (F, P, 3) that are down lie outside a plate (4, 3) for long."""
+    middle = corners.mean(axis=0)
+    outside = np.zeros(sole.shape[:2], dtype=bool)
+    for side in (corners[0] - corners[1], corners[1] - corners[2]):
+        half = 0.5 * np.linalg.norm(side)
+        along = (sole - middle) @ (side / np.linalg.norm(side))
+        outside |= np.abs(along) > half + _MARGIN_M
+    down = sole[..., 2] - sole[..., 2].min() < _DOWN_M
+    return float((outside & down).any(axis=1).mean()) > _LONG_SHARE
 
 
 def _foot_of(pressure: FloatArray, middles: FloatArray) -> int | None:

@@ -133,7 +133,8 @@ def conjugate(q: FloatArray) -> FloatArray:
 def matrices(q: FloatArray) -> FloatArray:
     """(…, 3, 3) of quaternions (…, 4)."""
     turned: FloatArray = Rotation.from_quat(q.reshape(-1, 4), scalar_first=True).as_matrix()
-    return turned.reshape(*q.shape[:-1], 3, 3)
+    shaped: FloatArray = turned.reshape(*q.shape[:-1], 3, 3)
+    return shaped
 
 
 def _relative(skeleton: Skeleton, q_wb: FloatArray) -> FloatArray:
@@ -148,4 +149,5 @@ def _continuous(q: FloatArray) -> FloatArray:
     """Of each rotation's two quaternions the one nearer to that of the instant before; (F, S, 4)."""
     flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0.0, -1.0, 1.0)
     signs = np.concatenate([np.ones((1, q.shape[1])), np.cumprod(flips, axis=0)])
-    return q * signs[:, :, None]
+    continuous: FloatArray = q * signs[:, :, None]
+    return continuous

@@ -13,11 +13,14 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
 RESERVE_N_M = 1.0
 """s₀: a torque left over of this size costs as much as a muscle at its largest."""
 TOLERANCE = 1e-4
+_SOLVED = (1, 2)
+"""OSQP's states: solved, and solved less exactly."""
 
 
 class TensionSolver:
@@ -35,7 +38,7 @@ class TensionSolver:
         """Activity (W,) from 0 to 1, and torque left over (R,) N m.
 
         arms: (R, W) N m for one newton in each muscle. torques: (R,) N m. bias: (W,) from 0 to 1.
-        weight: (W,) of this instant; None: as told at first.
+        weight: (W,) of this instant; None: as told at first. Raises ``GatewayError`` without a solution.
         """
         weights = self._base_weight if weight is None else weight
         count, rows = len(self._peak), self._count
@@ -48,7 +51,12 @@ class TensionSolver:
             self._begin(square, linear, block, low, high)
         else:
             self._solver.update(Px=square, q=linear, Ax=self._values(block), l=low, u=high)
-        found = self._solver.solve()
+        found = self._solver.solve(raise_error=False)
+        if found.info.status_val not in _SOLVED:
+            raise GatewayError(
+                f"the share of muscles was not found ({found.info.status}): are the torques numbers, "
+                "and of a size that a person has?"
+            )
         activity = np.clip(found.x[:count], 0.0, 1.0)
         return activity, torques - (arms * self._peak) @ activity
 

@@ -3,6 +3,7 @@ place."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,9 +11,10 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
+from gateway.body.camera_entries import CameraEntry
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import BodyFile, Vector, WorldSettings, skeleton_of, worn_without_modules
-from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
 from gateway.errors import SettingsError, nearest
 from gateway.settings_files import load_settings
 
@@ -32,8 +34,15 @@ class MarkerEntry(_Strict):
     sigma_mm: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] = 5.0
 
 
+class VideoEntry(_Strict):
+    """Cameras that look at the subject; the markers are then keypoints of a pose network."""
+
+    network: str = Field(description="whose heat maps come: full, lite, heavy or openpose")
+    cameras: list[CameraEntry] = Field(min_length=1, description="in a world whose Z points up")
+
+
 class SubjectFile(_Strict):
-    """What `optical fit` writes."""
+    """What `optical fit` and `video solve --fit-subject` write."""
 
     subject: str
     marker_set: str = Field(description="name of the marker set it was fitted with")
@@ -43,6 +52,7 @@ class SubjectFile(_Strict):
     measurements_m: dict[str, float] = {}
     fit: dict[str, Any] = Field(default={}, description="how the fit came about; for the reader")
     markers: list[MarkerEntry] = Field(min_length=3)
+    video: VideoEntry | None = None
     body: BodyFile
     world: WorldSettings = WorldSettings()
 
@@ -73,7 +83,11 @@ def load_subject(path: Path) -> WornSuit:
         sigmas=np.array([entry.sigma_mm * 1e-3 for entry in file.markers]),
         vertical=file.vertical,
     )
-    return worn_without_modules(skeleton, markers, file.world)
+    suit = worn_without_modules(skeleton, markers, file.world)
+    if file.video is None:
+        return suit
+    cameras = tuple(entry.camera(str(path)) for entry in file.video.cameras)
+    return replace(suit, video=VideoSetUp(cameras, file.video.network))
 
 
 def subject_content(

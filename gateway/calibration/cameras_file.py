@@ -22,31 +22,19 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from gateway.calibration.cameras_import import checked, import_cameras
+from gateway.body.camera import Camera
+from gateway.body.camera_entries import CameraEntry, entry_of
+from gateway.calibration.cameras_import import import_cameras
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
-from gateway.reconstruction.video.camera import Camera
 from gateway.settings_files import load_settings
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 AXES: tuple[Axis, ...] = ("x", "y", "z", "-x", "-y", "-z")
-Row = tuple[float, float, float]
 
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class CameraEntry(_Strict):
-    """One camera of the file."""
-
-    name: str = Field(min_length=1)
-    size: tuple[int, int] = Field(description="width and height, pixels")
-    matrix: tuple[Row, Row, Row]
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    rotation: tuple[Row, Row, Row] = Field(description="world axes to camera axes")
-    translation: Row = Field(description="m")
-    reprojection_px: float | None = Field(default=None, ge=0)
 
 
 class CamerasFile(_Strict):
@@ -64,7 +52,7 @@ def load_cameras(path: Path, up: Axis | None = None, unit: str = "m") -> tuple[C
     """
     if path.suffix.lower() == ".yaml":
         content = load_settings(path, CamerasFile)
-        cameras = tuple(checked(_camera(entry), str(path)) for entry in content.cameras)
+        cameras = tuple(entry.camera(str(path)) for entry in content.cameras)
         up = up or content.up
     else:
         cameras = import_cameras(path, unit)
@@ -73,6 +61,14 @@ def load_cameras(path: Path, up: Axis | None = None, unit: str = "m") -> tuple[C
         if names.count(name) > 1:
             raise SettingsError(f"{path}: two cameras are named '{name}'")
     return upright(cameras, up or "z")
+
+
+def axis_of(text: str) -> Axis:
+    """An axis as ``--up`` names it. Raises ``SettingsError``."""
+    for axis in AXES:
+        if axis == text:
+            return axis
+    raise SettingsError(f"--up {text}: one of {', '.join(AXES)} is wanted")
 
 
 def upright(cameras: Iterable[Camera], up: Axis) -> tuple[Camera, ...]:
@@ -101,27 +97,9 @@ def cameras_text(cameras: Sequence[Camera], reprojection_px: Sequence[float] | N
     """The file, in a world with Z up, every number in full."""
     entries: list[dict[str, Any]] = []
     for index, camera in enumerate(cameras):
-        entry = {
-            "name": camera.name,
-            "size": [camera.width, camera.height],
-            "matrix": camera.matrix.tolist(),
-            "distortion": camera.distortion.tolist(),
-            "rotation": camera.rotation.tolist(),
-            "translation": camera.translation.tolist(),
-        }
+        entry = entry_of(camera)
         if reprojection_px is not None:
             entry["reprojection_px"] = round(float(reprojection_px[index]), 4)
         entries.append(entry)
     content = {"up": "z", "cameras": entries}
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
-
-
-def _camera(entry: CameraEntry) -> Camera:
-    return Camera(
-        entry.name,
-        *entry.size,
-        np.array(entry.matrix),
-        np.array(entry.distortion),
-        np.array(entry.rotation),
-        np.array(entry.translation),
-    )

@@ -16,11 +16,11 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, fromstring
 
-from gateway.calibration.opencv_storage import read_opencv
+from gateway.body.camera import Camera
+from gateway.body.camera_entries import checked
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
 from gateway.geometry.rotation_matrix import from_rotation_vector
-from gateway.reconstruction.video.camera import Camera
 
 _QUALISYS_SUBPIXELS = 64.0
 """Qualisys counts picture lengths in 64ths of a pixel (its distortion coefficients are plain numbers)."""
@@ -47,24 +47,6 @@ def import_cameras(path: Path, unit: str = "m") -> tuple[Camera, ...]:
     for camera in cameras:
         checked(camera, str(path))
     return cameras
-
-
-def checked(camera: Camera, where: str) -> Camera:
-    """The camera, if it can be one. Raises ``SettingsError`` naming what cannot be."""
-    numbers = [camera.matrix, camera.distortion, camera.rotation, camera.translation]
-    if not all(np.isfinite(values).all() for values in numbers):
-        raise SettingsError(f"{where}: camera '{camera.name}' has numbers that are not finite")
-    fx, fy = camera.matrix[0, 0], camera.matrix[1, 1]
-    if not (fx > 0 and fy > 0):
-        raise SettingsError(f"{where}: camera '{camera.name}' has focal lengths {fx:g} and {fy:g} pixels")
-    if not (0 < camera.width <= 32768 and 0 < camera.height <= 32768):
-        raise SettingsError(
-            f"{where}: camera '{camera.name}' has pictures of {camera.width}×{camera.height} pixels"
-        )
-    off = np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max()
-    if off > 1e-3 or np.linalg.det(camera.rotation) < 0:
-        raise SettingsError(f"{where}: the rotation of camera '{camera.name}' is none (off by {off:.2g})")
-    return camera
 
 
 def _read_qualisys(path: Path, _: float) -> tuple[Camera, ...]:
@@ -184,6 +166,8 @@ def five_coefficients(given: FloatArray, where: str) -> FloatArray:
 
 
 def _read_opencv(path: Path, metres: float) -> tuple[Camera, ...]:
+    from gateway.calibration.opencv_storage import read_opencv  # noqa: PLC0415 - OpenCV is an extra
+
     return tuple(
         Camera(
             name=entry.name,

@@ -7,8 +7,8 @@ from enum import StrEnum
 
 import numpy as np
 
+from gateway.body.camera import Camera
 from gateway.errors import SettingsError
-from gateway.reconstruction.video.camera import Camera
 
 
 class SizeChange(StrEnum):

@@ -129,13 +129,13 @@ def _serve(task: CameraTask, pipe: Connection) -> None:
         if not has_begun:
             _begin(follower, picture, pipe)
             has_begun = True
-        pipe.send(message_of(follower, picture, task, *_instant(task, source.info, index, time_ns)))
+        pipe.send(message_of(follower, picture, task, *instant_of(task, source.info, index, time_ns)))
     if not has_begun:
         pipe.send(("error", f"{task.place} has no picture after the first {task.skip}"))
     pipe.send(("end", None))
 
 
-def _instant(task: CameraTask, info: PictureInfo, index: int, time_ns: int) -> tuple[int, int]:
+def instant_of(task: CameraTask, info: PictureInfo, index: int, time_ns: int) -> tuple[int, int]:
     """Sequence and time of a picture.
 
     Live, the sequence counts intervals since the epoch: cameras of one clock then agree on it.

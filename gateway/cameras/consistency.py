@@ -1,7 +1,7 @@
 """Whether cameras agree: rays through one keypoint in two pictures of one instant should meet.
 
-They do not when the calibration belongs to other cameras, or when one camera is ahead of the others: then they
-meet better at other instants.
+They do not when the calibration belongs to other cameras, or when one camera is ahead of the others: then
+they meet better at other instants.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gateway.reconstruction.video.projection import camera_model
 
 LONGEST_OFFSET = 15
 """Pictures by which a camera may be off for it to be found."""
-FAR_APART = 0.10
+FAR_APART = 0.08
 """Median distance of two rays to one keypoint from which a calibration counts as wrong, m; a right one has
 10 to 30 mm with the noise of the network."""
 _LEAST_LIKELIHOOD = 0.5
@@ -50,7 +50,7 @@ class Consistency:
     def refuse_wrong(self, calibration: Path) -> None:
         """Raises ``GatewayError`` for cameras that are not synchronised, or not those of the calibration."""
         if self.offsets:
-            name, behind = max(self.offsets.items(), key=lambda item: abs(item[1]))
+            name = max(self.offsets, key=lambda each: abs(self.offsets[each]))
             told = ", ".join(f"{each} by {n:+d}" for each, n in self.offsets.items())
             earliest = min(0, *self.offsets.values())
             cure = " ".join(
@@ -59,16 +59,16 @@ class Consistency:
                 if self.offsets.get(each, 0) != earliest
             )
             raise GatewayError(
-                f"the cameras are not synchronised: behind the first are {told} pictures (rays of {name} pass "
-                f"the others' at {1e3 * self.apart[name]:.0f} mm, shifted at "
+                f"the cameras are not synchronised: behind the first are {told} pictures (rays of {name} "
+                f"pass the others' at {1e3 * self.apart[name]:.0f} mm, shifted at "
                 f"{1e3 * self.apart_shifted[name]:.0f} mm): {cure}"
             )
         if self.apart and min(self.apart.values()) > FAR_APART:
             name, far = max(self.apart.items(), key=lambda item: item[1])
             raise GatewayError(
-                f"{calibration} does not fit these pictures: rays through the same keypoint pass each other at "
-                f"{1e3 * min(self.apart.values()):.0f} to {1e3 * far:.0f} mm: is it of these cameras, in this "
-                "order?"
+                f"{calibration} does not fit these pictures: rays through the same keypoint pass each other "
+                f"at {1e3 * min(self.apart.values()):.0f} to {1e3 * far:.0f} mm (camera '{name}'): is it of "
+                "these cameras, in this order?"
             )
         wrong = [name for name, far in self.apart.items() if far > FAR_APART and len(self.apart) > 2]
         if wrong:

@@ -43,7 +43,7 @@ def draw_skeleton(picture: Picture, camera: Camera, skeleton: Skeleton, frame: S
         if not np.isfinite(line).all() or np.abs(line).max() > 1e5:
             continue
         colour = _LEFT if name.startswith("left_") else _RIGHT if name.startswith("right_") else _MIDDLE
-        first, second = (tuple(int(round(value)) for value in end) for end in line)
+        first, second = (tuple(round(value) for value in end) for end in line)
         width = thick if status == Status.MEASURED else max(thick // 2, 1)
         cv2.line(picture, first, second, colour, width, cv2.LINE_AA)
         cv2.circle(picture, first, thick, (255, 255, 255), -1, cv2.LINE_AA)

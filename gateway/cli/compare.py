@@ -6,12 +6,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import orjson
 import typer
 
-from gateway.agreement import Agreement, agreement, tracks_of
+from gateway.agreement import Agreement, Tracks, agreement, tracks_of
 from gateway.cli import broker_options
 from gateway.cli.diff import print_figures, recorded_arrays
+from gateway.cli.spans import seconds_of
 from gateway.errors import GatewayError
 from gateway.report.angle_page import AnglePage, save_page
 
@@ -19,6 +21,8 @@ HEADS = (
     "segment", "frames", "as defined RMS °", "axes apart °", "RMS °", "inclination °", "heading °", "95 % °",
     "max °", "joint RMS °", "position mm",
 )  # fmt: skip
+_SMALL_DEG, _HALVED = 2.0, 0.6
+"""Segments that differ by more than the first, and by less than so much of it with headings of their own."""
 _DOUBTFUL = 0.7
 """A correlation below it: perhaps not the same motion."""
 
@@ -33,6 +37,16 @@ def compare(
     largest_lag: Annotated[
         float | None, typer.Option(min=0.0, help="Clocks are no further apart than this, s.")
     ] = None,
+    span: Annotated[
+        str | None,
+        typer.Option(metavar="FROM:TO", help="Only these seconds of the first count: without a bad start."),
+    ] = None,
+    own_headings: Annotated[
+        bool,
+        typer.Option(
+            "--own-headings", help="A heading for every segment: modules in a field that is not homogeneous."
+        ),
+    ] = False,
     plot: Annotated[
         Path | None, typer.Option(help="Write a picture (.png, .svg, .pdf) or a page with table (.html).")
     ] = None,
@@ -57,6 +71,10 @@ def compare(
     """
     renamed = _renamed(pair or [])
     if live:
+        if span is not None or own_headings or plot is not None:
+            raise GatewayError(
+                "--span, --own-headings and --plot are for recordings: leave them out with --live"
+            )
         from gateway.cli.compare_live import Live, run_live  # noqa: PLC0415 - only here a broker is spoken to
 
         settings = broker_options.broker_settings(
@@ -69,10 +87,28 @@ def compare(
             base_topic=base_topic,
         )
         raise typer.Exit(
-            run_live(settings, Live(first, second, renamed, largest_lag, window, count, as_json))
+            run_live(
+                settings, Live(first, second, renamed, largest_lag, window, count, as_json, own_headings)
+            )
         )
-    found = _of_files(Path(first), Path(second), renamed, largest_lag, not as_json)
+    tracks = _of_files(Path(first), Path(second), not as_json)
+    counted = None if span is None else seconds_of("--span", span)
+    found = agreement(*tracks, renamed, largest_lag, counted, own_headings=own_headings)
     _show(found, Path(first), Path(second), plot, as_json)
+    if not own_headings:
+        _hint(found, agreement(*tracks, renamed, largest_lag, counted, own_headings=True))
+
+
+def _hint(found: Agreement, separate: Agreement) -> None:
+    """Say so where one heading for all is what makes the two differ."""
+    before, after = (np.nanmean([figures.rms_deg for figures in each.segments]) for each in (found, separate))
+    if before > _SMALL_DEG and after < _HALVED * before:
+        apart = np.ptp([figures.own_heading_deg for figures in separate.segments])
+        typer.echo(
+            f"note: headings of the segments differ by up to {apart:.0f}°; with --own-headings the mean RMS "
+            f"is {after:.1f}° and not {before:.1f}°",
+            err=True,
+        )
 
 
 def _show(found: Agreement, first: Path, second: Path, plot: Path | None, as_json: bool) -> None:
@@ -100,15 +136,10 @@ def _renamed(pairs: list[str]) -> dict[str, str]:
     return dict(split)
 
 
-def _of_files(
-    first: Path, second: Path, renamed: dict[str, str], largest_lag_s: float | None, is_shown: bool
-) -> Agreement:
+def _of_files(first: Path, second: Path, is_shown: bool) -> tuple[Tracks, Tracks]:
     arrays = [recorded_arrays(path, is_shown) for path in (first, second)]
     origin_ns = int(arrays[0].time_ns[0]) if len(arrays[0].time_ns) else 0
-    tracks = [
-        tracks_of(each, origin_ns, str(path)) for each, path in zip(arrays, (first, second), strict=True)
-    ]
-    return agreement(tracks[0], tracks[1], renamed, largest_lag_s)
+    return tracks_of(arrays[0], origin_ns, str(first)), tracks_of(arrays[1], origin_ns, str(second))
 
 
 def notes(found: Agreement) -> list[str]:
@@ -119,6 +150,9 @@ def notes(found: Agreement) -> list[str]:
         f"(correlation {found.time.correlation:.3f}); the second's world is turned by "
         f"{found.heading_deg:+.1f}° about the vertical; {len(found.time_s)} instants."
     ]
+    if any(figures.own_heading_deg for figures in found.segments):
+        own = ", ".join(f"{figures.segment} {figures.own_heading_deg:+.1f}°" for figures in found.segments)
+        said.append(f"Headings beside that, taken off too: {own}.")
     if found.time.correlation < _DOUBTFUL:
         said.append("The two correlate poorly: perhaps they are not of the same motion.")
     return said

@@ -37,6 +37,7 @@ class Live:
     window_s: float
     count: int | None
     as_json: bool
+    own_headings: bool = False
 
 
 def run_live(settings: MqttSettings, wanted: Live) -> int:
@@ -102,7 +103,14 @@ async def _found(wanted: Live, poses: PoseSubscriber, windows: Mapping[str, Pose
     origin_ns = windows[wanted.first].newest_ns
     first, second = (windows[name].tracks(poses.bodies[name], origin_ns) for name in windows)
     try:
-        return await asyncio.to_thread(agreement, first, second, wanted.renamed, wanted.largest_lag_s)
+        return await asyncio.to_thread(
+            agreement,
+            first,
+            second,
+            wanted.renamed,
+            wanted.largest_lag_s,
+            own_headings=wanted.own_headings,
+        )
     except GatewayError as error:
         return str(error)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import typer
@@ -14,6 +13,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.cli import import_options as options
 from gateway.cli.import_options import FormatName
 from gateway.cli.progress import progress_bar
+from gateway.cli.spans import seconds_of
 from gateway.errors import GatewayError, nearest
 from gateway.imports import (
     ReadOptions,
@@ -104,13 +104,11 @@ def _suit(
 def _aligned(
     recording: Recording, suit: WornSuit, settings: GatewaySettings, neutral: str, forward: str | None
 ) -> WornSuit:
-    span = re.fullmatch(r"(\d+\.?\d*):(\d+\.?\d*)", neutral)
-    if span is None or float(span[1]) >= float(span[2]):
-        raise GatewayError(f"--neutral {neutral}: seconds FROM:TO are wanted, such as 0.5:3")
+    span = seconds_of("--neutral", neutral)
     seen = solved(recording, suit, settings)
     if seen is None:
         raise GatewayError("--neutral: the files give not one pose")
-    return aligned(suit, seen, float(span[1]), float(span[2]), forward)
+    return aligned(suit, seen, *span, forward)
 
 
 def _place(suit: WornSuit, module: int) -> str | None:

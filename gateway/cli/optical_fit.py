@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +14,7 @@ from rich.table import Table
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.subject_file import subject_content, write_subject
 from gateway.cli.progress import progress_bar
+from gateway.cli.spans import seconds_of
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set
@@ -66,7 +66,7 @@ def fit(
     options = FitOptions(
         vertical=_axis(up),
         lengths=dict(map(_measurement, measure or [])),
-        neutral=None if neutral is None else _span(neutral),
+        neutral=None if neutral is None else seconds_of("--neutral", neutral),
         centres="motion" if functional else "rules" if rules_only else "both",
     )
     trials = _read(files, not as_json)
@@ -115,13 +115,6 @@ def _measurement(text: str) -> tuple[str, float]:
     if not 0.001 < length < 2:
         raise GatewayError(f"--measure {text}: NAME=METRES is wanted, such as left_knee_width=0.105")
     return name, length
-
-
-def _span(text: str) -> tuple[float, float]:
-    span = re.fullmatch(r"(\d+\.?\d*):(\d+\.?\d*)", text)
-    if span is None or float(span[1]) >= float(span[2]):
-        raise GatewayError(f"--neutral {text}: seconds FROM:TO are wanted, such as 0.5:3")
-    return float(span[1]), float(span[2])
 
 
 def _outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:

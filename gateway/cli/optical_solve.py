@@ -25,11 +25,12 @@ from gateway.cli.replay_live import QUEUE, Brake, tell_outcome
 from gateway.cli.replay_live import play as play_link
 from gateway.errors import GatewayError
 from gateway.outputs.exporters import FORMATS
-from gateway.reconstruction import OPTICAL, PUBLISHED
+from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
 from gateway.recording.optical import (
     SolvedTrial,
     optical_settings,
+    write_both_ways_trial,
     write_published_trial,
     write_solved_trial,
 )
@@ -37,12 +38,16 @@ from gateway.service import Service
 from gateway.settings import load_gateway_settings
 
 Subject = Annotated[str, typer.Option("--subject", "-s", help="Subject file of `optical fit`.")]
-WRITERS = {"default": write_solved_trial, PUBLISHED: write_published_trial}
+WRITERS = {
+    "default": write_solved_trial,
+    BOTH_WAYS: write_both_ways_trial,
+    PUBLISHED: write_published_trial,
+}
 Method = Annotated[
     str,
     typer.Option(
-        help="default: whole body, frame by frame; published: that of CN1766831A, chain by chain, offline "
-        "and far slower."
+        help="default: whole body, frame by frame; both_ways: the same, offline, with gaps bridged from both "
+        "sides; published: that of CN1766831A, chain by chain, offline and far slower."
     ),
 ]
 
@@ -103,7 +108,8 @@ def play(
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
     """Play a trial over MQTT like a live optical system: `watch`, `view` and all else see a suit."""
-    if _writer_of(method) is write_published_trial:
+    _writer_of(method)
+    if method in OFFLINE:
         raise GatewayError(
             f"--method {method} wants all frames at once and cannot stream: `mocap-gateway optical solve "
             f"{file} --method {method}`, or leave it out"

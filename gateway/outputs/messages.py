@@ -292,6 +292,10 @@ class ComparedSegment(Message):
         description="Constant difference of the two's segment axes, taken off before, degrees."
     )
     position_rms_m: Number | None = Field(description="Between the proximal joints, RMS, m.")
+    own_heading_deg: Number = Field(
+        default=0.0,
+        description="Heading of the segment beside the common one, taken off too, degrees; 0: it has none.",
+    )
 
 
 class ComparisonMessage(Message):

@@ -10,13 +10,16 @@ the one word that a container's health check needs.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
+import socket
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import TimeoutError as NoAnswer
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BufferedIOBase
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -30,7 +33,10 @@ log = logging.getLogger(__name__)
 
 PATIENCE_S = 2.0
 """An event loop that takes longer to answer is stuck."""
-_SLOWEST_CLIENT_S = 5.0
+LONGEST_REQUEST_S = 5.0
+"""From a client's connection to the end of the answer; it is hung up on then, wherever it is."""
+LARGEST_HEAD = 16 * 1024
+"""Bytes of a request."""
 MOST_CLIENTS = 16
 """At one time; the connection of any more is closed."""
 
@@ -116,23 +122,66 @@ class _Server(ThreadingHTTPServer):
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer one client, in a thread of its own; a method name of the standard library's."""
+        deadline = threading.Timer(LONGEST_REQUEST_S, _hang_up, (request,))
+        deadline.daemon = True
+        deadline.start()
         try:
             super().process_request_thread(request, client_address)
         finally:
+            deadline.cancel()
             self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Of a client that has gone; a method name of the standard library's."""
+        log.debug("a client of the metrics went", exc_info=True)
+
+
+def _hang_up(connection: socket.socket) -> None:
+    with contextlib.suppress(OSError):  # it has ended meanwhile
+        connection.shutdown(socket.SHUT_RDWR)
+
+
+class _Head:
+    """A request, line by line, up to ``LARGEST_HEAD``."""
+
+    def __init__(self, connection: BufferedIOBase) -> None:
+        self._connection = connection
+        self._left = LARGEST_HEAD
+
+    @property
+    def is_too_long(self) -> bool:
+        return self._left == 0
+
+    def readline(self, limit: int) -> bytes:
+        """The next line; nothing of what goes beyond."""
+        line = self._connection.readline(min(limit, self._left))
+        self._left -= len(line)
+        return line
+
+    def close(self) -> None:
+        self._connection.close()
 
 
 class _Handler(BaseHTTPRequestHandler):
     owner: MetricsServer
-    timeout = _SLOWEST_CLIENT_S
+    timeout = LONGEST_REQUEST_S
     server_version = "mocap-gateway"
     sys_version = ""
+
+    def setup(self) -> None:
+        """Bound what is read; a method name of the standard library's."""
+        super().setup()
+        self._head = _Head(self.rfile)
+        self.rfile = self._head  # type: ignore[assignment]  # lines are all that is read of it
 
     def do_GET(self) -> None:
         """Answer; a method name of the standard library's."""
         path = self.path.partition("?")[0]
         try:
-            if path == "/metrics" and not self._may_read:
+            if self._head.is_too_long:
+                error = f"a request has {LARGEST_HEAD} bytes at most"
+                self._answer_json(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, {"error": error})
+            elif path == "/metrics" and not self._may_read:
                 self._refuse()
             elif path == "/metrics":
                 self._answer(HTTPStatus.OK, *self.owner.metrics(self.headers.get("Accept", "")))

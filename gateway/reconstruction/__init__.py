@@ -26,8 +26,10 @@ from gateway.reconstruction.whole_body import (
 )
 
 __all__ = [
+    "BOTH_WAYS",
     "FUSED",
     "NO_CONTACTS",
+    "OFFLINE",
     "OPTICAL",
     "PUBLISHED",
     "RECONSTRUCTORS",
@@ -58,6 +60,12 @@ OPTICAL = "optical"
 
 PUBLISHED = "published"
 """Of markers too, but of all frames at once: for `optical solve`, never for a stream."""
+
+BOTH_WAYS = "both_ways"
+"""As ``OPTICAL``, with gaps bridged from both sides: of all frames at once too."""
+
+OFFLINE = (PUBLISHED, BOTH_WAYS)
+"""Methods that no stream can have."""
 
 FUSED = frozenset({"fused", "fused_neutral"})
 """Those that want orientations fused on the modules, and no raw values."""

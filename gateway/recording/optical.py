@@ -23,9 +23,11 @@ from devices.recording_writer import RecordingWriter, session_record
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray, SkeletonFrame
+from gateway.frames import FloatArray, MarkerFit, SkeletonFrame
+from gateway.marker_frames import MarkerFrames
 from gateway.pipeline import Pipeline
-from gateway.reconstruction import OPTICAL, PUBLISHED
+from gateway.reconstruction import BOTH_WAYS, OPTICAL, PUBLISHED
+from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.landmarks import to_world
 from gateway.reconstruction.optical.published_trial import published_trial
 from gateway.recording.marker_encoding import frame_messages
@@ -103,10 +105,7 @@ def write_solved_trial(
             frames += len(made)
             if optical.last is not None:
                 residuals[index], used[index] = optical.last.residuals, optical.last.used
-                renamed += [
-                    (index, markers.labels[m], "" if s < 0 else markers.labels[s])
-                    for m, s in optical.last.renamed
-                ]
+                renamed += _told(index, markers, optical.last)
             if progress is not None and index % _CHUNKS_A_TELLING == 0:
                 progress(index, trial.n_frames)
         end_ns = _BEGUN_NS + round(trial.duration_s * 1e9)
@@ -143,6 +142,43 @@ def write_published_trial(
         target, trial.n_frames, markers.labels, solved.residuals, solved.seen, (),
         {"passes": solved.motion.passes}, 1e3 * spent / max(trial.n_frames, 1),
     )  # fmt: skip
+
+
+def write_both_ways_trial(
+    trial: MarkerTrial,
+    source: Path,
+    suit: WornSuit,
+    subject: str,
+    target: Path,
+    progress: Progress | None = None,
+) -> SolvedTrial:
+    """The same recording with poses that know what comes after a gap. Raises as ``write_solved_trial``."""
+    markers = _markers_of(suit, subject, trial, source)
+    chunks = list(trial_chunks(trial, _BEGUN_NS, LINK))
+    receiver = MarkerFrames(markers)
+    observed = [frame for chunk in chunks for frame in receiver.receive(chunk)]
+    began = time.process_time()
+    solved, counts = solve_both_ways(suit.skeleton, markers, observed, progress)
+    spent = time.process_time() - began
+    residuals = np.full((len(solved), len(markers.labels)), np.nan)
+    used = np.zeros(residuals.shape, dtype=bool)
+    renamed: list[tuple[int, str, str]] = []
+    settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
+    with _writer(target, source, attachments_of(settings, suit), solved_by=BOTH_WAYS) as writer:
+        for index, (chunk, frame) in enumerate(zip(chunks, solved, strict=True)):
+            _add(writer, chunk, [frame])
+            if frame.markers is not None:
+                residuals[index], used[index] = frame.markers.residuals, frame.markers.used
+                renamed += _told(index, markers, frame.markers)
+    return SolvedTrial(
+        target, len(solved), markers.labels, residuals, used, tuple(renamed), dict(counts),
+        1e3 * spent / max(len(solved), 1),
+    )  # fmt: skip
+
+
+def _told(index: int, markers: BodyMarkers, fit: MarkerFit) -> list[tuple[int, str, str]]:
+    """(frame, marker, whose point it had been) of the names put right."""
+    return [(index, markers.labels[m], "" if s < 0 else markers.labels[s]) for m, s in fit.renamed]
 
 
 def _markers_of(suit: WornSuit, subject: str, trial: MarkerTrial, source: Path) -> BodyMarkers:

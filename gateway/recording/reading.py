@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -73,9 +73,9 @@ class RecordingMeta:
         """Unique; the same in all parts of a session."""
         self.software = session.get("software", "")
         """Version of the gateway that wrote it."""
-        self.begun_ns = int(session.get("begun_ns", 0))
+        self.begun_ns = self._nanoseconds(session, "begun_ns")
         """Gateway time at the beginning, ns."""
-        self.begun_utc_ns = int(session.get("begun_utc_ns", 0))
+        self.begun_utc_ns = self._nanoseconds(session, "begun_utc_ns")
         """The host's wall clock at the same instant, ns since 1970."""
         self.from_start = session.get("from_start") == "1" and head.part == 1
         """Whether it has all that the gateway was fed: then a replay is bit-identical."""
@@ -128,25 +128,39 @@ class RecordingMeta:
 
     @property
     def rig(self) -> str:
-        """The rig as the text of a rig file."""
-        return self._attachment(fmt.RIG).decode()
+        """The rig as the text of a rig file. Raises ``SettingsError`` for one that is damaged."""
+        return self._text(fmt.RIG)
 
     @property
     def body(self) -> str:
-        """The body as the text of a body file."""
-        return self._attachment(fmt.BODY).decode()
+        """The body as the text of a body file. Raises ``SettingsError`` for one that is damaged."""
+        return self._text(fmt.BODY)
 
     @property
     def clock_table(self) -> str | None:
-        """Text of the clock table used; None without one."""
-        text = self.attachments.get(fmt.CLOCK_TABLE)
-        return None if text is None else text.decode()
+        """Text of the clock table used; None without one. Raises ``SettingsError`` for a damaged one."""
+        return self._text(fmt.CLOCK_TABLE) if fmt.CLOCK_TABLE in self.attachments else None
 
     @property
     def host(self) -> dict[str, Any]:
-        """Versions, kernel and processor of the machine that recorded."""
-        host: dict[str, Any] = json.loads(self.attachments.get(fmt.HOST, b"{}"))
-        return host
+        """Versions, kernel and processor of the machine that recorded; nothing where that is damaged."""
+        try:
+            host = json.loads(self.attachments.get(fmt.HOST, b"{}"))
+        except ValueError:
+            return {}
+        return host if isinstance(host, dict) else {}
+
+    def _nanoseconds(self, session: Mapping[str, str], key: str) -> int:
+        try:
+            return int(session.get(key, 0))
+        except ValueError as error:
+            raise SettingsError(f"{self.path}: the recorded '{key}' is no number: {error}") from error
+
+    def _text(self, name: str) -> str:
+        try:
+            return self._attachment(name).decode()
+        except UnicodeDecodeError as error:
+            raise SettingsError(f"{self.path}: the recorded '{name}' is damaged: {error}") from error
 
     def _attachment(self, name: str) -> bytes:
         if name not in self.attachments:

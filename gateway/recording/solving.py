@@ -120,7 +120,8 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
     if recording.meta.solved_by:
         raise RecordingError(
             f"{recording.parts.path}: its poses are of the offline method '{recording.meta.solved_by}', "
-            "which replaying cannot compare: solve the trial again, with `mocap-gateway optical solve`"
+            "which replaying cannot compare: solve the trial again, with `mocap-gateway optical solve` or "
+            "`video solve`"
         )
     recomputed: deque[bytes] = deque()
     markers: deque[bytes] = deque(maxlen=_MOST_WAITING)  # nobody takes them where none were recorded

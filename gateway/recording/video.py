@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +19,10 @@ from devices.cameras.heat_map_messages import HeatMapReceiver, retimed
 from devices.link import Chunk, Framing
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.body.camera import Camera
+from gateway.body.camera_entries import entry_of
 from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.body.skeleton import VideoSetUp, WornSuit
+from gateway.body.subject_file import subject_content
 from gateway.errors import GatewayError
 from gateway.heat_map_frames import heat_maps_of
 from gateway.pipeline import Pipeline
@@ -27,13 +31,18 @@ from gateway.reconstruction.video.heat_maps import HeatMapFrame
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.networks.weights import weights_of
+from gateway.reconstruction.video.offline import reconstruct_recorded
 from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor
+from gateway.reconstruction.video.tracker import VideoOptions
 from gateway.recording.reading import Progress
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
+from gateway.recording.suit_files import body_of
 from gateway.settings import AssemblySettings, GatewaySettings, LinkSettings
 
 LINK = "cameras"
+OFFLINE = "offline"
+"""The method that goes through all instants forwards and backwards."""
 _BEGUN_NS = 10**9
 """Gateway time that a capture begins at."""
 _SIZING_FRAMES = 40
@@ -65,12 +74,25 @@ def video_settings(subject: str, rate_hz: float, name: str = "video") -> Gateway
     )
 
 
-def video_suit(cameras: Sequence[Camera], network: str, messages: Sequence[Sequence[bytes]]) -> WornSuit:
+def video_suit(
+    cameras: Sequence[Camera],
+    network: str,
+    messages: Sequence[Sequence[bytes]],
+    known: WornSuit | None = None,
+) -> WornSuit:
     """The person that the first instants show, and the cameras that look on. Raises ``GatewayError`` when
-    nobody is found.
+    nobody is found, or ``known`` has other keypoints.
 
-    messages: of every instant, one a camera.
+    messages: of every instant, one a camera; known: a person whose lengths are known already.
     """
+    video = VideoSetUp(tuple(cameras), network)
+    if known is not None:
+        wanted = load_keypoint_set(weights_of(network).keypoint_set).names
+        if known.markers is None or known.markers.labels != wanted:
+            raise GatewayError(
+                f"--subject has no keypoints of the network '{network}': fit one with --fit-subject"
+            )
+        return replace(known, video=video)
     keypoints = load_keypoint_set(weights_of(network).keypoint_set)
     reconstructor = VideoReconstructor(cameras, keypoints)
     found = 0
@@ -81,12 +103,24 @@ def video_suit(cameras: Sequence[Camera], network: str, messages: Sequence[Seque
             break
     if not found:
         raise GatewayError(
-            f"in {len(messages)} pictures of {len(cameras)} cameras nobody is seen by rays that meet: does the "
-            "calibration belong to these cameras, in this order, and are they synchronised?"
+            f"in {len(messages)} pictures of {len(cameras)} cameras nobody is seen by rays that meet: does "
+            "the calibration belong to these cameras, in this order, and are they synchronised?"
         )
     person = reconstructor.person
     suit = worn_without_modules(person.skeleton, person.markers, WorldSettings())
-    return replace(suit, video=VideoSetUp(tuple(cameras), network))
+    return replace(suit, video=video)
+
+
+def video_subject(name: str, suit: WornSuit) -> dict[str, Any]:
+    """The content of a subject file: person, keypoints, network and cameras."""
+    assert suit.markers is not None
+    assert suit.video is not None
+    content = subject_content(
+        name, weights_of(suit.video.network).keypoint_set, body_of(suit.skeleton), suit.skeleton,
+        suit.markers, {}, {},
+    )  # fmt: skip
+    cameras = [entry_of(camera) for camera in suit.video.cameras]
+    return {**content, "video": {"network": suit.video.network, "cameras": cameras}}
 
 
 def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:
@@ -114,17 +148,7 @@ def write_solved_video(
     poses: list[VideoPose] = []
     frames, spent = 0, 0.0
     chunks = video_chunks(messages, rate_hz)
-    session = session_record(
-        {LINK: Framing.HEAT_MAPS},
-        session=uuid.uuid4().hex,
-        software=gateway.__version__,
-        begun_ns=str(_BEGUN_NS),
-        begun_utc_ns="0",
-        from_start="1",
-        name=target.stem,
-        imported_from="video",
-    )
-    with RecordingWriter(target, session, attachments_of(settings, suit), _BEGUN_NS) as writer:
+    with RecordingWriter(target, _session(target), attachments_of(settings, suit), _BEGUN_NS) as writer:
         for index, chunk in enumerate(chunks):
             began = time.process_time()
             made = pipeline.feed(chunk)
@@ -142,6 +166,56 @@ def write_solved_video(
         target, frames, suit.markers.labels, tuple(poses), pipeline.video.statistics(),
         1e3 * spent / max(len(chunks), 1),
     )  # fmt: skip
+
+
+def write_offline_video(
+    messages: Sequence[Sequence[bytes]],
+    rate_hz: float,
+    suit: WornSuit,
+    subject: str,
+    target: Path,
+    progress: Progress | None = None,
+) -> SolvedVideo:
+    """The same recording with poses from tracking forwards and backwards: what was hidden for a while is
+    recovered from later instants. Raises as ``write_solved_video``."""
+    assert suit.video is not None
+    assert suit.markers is not None
+    keypoints = load_keypoint_set(weights_of(suit.video.network).keypoint_set)
+    keypoints = replace(keypoints, skeleton=suit.skeleton, markers=suit.markers)
+    done = itertools.count(1)
+
+    def advanced() -> None:
+        if progress is not None:
+            progress(next(done), 2 * len(messages))
+
+    observed = [heat_map_frame(index, instant) for index, instant in enumerate(messages)]
+    began = time.process_time()
+    frames = reconstruct_recorded(
+        suit.video.cameras, keypoints, observed, VideoOptions(is_measured=True), advanced
+    )
+    spent = time.process_time() - began
+    chunks = video_chunks(messages, rate_hz)[: len(messages)]
+    attachments = attachments_of(video_settings(subject, rate_hz), suit)
+    with RecordingWriter(target, _session(target, OFFLINE), attachments, _BEGUN_NS) as writer:
+        for chunk, frame in zip(chunks, frames, strict=True):
+            writer.add_chunk(chunk, Framing.HEAT_MAPS)
+            timed = replace(frame, time_ns=chunk.arrived_ns)
+            writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(timed))
+    return SolvedVideo(target, len(frames), suit.markers.labels, (), {}, 1e3 * spent / max(len(frames), 1))
+
+
+def _session(target: Path, solved_by: str = "") -> dict[str, str]:
+    record = session_record(
+        {LINK: Framing.HEAT_MAPS},
+        session=uuid.uuid4().hex,
+        software=gateway.__version__,
+        begun_ns=str(_BEGUN_NS),
+        begun_utc_ns="0",
+        from_start="1",
+        name=target.stem,
+        imported_from="video",
+    )
+    return record | ({"solved_by": solved_by} if solved_by else {})
 
 
 def video_chunks(messages: Sequence[Sequence[bytes]], rate_hz: float) -> list[Chunk]:

@@ -8,18 +8,21 @@ import threading
 from gateway.memory import POOL_THREADS, bound_memory
 
 
-def _pool_threads() -> set[str]:
-    return {thread.name for thread in threading.enumerate() if thread.name.startswith("gateway_")}
+def pool_threads() -> set[threading.Thread]:
+    return {thread for thread in threading.enumerate() if thread.name.startswith("gateway_")}
 
 
 async def test_all_threads_of_the_pool_are_there_from_the_start():
-    assert not _pool_threads()
+    others = pool_threads()
     bound_memory()
-    begun = _pool_threads()
+    begun = pool_threads() - others
     assert len(begun) == POOL_THREADS
+    bound_memory()  # as a second service in the same loop does, after a changed configuration
     barrier = threading.Barrier(POOL_THREADS)
-    more = [
-        asyncio.to_thread(lambda: (barrier.wait(10.0), threading.current_thread().name)[1]) for _ in begun
-    ]
-    assert set(await asyncio.gather(*more)) == begun  # as many at once as there are, and no others
-    assert _pool_threads() == begun
+
+    def own_thread() -> threading.Thread:
+        barrier.wait(10.0)  # until all of them are at work
+        return threading.current_thread()
+
+    assert set(await asyncio.gather(*(asyncio.to_thread(own_thread) for _ in begun))) == begun
+    assert pool_threads() - others == begun

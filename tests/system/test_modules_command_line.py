@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import io
 import json
+import logging
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 import yaml
@@ -18,7 +21,7 @@ from devices.emulators.transports import PtyTransport
 from firmware_protocol import RELAY
 from firmware_protocol.commands import Verb
 from gateway.body.rig import load_rig
-from gateway.cli.main import app
+from gateway.cli.main import app, main
 from gateway.outputs.settings import MqttSettings
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
@@ -47,7 +50,8 @@ def suit_on_port(commanded_suit, tmp_path):
 
 
 class Typed:
-    """Types commands and sees what a user sees."""
+    """Types commands and sees what a user sees: in a process of its own where it is talked to or killed
+    (``start``), else in a thread, as starting Python takes longer than most commands."""
 
     def __init__(self, *where):
         self._where = where
@@ -61,14 +65,37 @@ class Typed:
         )
 
     async def __call__(self, *arguments):
+        typed = ["mocap-gateway", "modules", *arguments, *self._where]
+        return await asyncio.wait_for(asyncio.to_thread(run_here, typed), 40)
+
+    async def in_a_process(self, *arguments):
         process = await self.start(*arguments)
         output, errors = await asyncio.wait_for(process.communicate(), 40)
         return process.returncode, output.decode(), errors.decode()
 
 
+def run_here(typed):
+    """Exit code, output and errors of the whole program in this thread, its warnings among the errors."""
+    output, errors = io.StringIO(), io.StringIO()
+    warnings = logging.StreamHandler(errors)
+    warnings.setLevel(logging.WARNING)
+    own = threading.get_ident()
+    warnings.addFilter(lambda record: record.thread == own)  # the suit is in this process, too
+    logging.getLogger().addHandler(warnings)
+    try:
+        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(output):
+            patch.setattr(sys, "argv", typed)
+            with contextlib.redirect_stderr(errors), pytest.raises(SystemExit) as left:
+                main()
+            code = left.value.code
+    finally:
+        logging.getLogger().removeHandler(warnings)
+    return code or 0, output.getvalue(), errors.getvalue()
+
+
 async def test_list_shows_every_module_and_names_a_conflict_with_its_remedy(suit_on_port):
     async with suit_on_port(has_relay=True) as (suit, modules):
-        code, output, errors = await modules("list", "--listen", "1")
+        code, output, errors = await modules.in_a_process("list", "--listen", "1")
         assert (code, errors) == (0, "")
         for number, segment in enumerate(("link_1", "link_2", "link_3", "link_4")):
             (line,) = [line for line in output.splitlines() if suit.unique_id(number).hex() in line]

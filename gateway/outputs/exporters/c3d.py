@@ -8,14 +8,16 @@ import numpy as np
 
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.outputs.exporters.take import Take, rotation
+from gateway.outputs.exporters.take import Take, markers_of, rotation
 
 _UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Points ``<segment>``, ``<segment>_tip`` and, in degrees, one a joint (listed in POINT:ANGLES), and the
-    segments' 4 × 4 matrices under ROTATION. Raises ``GatewayError`` without the extra ``export``."""
+    """Points ``<segment>``, ``<segment>_tip`` and, in degrees, one a joint (listed in POINT:ANGLES), the
+    markers that the poses were made from, with their distances from the body as residuals (negative: not
+    seen), and the segments' 4 × 4 matrices under ROTATION. Raises ``GatewayError`` without the extra
+    ``export``."""
     try:
         import ezc3d  # noqa: PLC0415 - an extra
     except ImportError:
@@ -24,9 +26,14 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     angle_labels = [f"{name}_angles" for name in joints]
     places = np.concatenate([take.p_w, take.tips_w], axis=1) * units_per_m
     angles = np.nan_to_num(np.degrees(take.joint_angles)).reshape(len(places), len(joints), 3)
-    points = np.concatenate([places, angles], axis=1)
+    points, residuals = np.concatenate([places, angles], axis=1), np.zeros((len(places), 0))
+    labels = [*segments, *(f"{name}_tip" for name in segments), *angle_labels]
+    if (markers := markers_of(take)) is not None:
+        labels += markers.labels
+        points = np.concatenate([points, np.nan_to_num(markers.positions * units_per_m)], axis=1)
+        residuals = np.where(np.isnan(markers.residuals), -1.0, markers.residuals * units_per_m)
     file = ezc3d.c3d()
-    file.add_parameter("POINT", "LABELS", [*segments, *(f"{name}_tip" for name in segments), *angle_labels])
+    file.add_parameter("POINT", "LABELS", labels)
     file.add_parameter("POINT", "ANGLES", angle_labels)
     file.add_parameter("POINT", "UNITS", [_UNITS.get(units_per_m, "mm")])
     file.add_parameter("POINT", "RATE", [take.rate_hz])
@@ -34,6 +41,8 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     file.add_parameter("ROTATION", "LABELS", list(segments))
     file.add_parameter("ROTATION", "RATE", [take.rate_hz])
     file["data"]["points"] = _homogeneous(points)
+    known = np.zeros((len(points), points.shape[1] - residuals.shape[1]))
+    file["data"]["meta_points"]["residuals"] = np.concatenate([known, residuals], axis=1).T[None]
     file["data"]["rotations"] = _matrices(take, units_per_m)
     file["data"]["analogs"] = np.zeros((1, 0, len(points)))
     file.write(str(path))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import GatewayError
 from gateway.frames import Status
-from gateway.outputs.exporters.take import Take
+from gateway.outputs.exporters.take import Take, markers_of
 
 _LENGTHS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 _STATUS = np.array([status.name.lower() for status in Status])
@@ -44,6 +44,18 @@ def columns(take: Take, units_per_m: float) -> Iterator[tuple[str, NDArray[Any]]
         yield f"{name}_status", np.where(row >= 0, status[np.maximum(row, 0)], "not_recorded")
     for joint, angle, name in take.angle_names:
         yield f"{name}_deg", np.degrees(take.joint_angles[:, joint, angle])
+    yield from _marker_columns(take, units_per_m, unit)
+
+
+def _marker_columns(take: Take, units_per_m: float, unit: str) -> Iterator[tuple[str, NDArray[Any]]]:
+    markers = markers_of(take)
+    if markers is None:
+        return
+    for m, label in enumerate(markers.labels):
+        for i, axis in enumerate("xyz"):
+            yield f"marker_{label}_{axis}_{unit}", markers.positions[:, m, i] * units_per_m
+        yield f"marker_{label}_residual_{unit}", markers.residuals[:, m] * units_per_m
+        yield f"marker_{label}_used", markers.used[:, m]
 
 
 def write_csv(take: Take, path: Path, units_per_m: float) -> None:

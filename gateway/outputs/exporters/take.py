@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,29 @@ class Take:
     def tips_w(self) -> FloatArray:
         """(F, S, 3) where every segment ends, m."""
         return self.p_w + rotated(self.q_wb, self.skeleton.tips)
+
+
+class TakenMarkers(NamedTuple):
+    """Markers that the poses were made from, at the frames of a take, in its world axes."""
+
+    labels: tuple[str, ...]
+    positions: FloatArray  # (F, M, 3) m; NaN: not seen, or the frame not recorded
+    residuals: FloatArray  # (F, M) m, from where the body has them
+    used: NDArray[np.bool_]  # (F, M) had a say in the pose
+
+
+def markers_of(take: Take) -> TakenMarkers | None:
+    """None for poses that were made of something else. Nothing is interpolated."""
+    found = take.recorded.markers
+    if found is None:
+        return None
+    n_frames, n = len(take.q_wb), len(found.labels)
+    row = np.round((take.recorded.time_ns - take.begun_ns) * 1e-9 * take.rate_hz).astype(np.int64)
+    positions, residuals = np.full((n_frames, n, 3), np.nan), np.full((n_frames, n), np.nan)
+    used = np.zeros((n_frames, n), dtype=bool)
+    positions[row] = _TURNS[take.axes].apply(found.positions.reshape(-1, 3)).reshape(found.positions.shape)
+    residuals[row], used[row] = found.residuals, found.used
+    return TakenMarkers(found.labels, positions, residuals, used)
 
 
 def rotated(q_wb: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -1,20 +1,26 @@
-"""TRC: joint centres and tips as markers. Text with tabs."""
+"""TRC: joint centres and tips as markers, and the markers themselves. Text with tabs."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 
-from gateway.outputs.exporters.take import Take
+from gateway.outputs.exporters.take import Take, markers_of
 
 _UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 
 
 def write(take: Take, path: Path, units_per_m: float) -> None:
-    """Markers ``<segment>`` (proximal joint) and ``<segment>_tip``. Raises ``OSError``."""
+    """Markers ``<segment>`` (proximal joint) and ``<segment>_tip``, then those that the poses were made from,
+    by their own names; empty where one was not seen. Raises ``OSError``."""
     names = [*take.skeleton.segment_names, *(f"{name}_tip" for name in take.skeleton.segment_names)]
-    points = np.concatenate([take.p_w, take.tips_w], axis=1) * units_per_m
+    places = [take.p_w, take.tips_w]
+    if (markers := markers_of(take)) is not None:
+        names += markers.labels
+        places.append(markers.positions)
+    points = np.concatenate(places, axis=1) * units_per_m
     frames, rate = len(points), f"{take.rate_hz:.6f}"
     unit = _UNITS.get(units_per_m, f"{units_per_m:g}/m")
     head = [
@@ -28,4 +34,9 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     table = np.column_stack([np.arange(1, frames + 1), take.time_s, points.reshape(frames, -1)])
     with path.open("w", encoding="ascii") as file:
         file.write("\n".join(head) + "\n")
-        np.savetxt(file, table, fmt=["%d", *["%.6f"] * (table.shape[1] - 1)], delimiter="\t")
+        for frame, *numbers in table.tolist():
+            file.write("\t".join([f"{frame:.0f}", *map(_cell, numbers)]) + "\n")
+
+
+def _cell(number: float) -> str:
+    return "" if math.isnan(number) else f"{number:.6f}"

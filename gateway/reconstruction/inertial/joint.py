@@ -39,6 +39,9 @@ from gateway.reconstruction.inertial.place_keeper import PlaceKeeper
 from gateway.reconstruction.inertial.sun_rows import stacked_sights
 from gateway.reconstruction.inertial.time_reversal import turned_back
 
+READINGS_AT_ONCE = 8
+"""Of local devices, for which a live frame has room made beforehand."""
+
 
 @dataclass(frozen=True, slots=True)
 class ChainSettings:
@@ -161,17 +164,21 @@ class ChainReconstructor:
         ]
 
     def _inputs_of_one(self, observation: ImuFrame) -> Inputs:
-        """In arrays made once, where the frame has nothing but modules: live, making them takes longer than
-        the filter of some segments."""
-        if observation.local or observation.sun is not None or self._measures_place:
+        """In arrays made once, where the frame has no more than they hold: live, making them takes longer
+        than the filter of some segments."""
+        rows = self._rows_of(observation, self._first_ns(observation)) if observation.local else []
+        if observation.sun is not None or self._measures_place or len(rows) > READINGS_AT_ONCE:
             return self._inputs((observation,))
         one = self._one
         one.time_ns[0] = observation.time_ns
-        np.copyto(one.specific_force, observation.specific_force)
-        np.copyto(one.angular_rate, observation.angular_rate)
-        np.copyto(one.magnetic_field, observation.magnetic_field)
-        np.copyto(one.status, observation.status)
-        np.copyto(one.clipped, 0 if observation.clipped is None else observation.clipped)
+        one.specific_force[...] = observation.specific_force
+        one.angular_rate[...] = observation.angular_rate
+        one.magnetic_field[...] = observation.magnetic_field
+        one.status[...] = observation.status
+        one.clipped[...] = 0 if observation.clipped is None else observation.clipped
+        one.readings_end[0] = len(rows)
+        for k, row in enumerate(rows):
+            one.readings[k] = row
         return one
 
     def _inputs(self, observations: Sequence[ImuFrame]) -> Inputs:
@@ -193,21 +200,32 @@ class ChainReconstructor:
         )
 
     def _readings(self, observations: Sequence[ImuFrame]) -> tuple[FloatArray, IntArray]:
-        first_ns = int(self._state.time_ns[1])
-        if first_ns < 0:
-            first_ns = observations[0].time_ns
+        first_ns = self._first_ns(observations[0])
         rows: list[tuple[float, ...]] = []
         ends = []
         for observation in observations:
-            for reading in observation.local:
-                time_s = (reading.time_ns - first_ns) * 1e-9
-                rows.extend(
-                    (d, time_s, *in_segment_axes(device, reading.value), *reading.sigma)
-                    for d, device in enumerate(self._devices)
-                    if reading.device == device.device and reading.quantity == device.quantity
-                )
+            rows += self._rows_of(observation, first_ns)
             ends.append(len(rows))
         return np.array(rows, np.float64).reshape(-1, 8), np.array(ends, np.int64)
+
+    def _first_ns(self, observation: ImuFrame) -> int:
+        """When the filter's seconds begin, if this may be its first frame."""
+        first_ns = int(self._state.time_ns[1])
+        return observation.time_ns if first_ns < 0 else first_ns
+
+    def _rows_of(self, observation: ImuFrame, first_ns: int) -> list[tuple[float, ...]]:
+        """What the filter's devices say, each as a row of ``Inputs.readings``."""
+        return [
+            (
+                d,
+                (reading.time_ns - first_ns) * 1e-9,
+                *in_segment_axes(device, reading.value).tolist(),
+                *reading.sigma.tolist(),
+            )
+            for reading in observation.local
+            for d, device in enumerate(self._devices)
+            if reading.device == device.device and reading.quantity == device.quantity
+        ]
 
     def _root_positions(self, observations: Sequence[ImuFrame]) -> FloatArray:
         """(T, 3) where the device that measures a place is; without one, zeros."""
@@ -227,7 +245,7 @@ class ChainReconstructor:
         self.reset()
         ones, none = np.ones((n_modules, 3)), np.zeros(n_modules, np.int64)
         frame = ImuFrame(0, 0, ones, ones, ones, none.astype(np.uint8), none)
-        self._one = self._inputs((frame,))
+        self._one = self._inputs((frame,))._replace(readings=np.zeros((READINGS_AT_ONCE, 8)))
         self.update(frame)
 
 

@@ -29,14 +29,15 @@ class Learning(NamedTuple):
     """What learning works in."""
 
     rows: FloatArray  # (3, 6) of the observation
-    gains: FloatArray  # (3, 6) of each row after those before it, over the root of its variance
-    found: FloatArray  # (3,) innovations, likewise
+    gains: FloatArray  # (3, 6) covariance of each row's value with what is learnt, after the rows before it
+    scaled: FloatArray  # (3, 6) over the variance of the innovation
+    found: FloatArray  # (3,) innovations
     change: FloatArray  # (6,) of what is learnt
 
 
 def learning() -> Learning:
     """To be used again and again."""
-    return Learning(np.zeros((3, 6)), np.zeros((3, 6)), np.zeros(3), np.zeros(6))
+    return Learning(np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((3, 6)), np.zeros(3), np.zeros(6))
 
 
 Symmetric = tuple[float, float, float, float, float, float]
@@ -102,7 +103,7 @@ def learn_joint_arms(
         0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2]), relative_covariance(state, s, p)
     )
     residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
-    added = _learn(state.arm_covariance[s], work, residual, off, variance, at_once, noise.huber, dt)
+    added = learn_rows(state.arm_covariance[s], work, residual, off, variance, at_once, noise.huber, dt)
     change = work.change
     for i in range(6):
         state.arm[s, i] += change[i]
@@ -135,7 +136,7 @@ def learn_device_arm(
             # R through the low-pass, whose derivative went through it as the swing
             rows[i, 3 + j] = state.R[s, i, j] - noise.smoothing_s * state.swing[s, i, j]
     residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
-    added = _learn(state.device_covariance[d], work, residual, off, variance, at_once, noise.huber, dt)
+    added = learn_rows(state.device_covariance[d], work, residual, off, variance, at_once, noise.huber, dt)
     for i in range(3):
         state.device_shift[d, i] += change[i]
         state.force_bias[s, i] += change[3 + i]
@@ -148,7 +149,7 @@ def learn_device_arm(
 
 
 @compiled
-def _learn(
+def learn_rows(
     P: FloatArray,
     work: Learning,
     residual: Three,
@@ -164,28 +165,31 @@ def _learn(
     P itself is changed once, by all three: a row's gain is that by the first P less its shares in the gains
     of the rows before it.
     """
-    rows, gains, found, added = work.rows, work.gains, work.found, 0.0
+    rows, gains, scaled, found, added = work.rows, work.gains, work.scaled, work.found, 0.0
+    memory = max(1.0, ORIENTATION_MEMORY_S / dt)
     for i in range(3):
         times_vector_into(gains[i], P, rows[i])
         added += _dot(rows[i], gains[i])
     for i in range(3):
         innovation = residual[i]
         for k in range(i):
-            share = _dot(rows[i], gains[k])
+            share = _dot(rows[i], scaled[k])
             innovation -= share * found[k]
             for a in range(6):
                 gains[i, a] -= share * gains[k, a]
         uncertain = _dot(rows[i], gains[i])
-        white = variance + off[i] * max(1.0, ORIENTATION_MEMORY_S / dt)
-        surprise = abs(innovation) / math.sqrt(at_once + off[i] + uncertain)
-        weight = 1.0 / math.sqrt(uncertain + white * max(1.0, surprise / huber))
-        found[i] = innovation * weight
+        white, plausible = variance + off[i] * memory, huber * huber * (at_once + off[i] + uncertain)
+        if innovation * innovation > plausible:
+            white *= math.sqrt(innovation * innovation / plausible)
+        weight = 1.0 / (uncertain + white)
+        found[i] = innovation
         for a in range(6):
-            gains[i, a] *= weight
+            scaled[i, a] = gains[i, a] * weight
     for a in range(6):
-        work.change[a] = gains[0, a] * found[0] + gains[1, a] * found[1] + gains[2, a] * found[2]
+        x, y, z = scaled[0, a], scaled[1, a], scaled[2, a]
+        work.change[a] = x * found[0] + y * found[1] + z * found[2]
         for b in range(a + 1):
-            P[a, b] -= gains[0, a] * gains[0, b] + gains[1, a] * gains[1, b] + gains[2, a] * gains[2, b]
+            P[a, b] -= x * gains[0, b] + y * gains[1, b] + z * gains[2, b]
             P[b, a] = P[a, b]
     return added / 3.0
 

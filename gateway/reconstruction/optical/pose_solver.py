@@ -26,8 +26,7 @@ FREE_SIGMA = np.radians(120.0)
 FIXED_SIGMA = np.radians(12.0)
 """The same of angles that a joint does not really have (a knee's adduction), rad."""
 HELD_SIGMA = np.radians(10.0)
-"""How far a joint may turn from one frame to the next before it counts: what markers in a gap leave open
-stays."""
+"""How far a joint may be from where it is expected before that counts: decides what gaps leave open, rad."""
 LIMIT_SIGMA = np.radians(8.0)
 """How far beyond its limits an angle may be before it counts, rad."""
 _SMALLEST_STEP = 1e-6  # m and rad: under what any marker can tell

@@ -11,6 +11,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame, Status
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
+from gateway.reconstruction.optical.carrying import Carrying
 from gateway.reconstruction.optical.labelling import relabelled
 from gateway.reconstruction.optical.pose_solver import (
     HELD_SIGMA,
@@ -53,6 +54,7 @@ class OpticalReconstructor:
         self.last: MarkerFit | None = None
         self._neutral = quaternion.to_matrix(skeleton.neutral)
         self._rates = Rates()
+        self._carrying = Carrying(self.model.parents)
         self._before: tuple[int, Pose] | None = None
         self._now: tuple[int, Pose] | None = None
 
@@ -60,6 +62,23 @@ class OpticalReconstructor:
         """Forget the pose: the next frame begins from its markers alone."""
         self._before = self._now = None
         self._rates.reset()
+        self._carrying.reset()
+
+    @property
+    def pose(self) -> Pose | None:
+        """The last pose found; None before the first."""
+        return None if self._now is None else self._now[1]
+
+    def solve_again(
+        self, observation: MarkerFrame, fit: MarkerFit, held: FloatArray, root: FloatArray, stiffness: float
+    ) -> SkeletonFrame:
+        """The pose of an instant from markers already named, with its joints drawn to those of a pose
+        ``held`` (S, 3, 3), and begun from there. root: (3,) m; stiffness: 1/rad²."""
+        seen = np.ascontiguousarray(fit.positions)
+        everyone = np.ones(len(seen))
+        pose = solve_pose(self.model, seen, everyone, held, root, NEAR, _LONGEST, held, stiffness)
+        self.last = self._explained(observation, pose, fit.renamed)
+        return self._frame(observation, pose)
 
     def update(self, observation: MarkerFrame) -> SkeletonFrame:
         """The pose of one instant. Without enough markers the last one is held; before the first, NaN."""
@@ -69,6 +88,7 @@ class OpticalReconstructor:
             self.last = None
             return self._without_markers(observation)
         self._before, self._now = self._now, (observation.time_ns, pose)
+        self._carrying.add(observation.time_ns, pose.R)
         self.last = self._explained(observation, pose, renamed)
         return self._frame(observation, pose)
 
@@ -83,8 +103,7 @@ class OpticalReconstructor:
         if begun is None:
             return None, ()
         self.counts["starts"] += 1
-        self._rates.reset()
-        self._before = self._now = None
+        self.reset()
         pose, renamed = self._questioned(frame, begun, ())
         self.counts["renamed"] += len(renamed)
         return pose, renamed
@@ -100,7 +119,7 @@ class OpticalReconstructor:
         changed = {m: s if s < 0 else whose.get(s, s) for m, s in named.renamed}
         kept = {m: s for m, s in whose.items() if m not in named.rejected}
         both = {m: s for m, s in {**kept, **changed}.items() if m != s}
-        return self._solved(named.positions, pose.R, pose.root), tuple(sorted(both.items()))
+        return self._solved(frame.time_ns, named.positions, pose.R, pose.root), tuple(sorted(both.items()))
 
     def _followed(self, frame: MarkerFrame) -> tuple[Pose | None, Renamed]:
         """From the last pose, moved on as it was moving; no pose without one, or with too few markers.
@@ -117,7 +136,7 @@ class OpticalReconstructor:
         renamed = () if named is None else named.renamed
         given = _with_names(frame, renamed, expected)
         near = np.linalg.norm(given - expected, axis=1) < _FAR
-        return self._solved(np.where(near[:, None], given, np.nan), R, root), renamed
+        return self._solved(frame.time_ns, np.where(near[:, None], given, np.nan), R, root), renamed
 
     def _predicted(self, time_ns: int) -> tuple[FloatArray, FloatArray]:
         assert self._now is not None
@@ -130,9 +149,11 @@ class OpticalReconstructor:
             return now.R, now.root
         return turned_on(before.R, now.R, ahead / step), now.root + (now.root - before.root) * (ahead / step)
 
-    def _solved(self, observed: FloatArray, R: FloatArray, root: FloatArray) -> Pose:
+    def _solved(self, time_ns: int, observed: FloatArray, R: FloatArray, root: FloatArray) -> Pose:
         everyone = np.ones(len(observed))
-        held, stiffness = (R, 0.0) if self._now is None else (self._now[1].R, HELD_SIGMA**-2)
+        held, stiffness = R, 0.0
+        if self._now is not None:
+            held, stiffness = self._carrying.ahead(time_ns), HELD_SIGMA**-2
         seen = np.ascontiguousarray(observed)
         return solve_pose(self.model, seen, everyone, R, root, NEAR, _LONGEST, held, stiffness)
 

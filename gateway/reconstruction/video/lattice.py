@@ -16,6 +16,8 @@ from gateway.geometry.compiled import compiled
 from gateway.reconstruction.video.projection import CameraModel, pixel
 
 Maps = NDArray[np.float32]
+_NEARER = 0.01
+"""Summed PCM by which the middle of a face may be likelier than that of the lattice, without being taken."""
 
 
 @compiled
@@ -97,7 +99,8 @@ def best_points(
     """The candidates (n_keypoints, 3) m of lattices, and their summed PCM (n_keypoints,).
 
     cluster: by the sum over a point and its six neighbours (then only inner points count). Between the
-    points of the lattice the maximum is that of a parabola along each axis.
+    points of the lattice the maximum is that of a parabola along each axis. Of points as likely as each
+    other, such as those along one camera's ray, the one nearest the middle is taken (``_NEARER``).
     """
     n = 2 * k + 1
     found = np.full((len(centres), 3), np.nan)
@@ -105,7 +108,7 @@ def best_points(
     for m in range(len(centres)):
         if not np.isfinite(centres[m, 0]):
             continue
-        score = total[m].reshape((n, n, n))
+        score = _nearer_preferred(total[m].reshape((n, n, n)), k)
         if cluster:
             score = _clustered(score)
         at = int(np.argmax(score))
@@ -115,6 +118,17 @@ def best_points(
             beyond = _vertex(score, place, i, n)
             found[m, i] = centres[m, i] + (place[i] - k + beyond) * spacing[m]
     return found, likelihood
+
+
+@compiled
+def _nearer_preferred(total: FloatArray, k: int) -> FloatArray:
+    """Sums (n, n, n) less what being away from the middle costs."""
+    score = total.copy()
+    for a in range(len(score)):
+        for b in range(len(score)):
+            for c in range(len(score)):
+                score[a, b, c] -= _NEARER * ((a - k) ** 2 + (b - k) ** 2 + (c - k) ** 2) / (k * k)
+    return score
 
 
 @compiled

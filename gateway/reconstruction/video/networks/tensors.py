@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +27,9 @@ class LiteModel:
                 "ai-edge-litert is not installed: pip install 'mocap-gateway[video]' adds it"
             ) from error
         try:
-            self._interpreter = Interpreter(str(path), num_threads=threads)
-            self._interpreter.allocate_tensors()
+            with _without_chatter():
+                self._interpreter = Interpreter(str(path), num_threads=threads)
+                self._interpreter.allocate_tensors()
         except (ValueError, RuntimeError) as error:
             raise GatewayError(f"{path}: is no model that LiteRT reads: {error}") from error
         self._input = self._interpreter.get_input_details()[0]
@@ -41,3 +45,16 @@ class LiteModel:
         self._interpreter.set_tensor(self._input["index"], picture[None])
         self._interpreter.invoke()
         return tuple(self._interpreter.get_tensor(self._outputs[name]) for name in names)
+
+
+@contextlib.contextmanager
+def _without_chatter() -> Iterator[None]:
+    """LiteRT writes to standard error, past Python, which delegate it has made: nobody asked."""
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+            yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)

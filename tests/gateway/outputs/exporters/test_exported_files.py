@@ -5,18 +5,21 @@ from __future__ import annotations
 import csv
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.motions import BodyMotion
+from devices.marker_files import read_markers
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_rig import dress, move
 from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.outputs.exporters import FORMATS, Axes, take_of
 from gateway.recording import SkeletonArrays
+from gateway.recording.arrays import MarkerArrays
 
 LARGEST_ANGLE = 1e-4  # rad
 LARGEST_DISTANCE = 1e-4  # m
@@ -268,3 +271,51 @@ def test_units_are_kept_to(tmp_path, name, units_per_m):
     else:
         first = text.split("Frame Time:")[1].splitlines()[1].split()
         np.testing.assert_allclose(np.array(first[:3], float), take.p_w[0, 0], atol=1e-6)
+
+
+def with_markers() -> SkeletonArrays:
+    """The same motion, made from three markers of which one was not seen, and one left out, for a while."""
+    n = len(ARRAYS.time_ns)
+    expected = np.random.default_rng(4).normal(0.0, 1.0, (n, 3, 3))
+    positions = expected + np.array([0.003, 0.0, 0.004])
+    positions[10:20, 1] = np.nan
+    used = np.isfinite(positions).all(axis=2)
+    used[30:35, 2] = False
+    nameless = (np.zeros((0, 3)),) * n
+    return replace(
+        ARRAYS, markers=MarkerArrays(("LASI", "RASI", "SACR"), positions, expected, used, nameless)
+    )
+
+
+@pytest.mark.parametrize("axes", list(Axes))
+def test_markers_go_along_in_tables_with_what_became_of_them(tmp_path, axes):
+    arrays = with_markers()
+    path = tmp_path / "walk.csv"
+    FORMATS["csv"].write(take_of(arrays, "walk", axes), path, 1000.0)
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    seen = np.array([float(row["marker_SACR_x_mm"] or "nan") for row in rows])
+    assert np.flatnonzero(np.isnan(seen)).tolist() == [40, 41]  # not recorded
+    kept = np.delete(np.arange(FRAMES), [40, 41])
+    up = "z" if axes is Axes.Z_UP else "y"
+    heights = [float(rows[k][f"marker_LASI_{up}_mm"]) for k in kept]
+    np.testing.assert_allclose(heights, 1e3 * arrays.markers.positions[:, 0, 2], atol=1e-3)
+    assert float(rows[5]["marker_LASI_residual_mm"]) == pytest.approx(5.0)
+    assert (rows[12]["marker_RASI_x_mm"], rows[12]["marker_RASI_used"]) == ("", "False")
+    assert [k for k in kept if rows[k]["marker_SACR_used"] == "False"] == list(range(30, 35))
+
+
+def test_markers_go_along_in_trc_and_c3d(tmp_path):
+    ezc3d = pytest.importorskip("ezc3d", reason="the extra 'export' is not installed")
+    arrays = with_markers()
+    for name in ("trc", "c3d"):
+        path = tmp_path / f"walk{FORMATS[name].suffix}"
+        FORMATS[name].write(take_of(arrays, "walk", Axes.Z_UP), path, 1000.0)
+        trial = read_markers(path)
+        read = trial.columns(("LASI", "RASI", "SACR"))
+        kept = np.delete(np.arange(FRAMES), [40, 41])
+        np.testing.assert_allclose(read[kept], arrays.markers.positions, atol=1e-6)
+        assert np.isnan(read[40:42]).all()
+    found = ezc3d.c3d(str(tmp_path / "walk.c3d"))
+    column = found["parameters"]["POINT"]["LABELS"]["value"].index("LASI")
+    assert found["data"]["meta_points"]["residuals"][0, column, 5] == pytest.approx(5.0, abs=0.05)

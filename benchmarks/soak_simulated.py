@@ -1,0 +1,47 @@
+"""The comparison of a soak in simulated time, for a machine that is too busy for one in real time.
+
+The same faults befall the same suit, and its bytes go through the pipeline alone, each chunk when it would
+have come: what else the machine does meanwhile makes no difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from benchmarks.emulated_stream import LINK, suit_17
+from benchmarks.fault_bench import METHOD
+from benchmarks.soak_reference import Comparison, FaultFree, Orientations
+from devices.emulators import IDEAL, SuitSettings, SuitTraffic
+from devices.emulators.fault_plan import FaultPlan, Unplug
+from devices.emulators.faulty_suit import FaultySuit
+from devices.link import Chunk, Framing
+from gateway.pipeline import Pipeline
+from gateway.settings import AssemblySettings
+
+START_NS = 1_000_000_000
+STEP_S = 0.01
+
+
+def simulated(plan: FaultPlan, seconds: float) -> list[dict[str, float]]:
+    """The rows of ``Comparison.summary``."""
+    free = FaultFree(START_NS)
+    comparison = Comparison(free.worn, plan, START_NS)
+    pipeline = Pipeline(free.worn, AssemblySettings().params(), METHOD)
+    pipeline.add_link(LINK, Framing.BYTE_STREAM)
+    for chunk in _chunks(plan, seconds):
+        for frame in pipeline.feed(chunk):
+            late_s = (chunk.arrived_ns - frame.time_ns) * 1e-9
+            pose = Orientations(frame.q_wb, frame.angular_rate)
+            comparison.take(frame.time_ns, frame.status, pose, free.at(frame.time_ns), late_s)
+    return comparison.summary()
+
+
+def _chunks(plan: FaultPlan, seconds: float) -> Iterator[Chunk]:
+    """What comes through the cable, while it is plugged in."""
+    _, motion = suit_17()
+    suit = FaultySuit(SuitTraffic(motion, SuitSettings(has_relay=True), IDEAL, seed=1), plan)
+    pulls = plan.windows(Unplug)
+    for step in range(1, round(seconds / STEP_S) + 1):
+        for sent in suit.advance(step * STEP_S):
+            if not any(pull.is_on(sent.time_s) for pull in pulls):
+                yield Chunk(sent.data, START_NS + round(sent.time_s * 1e9), LINK)

@@ -1,0 +1,210 @@
+"""Suite ``video_speed``: four cameras to skeleton frames, stage by stage, and what the heat maps cost."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from benchmarks.figures import Figure, Report, table
+from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
+from devices.cameras.pictures import Picture, open_pictures
+from devices.link import Framing
+from gateway.body.camera import Camera
+from gateway.calibration.cameras_file import load_cameras
+from gateway.calibration.picture_size import SizeChange, fitted
+from gateway.cameras.camera_process import CameraTask
+from gateway.cameras.rig_of_cameras import CameraRig
+from gateway.pipeline import Pipeline
+from gateway.reconstruction.video.low_pass import DELAY
+from gateway.reconstruction.video.networks.cropping import cropped
+from gateway.reconstruction.video.networks.network import PoseNetwork, load_network
+from gateway.reconstruction.video.networks.person_detector import PersonDetector
+from gateway.reconstruction.video.region import PersonRegion, peaks, region_of_maps
+from gateway.recording.video import LINK, video_chunks, video_settings, video_suit
+
+DATA = Path(__file__).parents[2] / "shared" / "data" / "pose2sim_single"
+INSTANTS = 60
+NETWORKS = ("lite", "full", "heavy")
+_CORES = 2
+_NETWORK_PICTURES = 12
+_CROP = 256
+_MIRRORED = 8
+
+Value = TypeVar("Value")
+
+
+class Stages:
+    """Processor time by stage; the smallest tenth counts, since the machine is shared."""
+
+    def __init__(self) -> None:
+        self._spent: dict[str, list[float]] = defaultdict(list)
+
+    def timed(self, stage: str, work: Callable[[], Value]) -> Value:
+        """What ``work`` gives."""
+        began = time.process_time()
+        value = work()
+        self._spent[stage].append(time.process_time() - began)
+        return value
+
+    def ms(self, stage: str) -> float:
+        """Of one call."""
+        return 1e3 * float(np.percentile(self._spent[stage], 10))
+
+
+def run() -> Report:
+    """Of the real walker. Raises ``GatewayError`` without weights."""
+    report = Report("video_speed")
+    cameras, places = _cameras()
+    stages = Stages()
+    messages = [_looked_at(camera, place, stages) for camera, place in zip(cameras, places, strict=True)]
+    instants = [list(each) for each in zip(*messages, strict=True)]
+    rate = open_pictures(places[0]).info.rate_hz
+    solve_ms = _solve_ms(cameras, instants, rate)
+    networks = {name: _network_ms(places[2], name) for name in NETWORKS}
+    rest = sum(stages.ms(stage) for stage in ("decode", "crop", "follow", "message"))
+    per_second = {
+        name: _CORES * 1e3 / (len(cameras) * (rest + ms) + solve_ms) for name, ms in networks.items()
+    }
+    _tell(report, stages, networks, per_second, solve_ms)
+    size = float(np.mean([len(message) for each in messages for message in each]))
+    report.figures += [
+        Figure("message_bytes", size, "bytes", "", "heat maps of one picture as they go over the wire"),
+        Figure(
+            "delay_ms", 1e3 * DELAY / rate + rest + networks["full"] + solve_ms, "ms", "",
+            f"smoothing ({DELAY} pictures at {rate:g} Hz) and one picture's way through all stages",
+        ),
+        Figure(
+            "mirrored_peaks_cells", _mirrored_offset(places[2]), "cells", "<=0.1",
+            "by which peaks in mirrored pictures are not the mirrored peaks: half-pixel conventions",
+        ),
+        Figure(
+            "wall_frames_per_s", _wall_frames_per_s(cameras, places), "1/s", "",
+            "a process a camera, `full`, as the clock on the wall has it, on this machine as it was",
+        ),
+    ]  # fmt: skip
+    return report
+
+
+def _tell(
+    report: Report, stages: Stages, networks: dict[str, float], per_second: dict[str, float], solve_ms: float
+) -> None:
+    rows = [
+        [stage, f"{stages.ms(stage):.2f}", "picture"] for stage in ("decode", "crop", "follow", "message")
+    ]
+    rows += [[f"network {name}", f"{ms:.2f}", "picture"] for name, ms in networks.items()]
+    rows.append(["lattices, inverse kinematics, smoothing", f"{solve_ms:.2f}", "instant of 4 cameras"])
+    report.tables.append("Processor time by stage, one thread each:\n\n" + table(["stage", "ms", "a"], rows))
+    report.figures += [
+        Figure(
+            f"frames_per_s_{name}", value, "1/s", ">=15" if name != "heavy" else "",
+            "4 cameras of 1088×1920 on 2 cores, all stages: by processor time",
+        )
+        for name, value in per_second.items()
+    ]  # fmt: skip
+    report.figures.append(
+        Figure("solve_ms", solve_ms, "ms", "", "all that follows the heat maps, an instant")
+    )
+
+
+def _cameras() -> tuple[list[Camera], list[str]]:
+    cameras, places = [], []
+    for camera in load_cameras(DATA / "calibration" / "Calib.qca.txt"):
+        place = str(DATA / "videos" / f"{camera.name}.mp4")
+        info = open_pictures(place).info
+        cameras.append(fitted(camera, info.width, info.height, SizeChange.SCALED))
+        places.append(place)
+    return cameras, places
+
+
+def _looked_at(camera: Camera, place: str, stages: Stages) -> list[bytes]:
+    """The messages of one camera, with the time of every stage."""
+    network, detector = load_network("full"), PersonDetector()
+    pictures = iter(open_pictures(place))
+    region: PersonRegion | None = None
+    messages = []
+    for sequence in range(INSTANTS):
+        time_ns, picture = stages.timed("decode", lambda: next(pictures))
+        if region is None:
+            region = detector.people(picture)[0].region
+        affine = region.affine(_CROP)
+        stages.timed("crop", lambda p=picture, a=affine: cropped(p, a, _CROP))  # type: ignore[misc]
+        maps = network.heat_maps(picture, region)
+        region = stages.timed("follow", lambda m=maps: region_of_maps(m, network.keypoints))  # type: ignore[misc]
+        messages.append(
+            stages.timed(
+                "message",
+                lambda m=maps, s=sequence, t=time_ns: encode_heat_maps(  # type: ignore[misc]
+                    HeatMapMessage(camera.name, "full", s, t, quantised(m.likelihood), m.map_from_pixel)
+                ),
+            )
+        )
+    return messages
+
+
+def _network_ms(place: str, name: str) -> float:
+    """One run of a network without the crop, ms."""
+    network = load_network(name)
+    picture, region = _first(place)
+    stages = Stages()
+    for _ in range(_NETWORK_PICTURES):
+        stages.timed("all", lambda: network.heat_maps(picture, region))
+        stages.timed("crop", lambda: cropped(picture, region.affine(_CROP), _CROP))
+    return stages.ms("all") - stages.ms("crop")
+
+
+def _first(place: str) -> tuple[Picture, PersonRegion]:
+    _, picture = next(iter(open_pictures(place)))
+    return picture, PersonDetector().people(picture)[0].region
+
+
+def _solve_ms(cameras: list[Camera], instants: list[list[bytes]], rate: float) -> float:
+    """All that follows the heat maps, ms an instant, after compiling."""
+    suit = video_suit(cameras, "full", instants)
+    pipeline = Pipeline.from_settings(video_settings("benchmark", rate), suit)
+    pipeline.add_link(LINK, Framing.HEAT_MAPS)
+    stages = Stages()
+    for chunk in video_chunks(instants, rate):
+        stages.timed("solve", lambda c=chunk: pipeline.feed(c))  # type: ignore[misc]
+    return stages.ms("solve")
+
+
+def _mirrored_offset(place: str) -> float:
+    """Median cells between peaks in mirrored pictures and the mirrored peaks, across."""
+    network = load_network("full")
+    swapped = [network.keypoints.index(_other_side(name)) for name in network.keypoints]
+    off: list[float] = []
+    for _, picture in itertools.islice(open_pictures(place), 0, 10 * _MIRRORED, 10):
+        region = PersonDetector().people(picture)[0].region
+        off += _mirrored(network, picture, region, swapped).tolist()
+    return abs(float(np.median(off)))
+
+
+def _mirrored(network: PoseNetwork, picture: Picture, region: PersonRegion, swapped: list[int]) -> np.ndarray:
+    across = picture.shape[1] - 1
+    other = PersonRegion(np.array([across - region.centre[0], region.centre[1]]), region.size, -region.roll)
+    there, likely = peaks(network.heat_maps(picture, region))
+    back, likely_back = peaks(network.heat_maps(np.ascontiguousarray(picture[:, ::-1]), other))
+    sure = np.minimum(likely, likely_back[swapped]) > 0.6
+    cell = region.size / 64
+    distance = (there[:, 0] + back[swapped, 0] - across)[sure] / cell
+    return distance[np.abs(distance) < 4] / 2
+
+
+def _other_side(name: str) -> str:
+    return name.replace("left", "@").replace("right", "left").replace("@", "right")
+
+
+def _wall_frames_per_s(cameras: list[Camera], places: list[str]) -> float:
+    tasks = [CameraTask(camera.name, place, "full") for camera, place in zip(cameras, places, strict=True)]
+    with CameraRig(cameras, tasks) as rig:
+        instants = iter(rig)
+        next(instants)
+        began = time.monotonic()
+        done = sum(1 for _ in itertools.islice(instants, INSTANTS))
+        return done / (time.monotonic() - began)

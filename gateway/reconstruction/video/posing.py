@@ -1,0 +1,105 @@
+"""Poses to skeleton frames: as they are, and smoothed as step 6 of JP2020-042476A says."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.frames import FloatArray, SkeletonFrame, Status
+from gateway.geometry import quaternion
+from gateway.reconstruction.optical import kernels
+from gateway.reconstruction.optical.pose_solver import HELD_SIGMA
+from gateway.reconstruction.optical.rates import Rates
+from gateway.reconstruction.video.inverse_kinematics import VideoBody, VideoBodyPose, keypoint_places, solve
+from gateway.reconstruction.video.low_pass import DELAY, LowPass
+
+_STEPS = 8
+
+
+def skeleton_frame(
+    sequence: int, time_ns: int, body: VideoBody, pose: VideoBodyPose, status: NDArray[np.uint8]
+) -> SkeletonFrame:
+    """A pose as it is; rates and accelerations are not known (NaN)."""
+    n = len(body.model.parents)
+    unknown = np.full((n, 3), np.nan)
+    return SkeletonFrame(
+        sequence, time_ns, np.stack([quaternion.from_matrix(each) for each in pose.R]), unknown,
+        unknown.copy(), kernels.places(body.model.parents, body.model.offsets, pose.R, pose.root),
+        np.full(n, np.nan), status, 0,
+    )  # fmt: skip
+
+
+def no_frame(sequence: int, time_ns: int, n_segments: int) -> SkeletonFrame:
+    """Of an instant at which nobody was found."""
+    unknown = np.full((n_segments, 3), np.nan)
+    return SkeletonFrame(
+        sequence, time_ns, np.full((n_segments, 4), np.nan), unknown, unknown.copy(), unknown.copy(),
+        np.full(n_segments, np.nan), np.full(n_segments, Status.MISSING, dtype=np.uint8), 0,
+    )  # fmt: skip
+
+
+def statuses(shows: NDArray[np.bool_], lost: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """(n_segments,): measured where a keypoint that was found tells the segment's orientation, held where
+    nothing was found at all, else predicted from the rest of the body.
+
+    shows: (n_keypoints, n_segments); lost: (n_keypoints,).
+    """
+    if lost.all():
+        return np.full(shows.shape[1], Status.HELD, dtype=np.uint8)
+    shown = shows[~lost].any(axis=0)
+    return np.where(shown, Status.MEASURED, Status.PREDICTED).astype(np.uint8)
+
+
+class SmoothedPoses:
+    """Keypoints of the body through the low-pass, then inverse kinematics with uniform weights."""
+
+    def __init__(self) -> None:
+        self._low_pass = LowPass()
+        self._rates = Rates()
+        self._waiting: deque[tuple[SkeletonFrame, VideoBodyPose]] = deque(maxlen=DELAY + 1)
+
+    def reset(self) -> None:
+        """The next pose counts as the first."""
+        self._low_pass.reset()
+        self._rates.reset()
+        self._waiting.clear()
+
+    def add(
+        self, newest: SkeletonFrame, body: VideoBody, pose: VideoBodyPose, floor: float
+    ) -> SkeletonFrame | None:
+        """The smoothed frame of ``DELAY`` poses before; None until there are as many."""
+        targets = self._low_pass.add(keypoint_places(body.model, pose.R, pose.root))
+        self._waiting.append((newest, pose))
+        if len(self._waiting) <= DELAY:
+            return None
+        return self._smooth(targets, body, floor)
+
+    def rest(self, body: VideoBody, floor: float) -> list[SkeletonFrame]:
+        """After the last pose: the frames that still wait, the last pose standing for those after it."""
+        if not self._waiting:
+            return []
+        last = self._waiting[-1][1]
+        places = keypoint_places(body.model, last.R, last.root)
+        for _ in range(DELAY - len(self._waiting)):
+            self._low_pass.add(places)
+        if len(self._waiting) > DELAY:
+            self._waiting.popleft()
+        frames = []
+        while self._waiting:
+            frames.append(self._smooth(self._low_pass.add(places), body, floor))
+            self._waiting.popleft()
+        return frames
+
+    def _smooth(self, targets: FloatArray, body: VideoBody, floor: float) -> SkeletonFrame:
+        frame, pose = self._waiting[0]
+        smooth = solve(
+            body, targets, np.ones(len(targets)), pose.R, pose.root, pose.R, HELD_SIGMA**-2, floor, _STEPS
+        )
+        p_w = kernels.places(body.model.parents, body.model.offsets, smooth.R, smooth.root)
+        rate, acceleration = self._rates.add(frame.time_ns, smooth.R, p_w)
+        q_wb = np.stack([quaternion.from_matrix(each) for each in smooth.R])
+        return SkeletonFrame(
+            frame.sequence, frame.time_ns, q_wb, rate, acceleration, p_w, frame.sigma, frame.status, 0
+        )

@@ -1,0 +1,230 @@
+"""One person's keypoints and pose from frame to frame: steps 3 to 5 of JP2020-042476A."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.frames import FloatArray
+from gateway.geometry import quaternion
+from gateway.reconstruction.optical.pose_solver import HELD_SIGMA
+from gateway.reconstruction.optical.tracking import rigid
+from gateway.reconstruction.video import initial, lattice
+from gateway.reconstruction.video.camera import Camera
+from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.reconstruction.video.inverse_kinematics import (
+    VideoBody,
+    VideoBodyPose,
+    keypoint_places,
+    solve,
+    video_body,
+)
+from gateway.reconstruction.video.keypoint_set import KeypointSet
+from gateway.reconstruction.video.projection import camera_model
+from gateway.reconstruction.video.proportions import PARTS, part_lengths, sized
+
+HALF_WIDTH = 5
+"""k of the source: a lattice has (2 k + 1)³ points."""
+COARSE = 0.020
+"""Spacing of the first lattice, m."""
+FINE = 0.004
+"""Spacing of the second, m."""
+LEAST_MEAN = 0.2
+"""Summed PCM over the number of cameras, under which a keypoint counts as lost."""
+WIDEST = 3
+"""Times the coarse spacing, that the lattice of a lost keypoint grows to."""
+SIZING_FRAMES = 20
+"""First frames from which the lengths of the parts are taken."""
+PATIENCE = 30
+"""Frames without any keypoint of the trunk after which the person is sought anew."""
+TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
+_BELOW_FLOOR = 0.25
+"""Of the lowest keypoint at the start, from which the floor told cannot be the person's, m."""
+_VOLUME_CELL = 0.08
+_VOLUME_HALF_WIDTH = 0.4
+_STEPS = 8
+_FIRST_STEPS = 40
+
+CameraMaps = Sequence[CameraHeatMaps | None]
+"""Of one person, in the order of the cameras; None for one that has none."""
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """What may be chosen of the method."""
+
+    floor_m: float | None = 0.0
+    """Height of the floor; None: there is none."""
+    cluster: bool = True
+    """Candidates by 7-point clusters, else by single points."""
+    weighted: bool = True
+    """Inverse kinematics weighted by the summed PCM, else uniformly."""
+    use_dlt: bool = False
+    """First positions over all cameras, else by the closest pair of rays."""
+    is_measured: bool = False
+    """Whether the keypoint set's skeleton is this person's already; else its lengths follow from the first
+    frames."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What the cameras say of one person at one instant."""
+
+    candidates: FloatArray
+    """(n_keypoints, 3) m; NaN: lost."""
+    likelihood: FloatArray
+    """(n_keypoints,) summed PCM, 0 to the number of cameras."""
+
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """(n_keypoints,) too unlikely wherever they were looked for."""
+        return np.isnan(self.candidates[:, 0])
+
+
+class KeypointTracker:
+    """Finds a person, then looks for every keypoint where the body, moving on, will have it."""
+
+    def __init__(self, cameras: Sequence[Camera], keypoints: KeypointSet, options: VideoOptions) -> None:
+        self.keypoints = keypoints
+        self.options = options
+        self.floor = -np.inf if options.floor_m is None else options.floor_m
+        """m; minus infinity: none, or not the person's, who was found far below it."""
+        self.pose: VideoBodyPose | None = None
+        """The last pose; None: no person is known."""
+        self._models = tuple(camera_model(camera) for camera in cameras)
+        self._trunk = [keypoints.index(name) for name in TRUNK]
+        self._lengths: list[FloatArray] = []
+        self.person = keypoints
+        """The keypoints on this person's body, as far as its lengths are known."""
+        self.body: VideoBody = video_body(keypoints.skeleton, keypoints.markers)
+        self._settled = options.is_measured
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the pose; the lengths stay."""
+        self.pose = None
+        self._places: list[FloatArray] = []
+        self._missed = np.zeros(len(self.keypoints.names), dtype=np.int64)
+
+    def _set_lengths(self, lengths: FloatArray) -> None:
+        """Take the parts of the body, (n_parts,) m in the order of ``PARTS``, as told; NaN: as the rest."""
+        skeleton, markers = sized(self.keypoints, lengths)
+        self.person = replace(self.keypoints, skeleton=skeleton, markers=markers)
+        self.body = video_body(skeleton, markers)
+
+    def keep_lengths(self) -> None:
+        """Measure the person no more: the lengths are those of the body now."""
+        self._settled = True
+
+    @property
+    def places(self) -> FloatArray:
+        """(n_keypoints, 3) m, where the body has its keypoints. Only with a pose."""
+        assert self.pose is not None
+        return keypoint_places(self.body.model, self.pose.R, self.pose.root)
+
+    @property
+    def expected(self) -> FloatArray:
+        """(n_keypoints, 3) m, where they will be in the next frame, going on as they went."""
+        if len(self._places) < 2:
+            return self.places
+        return 2.0 * self._places[-1] - self._places[-2]
+
+    def track(self, maps: CameraMaps) -> Sighting:
+        """Find the person in one frame, and keep the pose."""
+        sighting = self._first(maps) if self.pose is None else self._search(maps)
+        self._missed = np.where(sighting.lost, self._missed + 1, 0)
+        if self.pose is None:
+            return sighting
+        if self._missed[self._trunk].min() > PATIENCE:
+            self.reset()
+            return sighting
+        if not self._settled:
+            self._measure(sighting)
+        self._places = [*self._places[-1:], self.places]
+        return sighting
+
+    def solve(self, sighting: Sighting, steps: int = _STEPS) -> None:
+        """Inverse kinematics from the last pose, which what is not seen is drawn to."""
+        assert self.pose is not None
+        weights = sighting.likelihood if self.options.weighted else np.ones(len(sighting.likelihood))
+        self.pose = solve(
+            self.body, sighting.candidates, np.where(sighting.lost, 0.0, weights), self.pose.R,
+            self.pose.root, self.pose.R, HELD_SIGMA**-2, self.floor, steps,
+        )  # fmt: skip
+
+    def _first(self, maps: CameraMaps) -> Sighting:
+        """A person from nothing but maps: rays, what they leave open from the volume, and a first pose."""
+        n = len(self.keypoints.names)
+        nobody = Sighting(np.full((n, 3), np.nan), np.zeros(n))
+        if sum(seen is not None for seen in maps) < 2:
+            return nobody
+        points, _ = initial.from_rays(self._models, maps, self.options.use_dlt)
+        points = initial.within_person(points)
+        if np.isfinite(points).any() and np.isnan(points[self._trunk, 0]).sum() > 1:
+            points = self._completed(maps, points)
+        if np.isnan(points[self._trunk, 0]).sum() > 1:
+            return nobody
+        self._stand_up(points)
+        return self._search(maps)
+
+    def _completed(self, maps: CameraMaps, points: FloatArray) -> FloatArray:
+        """Points, those that rays did not give by the best cell of the volume about the others."""
+        centre = np.nanmedian(points, axis=0)
+        cells, likely = initial.from_volume(self._models, maps, centre, _VOLUME_HALF_WIDTH, _VOLUME_CELL)
+        n_cameras = sum(seen is not None for seen in maps)
+        good = np.isnan(points[:, 0]) & (likely > LEAST_MEAN * n_cameras)
+        return np.where(good[:, None], cells, points)
+
+    def _stand_up(self, points: FloatArray) -> None:
+        """The standard body laid over the points of the trunk, sized, and bent to all of them."""
+        if not self._settled:
+            self._set_lengths(part_lengths(self.keypoints, points))
+        lowest = float(np.nanmin(points[:, 2]))
+        if lowest < self.floor - _BELOW_FLOOR:
+            self.floor = -np.inf
+        skeleton = self.person.skeleton
+        neutral = np.tile(quaternion.to_matrix(skeleton.neutral), (skeleton.n_segments, 1, 1))
+        standing = keypoint_places(self.body.model, neutral, np.zeros(3))
+        turn, shift = rigid(standing[self._trunk], points[self._trunk])
+        self.pose = VideoBodyPose(turn @ neutral, shift, 0)
+        self.solve(Sighting(points, np.ones(len(points))), _FIRST_STEPS)
+
+    def _search(self, maps: CameraMaps) -> Sighting:
+        """Both lattices, with inverse kinematics after each."""
+        wide = np.minimum(1 + self._missed, WIDEST).astype(np.float64)
+        # one camera tells no depth: going on as it went, the body would leave for nowhere
+        alone = sum(seen is not None for seen in maps) < 2
+        coarse = self._candidates(maps, self.places if alone else self.expected, COARSE * wide, False)
+        self.solve(coarse)
+        fine = self._candidates(maps, coarse.candidates, np.full(len(wide), FINE), True)
+        self.solve(fine)
+        return fine
+
+    def _candidates(
+        self, maps: CameraMaps, centres: FloatArray, spacing: FloatArray, is_fine: bool
+    ) -> Sighting:
+        total = np.zeros((len(centres), (2 * HALF_WIDTH + 1) ** 3))
+        n_cameras = 0
+        for model, seen in zip(self._models, maps, strict=True):
+            if seen is not None:
+                n_cameras += 1
+                lattice.add_likelihood(
+                    total, model, seen.likelihood, seen.map_from_pixel, centres, spacing, HALF_WIDTH, is_fine
+                )
+        found, likelihood = lattice.best_points(total, centres, spacing, HALF_WIDTH, self.options.cluster)
+        found[likelihood < LEAST_MEAN * max(n_cameras, 1)] = np.nan
+        return Sighting(found, likelihood)
+
+    def _measure(self, sighting: Sighting) -> None:
+        """The lengths of the parts: medians over the frames so far."""
+        self._lengths.append(part_lengths(self.keypoints, sighting.candidates))
+        rows = np.array(self._lengths)
+        known = np.isfinite(rows).any(axis=0)
+        lengths = np.full(len(PARTS), np.nan)
+        lengths[known] = np.nanmedian(rows[:, known], axis=0)
+        self._set_lengths(lengths)
+        self._settled = len(self._lengths) == SIZING_FRAMES
+        self.solve(sighting)

@@ -1,0 +1,136 @@
+"""Cameras in processes of their own, and who is followed by them."""
+
+import os
+import signal
+import socket
+import threading
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2")
+
+from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver, encode_heat_maps
+from devices.cameras.pictures import CameraError, PictureInfo
+from gateway.body.camera import Camera, project
+from gateway.cameras.camera_process import CameraProcess, CameraTask
+from gateway.cameras.rig_of_cameras import check_agreement, same_person
+from gateway.cameras.serving import Outlet
+from gateway.reconstruction.video.networks.person_detector import Person
+
+MATRIX = np.array([[900.0, 0.0, 639.5], [0.0, 900.0, 359.5], [0.0, 0.0, 1.0]])
+
+
+def camera(name, angle):
+    position = np.array([4 * np.cos(angle), 4 * np.sin(angle), 1.5])
+    z = np.array([0.0, 0.0, 1.0]) - position
+    z /= np.linalg.norm(z)
+    x = np.cross(z, [0, 0, 1])
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z])
+    return Camera(name, 1280, 720, MATRIX, np.zeros(5), R, -R @ position)
+
+
+CAMERAS = [camera(name, angle) for name, angle in (("a", 0.2), ("b", 1.9), ("c", 3.4), ("d", 5.0))]
+
+
+def person(seen_by, place, score=0.9):
+    hips, shoulders = project(seen_by, np.array(place) + np.array([[0, 0, 0.9], [0, 0, 1.4]]))
+    return Person(score, hips, shoulders, 2.0 * float(np.linalg.norm(hips - shoulders)))
+
+
+def test_the_person_that_all_cameras_see_is_taken_and_not_the_bystander():
+    walker, bystander = (0.2, 0.1, 0.0), (-0.9, 0.8, 0.0)
+    people = [[person(c, walker)] for c in CAMERAS]
+    people[0].insert(0, person(CAMERAS[0], bystander, 0.99))
+    people[1].insert(0, person(CAMERAS[1], bystander, 0.99))
+    chosen = same_person(CAMERAS, people)
+    for c, region in zip(CAMERAS, chosen, strict=True):
+        assert region is not None
+        assert region.centre == pytest.approx(person(c, walker).hips)
+
+
+def test_a_camera_without_the_person_is_left_out():
+    people = [[person(c, (0.0, 0.0, 0.0))] for c in CAMERAS]
+    people[2] = [person(CAMERAS[2], (1.0, -0.9, 0.0))]
+    chosen = same_person(CAMERAS, people)
+    assert [region is None for region in chosen] == [False, False, True, False]
+
+
+def test_nobody_in_one_picture_only_is_nobody():
+    assert same_person(CAMERAS, [[], [], [person(CAMERAS[2], (0, 0, 0))], []]) == [None] * 4
+
+
+def infos(*rows):
+    return (
+        [PictureInfo(name, 64, 48, rate, count) for name, rate, count, _ in rows],
+        [CameraTask(name, f"{name}.mp4", "full", None, skip) for name, _, _, skip in rows],
+    )
+
+
+def test_files_of_other_rates_and_lengths_are_refused_with_the_figures():
+    with pytest.raises(CameraError, match="'a' has 60 pictures a second and camera 'b' 50"):
+        check_agreement(*infos(("a", 60.0, 100, 0), ("b", 50.0, 100, 0)))
+    with pytest.raises(CameraError, match="a 100, b 90"):
+        check_agreement(*infos(("a", 60.0, 100, 0), ("b", 60.0, 90, 0)))
+    check_agreement(*infos(("a", 60.0, 100, 10), ("b", 60.0, 90, 0)))
+
+
+def test_what_a_camera_cannot_do_is_told_with_its_name(tmp_path):
+    process = CameraProcess(CameraTask("left", str(tmp_path / "no.mp4"), "full"))
+    try:
+        with pytest.raises(CameraError, match=r"camera 'left'.*no such video"):
+            process.info()
+    finally:
+        process.close()
+
+
+def test_a_process_that_dies_is_told(tmp_path):
+    import cv2  # noqa: PLC0415 - after the check that it is there
+
+    for index in range(3):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), np.zeros((48, 64, 3), dtype=np.uint8))
+    process = CameraProcess(CameraTask("left", str(tmp_path), "full"))
+    try:
+        os.kill(process._process.pid, signal.SIGKILL)
+        process._process.join(20)
+        with pytest.raises(CameraError, match="camera 'left': its process ended by itself"):
+            process.info()
+    finally:
+        process.close()
+
+
+def test_messages_reach_whoever_is_connected_whole_and_in_order():
+    listener = socket.create_server(("127.0.0.1", 0))
+    outlet = Outlet(listener)
+    received = bytearray()
+
+    def receive():
+        with socket.create_connection(listener.getsockname(), timeout=20) as connection:
+            while data := connection.recv(1000):
+                received.extend(data)
+
+    thread = threading.Thread(target=receive)
+    thread.start()
+    outlet.wait_for_first()
+    for sequence in range(50):
+        outlet.offer(encode_heat_maps(HeatMapMessage("a", "full", sequence, 0, None, np.zeros((2, 3)))))
+    outlet.close()
+    thread.join(20)
+    listener.close()
+    found = HeatMapReceiver().receive(bytes(received))
+    assert [message.sequence for message in found] == list(range(50))
+    assert outlet.served.sent == 50
+
+
+def test_a_receiver_that_does_not_read_misses_messages_and_holds_up_nobody():
+    listener = socket.create_server(("127.0.0.1", 0))
+    outlet = Outlet(listener)
+    with socket.create_connection(listener.getsockname()):
+        outlet.wait_for_first()
+        likelihood = np.random.default_rng(1).integers(0, 255, (33, 64, 64), dtype=np.uint8)
+        message = encode_heat_maps(HeatMapMessage("a", "full", 0, 0, likelihood, np.zeros((2, 3))))
+        for _ in range(100):
+            outlet.offer(message)
+    assert outlet.served.skipped > 0
+    listener.close()

@@ -1,0 +1,100 @@
+"""Cameras that agree, that are not in step, and that are not those of the calibration."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
+from gateway.body.camera import Camera, project
+from gateway.cameras.consistency import consistency_of
+from gateway.errors import GatewayError
+
+SIZE = 64
+N = 60
+MATRIX = np.array([[900.0, 0.0, 639.5], [0.0, 900.0, 359.5], [0.0, 0.0, 1.0]])
+
+
+def camera(name, angle):
+    position = np.array([4 * np.cos(angle), 4 * np.sin(angle), 1.5])
+    z = np.array([0.0, 0.0, 1.0]) - position
+    z /= np.linalg.norm(z)
+    x = np.cross(z, [0, 0, 1])
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z])
+    return Camera(name, 1280, 720, MATRIX, np.zeros(5), R, -R @ position)
+
+
+CAMERAS = [camera(name, angle) for name, angle in (("a", 0.2), ("b", 1.9), ("c", 3.4), ("d", 5.0))]
+AFFINE = np.array([[0.09, 0.0, -25.6], [0.0, 0.09, 0.0]])
+
+
+def walker(t):
+    """(6, 3) m: keypoints that walk and swing, beside the axis that all cameras look at."""
+    base = np.array([[0, 0, 0.1], [0.2, 0, 0.5], [0, 0.2, 0.9], [0.1, -0.2, 1.2], [0, 0.1, 1.5], [0, 0, 1.7]])
+    swing = 0.25 * np.sin(0.25 * t + np.arange(6))[:, None] * np.array([0.6, 0.6, 0.3])
+    return base + swing + np.array([0.015 * t + 0.3, -0.5, 0.0])
+
+
+def heat_maps(seen_by, t):
+    """Gaussians where the camera sees the keypoints at time t."""
+    pixels = project(seen_by, walker(t))
+    cells = pixels @ AFFINE[:, :2].T + AFFINE[:, 2]
+    y, x = np.mgrid[:SIZE, :SIZE]
+    squares = (x - cells[:, 0, None, None]) ** 2 + (y - cells[:, 1, None, None]) ** 2
+    return np.exp(-squares / (2 * 1.5**2)).astype(np.float32)
+
+
+def messages(cameras, late=None):
+    late = late or {}
+    return [
+        [
+            encode_heat_maps(
+                HeatMapMessage(c.name, "full", t, t, quantised(heat_maps(c, t - late.get(c.name, 0))), AFFINE)
+            )
+            for c in cameras
+        ]
+        for t in range(N)
+    ]
+
+
+def test_cameras_in_step_agree():
+    found = consistency_of(CAMERAS, messages(CAMERAS))
+    assert max(found.apart.values()) < 0.02
+    assert found.offsets == {}
+    found.refuse_wrong(Path("c.yaml"))
+
+
+@pytest.mark.parametrize("late", [{"c": 4}, {"a": 3}, {"b": 2, "d": -3}])
+def test_cameras_out_of_step_are_named_with_the_cure(late):
+    found = consistency_of(CAMERAS, messages(CAMERAS, late))
+    expected = {c.name: late.get(c.name, 0) - late.get("a", 0) for c in CAMERAS}
+    assert found.offsets == {name: n for name, n in expected.items() if n}
+    with pytest.raises(GatewayError, match="not synchronised") as error:
+        found.refuse_wrong(Path("c.yaml"))
+    earliest = min(expected.values())
+    assert all(
+        f"--offset {name}={n - earliest}" in str(error.value) for name, n in expected.items() if n > earliest
+    )
+
+
+def test_a_camera_that_was_moved_is_named():
+    moved = replace(CAMERAS[2], translation=CAMERAS[2].translation + np.array([0.5, 0.4, 0.0]))
+    found = consistency_of([*CAMERAS[:2], moved, CAMERAS[3]], messages(CAMERAS))
+    with pytest.raises(GatewayError, match=r"c\.yaml: camera 'c' does not fit the others"):
+        found.refuse_wrong(Path("c.yaml"))
+
+
+def test_a_calibration_of_other_cameras_is_told():
+    others = [replace(CAMERAS[i], name=c.name) for i, c in zip((1, 0, 2, 3), CAMERAS, strict=True)]
+    found = consistency_of(others, messages(CAMERAS))
+    with pytest.raises(GatewayError, match=r"c\.yaml does not fit these pictures"):
+        found.refuse_wrong(Path("c.yaml"))
+
+
+def test_pictures_of_nobody_accuse_nobody():
+    nobody = [[encode_heat_maps(HeatMapMessage(c.name, "full", 0, 0, None, AFFINE)) for c in CAMERAS]]
+    found = consistency_of(CAMERAS, nobody)
+    assert found.apart == {}
+    found.refuse_wrong(Path("c.yaml"))
