@@ -63,6 +63,14 @@ def load_cameras(path: Path, up: Axis | None = None, unit: str = "m") -> tuple[C
     return upright(cameras, up or "z")
 
 
+def axis_of(text: str) -> Axis:
+    """An axis as ``--up`` names it. Raises ``SettingsError``."""
+    for axis in AXES:
+        if axis == text:
+            return axis
+    raise SettingsError(f"--up {text}: one of {', '.join(AXES)} is wanted")
+
+
 def upright(cameras: Iterable[Camera], up: Axis) -> tuple[Camera, ...]:
     """The cameras with their world turned so that the axis ``up`` becomes Z."""
     turn = _TURNS[up]  # given world axes to upright ones

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from gateway.body.camera import Camera
-from gateway.calibration.cameras_file import AXES, cameras_text, load_cameras
+from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.video_extra import require_video_extra
@@ -65,43 +65,56 @@ def cameras(
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
     """Calibrate cameras with a checkerboard or ChArUco board, or take over another program's calibration."""
-    require_video_extra()
-    if output.exists() and not force:
-        raise GatewayError(f"{output} exists: name another file with --output, or replace it with --force")
-    if up not in AXES:
-        raise GatewayError(f"--up {up}: one of {', '.join(AXES)} is wanted")
+    _check(output, force=force)
+    axis = axis_of(up)
     if import_file is not None:
-        found = load_cameras(import_file, up, unit)
+        found = load_cameras(import_file, axis, unit)
         _write(output, cameras_text(found))
         _tell(output, [_row(camera) for camera in found], as_json)
         return
     if board is None or not lenses:
         raise GatewayError("pictures (NAME=FOLDER for every camera) and --board are wanted, or --import FILE")
-    from gateway.calibration.boards import board_of  # noqa: PLC0415 - OpenCV is an extra
-    from gateway.calibration.cameras_session import (  # noqa: PLC0415
-        calibrate_cameras,
-        write_board_pictures,
-    )
-
-    chosen = board_of(board)
-    on_scene = chosen if scene_board is None else board_of(scene_board)
-    lens_pictures = _looked_for(chosen, lenses, every, "lenses", is_shown=not as_json)
-    scene_pictures = lens_pictures
-    if scene:
-        scene_pictures = _looked_for(on_scene, scene, every, "scene", is_shown=not as_json)
-    result = calibrate_cameras(chosen, lens_pictures, on_scene, scene_pictures)
+    result = _calibrated((board, scene_board or board), lenses, scene or [], every, is_shown=not as_json)
     folder = pictures or output.with_name(f"{output.stem}_boards")
-    try:
-        written = write_board_pictures(chosen, result, folder)
-    except OSError as error:
-        raise GatewayError(f"{folder} cannot be written: {error.strerror}") from error
-    upright_text = cameras_text(result.cameras, result.placement.rms.tolist()).replace(
-        "up: z", f"up: {up}", 1
-    )
-    _write(output, upright_text)
+    written = _draw(board, result, folder)
+    text = cameras_text(result.cameras, result.placement.rms.tolist())
+    _write(output, text.replace("up: z", f"up: {axis}", 1))
     _tell(output, _rows(result), as_json)
     if not as_json:
         typer.echo(f"{folder}: {written} pictures with the corners found (green) and expected (red)")
+
+
+def _check(output: Path, *, force: bool) -> None:
+    """Raises ``GatewayError`` for what can be told before any picture is read."""
+    require_video_extra()
+    if output.exists() and not force:
+        raise GatewayError(f"{output} exists: name another file with --output, or replace it with --force")
+
+
+def _calibrated(
+    boards: tuple[str, str], lenses: Sequence[str], scene: Sequence[str], every: int, *, is_shown: bool
+) -> CamerasResult:
+    """boards: of the lens pictures and of the scene, as the command line has them; without a scene, the
+    lens pictures are of common instants."""
+    from gateway.calibration.boards import board_of  # noqa: PLC0415 - OpenCV is an extra
+    from gateway.calibration.cameras_session import calibrate_cameras  # noqa: PLC0415
+
+    board, scene_board = map(board_of, boards)
+    lens_pictures = _looked_for(board, lenses, every, "lenses", is_shown=is_shown)
+    scene_pictures = lens_pictures
+    if scene:
+        scene_pictures = _looked_for(scene_board, scene, every, "scene", is_shown=is_shown)
+    return calibrate_cameras(board, lens_pictures, scene_board, scene_pictures)
+
+
+def _draw(board: str, result: CamerasResult, folder: Path) -> int:
+    from gateway.calibration.boards import board_of  # noqa: PLC0415 - OpenCV is an extra
+    from gateway.calibration.cameras_session import write_board_pictures  # noqa: PLC0415
+
+    try:
+        return write_board_pictures(board_of(board), result, folder)
+    except OSError as error:
+        raise GatewayError(f"{folder} cannot be written: {error.strerror}") from error
 
 
 def _looked_for(

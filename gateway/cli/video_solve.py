@@ -76,36 +76,52 @@ def solve(
 ) -> None:
     """Solve synchronised videos of calibrated cameras, into a recording that replays, exports and reports
     like any other."""
-    for name in to or []:
-        if name not in FORMATS:
-            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+    target = _target(files, output, to or [], force=force)
     seen, tasks = matched(
         files, cameras, network, offsets=offset or [], sizes=sizes, up=up, unit=unit, rate_hz=rate
     )
     if len(seen) < 2:
         raise GatewayError("one camera tells no depth: two synchronised ones are needed at least")
-    target = output or Path(tasks[0].place).with_suffix(".mcap")
-    if target.exists():
-        if not force:
-            raise GatewayError(
-                f"{target} exists: name another file with --output, or replace it with --force"
-            )
-        target.unlink()
     messages, rate_hz = looked_at(seen, tasks, frames, must_agree=not unequal, is_shown=not as_json)
     checked = consistency_of(seen, messages)
     checked.refuse_wrong(cameras)
     suit = video_suit(seen, network, messages, None if subject is None else load_rig(str(subject)))
     if fit_subject is not None:
         _write_subject(fit_subject, suit, force=force)
-    with progress_bar("solving", is_shown=not as_json) as tell:
-        try:
-            write = write_offline_video if offline else write_solved_video
-            done = write(messages, rate_hz, suit, target.stem, target, tell)
-        except OSError as error:
-            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+    done = _written(messages, rate_hz, suit, target, offline=offline, is_shown=not as_json)
     _tell(done, checked, seen, as_json)
     if to:
         export(target, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
+
+
+def _target(files: Sequence[str], output: Path | None, to: Sequence[str], *, force: bool) -> Path:
+    """Where the recording goes. Raises ``GatewayError`` where it may not, or a format is unknown."""
+    for name in to:
+        if name not in FORMATS:
+            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+    target = output or Path(files[0].rpartition("=")[2]).with_suffix(".mcap")
+    if target.exists() and not force:
+        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    return target
+
+
+def _written(
+    messages: Sequence[Sequence[bytes]],
+    rate_hz: float,
+    suit: WornSuit,
+    target: Path,
+    *,
+    offline: bool,
+    is_shown: bool,
+) -> SolvedVideo:
+    """The recording, in the place of an older one."""
+    target.unlink(missing_ok=True)
+    write = write_offline_video if offline else write_solved_video
+    with progress_bar("solving", is_shown=is_shown) as tell:
+        try:
+            return write(messages, rate_hz, suit, target.stem, target, tell)
+        except OSError as error:
+            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
 
 
 def _write_subject(path: Path, suit: WornSuit, *, force: bool) -> None:

@@ -11,7 +11,7 @@ import typer
 
 from devices.cameras.pictures import open_pictures
 from gateway.body.camera import Camera
-from gateway.calibration.cameras_file import AXES, load_cameras
+from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.cameras.camera_process import CameraTask
 from gateway.errors import GatewayError
@@ -57,9 +57,8 @@ def matched(
     A place belongs to the camera that is named before its ``=``, else to the one whose name stands in the
     file's own, else to the next in order. Raises ``GatewayError`` and ``CameraError``.
     """
-    if up is not None and up not in AXES:
-        raise GatewayError(f"--up {up}: one of {', '.join(AXES)} is wanted")
-    known = {camera.name: camera for camera in load_cameras(calibration, up, unit)}
+    axis = None if up is None else axis_of(up)
+    known = {camera.name: camera for camera in load_cameras(calibration, axis, unit)}
     for weights in (weights_of(network), DETECTOR):
         weights.verified_path()
     by_name = named(places, list(known), calibration)
