@@ -81,9 +81,9 @@ def _compared(found: Analysis, muscles: MuscleResult, begin: int, end: int, answ
             compared[name] = (r, error, float(theirs.max()), float(ours.max()))
     note = (
         f"OpenSim {answer['version']}; the left foot's step on its plate; the same body, motion, floor "
-        f"forces and {len(muscles.names)} straight wires as ideal pullers (no bodies to slide over, no force-length "
-        f"curves in either), squared activity. Inverse dynamics of {end - begin} frames, optimisation of "
-        f"{len(at)}, at push-off. Shown are muscles that reach an activity of {_AT_WORK:g}."
+        f"forces and {len(muscles.names)} straight wires as ideal pullers (no bodies to slide over, no "
+        f"force-length curves in either), squared activity. Inverse dynamics of {end - begin} frames, "
+        f"optimisation of {len(at)}, at push-off. Shown are muscles that reach an activity of {_AT_WORK:g}."
     )
     return Peer(float(np.sqrt(np.mean(np.square(wrong)))), 1e3 * answer["force_s"] / len(at), compared, note)
 
