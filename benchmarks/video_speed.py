@@ -29,7 +29,7 @@ from gateway.reconstruction.video.region import PersonRegion, peaks, region_of_m
 from gateway.recording.video import LINK, video_chunks, video_settings, video_suit
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "pose2sim_single"
-INSTANTS = 60
+INSTANTS = 40
 NETWORKS = ("lite", "full", "heavy")
 _CORES = 2
 _NETWORK_PICTURES = 12
