@@ -80,9 +80,9 @@ def _compared(found: Analysis, muscles: MuscleResult, begin: int, end: int, answ
             error = float(np.sqrt(np.mean((ours - theirs) ** 2)))
             compared[name] = (r, error, float(theirs.max()), float(ours.max()))
     note = (
-        f"OpenSim {answer['version']}, {end - begin} frames of the left foot's step on its plate; the same "
-        f"body, motion, floor forces and {len(muscles.names)} straight wires as ideal pullers (no bodies "
-        f"to slide over, no force-length curves in either), squared activity; inverse dynamics of {end - begin} frames, optimisation of "
+        f"OpenSim {answer['version']}; the left foot's step on its plate; the same body, motion, floor "
+        f"forces and {len(muscles.names)} straight wires as ideal pullers (no bodies to slide over, no force-length "
+        f"curves in either), squared activity. Inverse dynamics of {end - begin} frames, optimisation of "
         f"{len(at)}, at push-off. Shown are muscles that reach an activity of {_AT_WORK:g}."
     )
     return Peer(float(np.sqrt(np.mean(np.square(wrong)))), 1e3 * answer["force_s"] / len(at), compared, note)
