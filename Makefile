@@ -107,7 +107,7 @@ audit: $(VENV)/pyvenv.cfg
 
 lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv
-	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev --extra viewer --extra export -o requirements/dev.lock
+	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev --extra viewer --extra export --extra optical --extra video --extra biomech -o requirements/dev.lock
 	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra viewer -c requirements/dev.lock -o requirements/runtime.lock
 
 clean:

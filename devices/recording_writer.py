@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -38,16 +39,18 @@ class RecordingWriter:
         """session: the keys of ``recording_format.SESSION``. Raises ``RecordingError`` when there is such a
         file already, OSError as ``open`` does."""
         self.path = Path(path)
+        self._indices = _ChunkIndices(self.path.parent)
         try:
             self._file = _Buffered(self.path)
         except FileExistsError:
+            self._indices.close()
             raise RecordingError(f"{path} exists already: choose another name") from None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._writer = Writer(
             cast(IO[Any], self._file), chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD
         )
-        setattr(self._writer, _INDEX_OF_WRITER, _ChunkIndices())
+        setattr(self._writer, _INDEX_OF_WRITER, self._indices)
         self._writer.start(fmt.PROFILE, f"mocap-gateway {session.get('software', '')}".strip())
         self._writer.add_metadata(fmt.SESSION, dict(session))
         for name, data in attachments.items():
@@ -93,6 +96,7 @@ class RecordingWriter:
 
     def abandon(self) -> None:
         """Close as it is, without an index."""
+        self._indices.close()
         self._file.close()
 
     def __enter__(self) -> Self:
@@ -118,21 +122,30 @@ class RecordingWriter:
 
 
 class _ChunkIndices:
-    """The index of a file while it is written, packed: the library's own list takes 17 MB for an hour's."""
+    """The index of a file while it is written, in a file without a name beside it.
 
-    def __init__(self) -> None:
-        self._packed = bytearray()
+    The library's own list takes 17 MB for an hour's; packed in memory they were megabytes that still grew.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Raises OSError as opening a file does."""
+        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - closed with the writer
 
     def append(self, index: ChunkIndex) -> None:
         record = RecordBuilder()
         index.write(record)
-        self._packed += record.end()  # type: ignore[no-untyped-call]
+        self._file.write(record.end())  # type: ignore[no-untyped-call]
 
     def __iter__(self) -> Iterator[ChunkIndex]:
-        stream = ReadDataStream(io.BytesIO(self._packed))
-        while stream.count < len(self._packed):
+        size = self._file.seek(0, io.SEEK_END)
+        self._file.seek(0)
+        stream = ReadDataStream(self._file)
+        while stream.count < size:
             stream.read1(), stream.read8()  # opcode and length: all are of one kind
             yield ChunkIndex.read(stream)
+
+    def close(self) -> None:
+        self._file.close()
 
 
 class _Buffered:

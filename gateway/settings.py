@@ -39,7 +39,8 @@ class LinkSettings(_Strict):
     url: str = Field(
         min_length=1,
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
-        "can://socketcan/can0, tcp://host:port, udp://host:port, markers:///path/walk.c3d, recording:///path/to/file.mcap",
+        "can://socketcan/can0, tcp://host:port, udp://host:port, qtm://host, markers:///path/walk.c3d, "
+        "recording:///path/to/file.mcap",
     )
     carries: Literal["suit", "gnss", "markers", "heat_maps"] = Field(
         default="suit",
@@ -70,6 +71,13 @@ class LinkSettings(_Strict):
             del given["url"]
             raise ValueError("url: a link takes no user name or password: leave out what stands before the @")
         return given
+
+    @model_validator(mode="after")
+    def _carries_what_it_can(self) -> LinkSettings:
+        scheme = self.url.partition("://")[0]
+        if scheme in {"qtm", "markers"} and self.carries not in {"suit", "markers"}:
+            raise ValueError(f"carries: {scheme}:// carries markers and nothing else: leave 'carries' out")
+        return self
 
     @model_validator(mode="after")
     def _is_on_earth(self) -> LinkSettings:

@@ -9,6 +9,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass
@@ -29,9 +30,28 @@ from gateway.body.skeleton import Skeleton
 from gateway.cli.emulated_rig import dress, move
 from gateway.frames import SkeletonFrame
 from gateway.outputs import BridgeInfo
+from gateway.reconstruction.readiness import is_ready
 from tests.contract_watch import ContractWatch, assert_kept
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+KERNELS = (
+    "from gateway.reconstruction.readiness import make_ready; make_ready('joint')",
+    "from gateway.reconstruction.optical.warm_up import warm_up; warm_up()",
+)
+"""What takes longest to compile: half a minute each, unless it lies on the disk."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Before several workers start, these kernels are compiled once, side by side; else each worker would
+    compile them all for itself. A run without workers compiles what its tests need."""
+    if not getattr(session.config.option, "numprocesses", None) or is_ready("joint"):
+        return
+    there = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    compiling = [subprocess.Popen([sys.executable, "-c", code], env=there) for code in KERNELS]
+    codes = [process.wait() for process in compiling]
+    if any(codes):
+        pytest.exit("kernels could not be compiled: see above", returncode=1)
 
 
 @pytest.fixture(scope="session", autouse=True)

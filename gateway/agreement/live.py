@@ -8,10 +8,18 @@ from collections import deque
 import numpy as np
 
 from gateway.agreement.agreement import Agreement
-from gateway.agreement.tracks import Tracks
+from gateway.agreement.tracks import TELLING, Tracks
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.outputs.messages import BodyMessage, ComparedSegment, ComparisonMessage, PoseMessage
+from gateway.outputs.messages import (
+    STATUS_NAMES,
+    BodyMessage,
+    ComparedSegment,
+    ComparisonMessage,
+    PoseMessage,
+)
+
+_TELLING = frozenset(STATUS_NAMES[status] for status in TELLING)
 
 
 class PoseWindow:
@@ -50,9 +58,14 @@ class PoseWindow:
             names=names,
             parents=tuple(names.index(each.parent) if each.parent else -1 for each in body.segments),
             time_s=time_s,
-            q_wb=_array([[pose.segments.get(name) for name in names] for pose in poses], 4),
+            q_wb=_array([[_told(pose, name) for name in names] for pose in poses], 4),
             p_w=_array([[(pose.position or {}).get(name) for name in names] for pose in poses], 3),
         )
+
+
+def _told(pose: PoseMessage, segment: str) -> tuple[float, ...] | None:
+    """An orientation that was seen, not only held or predicted."""
+    return pose.segments.get(segment) if pose.status.get(segment) in _TELLING else None
 
 
 def _array(rows: list[list[tuple[float, ...] | None]], width: int) -> FloatArray:

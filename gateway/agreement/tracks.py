@@ -9,9 +9,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray, IntArray
+from gateway.frames import FloatArray, IntArray, Status
 from gateway.recording.arrays import SkeletonArrays
 
+TELLING = (Status.MEASURED, Status.INTERPOLATED, Status.UNAIDED)
+"""Of an orientation that was seen: others say nothing against or for another source."""
 LONGEST_GAP_S = 0.1
 """What is not known for longer is not interpolated."""
 
@@ -39,7 +41,8 @@ class Tracks:
 
 
 def tracks_of(arrays: SkeletonArrays, origin_ns: int, source: str) -> Tracks:
-    """Recorded poses, seconds since ``origin_ns``; repeated instants once.
+    """Recorded poses, seconds since ``origin_ns``; repeated instants once. Orientations that were only held
+    or predicted (hidden markers, a silent module) are not known.
 
     source: what errors call it. Raises ``GatewayError`` for fewer than two instants.
     """
@@ -51,7 +54,7 @@ def tracks_of(arrays: SkeletonArrays, origin_ns: int, source: str) -> Tracks:
         names=arrays.segment_names,
         parents=tuple(arrays.skeleton.parents.tolist()),
         time_s=time_s,
-        q_wb=arrays.q_wb[kept],
+        q_wb=np.where(np.isin(arrays.status[kept], TELLING)[..., None], arrays.q_wb[kept], np.nan),
         p_w=arrays.p_w[kept],
     )
 

@@ -41,9 +41,9 @@ class ContactSettings:
     speed_m_s: float = 1.0
     """At which a point is half as likely to carry."""
     speed_spread_m_s: float = 0.15
-    arm_m: float = 0.15
+    arm_m: float = 1.0
     """A moment counts as much as a force at this arm."""
-    cost: float = 1e-4
+    cost: float = 1e-3
     """Of the squared load of a point that stands, against the squared force left over."""
     split: float = 10.0
     """Of the squared distance from the smooth split in double support, as ``cost``."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.inertia import part_name
-from gateway.analysis.muscle_model import muscle_model
+from gateway.analysis.muscle_model import MuscleModel, muscle_model
 from gateway.analysis.muscle_paths import MusclePaths, absent_segments
 from gateway.analysis.muscle_settings import MuscleCosts, plain_costs
 from gateway.analysis.tension import TensionSolver
@@ -70,12 +70,13 @@ def find_muscles(
     found: Analysis,
     costs: Callable[[MusclePaths], MuscleCosts] | None = None,
     progress: Progress | None = None,
+    model: MuscleModel | None = None,
 ) -> MuscleResult:
-    """costs: of the muscles that the body carries; None: all alike.
+    """costs: of the muscles that the body carries; None: all alike. model: None for the published one.
 
     Raises ``GatewayError`` for a body without legs, or without the extra ``biomech``.
     """
-    paths = MusclePaths(found.skeleton, muscle_model())
+    paths = MusclePaths(found.skeleton, model or muscle_model())
     asked = muscle_torques(found.skeleton)
     frames, names = len(found.time_s), tuple(wire.name for wire in paths.wires)
     chosen = plain_costs(names, frames) if costs is None else costs(paths)

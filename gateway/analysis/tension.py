@@ -54,8 +54,8 @@ class TensionSolver:
         found = self._solver.solve(raise_error=False)
         if found.info.status_val not in _SOLVED:
             raise GatewayError(
-                f"the share of muscles was not found ({found.info.status}): are the torques numbers, and of a "
-                "size that a person has?"
+                f"the share of muscles was not found ({found.info.status}): are the torques numbers, "
+                "and of a size that a person has?"
             )
         activity = np.clip(found.x[:count], 0.0, 1.0)
         return activity, torques - (arms * self._peak) @ activity

@@ -20,6 +20,7 @@ from devices.marker_messages import MarkerMessage, MarkerReceiver
 from devices.qtm_link import DEFAULT_PORT, QtmLink
 from devices.qtm_packets import HEADER, QtmPacketError, marking_of, packets_of
 from devices.reconnect import BackOff, LinkState, ReconnectingLink
+from gateway.settings import LinkSettings
 
 pytest.importorskip("qtm_rt", reason="the extra 'optical' is not installed")
 LABELS = ("LASI", "R&D", "C7", "*1")
@@ -156,6 +157,15 @@ def test_addresses():
     ):
         with pytest.raises(EndpointError, match=wrong):
             link_from_url(url)
+
+
+def test_such_a_link_carries_markers_and_nothing_else():
+    assert (
+        LinkSettings(name="cameras", url="qtm://a").carries == "suit"
+    )  # the default; what it carries is known
+    LinkSettings(name="cameras", url="qtm://a", carries="markers")
+    with pytest.raises(ValueError, match="qtm:// carries markers and nothing else: leave 'carries' out"):
+        LinkSettings(name="cameras", url="qtm://a", carries="gnss")
 
 
 def test_names_come_out_of_the_parameters_and_bad_ones_are_told():

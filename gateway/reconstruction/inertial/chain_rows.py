@@ -66,6 +66,13 @@ def joint_row(
     is_open: the heading of one against the other is not known.
     """
     residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
+    middle = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
+    at_once = variance * min(1.0, dt / noise.row_memory_s)
+    off = spread(middle[0], middle[1], middle[2], relative_covariance(state, s, p))
+    widened = _misfit(state, noise, s, off, residual, at_once, dt, 2 if is_open else 0)
+    if widened >= LOOSE:
+        return
+    variance *= widened
     if is_open:
         # heading against the parent unknown: the horizontal parts are only equally long
         H, H_p = skew(u), skew(u_p)
@@ -76,13 +83,7 @@ def joint_row(
                 H_p[i, j] *= -1.0
             add_edge(evidence, s, H[i], H_p[i], residual[i], wide if i < 2 else variance)
         return
-    middle = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
-    at_once = variance * min(1.0, dt / noise.row_memory_s)
-    off = spread(middle[0], middle[1], middle[2], relative_covariance(state, s, p))
-    widened = _misfit(state, noise, s, off, residual, at_once, dt)
-    if widened >= LOOSE:
-        return
-    variance *= widened * _huber(off, residual, widened * at_once, noise.huber)
+    variance *= _huber(off, residual, widened * at_once, noise.huber)
     add_joint(evidence, s, middle, residual, variance)
 
 
@@ -121,15 +122,17 @@ def _misfit(
     residual: Three,
     variance: float,
     dt: float,
+    first: int,
 ) -> float:
     """By how much the joint of segment s and its parent agrees worse than its noise says, variances; 1: no
     worse. Modules worn otherwise than the rig says disagree all the time, and their joint tells little.
 
     Where that comes out, what the joint has told until then is taken back: the segment is as uncertain as at
-    its start, and stands on what its own module tells until the joint fits again.
+    its start, and stands on what its own module tells until the joint fits again. first: component from which
+    they are compared; 2 where the horizontal ones cannot be.
     """
     square, expected = 0.0, 0.0
-    for i in range(3):
+    for i in range(first, 3):
         square += residual[i] ** 2
         expected += uncertain[i] + variance
     surprise, before = min(square / expected, LARGEST_MISFIT), state.misfit[s]

@@ -16,17 +16,17 @@ from vqf import VQF
 
 from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame, Status, StatusArray
+from gateway.frames import Clipped, FloatArray, ImuFrame, IntArray, SkeletonFrame, Status, StatusArray
 from gateway.geometry import derivatives, quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import norm
 from gateway.reconstruction.inertial.chain_state import Noise
-from gateway.reconstruction.inertial.observations import SegmentObserver, with_sun_as_field
+from gateway.reconstruction.inertial.observations import SegmentObserver, clipped_of, with_sun_as_field
 
 HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
 UNAIDED = Status.UNAIDED.value
 RANGES = Noise()
-"""Where sensors are saturated, the same as for ``joint``."""
+"""Where sensors are saturated that do not say so themselves, the same as for ``joint``."""
 
 LONGEST_GAP_S = 0.2
 """A filter step stands for one nominal interval: after a longer gap the turn during it is not bridged."""
@@ -126,7 +126,9 @@ class IndependentReconstructor:
         f, w, x = (np.array(v, np.float64, order="C") for v in _rows_of(observation))
         is_inertial, has_field = _has_values(f, w), _has_values(x)
         is_inertial &= observation.status <= Status.HELD
-        is_unaided, is_blind = _beyond(f, RANGES.largest_force), _beyond(w, RANGES.largest_rate)
+        clipped = clipped_of(observation)
+        is_unaided = _beyond(f, RANGES.largest_force) | ((clipped & Clipped.SPECIFIC_FORCE) > 0)
+        is_blind = _beyond(w, RANGES.largest_rate) | ((clipped & Clipped.ANGULAR_RATE) > 0)
         for segment, row, vqf in zip(self._observed, self._rows, self._filters, strict=True):
             is_silent = self._is_silent(segment, observation.time_ns)
             if not is_inertial[row] or (is_blind[row] and is_silent):

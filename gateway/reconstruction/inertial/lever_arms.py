@@ -103,7 +103,7 @@ def learn_joint_arms(
         0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2]), relative_covariance(state, s, p)
     )
     residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
-    added = _learn(state.arm_covariance[s], work, residual, off, variance, at_once, noise.huber, dt)
+    added = learn_rows(state.arm_covariance[s], work, residual, off, variance, at_once, noise.huber, dt)
     change = work.change
     for i in range(6):
         state.arm[s, i] += change[i]
@@ -136,7 +136,7 @@ def learn_device_arm(
             # R through the low-pass, whose derivative went through it as the swing
             rows[i, 3 + j] = state.R[s, i, j] - noise.smoothing_s * state.swing[s, i, j]
     residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
-    added = _learn(state.device_covariance[d], work, residual, off, variance, at_once, noise.huber, dt)
+    added = learn_rows(state.device_covariance[d], work, residual, off, variance, at_once, noise.huber, dt)
     for i in range(3):
         state.device_shift[d, i] += change[i]
         state.force_bias[s, i] += change[3 + i]
@@ -149,7 +149,7 @@ def learn_device_arm(
 
 
 @compiled
-def _learn(
+def learn_rows(
     P: FloatArray,
     work: Learning,
     residual: Three,

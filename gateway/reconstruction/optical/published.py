@@ -31,6 +31,9 @@ CHANGE = 0.5
 """Of the summed distance, mm, under which virtual markers count as found."""
 CUTOFF_HZ = 6.0
 _MOST_PASSES = 8
+_MOST_STEPS = 60
+"""Of BFGS in one chain and frame, where rounding keeps the gradient above ``GRADIENT``; the source has no
+such bound, nor one on passes."""
 _MM = 1e3
 
 Progress = Callable[[int, int], None]
@@ -130,7 +133,11 @@ def _solve_chain(
         return chain_gradient(model, seen, turned, moved, R, segments, moves_root, x)
 
     found = minimize(
-        cost, np.zeros(n), jac=True, method="BFGS", options={"gtol": GRADIENT, "norm": 2, "maxiter": 60}
+        cost,
+        np.zeros(n),
+        jac=True,
+        method="BFGS",
+        options={"gtol": GRADIENT, "norm": 2, "maxiter": _MOST_STEPS},
     )
     turned, moved = kernels.moved(model.parents, R, root, change(found.x))
     return turned, moved

@@ -161,26 +161,22 @@ class KeypointTracker:
         nobody = Sighting(np.full((n, 3), np.nan), np.zeros(n))
         if sum(seen is not None for seen in maps) < 2:
             return nobody
-        points, likelihood = initial.from_rays(self._models, maps, self.options.use_dlt)
+        points, _ = initial.from_rays(self._models, maps, self.options.use_dlt)
         points = initial.within_person(points)
-        if np.isfinite(points[self._trunk, 0]).sum() < 3:
-            centre = np.nanmedian(points, axis=0) if np.isfinite(points).any() else None
-            if centre is None:
-                return nobody
-            points, likelihood = self._in_volume(maps, centre, points, likelihood)
-        if np.isfinite(points[self._trunk, 0]).sum() < 3:
+        if np.isfinite(points).any() and np.isnan(points[self._trunk, 0]).sum() > 1:
+            points = self._completed(maps, points)
+        if np.isnan(points[self._trunk, 0]).sum() > 1:
             return nobody
         self._stand_up(points)
         return self._search(maps)
 
-    def _in_volume(
-        self, maps: CameraMaps, centre: FloatArray, points: FloatArray, likelihood: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def _completed(self, maps: CameraMaps, points: FloatArray) -> FloatArray:
         """Points, those that rays did not give by the best cell of the volume about the others."""
+        centre = np.nanmedian(points, axis=0)
         cells, likely = initial.from_volume(self._models, maps, centre, _VOLUME_HALF_WIDTH, _VOLUME_CELL)
         n_cameras = sum(seen is not None for seen in maps)
         good = np.isnan(points[:, 0]) & (likely > LEAST_MEAN * n_cameras)
-        return np.where(good[:, None], cells, points), np.where(good, likely, likelihood)
+        return np.where(good[:, None], cells, points)
 
     def _stand_up(self, points: FloatArray) -> None:
         """The standard body laid over the points of the trunk, sized, and bent to all of them."""

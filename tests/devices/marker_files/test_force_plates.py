@@ -58,10 +58,10 @@ def c3d_of(tmp_path, kind, signals, origin, extra=b"", name="plate.c3d"):
 
 
 def in_plate_axes():
-    """The load as the plate feels it (what the person does), its axes x, −y, down; about the surface's middle."""
+    """The load as the plate feels it (what the person does); axes x, −y, down; about its middle."""
     turn = np.diag([1.0, -1.0, -1.0])
     arm = AT - CORNERS.mean(axis=0) / 1000
-    moment = np.cross(arm, FORCE) + [0, 0, TORSION]
+    moment = np.cross(arm, FORCE) + np.array([0, 0, TORSION])
     return -turn @ FORCE, -turn @ moment, turn @ arm
 
 

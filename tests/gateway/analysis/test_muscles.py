@@ -13,8 +13,8 @@ pytest.importorskip("mujoco")
 pytest.importorskip("osqp")
 pytest.importorskip("myo_sim")
 
-from gateway.analysis.muscle_model import muscle_model  # noqa: E402 - needs the extras above
-from gateway.analysis.muscle_paths import MusclePaths  # noqa: E402
+from gateway.analysis.muscle_model import muscle_model
+from gateway.analysis.muscle_paths import MusclePaths
 
 BODY = load_body("human_17")
 NAMES = BODY.segment_names

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from simulated_body import FIELD, GRAVITY, angular_error_deg, arm, imu_frames, instants, simulate
 
-from gateway.frames import Status
+from gateway.frames import Clipped, Status
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 
 
@@ -155,10 +155,27 @@ def test_gyrometers_saturated_for_long_have_the_module_begin_anew():
         np.testing.assert_allclose(frames[400:][k].q_wb[1], steady[k].q_wb[1], atol=1e-9)
 
 
-def test_a_saturated_accelerometer_tells_no_inclination():
+def test_gyrometers_that_say_that_they_are_clipped_are_believed():
+    """Whatever their range is."""
+    body = arm(on_joint=False, from_rest=True)
+    truth = simulate(body, instants(100, 4.0, start_s=-1.0))
+    observations = imu_frames(body, truth, gyrometers=True)
+    clipped = np.array([0, Clipped.ANGULAR_RATE, 0, 0], np.uint8)
+    frames = run(
+        body.suit(), [*observations[:300], *(replace(f, clipped=clipped) for f in observations[300:])]
+    )
+    assert [frame.status[1] for frame in frames[330:]] == [Status.PREDICTED] * (len(frames) - 330)
+    assert {frame.status[2] for frame in frames} == {Status.MEASURED}
+
+
+@pytest.mark.parametrize("says_so", [False, True])
+def test_a_saturated_accelerometer_tells_no_inclination(says_so):
     body, truth, observations = resting(20.0)
-    for observation in observations[1000:]:
-        observation.specific_force[1] = [160.0, 160.0, 160.0]
+    end = 100.0 if says_so else 160.0
+    clipped = np.array([0, Clipped.SPECIFIC_FORCE, 0, 0], np.uint8) if says_so else None
+    for k, observation in enumerate(observations[1000:], start=1000):
+        observation.specific_force[1] = [end, end, end]
+        observations[k] = replace(observation, clipped=clipped)
     frames = run(body.suit(), observations)
     assert {frame.status[1] for frame in frames[1000:]} == {Status.UNAIDED}
     assert {frame.status[1] for frame in frames[:1000]} == {Status.MEASURED}

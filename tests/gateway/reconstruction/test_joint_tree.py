@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gateway.geometry.rotation_matrix import from_rotation_vector
 from gateway.reconstruction.inertial import blocks as blocks_module
 from gateway.reconstruction.inertial import tree_filter
+from gateway.reconstruction.inertial.lever_arms import learn_rows, learning
 from gateway.reconstruction.inertial.local_rows import derivative_weights
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -170,8 +172,44 @@ def test_propagation_is_that_of_the_turning_error():
     A = rng.standard_normal((6, 6))
     P = A @ A.T
     expected = F @ P @ F.T
+    own = P.copy()
     tree_filter.propagate(P, R.as_matrix(), R.as_matrix(), dt)
     np.testing.assert_allclose(P, expected, atol=2e-3 * dt * 100)
+    tree_filter.propagate_own(own, R.as_matrix(), dt)
+    np.testing.assert_allclose(own, P, atol=1e-13)
+    np.testing.assert_array_equal(own, own.T)
+
+
+@pytest.mark.parametrize("surprise", [0.1, 30.0])
+def test_three_rows_at_once_are_three_scalar_updates(surprise):
+    """Against Joseph's form, one row after another; a surprising row counts less."""
+    rng = np.random.default_rng(6)
+    A, work = rng.standard_normal((6, 6)), learning()
+    P, x, rows = A @ A.T, np.zeros(6), rng.standard_normal((3, 6))
+    residual, off = tuple(surprise * rng.standard_normal(3)), (0.1, 0.2, 0.3)
+    variance, at_once, huber, dt = 2.0, 0.5, 2.0, 0.01
+    found = P.copy()
+    work.rows[...] = rows
+    added = learn_rows(found, work, residual, off, variance, at_once, huber, dt)
+    assert added == pytest.approx(np.trace(rows @ P @ rows.T) / 3.0)
+    for row, seen, spread in zip(rows, residual, off, strict=True):
+        innovation, uncertain = seen - row @ x, row @ P @ row
+        deviations = abs(innovation) / np.sqrt(at_once + spread + uncertain)
+        white = (variance + spread / dt) * max(1.0, deviations / huber)
+        gain = P @ row / (uncertain + white)
+        x = x + gain * innovation
+        left = np.eye(6) - np.outer(gain, row)
+        P = left @ P @ left.T + white * np.outer(gain, gain)
+    np.testing.assert_allclose(work.change, x, atol=1e-12)
+    np.testing.assert_allclose(found, P, atol=1e-12)
+    np.testing.assert_array_equal(found, found.T)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.1, 0.4999, 0.5001, 3.0])
+def test_small_and_large_turns_have_all_digits(angle):
+    r = angle * np.array([0.6, -0.48, 0.64])
+    wanted = Rotation.from_rotvec(r).as_matrix()
+    np.testing.assert_allclose(from_rotation_vector(r), wanted, rtol=0.0, atol=4e-16)
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -20,7 +20,7 @@ from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
 from gateway.reconstruction.optical import kernels
 from gateway.recording import open_recording
-from gateway.recording.optical import SolvedTrial, write_published_trial
+from gateway.recording.optical import SolvedTrial, write_both_ways_trial, write_published_trial
 from gateway.recording.solving import verify
 
 N_FRAMES, RATE_HZ, HIDDEN = 10, 50.0, 9
@@ -93,6 +93,23 @@ def test_its_recording_cannot_be_verified_and_says_so(solved):
         verify(recording)
 
 
+def test_a_trial_bridged_both_ways_is_recorded_as_such(tmp_path: Path):
+    suit = _subject()
+    source, target = tmp_path / "walk.c3d", tmp_path / "walk.mcap"
+    source.write_bytes(b"whatever it is")
+    done = write_both_ways_trial(_trial(suit, _truth(suit)), source, suit, "anna.yaml", target)
+    recording = open_recording(target)
+    arrays = recording.skeleton_arrays()
+    assert done.frames == len(arrays.time_ns) == N_FRAMES
+    for q_wb, truth in zip(arrays.q_wb, _truth(suit), strict=True):
+        for q, true in zip(q_wb, truth, strict=True):
+            assert np.degrees(quaternion.angle_between(q, quaternion.from_matrix(true))) < 1.0
+    assert np.isnan(done.residuals[3, HIDDEN])
+    assert not done.used[3, HIDDEN]
+    with pytest.raises(RecordingError, match="offline method 'both_ways'"):
+        verify(recording)
+
+
 def test_nothing_to_solve_is_one_error_and_leaves_no_file(tmp_path: Path):
     suit = _subject()
     trial = _trial(suit, _truth(suit))
@@ -105,7 +122,11 @@ def test_nothing_to_solve_is_one_error_and_leaves_no_file(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("command", "method", "message"),
-    [("play", "published", "cannot stream"), ("solve", "publishd", "one of default, published")],
+    [
+        ("play", "published", "cannot stream"),
+        ("play", "both_ways", "cannot stream"),
+        ("solve", "publishd", "one of default, both_ways, published"),
+    ],
 )
 def test_a_method_that_cannot_be_is_refused_at_once(command, method, message):
     done = CliRunner().invoke(optical_app, [command, "no.c3d", "-s", "none.yaml", "--method", method])

@@ -1,0 +1,177 @@
+"""What markers in a gap leave open, carried on live and bridged offline; limbs turned round; hips."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gateway.body.markers import BodyMarkers
+from gateway.body.rig import load_body
+from gateway.frames import FloatArray, MarkerFrame
+from gateway.geometry import quaternion
+from gateway.geometry import rotation_matrix as rm
+from gateway.reconstruction.optical import kernels, point_rules
+from gateway.reconstruction.optical.both_ways import solve_both_ways
+from gateway.reconstruction.optical.bundle import _loose
+from gateway.reconstruction.optical.carrying import Carrying
+from gateway.reconstruction.optical.joint_smoothing import Seen, from_turns, joint_turns, smoothed_turns
+from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
+from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
+from gateway.reconstruction.optical.tracking import start_pose
+
+BODY = load_body("human_17")
+HAND = BODY.index("right_hand")
+STEP_NS = 10_000_000
+
+
+def _markers(n_each: int = 3) -> BodyMarkers:
+    generator = np.random.default_rng(0)
+    segments = np.repeat(np.arange(BODY.n_segments), n_each)
+    places = generator.normal(0.0, 0.08, (len(segments), 3))
+    labels = tuple(f"m{i}" for i in range(len(segments)))
+    return BodyMarkers(labels, segments, places, np.full(len(segments), 0.003))
+
+
+def _seen(model: BodyModel, R: FloatArray) -> FloatArray:
+    p = kernels.places(model.parents, model.offsets, R, np.array([0.0, 0.0, 0.95]))
+    return kernels.marker_places(model.segments, model.positions, R, p)
+
+
+def _waving(n: int) -> FloatArray:
+    """(n, S, 3, 3): a person who stands and waves, the hand by ± 45° every two seconds."""
+    upright = quaternion.to_matrix(BODY.neutral)
+    R = np.tile(upright, (n, BODY.n_segments, 1, 1))
+    for f in range(n):
+        R[f, HAND] = upright @ rm.from_rotation_vector(np.array([0.0, 0.0, 0.8 * np.sin(0.0314 * f)]))
+    return R
+
+
+def _apart_deg(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.degrees((Rotation.from_matrix(a).inv() * Rotation.from_matrix(b)).magnitude())
+
+
+def test_a_gap_is_carried_on_live_and_bridged_offline():
+    markers = _markers()
+    model = body_model(BODY, markers)
+    R, gap = _waving(160), slice(90, 125)
+    observed = np.array([_seen(model, each) for each in R])
+    observed += np.random.default_rng(1).normal(0.0, 0.0005, observed.shape)
+    observed[gap, markers.segments == HAND] = np.nan
+    frames = [MarkerFrame(f, f * STEP_NS, seen) for f, seen in enumerate(observed)]
+    reconstructor = OpticalReconstructor(BODY, markers)
+    live = np.array([quaternion.to_matrix(reconstructor.update(each).q_wb[HAND]) for each in frames])
+    solved, counts = solve_both_ways(BODY, markers, frames)
+    offline = np.array([quaternion.to_matrix(each.frame.q_wb[HAND]) for each in solved])
+    held = _apart_deg(np.tile(R[gap.start - 1, HAND], (35, 1, 1)), R[gap, HAND])
+    carried, bridged = _apart_deg(live, R[:, HAND])[gap], _apart_deg(offline, R[:, HAND])
+    assert carried.max() < 0.75 * held.max()
+    assert bridged[gap].max() < 4.0 < carried.max()
+    assert np.delete(bridged, np.r_[gap]).max() < 3.0
+    assert counts["starts"] == 1
+    assert solved[0].fit is not None
+    assert np.isnan(solved[100].fit.residuals[markers.segments == HAND]).all()
+
+
+def test_frames_without_a_pose_stay_as_they_are():
+    markers = _markers()
+    model = body_model(BODY, markers)
+    nothing = np.full((len(markers.labels), 3), np.nan)
+    seen = _seen(model, _waving(1)[0])
+    frames = [MarkerFrame(f, f * STEP_NS, each) for f, each in enumerate([nothing, seen, nothing, seen])]
+    solved, counts = solve_both_ways(BODY, markers, frames)
+    assert [each.fit is None for each in solved] == [True, False, True, False]
+    assert np.isnan(solved[0].frame.q_wb).all()
+    assert counts["lost"] == 2
+    assert solve_both_ways(BODY, markers, frames[:1])[0][0].fit is None
+
+
+def test_a_joint_smoothed_through_a_gap_follows_its_sine():
+    n, gap = 200, slice(80, 120)
+    angle = 0.7 * np.sin(2 * np.pi * 0.5 * 0.01 * np.arange(n))
+    true = Rotation.from_rotvec(angle[:, None] * [0.6, 0.8, 0.0]).as_matrix()[:, None]
+    noise = Rotation.from_rotvec(np.random.default_rng(2).normal(0.0, 0.01, (n, 3))).as_matrix()[:, None]
+    seen: list[Seen | None] = [Seen(turn, np.full((1, 3, 3), 1e4) * np.eye(3)) for turn in true @ noise]
+    seen[gap] = [None] * 40
+    turns = smoothed_turns(0.01 * np.arange(n), seen)
+    assert _apart_deg(turns[:, 0], true[:, 0])[gap].max() < 4.5  # it turns by 50° meanwhile
+    seen_apart = np.delete(_apart_deg(turns[:, 0], true[:, 0]), np.r_[gap])
+    assert np.sqrt((seen_apart**2).mean()) < np.degrees(0.01 * np.sqrt(3))
+
+
+def test_turns_of_joints_make_the_pose_again():
+    R = Rotation.random(BODY.n_segments, random_state=4).as_matrix()
+    np.testing.assert_allclose(from_turns(BODY.parents, joint_turns(BODY.parents, R)), R, atol=1e-12)
+
+
+def test_a_joint_carries_its_rate_on_and_comes_to_rest():
+    carrying = Carrying(BODY.parents)
+    R = _waving(1)[0]
+    for f in range(60):
+        R[HAND] = R[HAND] @ rm.from_rotation_vector(np.array([0.0, 0.0, 0.02]))
+        carrying.add(f * STEP_NS, R.copy())
+    first = carrying.ahead(60 * STEP_NS)
+    turn = rm.increment(R[HAND], first[HAND])
+    assert 0.012 < turn[2] < 0.02
+    np.testing.assert_allclose(np.delete(first, HAND, axis=0), np.delete(R, HAND, axis=0), atol=1e-9)
+    for f in range(60, 160):
+        carrying.add(f * STEP_NS, carrying.ahead(f * STEP_NS))
+    assert np.degrees(np.linalg.norm(rm.increment(R[HAND], carrying.ahead(160 * STEP_NS)[HAND]))) < 20.0
+    still = carrying.ahead(160 * STEP_NS)
+    carrying.add(160 * STEP_NS, still)
+    np.testing.assert_allclose(carrying.ahead(161 * STEP_NS)[HAND], still[HAND], atol=1e-3)
+    carrying.reset()
+    carrying.add(0, R)
+    np.testing.assert_allclose(carrying.ahead(STEP_NS), R, atol=1e-12)
+
+
+def test_an_arm_met_by_the_wrong_side_of_its_elbow_is_turned_round():
+    arm, forearm = BODY.index("right_upper_arm"), BODY.index("right_forearm")
+    kept = [
+        m for m, s in enumerate(_markers().segments) if s not in (arm, BODY.index("right_shoulder_girdle"))
+    ]
+    every = _markers()
+    places = np.vstack([every.positions[kept], [0.0, -0.32, 0.05]])
+    segments = np.append(every.segments[kept], arm)
+    labels = (*(every.labels[m] for m in kept), "elbow")
+    model = body_model(BODY, BodyMarkers(labels, segments, places, np.full(len(labels), 0.003)))
+    for bent in (40.0, 90.0, 120.0):
+        R = _waving(1)[0]
+        turn = rm.from_rotation_vector(np.array([0.0, 0.0, np.radians(bent)]))
+        R[forearm] = R[arm] @ turn
+        R[HAND] = R[forearm]
+        pose = start_pose(model, _seen(model, R), quaternion.to_matrix(BODY.neutral))
+        assert pose is not None
+        assert _apart_deg(pose.R[forearm][None], R[forearm][None])[0] < 5.0
+        assert _apart_deg(pose.R[arm][None], R[arm][None])[0] < 20.0
+
+
+def test_only_joints_beyond_two_markers_are_let_loose():
+    markers = _markers(2)
+    keep = np.array([m for m, s in enumerate(markers.segments) if s != HAND or m % 2])
+    single = BodyMarkers(
+        tuple(markers.labels[m] for m in keep), markers.segments[keep], markers.positions[keep],
+        markers.sigmas[keep],
+    )  # fmt: skip
+    model = body_model(BODY, single)
+    loose = _loose(model)
+    row = model.distals.tolist().index(HAND)
+    np.testing.assert_array_equal(loose.stiffness[row], model.stiffness[row])
+    assert (np.delete(loose.stiffness / model.stiffness, row, axis=0) < 0.1).all()
+
+
+def test_hips_of_all_regressions_lie_close_together_and_mirror():
+    asis = np.array([[0.0, 0.12, 1.0]]), np.array([[0.0, -0.12, 1.0]])
+    sacrum = np.array([[-0.16, 0.0, 1.0]])
+    right = [
+        point_rules.davis_hip(asis, sacrum, (0.88, 0.88), 0.007, "right"),
+        point_rules.davis_hip(asis, sacrum, (0.88, 0.88), 0.007, "right", (0.24, 0.0648)),
+        point_rules.harrington_hip(asis, sacrum, "right"),
+        point_rules.hara_hip(asis, sacrum, 0.88, "right"),
+    ]
+    np.testing.assert_allclose(
+        right[3][0], [0.011 - 0.063 * 0.88, -0.008 - 0.086 * 0.88, 1 - 0.009 - 0.078 * 0.88]
+    )
+    assert max(np.linalg.norm(a - b) for a in right for b in right) < 0.03
+    np.testing.assert_allclose(right[0], right[1], atol=1e-4)
+    left = point_rules.hara_hip(asis, sacrum, 0.88, "left")
+    np.testing.assert_allclose(left, right[3] * [1, -1, 1])
