@@ -18,8 +18,6 @@ from devices.link import Framing
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
-from gateway.cameras.camera_process import CameraTask
-from gateway.cameras.rig_of_cameras import CameraRig
 from gateway.pipeline import Pipeline
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.networks.cropping import cropped
@@ -29,7 +27,7 @@ from gateway.reconstruction.video.region import PersonRegion, peaks, region_of_m
 from gateway.recording.video import LINK, video_chunks, video_settings, video_suit
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "pose2sim_single"
-INSTANTS = 60
+INSTANTS = 24
 NETWORKS = ("lite", "full", "heavy")
 _CORES = 2
 _NETWORK_PICTURES = 12
@@ -53,8 +51,9 @@ class Stages:
         return value
 
     def ms(self, stage: str) -> float:
-        """Of one call."""
-        return 1e3 * float(np.percentile(self._spent[stage], 10))
+        """Of one call; of decoding the mean, for a decoder works ahead and gives several pictures at once."""
+        spent = self._spent[stage]
+        return 1e3 * float(np.mean(spent) if stage == "decode" else np.percentile(spent, 10))
 
 
 def run() -> Report:
@@ -82,10 +81,6 @@ def run() -> Report:
         Figure(
             "mirrored_peaks_cells", _mirrored_offset(places[2]), "cells", "<=0.1",
             "by which peaks in mirrored pictures are not the mirrored peaks: half-pixel conventions",
-        ),
-        Figure(
-            "wall_frames_per_s", _wall_frames_per_s(cameras, places), "1/s", "",
-            "a process a camera, `full`, as the clock on the wall has it, on this machine as it was",
         ),
     ]  # fmt: skip
     return report
@@ -198,13 +193,3 @@ def _mirrored(network: PoseNetwork, picture: Picture, region: PersonRegion, swap
 
 def _other_side(name: str) -> str:
     return name.replace("left", "@").replace("right", "left").replace("@", "right")
-
-
-def _wall_frames_per_s(cameras: list[Camera], places: list[str]) -> float:
-    tasks = [CameraTask(camera.name, place, "full") for camera, place in zip(cameras, places, strict=True)]
-    with CameraRig(cameras, tasks) as rig:
-        instants = iter(rig)
-        next(instants)
-        began = time.monotonic()
-        done = sum(1 for _ in itertools.islice(instants, INSTANTS))
-        return done / (time.monotonic() - began)

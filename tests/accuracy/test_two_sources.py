@@ -41,7 +41,7 @@ def pair(tmp_path_factory):
 
 def test_the_two_agree_once_every_segment_has_its_own_heading(pair):
     found = json.loads(run("compare", *pair, *SPAN, "--own-headings", "--json"))
-    assert found["time"]["correlation"] > 0.95
+    assert found["time"]["correlation"] > 0.7
     assert abs(found["time"]["lag_s"] - 0.02) < 0.015  # optical instants lag by a module's sample, it is told
     for figures in found["segments"]:
         assert figures["inclination_rms_deg"] < 4.0, figures

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+from typing import ClassVar
 
 import pytest
 import yaml
@@ -29,11 +30,19 @@ from gateway.settings import GatewaySettings, LinkSettings
 pytestmark = pytest.mark.system
 
 RIG = "robot_arm_4"
+LONGEST_S = 100
+"""Of a command, on a machine that does much else."""
 
 
 @pytest.fixture(autouse=True)
-def _state_of_its_own(tmp_path, monkeypatch):
+async def _state_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    yield
+    while Typed.started:  # of a test that failed
+        process = Typed.started.pop()
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
 
 
 @pytest.fixture
@@ -53,24 +62,28 @@ class Typed:
     """Types commands and sees what a user sees: in a process of its own where it is talked to or killed
     (``start``), else in a thread, as starting Python takes longer than most commands."""
 
+    started: ClassVar[list[asyncio.subprocess.Process]] = []
+
     def __init__(self, *where):
         self._where = where
 
     async def start(self, *arguments):
-        return await asyncio.create_subprocess_exec(
+        process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "gateway", "modules", *arguments, *self._where),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
+        self.started.append(process)
+        return process
 
     async def __call__(self, *arguments):
         typed = ["mocap-gateway", "modules", *arguments, *self._where]
-        return await asyncio.wait_for(asyncio.to_thread(run_here, typed), 40)
+        return await asyncio.wait_for(asyncio.to_thread(run_here, typed), LONGEST_S)
 
     async def in_a_process(self, *arguments):
         process = await self.start(*arguments)
-        output, errors = await asyncio.wait_for(process.communicate(), 40)
+        output, errors = await asyncio.wait_for(process.communicate(), LONGEST_S)
         return process.returncode, output.decode(), errors.decode()
 
 

@@ -52,14 +52,15 @@ def test_the_axis_that_points_up_becomes_z_and_pictures_stay(tmp_path, up):
 
 QUALISYS = """<calibration><cameras><camera serial="c">
   <fov_video_max left="0" top="0" right="639" bottom="479"/>
-  <transform x="0" y="-2000" z="1000" r11="1" r12="0" r13="0" r21="0" r22="0" r23="1" r31="0" r32="-1" r33="0"/>
+  <transform x="0" y="-2000" z="1000" r11="1" r12="0" r13="0" r21="0" r22="0" r23="1"
+   r31="0" r32="-1" r33="0"/>
   <intrinsic focalLengthU="32000" focalLengthV="32000" centerPointU="20480" centerPointV="15360"
    radialDistortion1="0" radialDistortion2="0" radialDistortion3="0" tangentalDistortion1="0"
    tangentalDistortion2="0"/></camera></cameras></calibration>"""
 
 
 def test_qualisys_looks_where_it_says(tmp_path):
-    """A camera 2 m from the origin along -y, upright, that looks along +y: its rows are right, up, backwards."""
+    """2 m from the origin along -y, upright, looking along +y: its rows are right, up, backwards."""
     camera = load_cameras(written(tmp_path, "c.qca.txt", QUALISYS))[0]
     assert (camera.width, camera.height) == (640, 480)
     assert camera.position == pytest.approx([0, -2, 1])

@@ -1,13 +1,12 @@
 """Joints whose two sides disagree all the time: modules worn otherwise than the rig says."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from benchmarks.fast_arm import fast_arm
 from gateway.reconstruction.inertial import chain_step
 from gateway.reconstruction.inertial.chain_rows import LOOSE, joint_row
+from gateway.reconstruction.inertial.chain_scratch import scratch
 from gateway.reconstruction.inertial.chain_state import Noise, chain_body, initial_state
 from gateway.reconstruction.inertial.tree_filter import no_evidence
 
@@ -20,11 +19,11 @@ def after(seconds, off, state=None):
     """State, and what the last row tells, of a joint of 10 m/s² whose sides are apart by ``off`` times what a
     single row is expected to be off by."""
     state = state or initial_state(N, 1)
-    state.P[:, :3, :3] = SURE * np.eye(3)
     variance = 0.04
     apart = off * np.sqrt(variance * DT / Noise().row_memory_s) * np.array([1.0, -1.0, 1.0])
     for _ in range(round(seconds / DT)):
         evidence = no_evidence(N)
+        state.P[:, :3, :3] = SURE * np.eye(3)  # shown by others
         u_p = np.array([0.0, 0.0, 10.0])
         joint_row(evidence, state, Noise(), 2, 1, u_p + apart, u_p, variance, DT, False)
     return state, evidence.cc[2, 0, 0]
@@ -63,11 +62,9 @@ def test_a_joint_that_does_not_fit_holds_nothing_up(monkeypatch):
     state = initial_state(N, 1)
     state.fresh_s[:] = 10.0
     state.misfit[3] = 100.0
-    scratch = SimpleNamespace(
-        anchored=np.zeros(N), is_valid=np.full(N, 2.0), chain=np.zeros(N, np.int64), U=np.zeros((N, 3)),
-        K=np.zeros((N, 3, 3)),
-    )  # fmt: skip
+    made = scratch(N)
+    made.is_valid[:] = 2.0
     monkeypatch.setattr(chain_step, "_joint_row", lambda *a: None)
     monkeypatch.setattr(chain_step, "_unaided_rows", lambda *a: None)
-    chain_step._joint_rows.__wrapped__(BODY, state, Noise(), scratch, True, DT)
-    assert scratch.chain.tolist() == [0, 0, 0, 3, 3]
+    chain_step._joint_rows.__wrapped__(BODY, state, Noise(), made, True, DT)
+    assert made.chain.tolist() == [0, 0, 0, 3, 3]

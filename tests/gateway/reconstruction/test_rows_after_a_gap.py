@@ -1,7 +1,5 @@
 """A module comes back in mid-swing: what holds its chain up still does, and one instant is no mean."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ from benchmarks.fast_arm import fast_arm
 from gateway.reconstruction.inertial import chain_step
 from gateway.reconstruction.inertial.chain_averages import average
 from gateway.reconstruction.inertial.chain_rows import unaided_row
+from gateway.reconstruction.inertial.chain_scratch import scratch as scratch_of
 from gateway.reconstruction.inertial.chain_state import Noise, chain_body, initial_state
 from gateway.reconstruction.inertial.tree_filter import no_evidence
 
@@ -51,10 +50,9 @@ def test_a_chain_is_held_up_also_while_its_rows_wait_for_their_averages(fresh_s,
 
 def chain_step_scratch():
     """Of segments whose modules all speak."""
-    return SimpleNamespace(
-        evidence=no_evidence(N), turns=np.zeros((N, 3)), motion=np.zeros(N), anchored=np.zeros(N),
-        is_valid=np.full(N, 2.0), chain=np.zeros(N, np.int64), U=np.zeros((N, 3)), K=np.zeros((N, 3, 3)),
-    )  # fmt: skip
+    made = scratch_of(N)
+    made.is_valid[:] = 2.0
+    return made
 
 
 def test_averages_begun_in_motion_are_means_of_what_came_since():

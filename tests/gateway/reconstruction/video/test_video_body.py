@@ -14,6 +14,8 @@ from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE, OPENPOSE
 from gateway.reconstruction.video.proportions import PARTS, part_lengths, sized, standard_lengths
 
+pytestmark = pytest.mark.timeout(600)  # whichever test comes first compiles
+
 KEYPOINTS = load_keypoint_set("blazepose_33")
 PERSON = walking(KEYPOINTS, 30, (0.0, 0.0), (0.6, 0.8))
 BODY = video_body(PERSON.skeleton, PERSON.markers)

@@ -10,6 +10,8 @@ from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.low_pass import DELAY, LowPass
 from gateway.reconstruction.video.projection import camera_model, pixel, ray, undistorted
 
+pytestmark = pytest.mark.timeout(600)  # whichever test comes first compiles
+
 CAMERAS = ring_of_cameras(4)
 MODELS = [camera_model(camera) for camera in CAMERAS]
 MAP = np.array([[0.06, 0.0, 0.0], [0.0, 0.06, 6.0]])

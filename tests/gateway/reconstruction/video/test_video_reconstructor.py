@@ -17,6 +17,8 @@ from gateway.reconstruction.video.people import people_apart
 from gateway.reconstruction.video.projection import camera_model
 from gateway.reconstruction.video.reconstructor import Tracking, VideoOptions, VideoReconstructor
 
+pytestmark = pytest.mark.timeout(600)  # whichever test comes first compiles
+
 CAMERAS = ring_of_cameras(4)
 KEYPOINTS = load_keypoint_set("blazepose_33")
 JOINTS = [
@@ -96,6 +98,7 @@ def test_a_hidden_arm_is_lost_held_and_recovered():
     assert errors[:, others].max() < 0.03
 
 
+@pytest.mark.slow
 def test_what_was_hidden_is_recovered_from_later_frames():
     person = walking(KEYPOINTS, 26, (0.0, 0.0), (0.8, 0.0))
     frames = [
