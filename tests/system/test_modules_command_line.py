@@ -59,8 +59,8 @@ def suit_on_port(commanded_suit, tmp_path):
 
 
 class Typed:
-    """Types commands and sees what a user sees: in a process of its own where it is talked to or killed
-    (``start``), else in a thread, as starting Python takes longer than most commands."""
+    """Types commands and sees what a user sees: in a process of its own where it reads what is typed or
+    is killed (``start``), else in a thread, as starting Python takes longer than most commands."""
 
     started: ClassVar[list[asyncio.subprocess.Process]] = []
 
@@ -132,7 +132,7 @@ async def test_a_busy_port_says_how_to_ask_the_gateway_that_holds_it(suit_on_por
     async with suit_on_port() as (_, modules):
         holder = await modules.start("watch")
         await asyncio.sleep(2.5)
-        code, output, errors = await modules("list")
+        code, output, errors = await modules.in_a_process("list")
         holder.send_signal(signal.SIGINT)
         _, complaints = await asyncio.wait_for(holder.communicate(), 10)
     assert (code, output) == (1, "")
@@ -269,10 +269,10 @@ async def test_assign_by_name_without_shaking_survives_a_module_that_restarts(su
     async with suit_on_port(stored_ids={0: 1, 1: 0}) as (suit, modules):
         suit.traffic.device(0).power_cut = PowerCut(Verb.COMMIT, moment=Moment.IN_FLASH, flash_step=10)
         one = ("assign", "--segment", "link_1", "--device", suit.unique_id(0).hex())
-        code, _, errors = await modules(*one)
+        code, _, errors = await modules.in_a_process(*one)
         assert code == 1
         assert "allow_device_writes: true" in errors
-        code, output, errors = await modules(*one, "--yes", "--allow-writes")
+        code, output, errors = await modules.in_a_process(*one, "--yes", "--allow-writes")
         assert (code, errors) == (0, "")
         assert f"link_1: {suit.unique_id(0).hex()} is module 0 now" in output
         assert suit.ids() == {n: n for n in range(4)}
@@ -281,7 +281,7 @@ async def test_assign_by_name_without_shaking_survives_a_module_that_restarts(su
 async def test_a_segment_that_gives_no_sign_is_skipped_in_time(suit_on_port):
     async with suit_on_port() as (_, modules):
         timed = ("--allow-writes", "--yes", "--timeout", "1", "--segment", "link_1")
-        code, output, _ = await modules("assign", *timed)
+        code, output, _ = await modules.in_a_process("assign", *timed)
     assert code == 1
     assert "nothing moved in time: skipped" in output
     assert "not assigned: link_1" in output
@@ -293,7 +293,7 @@ async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_
     async with suit_on_port(has_relay=True) as (suit, modules):
         code, output, _ = await modules("card", "start")
         assert (code, output) == (0, "the card records\n")
-        await asyncio.sleep(2)
+        await asyncio.sleep(2.5)
         relay = suit.traffic.device(RELAY)
         relay.happen(0.0, relay.stop)
         await asyncio.sleep(0.2)
