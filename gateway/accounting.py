@@ -6,6 +6,7 @@
     readings out of the stream           =  taken for frames + each kind of drop + held back by the despiker
     instants of the grid                 =  frames + instants left out in silence
     frames assembled                     =  poses reconstructed + left out in overload
+                                            + instants of cameras before the first smoothed pose
     poses offered to an output           =  published + dropped + thinned + queued
     chunks handed to the recorder        =  written + lost + waiting for the disk
 
@@ -119,6 +120,9 @@ def _frames(pipeline: Pipeline) -> Iterator[Balance]:
         yield Balance("instants", assembler.instants, {"frames": assembler.frames, "skipped": skipped})
     assembled = assembler.frames + pipeline.marker_frames
     solved = {"reconstructed": pipeline.skeleton_frames, "left_out": pipeline.left_out}
+    if pipeline.video is not None:
+        assembled += pipeline.video.instants
+        solved["settling"] = pipeline.video.settling
     yield Balance("frames", assembled, solved)
 
 

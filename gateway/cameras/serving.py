@@ -36,14 +36,26 @@ class _Receiver:
     waiting: bytearray = field(default_factory=bytearray)
 
 
-def serve(task: CameraTask, host: str, port: int, speed: float, tell: Callable[[str], None]) -> Served:
-    """Until the camera ends, or Ctrl-C; with a file, from the first receiver on. Raises ``CameraError``."""
+def serve(
+    task: CameraTask,
+    host: str,
+    port: int,
+    speed: float,
+    tell: Callable[[str], None],
+    begin_s: float | None = None,
+) -> Served:
+    """Until the camera ends, or Ctrl-C. Raises ``CameraError``.
+
+    begin_s: when a file begins, seconds since the epoch; None: when the first receiver has connected.
+    """
     source = open_pictures(task.place, task.rate_hz)
     follower = PersonFollower(load_network(task.network), PersonDetector())
     with _listening(host, port) as listener, contextlib.closing(source):
         tell(f"camera '{task.name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
         outlet = Outlet(listener)
-        if source.info.count is not None:
+        if begin_s is not None:
+            time.sleep(max(0.0, begin_s - time.time()))
+        elif source.info.count is not None:
             outlet.wait_for_first()
         begun = time.monotonic()
         with contextlib.suppress(KeyboardInterrupt):

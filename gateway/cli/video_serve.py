@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from datetime import UTC, datetime
 from typing import Annotated
 
 import typer
@@ -9,6 +11,9 @@ import typer
 from gateway.cameras.camera_process import CameraTask
 from gateway.cameras.serving import serve
 from gateway.cli.video_sources import Network, Rate
+from gateway.errors import GatewayError
+
+_DAY_S = 86_400
 
 
 def serve_camera(
@@ -19,13 +24,38 @@ def serve_camera(
     network: Network = "full",
     rate: Rate = None,
     speed: Annotated[float, typer.Option(min=0, help="Of a file: 1 as taken; 0 as fast as it goes.")] = 1.0,
+    at: Annotated[
+        str | None,
+        typer.Option(metavar="HH:MM:SS", help="When a file begins, UTC; else with the first receiver."),
+    ] = None,
 ) -> None:
     """Serve the heat maps of one camera over TCP to a gateway elsewhere; no picture leaves here.
 
     Every gateway that connects gets the messages from then on. In its configuration the link is
-    url: tcp://HOST:PORT, carries: heat_maps.
+    url: tcp://HOST:PORT, carries: heat_maps. Files of several cameras keep together when all begin --at the
+    same time.
     """
+    begin_s = None if at is None else moment(at, time.time())
     done = serve(
-        CameraTask(name, place, network, rate), host, port, speed, lambda text: typer.echo(text, err=True)
+        CameraTask(name, place, network, rate),
+        host,
+        port,
+        speed,
+        lambda text: typer.echo(text, err=True),
+        begin_s,
     )
     typer.echo(f"{done.messages} pictures, {done.sent} messages sent, {done.skipped} left out")
+
+
+def moment(text: str, now_s: float) -> float:
+    """The next time that it is so late in UTC, within twelve hours; seconds since the epoch. Raises
+    ``GatewayError``."""
+    try:
+        wanted = datetime.strptime(text, "%H:%M:%S").replace(tzinfo=UTC)
+    except ValueError as error:
+        raise GatewayError(f"--at {text}: a time of day in UTC is wanted, such as 09:30:00") from error
+    ahead_s = (wanted.hour * 3600 + wanted.minute * 60 + wanted.second - now_s) % _DAY_S
+    if ahead_s > _DAY_S / 2:
+        now = datetime.fromtimestamp(now_s, UTC)
+        raise GatewayError(f"--at {text}: has passed; it is {now:%H:%M:%S} UTC")
+    return now_s + ahead_s
