@@ -11,10 +11,15 @@ import pytest
 
 from benchmarks.video_truth import rendered, ring_of_cameras, true_regions, walking
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
+from devices.reconnect import LinkState
 from gateway.accounting import unaccounted
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
+from gateway.cameras.broker_link import TOPIC
+from gateway.cameras.broker_outlet import BrokerOutlet
 from gateway.cameras.serving import Outlet
+from gateway.outputs.connection import broker_connection
+from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.recording.video import video_subject, video_suit
@@ -104,5 +109,35 @@ async def test_heat_maps_over_tcp_come_out_as_poses(mosquitto, tmp_path, walk):
     service, received = await heard_of(config, send, N - 3)
     for listener in listeners:
         listener.close()
+    assert_is_walker(received, knee)
+    assert service.statistics()["video"]["dropped"] == {}
+
+
+async def test_heat_maps_over_mqtt_come_out_as_poses(mosquitto, tmp_path, walk):
+    """Among retained, cut off and foreign messages on the same topics."""
+    instants, knee = walk
+    broker = MqttSettings(port=mosquitto.port)
+    outlets = [BrokerOutlet(broker, TOPIC.format(camera=c.name)) for c in CAMERAS]
+    async with broker_connection(broker, mosquitto.port, "other") as other:
+        await other.publish(TOPIC.format(camera="ring0"), instants[20][0], retain=True)
+
+        async def send(service):
+            for outlet in outlets:
+                await asyncio.to_thread(outlet.wait_for_first)
+            while service.links[0].state is not LinkState.UP:
+                await asyncio.sleep(0.05)
+            for instant in instants:
+                await other.publish(TOPIC.format(camera="ring1"), instant[1][:-1])
+                await other.publish(TOPIC.format(camera="x"), b"nothing of ours")
+                for outlet, message in zip(outlets, instant, strict=True):
+                    outlet.offer(message)
+                await asyncio.sleep(0.05)
+
+        link = f"{{name: cameras, url: 'mqtt:///{TOPIC.format(camera='+')}', carries: heat_maps}}"
+        config = config_of(tmp_path, instants, link, mosquitto.port)
+        service, received = await heard_of(config, send, N - 3)
+    for outlet in outlets:
+        await asyncio.to_thread(outlet.close)
+    assert [outlet.served.sent for outlet in outlets] == [N] * 3
     assert_is_walker(received, knee)
     assert service.statistics()["video"]["dropped"] == {}
