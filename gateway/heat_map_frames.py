@@ -17,7 +17,10 @@ from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.reconstruction.video.reconstructor import VideoOptions, VideoPose, VideoReconstructor
 
-NO_CAMERAS = "the rig has no cameras: 'rig' must name a subject that `mocap-gateway video solve` wrote"
+NO_CAMERAS = (
+    "the rig has no cameras: 'rig' must name a subject that `mocap-gateway video solve` wrote, or a rig with "
+    "'cameras'"
+)
 PATIENCE = 3
 PATIENCE_NS = 250_000_000
 """An instant waits for a camera that lags behind: so many instants and so long, at the least."""
@@ -55,14 +58,16 @@ class HeatMapFrames:
 
     def receive(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The smoothed poses that a chunk completes."""
+        return [pose.skeleton for pose in self.poses(chunk) if pose.skeleton is not None]
+
+    def poses(self, chunk: Chunk) -> list[VideoPose]:
+        """The instants that a chunk completes, smoothed and not."""
         receiver = self._receivers.setdefault(chunk.link, HeatMapReceiver())
-        frames = []
+        poses = []
         for message in receiver.receive(chunk.data):
             self._take(message, chunk.arrived_ns)
-            frames += [
-                pose for frame in self._instants.complete() if (pose := self._solved(frame)) is not None
-            ]
-        return frames
+            poses += [self._solved(frame) for frame in self._instants.complete()]
+        return poses
 
     def statistics(self) -> dict[str, object]:
         """What became of the messages."""
@@ -76,10 +81,10 @@ class HeatMapFrames:
             "begun_anew": self._instants.begun_anew,
         }
 
-    def _solved(self, frame: HeatMapFrame) -> SkeletonFrame | None:
+    def _solved(self, frame: HeatMapFrame) -> VideoPose:
         self.last = self.reconstructor.update(frame)
         self.settling += self.last.skeleton is None
-        return self.last.skeleton
+        return self.last
 
     def _take(self, message: HeatMapMessage, arrived_ns: int) -> None:
         row = self._row.get(message.camera)

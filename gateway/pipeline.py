@@ -30,6 +30,7 @@ from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, S
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
 from gateway.heat_map_frames import NO_CAMERAS, HeatMapFrames
+from gateway.hip_position import HipPosition
 from gateway.light import SunCompass
 from gateway.marker_frames import MarkerFrames
 from gateway.reconstruction import (
@@ -76,6 +77,12 @@ class NoModules:
 
     def reset(self) -> None:
         """Nothing is remembered."""
+
+
+def _watched(suit: WornSuit) -> WornSuit | None:
+    """The person as cameras see them; None: there are no cameras."""
+    person = suit if suit.camera_position is None else suit.camera_position.person
+    return None if person.video is None else person
 
 
 class Pipeline:
@@ -138,8 +145,10 @@ class Pipeline:
             warm_up()
             self.optical = OpticalReconstructor(suit.skeleton, suit.markers)
         self._markers: dict[str, MarkerFrames] = {}
-        self.video = None if suit.video is None else HeatMapFrames(suit)
-        """Of cameras; it takes the heat maps of all links that carry some."""
+        self.video = None if (watched := _watched(suit)) is None else HeatMapFrames(watched)
+        """Of cameras; it takes the heat maps of all links that carry some. ``hips``: where they are a local
+        device of somebody with modules."""
+        self.hips = self.video and suit.camera_position and HipPosition(suit.camera_position, self.video)
         self._heat_map_links: set[str] = set()
         self.satellite_readings = 0
         """Readings that satellite receivers gave, beside those of the stream."""
@@ -227,6 +236,11 @@ class Pipeline:
 
     def _seen_frames(self, chunk: Chunk) -> list[SkeletonFrame]:
         """Of an optical system or cameras."""
+        if self.hips is not None and chunk.link in self._heat_map_links:
+            readings = self.hips.receive(chunk)
+            for reading in readings:
+                self._assemble(reading, chunk.arrived_ns)
+            return []
         if chunk.link in self._heat_map_links:
             assert self.video is not None  # add_link saw to it
             made = self.video.receive(chunk)
