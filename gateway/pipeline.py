@@ -85,6 +85,11 @@ def _watched(suit: WornSuit) -> WornSuit | None:
     return None if person.video is None else person
 
 
+def _reference(suit: WornSuit, table: ClockTable | None) -> int:
+    """The module to whose instants the others are brought."""
+    return suit.module_ids[0] if table is None else table.reference
+
+
 class Pipeline:
     """Chunks in, skeleton frames out."""
 
@@ -100,9 +105,8 @@ class Pipeline:
         root: RootSettings | None = None,
     ) -> None:
         """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
-        triggers = None
-        if clock_mode is ClockMode.TRIGGER:
-            triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns)
+        is_triggered = clock_mode is ClockMode.TRIGGER
+        triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns) if is_triggered else None
         self.stream = Stream(clock_mode, clock_table, triggers)
         self.corrections = SensorCorrections(suit.calibrations)
         self.despiker = despiker
@@ -110,16 +114,15 @@ class Pipeline:
         self.fused_assembler: FusedAssembler | None = None
         """In the place of the other where orientations fused on board are wanted."""
         if reconstructor in FUSED:
-            reference = suit.module_ids[0] if clock_table is None else clock_table.reference
-            self.fused_assembler = FusedAssembler(suit.module_ids, params, reference)
+            self.fused_assembler = FusedAssembler(suit.module_ids, params, _reference(suit, clock_table))
         self.unused: Counter[str] = Counter()
         """Readings of a kind that the reconstructor has no use for."""
-        interval_s = params.frame_interval_ns * 1e-9
         if reconstructor == OPTICAL:
             if suit.markers is None:
                 raise SettingsError(NO_MARKERS)
             reconstructor = "independent"  # for modules that may be worn beside the markers
             root = RootSettings(RootMode.FIXED)
+        interval_s = params.frame_interval_ns * 1e-9
         self._make: Callable[[WornSuit], Reconstructor] = partial(
             create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root
         )
