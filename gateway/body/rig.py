@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from gateway.body.anthropometry import Subject, scaled
 from gateway.body.joint_file import JointEntry, joints_of
 from gateway.body.markers import BodyMarkers
+from gateway.body.position_cameras import PositionCameras
 from gateway.body.sensor_entries import CalibrationEntry
 from gateway.body.skeleton import (
     CameraPosition,
@@ -181,23 +182,6 @@ class WorldSettings(_Strict):
         return self
 
 
-class PositionCameras(_Strict):
-    """Cameras that tell where the wearer of the modules is."""
-
-    subject: str = Field(description="file of `video solve --fit-subject`: the person and the cameras")
-    device: ModuleId = Field(description="id of the local device of kind position that they stand for")
-    sigma_mm: float = Field(default=20, gt=0, le=1000, description="standard deviation of each coordinate")
-    latency_ms: float = Field(
-        default=0, ge=0, le=5000, description="from a picture to the arrival of its heat maps, at the least"
-    )
-    turn_deg: float = Field(
-        default=0,
-        ge=-360,
-        le=360,
-        description="from east to the X axis of the cameras' world, counter-clockwise seen from above",
-    )
-
-
 class RigFile(_Strict):
     """Which modules sit where on which body."""
 
@@ -322,31 +306,15 @@ def load_rig(name: str, beside: Path | None = None) -> WornSuit:
         magnetic_field=field_vector(field.norm_ut, field.dip_deg, field.declination_deg),
         calibrations={m.id: m.calibration.model() for m in rig.modules if m.calibration is not None},
         sun=_sun(rig),
-        camera_position=None if rig.cameras is None else _camera_position(rig.cameras, rig, path),
+        camera_position=_camera_position(rig, path),
     )
 
 
-def _camera_position(cameras: PositionCameras, rig: RigFile, path: Path) -> CameraPosition:
-    """Raises ``SettingsError`` where there is no such device, or no cameras in the subject's file."""
+def _camera_position(rig: RigFile, path: Path) -> CameraPosition | None:
+    if rig.cameras is None:
+        return None
     positions = [device.device for device in rig.local_devices if device.kind == "position"]
-    if cameras.device not in positions:
-        raise SettingsError(
-            f"{path}: cameras: no local device of kind 'position' has the id {cameras.device}: add one, "
-            f"such as {{kind: position, device: {cameras.device}, segment: pelvis}}"
-        )
-    person = load_rig(cameras.subject, path)
-    if person.video is None:
-        raise SettingsError(
-            f"{path}: cameras: '{cameras.subject}' names no cameras: one that does is written "
-            "by `mocap-gateway video solve --fit-subject`"
-        )
-    return CameraPosition(
-        person,
-        cameras.device,
-        cameras.sigma_mm * 1e-3,
-        round(cameras.latency_ms * 1e6),
-        float(np.radians(cameras.turn_deg)),
-    )
+    return rig.cameras.worn(load_rig(rig.cameras.subject, path), positions, path)
 
 
 def _sun(rig: RigFile) -> SunCells | None:
