@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 
 from devices.link import Chunk
-from gateway.body.skeleton import CameraPosition
+from gateway.body.skeleton import CameraPosition, WornSuit
 from gateway.frames import LocalReading, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.heat_map_frames import HeatMapFrames
@@ -26,6 +28,12 @@ class HipPosition:
         """Given so far."""
         self._rows = [cameras.person.markers.labels.index(label) for label in HIPS]
         self._turn = rotation_matrix.from_rotation_vector(np.array([0.0, 0.0, cameras.turn_rad]))
+
+    @classmethod
+    def of(cls, suit: WornSuit, frames: HeatMapFrames | None) -> Self | None:
+        """That of a suit; None: it has no cameras for a local device."""
+        cameras = suit.camera_position
+        return None if cameras is None or frames is None else cls(cameras, frames)
 
     def receive(self, chunk: Chunk) -> list[LocalReading]:
         """A reading for every instant of the chunk in which both hips are seen."""

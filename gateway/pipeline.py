@@ -151,7 +151,7 @@ class Pipeline:
         self.video = None if (watched := _watched(suit)) is None else HeatMapFrames(watched)
         """Of cameras; it takes the heat maps of all links that carry some. ``hips``: where they are a local
         device of somebody with modules."""
-        self.hips = self.video and suit.camera_position and HipPosition(suit.camera_position, self.video)
+        self.hips = HipPosition.of(suit, self.video)
         self._heat_map_links: set[str] = set()
         self.satellite_readings = 0
         """Readings that satellite receivers gave, beside those of the stream."""
