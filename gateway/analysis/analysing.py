@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from devices.marker_files.force_plates import ForcePlates
 from gateway.analysis.contact import estimated_floor
-from gateway.analysis.floor import FloorForces, Source, feet
+from gateway.analysis.floor import FloorForces, feet
 from gateway.analysis.inertia import BodyInertia
 from gateway.analysis.inverse_dynamics import Dynamics, inverse_dynamics
 from gateway.analysis.joint_torques import angle_axes, joint_torques
 from gateway.analysis.plates import measured_floor
 from gateway.analysis.smooth_motion import SmoothMotion, smooth_motion
+from gateway.analysis.trust import WHOLE_BODY
+from gateway.analysis.trust import told as told_notes
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
@@ -24,7 +26,6 @@ from gateway.recording import SkeletonArrays
 
 Tell = Callable[[str], Callable[[int, int], None]]
 """What is begun, to what is then told how far it is."""
-_WHOLE_BODY = 0.97
 
 
 @dataclass(frozen=True)
@@ -77,15 +78,28 @@ def analyse(
 
     Raises ``GatewayError`` for a motion too short, a cut-off too high, or without mujoco.
     """
-    told = tell or (lambda _: lambda _done, _total: None)
     take = take_of(arrays, name, Axes.Z_UP)
-    skeleton = arrays.skeleton
-    root = int(np.flatnonzero(skeleton.parents < 0)[0])
-    motion = smooth_motion(skeleton, take.time_s, take.q_wb, take.p_w[:, root], cutoff_hz)
+    root = int(np.flatnonzero(arrays.skeleton.parents < 0)[0])
+    motion = smooth_motion(arrays.skeleton, take.time_s, take.q_wb, take.p_w[:, root], cutoff_hz)
+    found = analyse_motion(motion, name, inertia, gravity, measured, tell)
+    return replace(found, notes=(*found.notes, *_fill_notes(take.filled)))
+
+
+def analyse_motion(
+    motion: SmoothMotion,
+    name: str,
+    inertia: BodyInertia,
+    gravity: FloatArray,
+    measured: MeasuredForces | None = None,
+    tell: Tell | None = None,
+) -> Analysis:
+    """As ``analyse``, of a motion that is smooth already."""
+    told = tell or (lambda _: lambda _done, _total: None)
+    skeleton = motion.skeleton
     free = inverse_dynamics(motion, inertia, gravity, progress=told("inverse dynamics without the floor"))
     known = None
     if measured is not None:
-        known = measured_floor(measured.plates, measured.vertical, motion, free, cutoff_hz)
+        known = measured_floor(measured.plates, measured.vertical, motion, free, motion.cutoff_hz)
     floor = _floor(motion, free, known, inertia, told)
     dynamics = inverse_dynamics(motion, inertia, gravity, floor, told("inverse dynamics"))
     q_wb = motion.orientations()
@@ -93,10 +107,11 @@ def analyse(
     rates, accelerations = _derivatives(motion.time_s, angles)
     axes = angle_axes(skeleton, angles, dynamics.rotation_wb)
     torques = joint_torques(skeleton, axes, dynamics.moment)
+    weight_n = float(np.linalg.norm(gravity) * inertia.mass.sum())
     return Analysis(
         name, skeleton, motion, inertia, angles, rates, accelerations, axes, torques,
         _power(skeleton, motion, dynamics), floor, dynamics,
-        (*_notes(inertia, floor, dynamics), *_fill_notes(take.filled)),
+        tuple(told_notes(motion, inertia, floor, dynamics, weight_n)),
     )  # fmt: skip
 
 
@@ -106,7 +121,7 @@ def _floor(
     """Measured where it was, estimated elsewhere if the body is whole and has feet."""
     on = feet(motion.skeleton)
     frames = len(motion.time_s)
-    if len(on) and inertia.share > _WHOLE_BODY:
+    if len(on) and inertia.share > WHOLE_BODY:
         return estimated_floor(motion, free, known, progress=told("floor forces"))
     if known is not None:
         return known
@@ -132,26 +147,6 @@ def _power(skeleton: Skeleton, motion: SmoothMotion, dynamics: Dynamics) -> Floa
     rates = np.einsum("fjik,fjk->fji", turned, motion.angular_velocity[:, distal])
     power: FloatArray = np.einsum("fji,fji->fj", dynamics.moment[:, distal], rates)
     return power
-
-
-def _notes(inertia: BodyInertia, floor: FloorForces, dynamics: Dynamics) -> list[str]:
-    notes = []
-    if inertia.share <= _WHOLE_BODY:
-        notes.append(
-            f"The body carries {100 * inertia.share:.0f} % of the person: floor forces are not estimated, "
-            "and what is left over at the root is the part that is not there."
-        )
-    for source, word in ((Source.MEASURED, "measured"), (Source.ESTIMATED, "estimated")):
-        share = float((floor.source == source).any(axis=1).mean()) if floor.source.size else 0.0
-        if share:
-            notes.append(f"Floor forces are {word} in {100 * share:.0f} % of the frames.")
-    notes += floor.notes
-    left = np.linalg.norm(dynamics.residual_force, axis=1)
-    notes.append(
-        f"Left over at the root: {np.sqrt(np.mean(left**2)):.0f} N RMS, {left.max():.0f} N at most; "
-        f"{np.sqrt(np.mean(np.sum(dynamics.residual_moment**2, axis=1))):.0f} N m RMS."
-    )
-    return notes
 
 
 def _fill_notes(filled: np.ndarray) -> list[str]:

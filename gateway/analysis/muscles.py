@@ -85,11 +85,11 @@ def find_muscles(
     activity, arms = np.zeros((frames, len(names))), np.zeros((frames, len(asked), len(names)))
     left = np.zeros((frames, len(asked)))
     drawn = []
-    knees = _knees(found)
+    knees = knee_flexion(found)
     for f in range(frames):
         flexion = {side: float(angles[f]) for side, angles in knees.items()}
         paths.place(found.motion.root[f], found.motion.rotation[f], flexion)
-        arms[f] = _arms(found, paths, asked, f, flexion)
+        arms[f] = moment_arms(found, paths, asked, f, flexion)
         wanted = np.array([found.torques[f, j, k] for j, k in asked])
         activity[f], left[f] = solver.solve(arms[f], wanted, chosen.bias[f], chosen.weight[f])
         drawn.append(tuple(paths.polylines()))
@@ -98,10 +98,13 @@ def find_muscles(
     return MuscleResult(names, largest, activity, tuple(drawn), asked, arms, left)
 
 
-def _arms(
+def moment_arms(
     found: Analysis, paths: MusclePaths, asked: tuple[tuple[int, int], ...], f: int, flexion: dict[str, float]
 ) -> FloatArray:
-    """(R, W) m: the work of each wire's newton on each angle."""
+    """(R, W) m: the work of each wire's newton on each angle, in the posture that paths are in.
+
+    asked: of ``muscle_torques``. f: the posture's instant. flexion: of the knees by side, rad.
+    """
     rows = []
     names = found.skeleton.segment_names
     for j, k in asked:
@@ -115,7 +118,7 @@ def _arms(
     return np.stack(rows)
 
 
-def _knees(found: Analysis) -> dict[str, FloatArray]:
+def knee_flexion(found: Analysis) -> dict[str, FloatArray]:
     """(F,) rad of the knees' flexion by side."""
     names = found.skeleton.segment_names
     return {

@@ -24,6 +24,8 @@ _ORDER = 2
 _DUAL_PASS = (np.sqrt(2.0) - 1.0) ** (-1.0 / (2 * _ORDER))
 """Twice through a Butterworth filter lowers its cut-off by this factor (Winter 2009, eq. 3.13)."""
 _FEWEST_FRAMES = 6
+_FEWEST_PERIODS = 2.0
+"""Of the cut-off, that a motion must last: a shorter one is nothing but the filter's two ends."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,18 @@ def smooth_motion(
 ) -> SmoothMotion:
     """Of regular samples without NaN: time_s (F,), q_wb (F, S, 4), root (F, 3) m.
 
-    Raises ``GatewayError`` for fewer than six frames, or a cut-off at or beyond half the sampling rate.
+    Raises ``GatewayError`` for fewer than six frames, a motion shorter than two periods of the cut-off, or a
+    cut-off at or beyond half the sampling rate.
     """
     if len(time_s) < _FEWEST_FRAMES:
         raise GatewayError(f"{len(time_s)} frames: a motion to be analysed needs {_FEWEST_FRAMES} at least")
-    rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0])
+    lasts_s = float(time_s[-1] - time_s[0])
+    if cutoff_hz is not None and lasts_s < _FEWEST_PERIODS / cutoff_hz:
+        raise GatewayError(
+            f"{lasts_s:.2f} s of motion is too short for a cut-off of {cutoff_hz:g} Hz: "
+            f"{_FEWEST_PERIODS / cutoff_hz:.2f} s at least, or a higher --cutoff (0: none)"
+        )
+    rate_hz = (len(time_s) - 1) / lasts_s
     turned = _continuous(_relative(skeleton, q_wb))
     turned, places = low_pass(turned, rate_hz, cutoff_hz), low_pass(root, rate_hz, cutoff_hz)
     path = make_interp_spline(time_s, places, k=5)

@@ -95,6 +95,8 @@ def analyse_file(
         raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell_read:
         arrays, suit, told_kg = _motion(file, subject, tell_read)
+    if mass is not None and inertia is not None:
+        raise GatewayError("--mass and --inertia both tell what the body weighs: leave one of them out")
     weighed = _inertia(arrays.skeleton, mass or told_kg, sex, inertia, file)
     measured = _measured(file, forces, suit)
     with progress_bar("torques", is_shown=not as_json) as tell:

@@ -51,6 +51,15 @@ def view(
         Path | None,
         typer.Option(help="File with the token that opens the page; else MOCAP_PAGE_TOKEN is taken."),
     ] = None,
+    muscles: Annotated[
+        float | None,
+        typer.Option(
+            min=2,
+            max=400,
+            metavar="KG",
+            help="Show muscles coloured by activity, of a person of this mass (extra biomech).",
+        ),
+    ] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a broker that is not there yet.")] = False,
 ) -> None:
     """Show the moving body on a page in the browser, live or from a recording.
@@ -71,9 +80,9 @@ def view(
     place = _Place(page_host, page_port, token)
     with contextlib.suppress(KeyboardInterrupt):
         if recording is None:
-            asyncio.run(_serve_live(settings, gateway, place, wait))
+            asyncio.run(_serve_live(settings, gateway, place, wait, muscles))
         else:
-            asyncio.run(_serve_recording(recording, place))
+            asyncio.run(_serve_recording(recording, place, muscles))
 
 
 class _Place(NamedTuple):
@@ -105,14 +114,16 @@ async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
             server.stop()
 
 
-async def _serve_live(settings: MqttSettings, gateway: str, place: _Place, waits: bool) -> None:
+async def _serve_live(
+    settings: MqttSettings, gateway: str, place: _Place, waits: bool, muscles_kg: float | None
+) -> None:
     async with _page(place) as server:
         from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
 
-        await LiveViewer(server, settings, gateway).run(waits)
+        await LiveViewer(server, settings, gateway, muscles_kg).run(waits)
 
 
-async def _serve_recording(recording: Path, place: _Place) -> None:
+async def _serve_recording(recording: Path, place: _Place, muscles_kg: float | None) -> None:
     with progress_bar(f"reading {recording.name}") as tell:
         opened = open_recording(recording)
         arrays = opened.skeleton_arrays(tell)
@@ -121,4 +132,4 @@ async def _serve_recording(recording: Path, place: _Place) -> None:
         from gateway.viewer.playback import Playback  # noqa: PLC0415 - needs the extra
 
         markers = recorded_markers(opened, arrays)
-        await Playback(server, arrays, recording.stem, markers).run()
+        await Playback(server, arrays, recording.stem, markers, muscles_kg).run()

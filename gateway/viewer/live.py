@@ -22,6 +22,7 @@ from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.live_markers import LiveMarkers
 from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import module_rows, module_table
+from gateway.viewer.muscle_wires import MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper, skeleton_of
@@ -38,7 +39,12 @@ TEXTS_EVERY = 10
 class LiveViewer:
     """Draws the latest pose thirty times a second; poses in between go into the plot only."""
 
-    def __init__(self, server: viser.ViserServer, settings: MqttSettings, gateway: str) -> None:
+    def __init__(
+        self, server: viser.ViserServer, settings: MqttSettings, gateway: str, muscles_kg: float | None = None
+    ) -> None:
+        """muscles_kg: mass of the person whose muscles are shown; None: none are."""
+        self._muscles_kg = muscles_kg
+        self._wires: MuscleWires | None = None
         self._server = server
         self._settings = settings
         self._gateway = gateway
@@ -109,6 +115,9 @@ class LiveViewer:
         skeleton = skeleton_of(body)
         self._body, self._drawn = body, None
         self._scene, self._keeper = BodyScene(self._server, self._stage, skeleton), PostureKeeper(skeleton)
+        if self._wires is not None:
+            self._wires.remove()
+        self._wires = muscle_wires(self._server, self._stage, skeleton, self._muscles_kg)
 
     def _draw(self, markers: MarkersMessage | None) -> None:
         if self._latest is None or self._scene is None or self._keeper is None:
@@ -122,6 +131,8 @@ class LiveViewer:
         if self._panel.follow.value:
             self._stage.follow(posture.place)
         self._scene.draw(posture, is_stale, self._silent())
+        if self._wires is not None:
+            self._wires.draw(latest.pose.t_ns * 1e-9, posture)
         self._markers.draw(instant)
         self._instant = instant
         if instant is not None:

@@ -14,6 +14,7 @@ from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.marker_points import MarkerScene, ReceivedMarkers, RecordedMarkers
+from gateway.viewer.muscle_wires import muscle_wires
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
@@ -33,7 +34,9 @@ class Playback:
         arrays: SkeletonArrays,
         name: str,
         markers: RecordedMarkers | ReceivedMarkers | None = None,
+        muscles_kg: float | None = None,
     ) -> None:
+        """muscles_kg: mass of the person whose muscles are shown; None: none are."""
         self._arrays = arrays
         self._times_s = arrays.time_s.tolist()
         self._position_s = 0.0
@@ -45,6 +48,7 @@ class Playback:
         self._encoder = PoseEncoder(skeleton.segment_names, None, frozenset(PoseMap), JointAngles(skeleton))
         self._stage = Stage(server)
         self._scene, self._keeper = BodyScene(server, self._stage, skeleton), PostureKeeper(skeleton)
+        self._wires = muscle_wires(server, self._stage, skeleton, muscles_kg)
         self._panel = Panel(server, (ButtonRow("Playback", ("play", "pause", "begin"), self._press),))
         self._speed = server.gui.add_dropdown("Speed ×", SPEEDS, initial_value="1")
         end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
@@ -89,6 +93,8 @@ class Playback:
         if self._panel.follow.value:
             self._stage.follow(posture.place)
         self._scene.draw(posture, is_stale=False, silent=silent)
+        if self._wires is not None:
+            self._wires.draw(self._times_s[index], posture)
         self._panel.add_pose(pose)
         where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"
         lines = [where, status_summary(pose.status, silent)]

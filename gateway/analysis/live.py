@@ -1,0 +1,93 @@
+"""Muscles of a motion that still goes on, at reduced detail: the last moment, again and again.
+
+Only what has come is used: the last part of a second, on a coarse grid, goes through the same low-pass,
+inverse dynamics, floor and programme as a recording, and what is told is the instant ``LAG_S`` before its
+end, where the filter has something on both sides. The work for one answer is that of ``GRID`` instants.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.analysis.analysing import analyse_motion
+from gateway.analysis.inertia import body_inertia
+from gateway.analysis.muscle_model import muscle_model
+from gateway.analysis.muscle_paths import MusclePaths
+from gateway.analysis.muscles import knee_flexion, moment_arms, muscle_torques
+from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ, smooth_motion
+from gateway.analysis.tension import TensionSolver
+from gateway.body.skeleton import Skeleton
+from gateway.frames import FloatArray
+
+GRID, STEP_S = 15, 0.04
+SPAN_S = (GRID - 1) * STEP_S
+LAG = 3
+LAG_S = LAG * STEP_S
+_LONGEST_GAP_S = 0.2
+_MOST_KEPT = 1024
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+@dataclass(frozen=True)
+class LiveActivity:
+    """W muscles."""
+
+    activity: FloatArray  # (W,) 0 to 1, of ``LAG_S`` ago
+    paths: tuple[FloatArray, ...]
+    """Of each its points (n, 3) m in the world, in the posture of the newest pose."""
+
+
+class LiveMuscles:
+    """Takes poses as they come; tells activities when asked."""
+
+    def __init__(self, skeleton: Skeleton, body_kg: float) -> None:
+        """skeleton: with joints. Raises ``GatewayError`` for a body without legs, or without the extra
+        ``biomech``."""
+        self._skeleton = skeleton
+        self._inertia = body_inertia(skeleton, body_kg)
+        self._paths = MusclePaths(skeleton, muscle_model())
+        self._asked = muscle_torques(skeleton)
+        self._largest = np.array([wire.peak_force_n for wire in self._paths.wires])
+        self._solver = TensionSolver(self._largest, len(self._asked), np.ones(len(self._largest)))
+        self._poses: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_MOST_KEPT)
+
+    def add(self, time_s: float, q_wb: FloatArray, root: FloatArray) -> None:
+        """A pose: q_wb (S, 4) without NaN, root (3,) m. After a gap, or a jump back, it begins anew."""
+        if self._poses and not 0.0 < time_s - self._poses[-1][0] < _LONGEST_GAP_S:
+            if time_s == self._poses[-1][0]:
+                return
+            self._poses.clear()
+        self._poses.append((time_s, q_wb, root))
+        while len(self._poses) > 1 and self._poses[1][0] <= time_s - SPAN_S:
+            self._poses.popleft()
+
+    def now(self) -> LiveActivity | None:
+        """None until enough has come."""
+        if not self._poses or self._poses[-1][0] - self._poses[0][0] < SPAN_S:
+            return None
+        motion = smooth_motion(self._skeleton, *self._on_grid(), DEFAULT_CUTOFF_HZ)
+        found = analyse_motion(motion, "live", self._inertia, GRAVITY)
+        knees, f = knee_flexion(found), GRID - 1 - LAG
+        flexion = {side: float(angles[f]) for side, angles in knees.items()}
+        self._paths.place(motion.root[f], motion.rotation[f], flexion)
+        arms = moment_arms(found, self._paths, self._asked, f, flexion)
+        wanted = np.array([found.torques[f, j, k] for j, k in self._asked])
+        activity, _ = self._solver.solve(arms, wanted, np.zeros(len(self._largest)))
+        newest = {side: float(angles[-1]) for side, angles in knees.items()}
+        self._paths.place(self._poses[-1][2], motion.rotation[-1], newest)
+        return LiveActivity(activity, tuple(self._paths.polylines()))
+
+    def _on_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Times (GRID,), q_wb (GRID, S, 4), root (GRID, 3), laid between the poses that came."""
+        came = np.array([pose[0] for pose in self._poses])
+        q_wb = np.array([pose[1] for pose in self._poses])
+        flips = np.where(np.sum(q_wb[1:] * q_wb[:-1], axis=-1) < 0.0, -1.0, 1.0)
+        q_wb[1:] *= np.cumprod(flips, axis=0)[..., None]
+        values = np.concatenate([q_wb.reshape(len(came), -1), [pose[2] for pose in self._poses]], axis=1)
+        grid = np.arange(GRID) * STEP_S
+        laid = np.stack([np.interp(grid + came[-1] - SPAN_S, came, column) for column in values.T], axis=1)
+        turned = laid[:, :-3].reshape(GRID, -1, 4)
+        return grid, turned / np.linalg.norm(turned, axis=-1, keepdims=True), laid[:, -3:]

@@ -1,0 +1,94 @@
+"""Muscles on the page: wires coloured by activity, a few times a second, where they are wished for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from gateway.analysis.body_model import require_biomech
+from gateway.analysis.live import LiveActivity, LiveMuscles
+from gateway.body.rig import load_body
+from gateway.body.skeleton import Skeleton
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray
+from gateway.viewer.posture import Posture
+from gateway.viewer.stage import Stage
+
+EVERY_S = 0.1
+_BODIES = ("human_17", "human_23")
+"""Whose joints a published body has, which is told without them."""
+_STOPS = np.array([[165, 185, 205], [245, 190, 60], [215, 40, 40]], dtype=np.float64)
+"""Colours of activity 0, 0.5 and 1."""
+
+
+class MuscleWires:
+    """The muscles of one body."""
+
+    def __init__(self, server: viser.ViserServer, stage: Stage, skeleton: Skeleton, body_kg: float) -> None:
+        """Raises ``GatewayError`` for a body that carries no muscles, or without the extra ``biomech``."""
+        require_biomech()
+        self._server, self._stage = server, stage
+        self._root = int(np.flatnonzero(skeleton.parents < 0)[0])
+        self._muscles = LiveMuscles(_with_joints(skeleton), body_kg)
+        self._lines: viser.LineSegmentsHandle | None = None
+        self._due_s = -np.inf
+
+    def remove(self) -> None:
+        """Take the wires off the page."""
+        if self._lines is not None:
+            self._lines.remove()
+            self._lines = None
+
+    def draw(self, time_s: float, posture: Posture) -> None:
+        """A posture came; the wires follow ten times in a second of its time."""
+        self._muscles.add(time_s, posture.q_wb, posture.p_w[self._root])
+        if 0.0 <= self._due_s - time_s < EVERY_S:
+            return
+        self._due_s = time_s + EVERY_S
+        found = self._muscles.now()
+        if found is None:
+            self.remove()
+            return
+        points, colours = segments_of(found, self._stage.middle)
+        if self._lines is None:
+            self._lines = self._server.scene.add_line_segments(
+                "/body/muscles", points, colours, thickness=0.009
+            )
+            return
+        with self._server.atomic():
+            self._lines.points, self._lines.colors = points, colours
+
+
+def muscle_wires(
+    server: viser.ViserServer, stage: Stage, skeleton: Skeleton, body_kg: float | None
+) -> MuscleWires | None:
+    """Those of a body; None where none are wished for. Raises ``GatewayError`` as they do."""
+    return None if body_kg is None else MuscleWires(server, stage, skeleton, body_kg)
+
+
+def segments_of(found: LiveActivity, middle: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Ends (n, 2, 3) m and colours (n, 2, 3) of all wires' straight parts. middle: (3,) m, taken off."""
+    parts = [np.stack([path[:-1], path[1:]], axis=1) for path in found.paths]
+    counts = [len(part) for part in parts]
+    of_wires = np.stack(
+        [np.interp(found.activity, (0.0, 0.5, 1.0), stops) for stops in _STOPS.T], axis=1
+    ).astype(np.uint8)
+    colours = np.repeat(np.repeat(of_wires, counts, axis=0)[:, None], 2, axis=1)
+    return (np.concatenate(parts) - middle).astype(np.float32), colours
+
+
+def _with_joints(skeleton: Skeleton) -> Skeleton:
+    """A published body is told without joints: those of the shipped body with the same segments."""
+    if skeleton.joints:
+        return skeleton
+    for name in _BODIES:
+        body = load_body(name)
+        if body.segment_names == skeleton.segment_names:
+            return replace(skeleton, joints=body.joints, neutral=body.neutral)
+    raise GatewayError(
+        f"body '{skeleton.name}' shows no muscles live: only those with the segments of "
+        f"{' or '.join(_BODIES)} do"
+    )
