@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from gateway.body.joint_angles import posture
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
@@ -133,6 +134,25 @@ def rendered(
             likelihood[hidden[c]] = 0.0
         maps.append(CameraHeatMaps(likelihood.astype(np.float32), affine))
     return HeatMapFrame(frame, round(frame * 1e9 / RATE_HZ), tuple(maps))
+
+
+def messages_of(cameras: Sequence[Camera], keypoints: KeypointSet, person: KnownPerson) -> list[list[bytes]]:
+    """What the cameras send of a person, by instant: as the network ``full`` would see every picture."""
+    instants = []
+    for t, places in enumerate(person.keypoints):
+        frame = rendered(cameras, true_regions(cameras, keypoints, places), places[None], t)
+        instants.append(
+            [
+                encode_heat_maps(
+                    HeatMapMessage(
+                        camera.name, "full", t, frame.time_ns, quantised(maps.likelihood), maps.map_from_pixel
+                    )
+                )
+                for camera, maps in zip(cameras, frame.cameras, strict=True)
+                if maps is not None
+            ]
+        )
+    return instants
 
 
 def _blobs(cells: FloatArray) -> FloatArray:

@@ -120,7 +120,7 @@ async def _calibrate(
     changes = {"reconstructor": "independent", "assembly": patient}
     pipeline = Pipeline.from_settings(settings.model_copy(update=changes), suit)
     pipeline.on_imu_frame = guide.session.add
-    links = [link_from_url(one.url, name=one.name) for one in settings.links]
+    links = [link_from_url(o.url, name=o.name) for o in settings.links if o.carries != "heat_maps"]
     readers = [
         asyncio.create_task(_read(one if isinstance(one, ReplayLink) else ReconnectingLink(one), pipeline))
         for one in links

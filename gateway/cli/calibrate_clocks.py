@@ -62,7 +62,9 @@ def clocks(
 
 async def _measure(settings: GatewaySettings, calibration: ClockCalibration) -> None:
     """Listen on all links until the calibration has had its time, or until every link has come to its end."""
-    links = [link_from_url(link.url, name=link.name) for link in settings.links]
+    links = [
+        link_from_url(link.url, name=link.name) for link in settings.links if link.carries != "heat_maps"
+    ]
     tasks = [
         asyncio.create_task(
             _listen(link if isinstance(link, ReplayLink) else ReconnectingLink(link), calibration)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.video_truth import rendered, ring_of_cameras, true_regions, walking
-from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
+from benchmarks.video_truth import messages_of, ring_of_cameras, walking
+from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from devices.link import Chunk, Framing
 from gateway.accounting import balances_of, unaccounted
 from gateway.body.rig import load_rig
@@ -34,21 +34,7 @@ def messages():
     """A walker before three cameras, by instant."""
     keypoints = load_keypoint_set("blazepose_33")
     person = walking(keypoints, N, (-0.2, 0.1), (1.0, 0.2))
-    found = []
-    for t in range(N):
-        frame = rendered(
-            CAMERAS, true_regions(CAMERAS, keypoints, person.keypoints[t]), person.keypoints[t : t + 1], t
-        )
-        found.append(
-            [
-                encode_heat_maps(
-                    HeatMapMessage(
-                        c.name, "full", t, frame.time_ns, quantised(m.likelihood), m.map_from_pixel
-                    )
-                )
-                for c, m in zip(CAMERAS, frame.cameras, strict=True)
-            ]
-        )
+    found = messages_of(CAMERAS, keypoints, person)
     return found, person
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import yaml
 
-from benchmarks.video_truth import rendered, ring_of_cameras, true_regions, walking
-from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
+from benchmarks.video_truth import messages_of, ring_of_cameras, walking
+from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from devices.link import Chunk, Framing
 from gateway.accounting import balances_of, unaccounted
 from gateway.body.rig import load_rig
@@ -19,7 +19,7 @@ from gateway.recording.video import video_subject, video_suit
 from gateway.settings import GatewaySettings, LinkSettings
 
 CAMERAS = ring_of_cameras(3)
-N, TURN, LATENCY_MS = 12, 90.0, 40
+N, TURN, LATENCY_MS = 8, 90.0, 40
 CAMERA_ENTRY = {"subject": "anna.yaml", "device": 60, "turn_deg": TURN, "latency_ms": LATENCY_MS}
 DEVICE = {"kind": "position", "device": 60, "segment": "pelvis"}
 
@@ -29,20 +29,7 @@ def seen(tmp_path_factory):
     """Folder with the rig, messages by instant, and the true middle of the hips, (N, 3) m."""
     keypoints = load_keypoint_set("blazepose_33")
     person = walking(keypoints, N, (-0.2, 0.1), (1.0, 0.2))
-    instants = []
-    for t in range(N):
-        regions = true_regions(CAMERAS, keypoints, person.keypoints[t])
-        frame = rendered(CAMERAS, regions, person.keypoints[t : t + 1], t)
-        instants.append(
-            [
-                encode_heat_maps(
-                    HeatMapMessage(
-                        c.name, "full", t, frame.time_ns, quantised(m.likelihood), m.map_from_pixel
-                    )
-                )
-                for c, m in zip(CAMERAS, frame.cameras, strict=True)
-            ]
-        )
+    instants = messages_of(CAMERAS, keypoints, person)
     hips = [person.markers.labels.index(label) for label in ("left_hip", "right_hip")]
     folder = tmp_path_factory.mktemp("rig")
     write_subject(folder / "anna.yaml", video_subject("anna", video_suit(CAMERAS, "full", instants)))

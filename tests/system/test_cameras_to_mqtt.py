@@ -9,8 +9,7 @@ import socket
 import numpy as np
 import pytest
 
-from benchmarks.video_truth import rendered, ring_of_cameras, true_regions, walking
-from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
+from benchmarks.video_truth import messages_of, ring_of_cameras, walking
 from devices.reconnect import LinkState
 from gateway.accounting import unaccounted
 from gateway.body.rig import load_rig
@@ -36,20 +35,7 @@ def walk():
     """By instant a message a camera, and the walker's left knee, (N, 3) m."""
     keypoints = load_keypoint_set("blazepose_33")
     person = walking(keypoints, N, (-0.2, 0.1), (1.0, 0.2))
-    instants = []
-    for t in range(N):
-        regions = true_regions(CAMERAS, keypoints, person.keypoints[t])
-        frame = rendered(CAMERAS, regions, person.keypoints[t : t + 1], t)
-        instants.append(
-            [
-                encode_heat_maps(
-                    HeatMapMessage(
-                        c.name, "full", t, frame.time_ns, quantised(m.likelihood), m.map_from_pixel
-                    )
-                )
-                for c, m in zip(CAMERAS, frame.cameras, strict=True)
-            ]
-        )
+    instants = messages_of(CAMERAS, keypoints, person)
     return instants, person.joints[:, person.skeleton.index("left_shank")]
 
 
