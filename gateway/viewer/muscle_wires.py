@@ -37,6 +37,8 @@ class MuscleWires:
         self._muscles = LiveMuscles(_with_joints(skeleton), body_kg)
         self._lines: viser.LineSegmentsHandle | None = None
         self._due_s = -np.inf
+        self._points = np.zeros((0, 2, 3), np.float32)
+        self._colours = np.zeros((0, 2, 3), np.uint8)
 
     def remove(self) -> None:
         """Take the wires off the page."""
@@ -58,19 +60,25 @@ class MuscleWires:
             found = self._muscles.now()
             if found is None:
                 self.remove()
-            else:
-                self._renew(*segments_of(found, place))
-        if self._lines is not None:  # between two drawings wires go with the root
-            self._lines.position = place - self._stage.middle
+                return
+            self._points, colours = segments_of(found, place)
+            self._show(place, colours)
+        elif self._lines is not None:  # between two drawings wires go with the root
+            self._show(place, self._colours)
 
-    def _renew(self, points: NDArray[np.float32], colours: NDArray[np.uint8]) -> None:
+    def _show(self, place: FloatArray, colours: NDArray[np.uint8]) -> None:
+        """place: (3,) m, of the root. The node itself is not moved: it would lag behind the body."""
+        points = self._points + (place - self._stage.middle).astype(np.float32)
         if self._lines is None:
             self._lines = self._server.scene.add_line_segments(
                 "/body/muscles", points, colours, thickness=0.007
             )
-            return
-        with self._server.atomic():
-            self._lines.points, self._lines.colors = points, colours
+        else:
+            with self._server.atomic():
+                self._lines.points = points
+                if colours is not self._colours:
+                    self._lines.colors = colours
+        self._colours = colours
 
 
 def muscle_wires(
