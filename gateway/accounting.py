@@ -6,6 +6,7 @@
     readings out of the stream           =  taken for frames + each kind of drop + held back by the despiker
     instants of the grid                 =  frames + instants left out in silence
     frames assembled                     =  poses reconstructed + left out in overload
+                                            + instants of cameras before the first smoothed pose
     poses offered to an output           =  published + dropped + thinned + queued
     chunks handed to the recorder        =  written + lost + waiting for the disk
 
@@ -109,7 +110,8 @@ def _readings(pipeline: Pipeline) -> Balance:
     parts |= {f"unused_{kind}": n for kind, n in pipeline.unused.items()}
     if pipeline.despiker is not None:
         parts["held_back"] = pipeline.despiker.held_back
-    return Balance("readings", pipeline.stream.readings + pipeline.satellite_readings, parts)
+    seen = 0 if pipeline.hips is None else pipeline.hips.readings
+    return Balance("readings", pipeline.stream.readings + pipeline.satellite_readings + seen, parts)
 
 
 def _frames(pipeline: Pipeline) -> Iterator[Balance]:
@@ -119,6 +121,9 @@ def _frames(pipeline: Pipeline) -> Iterator[Balance]:
         yield Balance("instants", assembler.instants, {"frames": assembler.frames, "skipped": skipped})
     assembled = assembler.frames + pipeline.marker_frames
     solved = {"reconstructed": pipeline.skeleton_frames, "left_out": pipeline.left_out}
+    if pipeline.video is not None and pipeline.hips is None:
+        assembled += pipeline.video.instants
+        solved["settling"] = pipeline.video.settling
     yield Balance("frames", assembled, solved)
 
 

@@ -13,7 +13,9 @@ POOL_THREADS = 8
 """For what blocks: opening and closing ports, writing to CAN buses, reading configurations."""
 MOST_ARENAS = 2
 """Of the C library: the main thread's, and one that all others share."""
-_M_ARENA_MAX = -8  # <malloc.h>
+LARGE_BYTES = 1 << 20
+"""Blocks of this size and more go back to the system as soon as they are free."""
+_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # <malloc.h>
 _bounded: weakref.WeakSet[asyncio.AbstractEventLoop] = weakref.WeakSet()
 
 
@@ -22,6 +24,8 @@ def bound_memory() -> None:
 
     glibc gives every thread that allocates a heap of its own, which never shrinks, and a pool of threads
     makes a new one whenever all are busy: megabytes at a time, hours after the start. Both are settled here.
+    So is what counts as a large block: by itself that grows with the largest one ever freed, and from then on
+    blocks of megabytes that were wanted for a moment stay with the process.
 
     What stands by now stands for as long as the process: the garbage collector goes through it once more,
     and never again. It took 90 ms now and then, in which every pose waited.
@@ -33,6 +37,7 @@ def bound_memory() -> None:
     limit = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries have no arenas to limit
     if limit is not None:
         limit(_M_ARENA_MAX, MOST_ARENAS)
+        limit(_M_MMAP_THRESHOLD, LARGE_BYTES)
     loop.set_default_executor(_started_pool())
     gc.collect()
     gc.freeze()

@@ -30,6 +30,7 @@ from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, S
 from gateway.fused_assembly import FusedAssembler
 from gateway.gnss import GnssParams, GnssReceiver
 from gateway.heat_map_frames import NO_CAMERAS, HeatMapFrames
+from gateway.hip_position import HipPosition
 from gateway.light import SunCompass
 from gateway.marker_frames import MarkerFrames
 from gateway.reconstruction import (
@@ -78,6 +79,17 @@ class NoModules:
         """Nothing is remembered."""
 
 
+def _watched(suit: WornSuit) -> WornSuit | None:
+    """The person as cameras see them; None: there are no cameras."""
+    person = suit if suit.camera_position is None else suit.camera_position.person
+    return None if person.video is None else person
+
+
+def _reference(suit: WornSuit, table: ClockTable | None) -> int:
+    """The module to whose instants the others are brought."""
+    return suit.module_ids[0] if table is None else table.reference
+
+
 class Pipeline:
     """Chunks in, skeleton frames out."""
 
@@ -93,9 +105,8 @@ class Pipeline:
         root: RootSettings | None = None,
     ) -> None:
         """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
-        triggers = None
-        if clock_mode is ClockMode.TRIGGER:
-            triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns)
+        is_triggered = clock_mode is ClockMode.TRIGGER
+        triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns) if is_triggered else None
         self.stream = Stream(clock_mode, clock_table, triggers)
         self.corrections = SensorCorrections(suit.calibrations)
         self.despiker = despiker
@@ -103,16 +114,15 @@ class Pipeline:
         self.fused_assembler: FusedAssembler | None = None
         """In the place of the other where orientations fused on board are wanted."""
         if reconstructor in FUSED:
-            reference = suit.module_ids[0] if clock_table is None else clock_table.reference
-            self.fused_assembler = FusedAssembler(suit.module_ids, params, reference)
+            self.fused_assembler = FusedAssembler(suit.module_ids, params, _reference(suit, clock_table))
         self.unused: Counter[str] = Counter()
         """Readings of a kind that the reconstructor has no use for."""
-        interval_s = params.frame_interval_ns * 1e-9
         if reconstructor == OPTICAL:
             if suit.markers is None:
                 raise SettingsError(NO_MARKERS)
             reconstructor = "independent"  # for modules that may be worn beside the markers
             root = RootSettings(RootMode.FIXED)
+        interval_s = params.frame_interval_ns * 1e-9
         self._make: Callable[[WornSuit], Reconstructor] = partial(
             create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root
         )
@@ -138,8 +148,10 @@ class Pipeline:
             warm_up()
             self.optical = OpticalReconstructor(suit.skeleton, suit.markers)
         self._markers: dict[str, MarkerFrames] = {}
-        self.video = None if suit.video is None else HeatMapFrames(suit)
-        """Of cameras; it takes the heat maps of all links that carry some."""
+        self.video = None if (watched := _watched(suit)) is None else HeatMapFrames(watched)
+        """Of cameras; it takes the heat maps of all links that carry some. ``hips``: where they are a local
+        device of somebody with modules."""
+        self.hips = self.video and suit.camera_position and HipPosition(suit.camera_position, self.video)
         self._heat_map_links: set[str] = set()
         self.satellite_readings = 0
         """Readings that satellite receivers gave, beside those of the stream."""
@@ -227,6 +239,11 @@ class Pipeline:
 
     def _seen_frames(self, chunk: Chunk) -> list[SkeletonFrame]:
         """Of an optical system or cameras."""
+        if self.hips is not None and chunk.link in self._heat_map_links:
+            readings = self.hips.receive(chunk)
+            for reading in readings:
+                self._assemble(reading, chunk.arrived_ns)
+            return []
         if chunk.link in self._heat_map_links:
             assert self.video is not None  # add_link saw to it
             made = self.video.receive(chunk)

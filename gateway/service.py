@@ -11,7 +11,6 @@ from typing import Any
 
 import gateway
 from devices.command_client import CommandClient
-from devices.endpoints import link_from_url
 from devices.link import Chunk, Framing, Link, SentChunk, gateway_time_ns
 from devices.link_counts import LinkCounts
 from devices.marker_file_link import MarkerFileLink
@@ -20,6 +19,7 @@ from devices.replay_link import ReplayLink, carried_links
 from gateway.accounting import Balance, balances_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
+from gateway.cameras.broker_link import link_of
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.host_sender import HostSender
@@ -62,7 +62,9 @@ class Service:
         self, settings: GatewaySettings, suit: WornSuit, links: Sequence[Link] | None = None
     ) -> None:
         settings = fitting_suit(settings, suit)
-        self.links = links if links is not None else _links_of(settings, self._note_link)
+        self.links = (
+            links if links is not None else _links_of(settings, self._note_link, lambda: self.mqtt.port)
+        )
         self.pipeline = Pipeline.from_settings(settings, suit)
         self.recording = RecordingControl(
             settings, suit, _framings(self.links), self.pipeline.statistics, self.pipeline.stream.restarts
@@ -304,8 +306,10 @@ def _lag_s(chunk: Chunk) -> tuple[float, float]:
     return (now_ns - chunk.arrived_ns) * 1e-9, now_ns * 1e-9
 
 
-def _links_of(settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None]) -> list[Link]:
-    links = [link_from_url(link.url, name=link.name) for link in settings.links]
+def _links_of(
+    settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None], broker_port: Callable[[], int]
+) -> list[Link]:
+    links = [link_of(link, settings.mqtt, broker_port) for link in settings.links]
     for link, wanted in zip(links, settings.links, strict=True):
         if wanted.carries in _OTHERS and not isinstance(link, ReplayLink):
             link.framing = _OTHERS[wanted.carries]

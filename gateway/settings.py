@@ -40,7 +40,7 @@ class LinkSettings(_Strict):
         min_length=1,
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
         "can://socketcan/can0, tcp://host:port, udp://host:port, qtm://host, markers:///path/walk.c3d, "
-        "recording:///path/to/file.mcap",
+        "recording:///path/to/file.mcap; of heat maps also mqtt:///topic, at the broker of section mqtt",
     )
     carries: Literal["suit", "gnss", "markers", "heat_maps"] = Field(
         default="suit",
@@ -77,6 +77,8 @@ class LinkSettings(_Strict):
         scheme = self.url.partition("://")[0]
         if scheme in {"qtm", "markers"} and self.carries not in {"suit", "markers"}:
             raise ValueError(f"carries: {scheme}:// carries markers and nothing else: leave 'carries' out")
+        if scheme == "mqtt" and self.carries != "heat_maps":
+            raise ValueError("carries: mqtt:// carries heat maps only: write 'carries: heat_maps'")
         return self
 
     @model_validator(mode="after")

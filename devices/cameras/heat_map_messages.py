@@ -83,6 +83,14 @@ def retimed(message: bytes, sequence: int, time_ns: int) -> bytes:
     return head + message[_HEAD.size :]
 
 
+def is_one_message(data: bytes) -> bool:
+    """Whether the bytes begin as a message and are as long as it says, no longer than there are."""
+    if len(data) < _HEAD.size or not data.startswith(MAGIC):
+        return False
+    length: int = _HEAD.unpack_from(data)[-1]
+    return length <= LONGEST and len(data) == _HEAD.size + length
+
+
 class HeatMapReceiver:
     """A stream of bytes to messages. Never raises: what cannot be read is dropped, and counted by reason."""
 

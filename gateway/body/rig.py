@@ -16,8 +16,17 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from gateway.body.anthropometry import Subject, scaled
 from gateway.body.joint_file import JointEntry, joints_of
 from gateway.body.markers import BodyMarkers
+from gateway.body.position_cameras import PositionCameras
 from gateway.body.sensor_entries import CalibrationEntry
-from gateway.body.skeleton import Interpolation, LocalDevice, Skeleton, SunCells, WornSuit, field_vector
+from gateway.body.skeleton import (
+    CameraPosition,
+    Interpolation,
+    LocalDevice,
+    Skeleton,
+    SunCells,
+    WornSuit,
+    field_vector,
+)
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
 from gateway.settings_files import find_file, load_settings, load_yaml
@@ -179,6 +188,9 @@ class RigFile(_Strict):
     body: str = Field(description="name of a shipped body, or path of a body file")
     modules: list[WornModule] = Field(min_length=1, max_length=64)
     local_devices: list[WornLocalDevice] = []
+    cameras: PositionCameras | None = Field(
+        default=None, description="cameras whose hip keypoints are a position device"
+    )
     world: WorldSettings = WorldSettings()
     subject: Subject | None = Field(
         default=None, description="the person who wears it: scales the body's lengths (not module positions)"
@@ -294,7 +306,15 @@ def load_rig(name: str, beside: Path | None = None) -> WornSuit:
         magnetic_field=field_vector(field.norm_ut, field.dip_deg, field.declination_deg),
         calibrations={m.id: m.calibration.model() for m in rig.modules if m.calibration is not None},
         sun=_sun(rig),
+        camera_position=_camera_position(rig, path),
     )
+
+
+def _camera_position(rig: RigFile, path: Path) -> CameraPosition | None:
+    if rig.cameras is None:
+        return None
+    positions = [device.device for device in rig.local_devices if device.kind == "position"]
+    return rig.cameras.worn(load_rig(rig.cameras.subject, path), positions, path)
 
 
 def _sun(rig: RigFile) -> SunCells | None:

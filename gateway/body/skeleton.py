@@ -99,6 +99,21 @@ class VideoSetUp:
 
 
 @dataclass(frozen=True)
+class CameraPosition:
+    """Cameras that look at somebody who wears modules: the middle of the hips is a position device."""
+
+    person: WornSuit
+    """The same person as the cameras see them, with ``video``."""
+    device: int
+    """Id of the local device."""
+    sigma_m: float
+    latency_ns: int
+    """From the instant of a picture to the arrival of its heat maps, at the least."""
+    turn_rad: float
+    """From east to the X axis of the cameras' world, counter-clockwise seen from above."""
+
+
+@dataclass(frozen=True)
 class WornSuit:
     """A skeleton with modules strapped to it: all that a reconstructor needs to know beforehand."""
 
@@ -124,6 +139,8 @@ class WornSuit:
     """For an optical system: where its markers sit; then there may be no modules."""
     video: VideoSetUp | None = None
     """For cameras without markers; ``markers`` are then the keypoints of the network."""
+    camera_position: CameraPosition | None = None
+    """For cameras that look at somebody with modules."""
 
 
 def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:

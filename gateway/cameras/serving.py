@@ -6,8 +6,9 @@ import contextlib
 import selectors
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from devices.cameras.pictures import CameraError, open_pictures
 from gateway.cameras.camera_process import CameraTask, instant_of, message_of
@@ -36,29 +37,43 @@ class _Receiver:
     waiting: bytearray = field(default_factory=bytearray)
 
 
-def serve(task: CameraTask, host: str, port: int, speed: float, tell: Callable[[str], None]) -> Served:
-    """Until the camera ends, or Ctrl-C; with a file, from the first receiver on. Raises ``CameraError``."""
+class Sink(Protocol):
+    """Where messages go."""
+
+    served: Served
+
+    def wait_for_first(self) -> None:
+        """Until there is somebody to take them."""
+
+    def offer(self, message: bytes) -> None:
+        """Hand over one message; it never waits."""
+
+    def close(self) -> None:
+        """Hand over what is waiting, and end."""
+
+
+def serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None = None) -> None:
+    """Until the camera ends, or Ctrl-C. Raises ``CameraError``.
+
+    begin_s: when a file begins, seconds since the epoch; None: when there is somebody to take it.
+    """
     source = open_pictures(task.place, task.rate_hz)
     follower = PersonFollower(load_network(task.network), PersonDetector())
-    with _listening(host, port) as listener, contextlib.closing(source):
-        tell(f"camera '{task.name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
-        outlet = Outlet(listener)
-        if source.info.count is not None:
-            outlet.wait_for_first()
+    with contextlib.closing(source), contextlib.closing(sink), contextlib.suppress(KeyboardInterrupt):
+        if begin_s is not None:
+            time.sleep(max(0.0, begin_s - time.time()))
+        elif source.info.count is not None:
+            sink.wait_for_first()
         begun = time.monotonic()
-        with contextlib.suppress(KeyboardInterrupt):
-            for index, (time_ns, picture) in enumerate(source):
-                if source.info.count is not None and speed > 0:
-                    time.sleep(max(0.0, begun + time_ns * 1e-9 / speed - time.monotonic()))
-                outlet.offer(
-                    message_of(follower, picture, task, *instant_of(task, source.info, index, time_ns))
-                )
-        outlet.close()
-    return outlet.served
+        for index, (time_ns, picture) in enumerate(source):
+            if source.info.count is not None and speed > 0:
+                time.sleep(max(0.0, begun + time_ns * 1e-9 / speed - time.monotonic()))
+            sink.offer(message_of(follower, picture, task, *instant_of(task, source.info, index, time_ns)))
 
 
 @contextlib.contextmanager
-def _listening(host: str, port: int) -> Iterator[socket.socket]:
+def listening(host: str, port: int) -> Iterator[socket.socket]:
+    """A TCP port. Raises ``CameraError`` where it cannot be had."""
     try:
         listener = socket.create_server((host, port))
     except OSError as error:

@@ -71,10 +71,8 @@ def compare(
     """
     renamed = _renamed(pair or [])
     if live:
-        if span is not None or own_headings or plot is not None:
-            raise GatewayError(
-                "--span, --own-headings and --plot are for recordings: leave them out with --live"
-            )
+        if span is not None or plot is not None:
+            raise GatewayError("--span and --plot are for recordings: leave them out with --live")
         from gateway.cli.compare_live import Live, run_live  # noqa: PLC0415 - only here a broker is spoken to
 
         settings = broker_options.broker_settings(
@@ -86,15 +84,25 @@ def compare(
             protocol=protocol,
             base_topic=base_topic,
         )
-        raise typer.Exit(
-            run_live(
-                settings, Live(first, second, renamed, largest_lag, window, count, as_json, own_headings)
-            )
-        )
-    tracks = _of_files(Path(first), Path(second), not as_json)
+        wanted = Live(first, second, renamed, largest_lag, window, count, as_json, own_headings)
+        raise typer.Exit(run_live(settings, wanted))
+    _compare_files(Path(first), Path(second), renamed, largest_lag, span, own_headings, plot, as_json)
+
+
+def _compare_files(
+    first: Path,
+    second: Path,
+    renamed: dict[str, str],
+    largest_lag: float | None,
+    span: str | None,
+    own_headings: bool,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
     counted = None if span is None else seconds_of("--span", span)
+    tracks = _of_files(first, second, not as_json)
     found = agreement(*tracks, renamed, largest_lag, counted, own_headings=own_headings)
-    _show(found, Path(first), Path(second), plot, as_json)
+    _show(found, first, second, plot, as_json)
     if not own_headings:
         _hint(found, agreement(*tracks, renamed, largest_lag, counted, own_headings=True))
 

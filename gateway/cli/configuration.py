@@ -8,8 +8,8 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from devices.endpoints import link_from_url
 from gateway.body.rig import load_rig
+from gateway.cameras.broker_link import link_of
 from gateway.reconstruction import refuse_unreadable
 from gateway.settings import GatewaySettings, load_gateway_settings
 
@@ -25,7 +25,7 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
     suit = load_rig(settings.rig, file)
     refuse_unreadable(settings.reconstructor, suit)
     for link in settings.links:
-        link_from_url(link.url, name=link.name)
+        link_of(link, settings.mqtt, lambda: settings.mqtt.port)
     Console().print(
         f"[green]{file} is good[/green]: gateway '{settings.gateway}', {len(settings.links)} link(s), "
         f"{len(suit.module_ids)} modules on body '{suit.skeleton.name}', {settings.assembly.rate_hz:g} Hz, "

@@ -55,6 +55,8 @@ def examine(
     states = asyncio.run(running.module_states(settings.mqtt, settings.gateway))
     readable = []
     for link in settings.links:
+        if link.url.startswith("mqtt:"):
+            continue  # it has no port: the broker is looked at below
         opening = asyncio.run(ports.opening(link, gateway_runs=states is not None))
         yield opening
         yield from ports.naming(link, here)

@@ -6,6 +6,7 @@ import pytest
 from benchmarks.video_truth import rendered, ring_of_cameras, true_regions, walking
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from devices.link import Chunk, Framing
+from gateway.accounting import balances_of, unaccounted
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
 from gateway.errors import GatewayError, SettingsError
@@ -99,13 +100,36 @@ def test_messages_of_one_camera_a_chunk_give_the_same_poses(messages, suit):
 
 
 def test_a_camera_that_falls_silent_is_gone_on_without(messages, suit):
+    """Three instants wait for it at first; once it has been silent for a second, no more."""
     pipeline = pipeline_of(suit)
-    made = []
-    for t, chunk in enumerate(video_chunks(messages[0], RATE)[:N]):
-        data = chunk.data if t < 4 else b"".join(messages[0][t][:2])
-        made += pipeline.feed(Chunk(data, chunk.arrived_ns, LINK))
-    assert pipeline.video.incomplete == N - 4 - 3
+    instants = pipeline.video
+    made, times = [], [round(t * 1e9 / 8) for t in range(N)]
+    for t, arrived in enumerate(times):
+        data = b"".join(messages[0][t] if t < 2 else messages[0][t][:2])
+        made += pipeline.feed(Chunk(data, arrived, LINK))
+        # silent since 0.125 s: from the chunk at 1.125 s on nothing waits
+        assert instants.instants == (t + 1 if t >= 9 or t < 2 else max(t - 2, 2)), t
+    assert pipeline.statistics()["video"]["incomplete"] == N - 2
     assert np.isfinite(made[-1].p_w).all()
+    assert unaccounted(balances_of(pipeline, {}, None, {})) == {}
+
+
+def test_a_lost_message_holds_nothing_up(messages, suit):
+    pipeline = pipeline_of(suit)
+    for t in range(6):
+        data = b"".join(messages[0][t] if t != 3 else messages[0][t][:2])
+        pipeline.feed(Chunk(data, t, LINK))
+        assert pipeline.video.instants == (3 if t == 3 else t + 1)
+    assert pipeline.statistics()["video"]["incomplete"] == 1
+
+
+def test_films_that_are_served_again_are_taken_again(messages, suit):
+    pipeline = pipeline_of(suit)
+    for turn in range(2):
+        for t in range(10):
+            pipeline.feed(Chunk(b"".join(messages[0][t]), 10**9 * turn + t, LINK))
+    statistics = pipeline.statistics()["video"]
+    assert (pipeline.video.instants, statistics["begun_anew"], statistics["dropped"]) == (20, 1, {})
 
 
 def test_what_does_not_belong_is_dropped_and_counted(messages, suit):

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
+import subprocess
+import sys
 import threading
+
+import pytest
 
 from gateway.memory import POOL_THREADS, bound_memory
 
@@ -26,3 +31,32 @@ async def test_all_threads_of_the_pool_are_there_from_the_start():
 
     assert set(await asyncio.gather(*(asyncio.to_thread(own_thread) for _ in begun))) == begun
     assert pool_threads() - others == begun
+
+
+LARGE_BLOCK = """
+import asyncio, ctypes
+from gateway.memory import bound_memory
+
+class Heap(ctypes.Structure):
+    names = "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost"
+    _fields_ = [(name, ctypes.c_size_t) for name in names.split()]
+
+async def main():
+    bound_memory()
+
+asyncio.run(main())
+c = ctypes.CDLL(None)
+c.malloc.restype, c.malloc.argtypes, c.free.argtypes = ctypes.c_void_p, [ctypes.c_size_t], [ctypes.c_void_p]
+c.mallinfo2.restype = Heap
+c.free(c.malloc(16 << 20))  # by itself, glibc would take this for the size of an ordinary block from here on
+before = c.mallinfo2().hblkhd
+block = c.malloc(4 << 20)
+print(c.mallinfo2().hblkhd - before)
+"""
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallinfo2"), reason="this C library cannot be asked")
+def test_blocks_of_megabytes_stay_out_of_the_heap():
+    """Where they go back to the system when they are free, whatever was allocated before."""
+    done = subprocess.run([sys.executable, "-c", LARGE_BLOCK], capture_output=True, text=True, check=True)
+    assert int(done.stdout) >= 4 << 20

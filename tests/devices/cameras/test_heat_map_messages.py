@@ -13,6 +13,7 @@ from devices.cameras.heat_map_messages import (
     HeatMapMessage,
     HeatMapReceiver,
     encode_heat_maps,
+    is_one_message,
     quantised,
     retimed,
 )
@@ -117,3 +118,10 @@ def test_retiming_changes_nothing_else():
 def test_a_name_without_end_is_refused():
     with pytest.raises(ValueError, match="255 bytes"):
         encode_heat_maps(message(camera="a" * 256))
+
+
+def test_one_whole_message_is_told_from_what_is_not():
+    message = encode_heat_maps(HeatMapMessage("a", "full", 1, 2, None, np.zeros((2, 3))))
+    assert is_one_message(message)
+    for other in (b"", message[:-1], message + b"x", message + message, b"x" + message[1:]):
+        assert not is_one_message(other)

@@ -12,26 +12,14 @@ pytest.importorskip("cv2")
 
 from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver, encode_heat_maps
 from devices.cameras.pictures import CameraError, PictureInfo
-from gateway.body.camera import Camera, project
+from gateway.body.camera import project
 from gateway.cameras.camera_process import CameraProcess, CameraTask
 from gateway.cameras.rig_of_cameras import check_agreement, same_person
 from gateway.cameras.serving import Outlet
+from gateway.cli.video_serve import moment
+from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.person_detector import Person
-
-MATRIX = np.array([[900.0, 0.0, 639.5], [0.0, 900.0, 359.5], [0.0, 0.0, 1.0]])
-
-
-def camera(name, angle):
-    position = np.array([4 * np.cos(angle), 4 * np.sin(angle), 1.5])
-    z = np.array([0.0, 0.0, 1.0]) - position
-    z /= np.linalg.norm(z)
-    x = np.cross(z, [0, 0, 1])
-    x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(z, x), z])
-    return Camera(name, 1280, 720, MATRIX, np.zeros(5), R, -R @ position)
-
-
-CAMERAS = [camera(name, angle) for name, angle in (("a", 0.2), ("b", 1.9), ("c", 3.4), ("d", 5.0))]
+from tests.ring_of_cameras import CAMERAS
 
 
 def person(seen_by, place, score=0.9):
@@ -134,3 +122,13 @@ def test_a_receiver_that_does_not_read_misses_messages_and_holds_up_nobody():
             outlet.offer(message)
     assert outlet.served.skipped > 0
     listener.close()
+
+
+def test_files_begin_at_a_time_of_day():
+    noon = 20_000 * 86_400 + 12 * 3600.0
+    assert moment("12:00:30", noon) == noon + 30
+    assert moment("00:00:05", noon + 12 * 3600 - 10) == noon + 12 * 3600 + 5
+    with pytest.raises(GatewayError, match="--at 11:59:59: has passed; it is 12:00:00 UTC"):
+        moment("11:59:59", noon)
+    with pytest.raises(GatewayError, match="--at noon: a time of day in UTC is wanted"):
+        moment("noon", noon)

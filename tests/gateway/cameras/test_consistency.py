@@ -7,26 +7,13 @@ import numpy as np
 import pytest
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
-from gateway.body.camera import Camera, project
+from gateway.body.camera import project
 from gateway.cameras.consistency import consistency_of
 from gateway.errors import GatewayError
+from tests.ring_of_cameras import CAMERAS
 
 SIZE = 64
 N = 60
-MATRIX = np.array([[900.0, 0.0, 639.5], [0.0, 900.0, 359.5], [0.0, 0.0, 1.0]])
-
-
-def camera(name, angle):
-    position = np.array([4 * np.cos(angle), 4 * np.sin(angle), 1.5])
-    z = np.array([0.0, 0.0, 1.0]) - position
-    z /= np.linalg.norm(z)
-    x = np.cross(z, [0, 0, 1])
-    x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(z, x), z])
-    return Camera(name, 1280, 720, MATRIX, np.zeros(5), R, -R @ position)
-
-
-CAMERAS = [camera(name, angle) for name, angle in (("a", 0.2), ("b", 1.9), ("c", 3.4), ("d", 5.0))]
 AFFINE = np.array([[0.09, 0.0, -25.6], [0.0, 0.09, 0.0]])
 
 

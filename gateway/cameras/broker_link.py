@@ -1,0 +1,97 @@
+"""Heat maps of cameras over MQTT as a link.
+
+One message on a topic is one heat-map message (``devices.cameras.heat_map_messages``), at QoS 0: an old
+picture is worth nothing. The link uses the broker of the gateway's own settings, and so its credentials.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from urllib.parse import unquote, urlsplit
+
+import aiomqtt
+
+from devices.arrivals import Arrivals
+from devices.cameras.heat_map_messages import is_one_message
+from devices.endpoints import EndpointError, link_from_url
+from devices.link import Chunk, Framing, Link, LinkError, gateway_time_ns
+from devices.link_counts import LinkCounts
+from gateway.outputs.connection import broker_connection, end_tasks, explain, unique_identifier
+from gateway.outputs.settings import MqttSettings
+from gateway.settings import LinkSettings
+
+SCHEME = "mqtt"
+TOPIC = "mocap_cameras/{camera}"
+"""Unless told otherwise; outside of the gateways' own topics."""
+
+
+def link_of(link: LinkSettings, mqtt: MqttSettings, port: Callable[[], int]) -> Link:
+    """The link, not yet open, of a configuration. port: of the broker, once it is known. Raises
+    ``EndpointError``."""
+    parts = urlsplit(link.url)
+    if parts.scheme != SCHEME:
+        return link_from_url(link.url, name=link.name)
+    topic = unquote(parts.path).removeprefix("/")
+    if parts.netloc or not topic or parts.query:
+        raise EndpointError(
+            f"{link.url}: the broker is that of the section 'mqtt': write {SCHEME}:///TOPIC, such as "
+            f"{SCHEME}:///{TOPIC.format(camera='cam01')}"
+        )
+    return BrokerLink(topic, mqtt, port, link.name)
+
+
+class BrokerLink:
+    """The heat maps on one topic, or on all that a filter such as ``mocap_cameras/+`` takes in."""
+
+    framing = Framing.HEAT_MAPS
+
+    def __init__(self, topic: str, settings: MqttSettings, port: Callable[[], int], name: str) -> None:
+        self.name = name
+        self.counts = LinkCounts()
+        self._topic = topic
+        self._settings = settings
+        self._port = port
+        self._arrivals = Arrivals.never_opened(name)
+        self._task: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Connect and subscribe. Raises ``LinkError`` with what is wrong with the broker."""
+        self._arrivals = Arrivals(self.name, counts=self.counts)
+        subscribed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._task = asyncio.create_task(self._receive(self._arrivals, subscribed), name=f"link {self.name}")
+        await asyncio.wait({self._task, subscribed}, return_when=asyncio.FIRST_COMPLETED)
+        if self._arrivals.error is not None:
+            raise self._arrivals.error
+
+    def __aiter__(self) -> AsyncIterator[Chunk]:
+        return self._arrivals
+
+    async def write(self, data: bytes) -> None:
+        """Nothing: cameras take no commands."""
+
+    async def close(self) -> None:
+        """Disconnect; iterating ends."""
+        self._arrivals.end()
+        if self._task is not None:
+            await end_tasks(self._task)
+            self._task = None
+
+    async def _receive(self, arrivals: Arrivals, subscribed: asyncio.Future[None]) -> None:
+        port = self._port()
+        try:
+            async with broker_connection(self._settings, port, unique_identifier("cameras")) as client:
+                await client.subscribe(self._topic, 0)
+                subscribed.set_result(None)
+                async for message in client.messages:
+                    self._take(arrivals, message)
+        except Exception as error:
+            arrivals.end(LinkError(explain(error, self._settings, port)))
+
+    def _take(self, arrivals: Arrivals, message: aiomqtt.Message) -> None:
+        """Pass on what is a picture of now: a retained one is not, and brokers may send other topics too."""
+        payload = message.payload
+        if not isinstance(payload, bytes) or message.retain or not message.topic.matches(self._topic):
+            return
+        if is_one_message(payload):  # or it would take bytes of the next camera's along
+            arrivals.put(payload, gateway_time_ns())
