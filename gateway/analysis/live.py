@@ -26,7 +26,7 @@ GRID, STEP_S = 15, 0.04
 SPAN_S = (GRID - 1) * STEP_S
 LAG = 3
 LAG_S = LAG * STEP_S
-_LONGEST_GAP_S = 0.2
+_LONGEST_GAP_S = 0.4
 _MOST_KEPT = 1024
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
@@ -66,7 +66,7 @@ class LiveMuscles:
 
     def now(self) -> LiveActivity | None:
         """None until enough has come."""
-        if not self._poses or self._poses[-1][0] - self._poses[0][0] < SPAN_S:
+        if not self._poses or self._poses[0][0] > self._poses[-1][0] - SPAN_S:
             return None
         motion = smooth_motion(self._skeleton, *self._on_grid(), DEFAULT_CUTOFF_HZ)
         found = analyse_motion(motion, "live", self._inertia, GRAVITY)
@@ -87,7 +87,9 @@ class LiveMuscles:
         flips = np.where(np.sum(q_wb[1:] * q_wb[:-1], axis=-1) < 0.0, -1.0, 1.0)
         q_wb[1:] *= np.cumprod(flips, axis=0)[..., None]
         values = np.concatenate([q_wb.reshape(len(came), -1), [pose[2] for pose in self._poses]], axis=1)
-        grid = np.arange(GRID) * STEP_S
+        grid: FloatArray = np.arange(0.0, GRID, dtype=np.float64) * STEP_S
         laid = np.stack([np.interp(grid + came[-1] - SPAN_S, came, column) for column in values.T], axis=1)
-        turned = laid[:, :-3].reshape(GRID, -1, 4)
-        return grid, turned / np.linalg.norm(turned, axis=-1, keepdims=True), laid[:, -3:]
+        turned: FloatArray = laid[:, :-3].reshape(GRID, -1, 4)
+        turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
+        places: FloatArray = laid[:, -3:]
+        return grid, turned, places

@@ -9,7 +9,7 @@ import viser
 from numpy.typing import NDArray
 
 from gateway.analysis.body_model import require_biomech
-from gateway.analysis.live import LiveActivity, LiveMuscles
+from gateway.analysis.live import SPAN_S, LiveActivity, LiveMuscles
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
@@ -18,6 +18,8 @@ from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
 
 EVERY_S = 0.1
+ENOUGH_S = SPAN_S + 0.1
+"""Of poses, for a drawing after a jump."""
 _BODIES = ("human_17", "human_23")
 """Whose joints a published body has, which is told without them."""
 _STOPS = np.array([[165, 185, 205], [245, 190, 60], [215, 40, 40]], dtype=np.float64)
@@ -35,6 +37,8 @@ class MuscleWires:
         self._muscles = LiveMuscles(_with_joints(skeleton), body_kg)
         self._lines: viser.LineSegmentsHandle | None = None
         self._due_s = -np.inf
+        self._points = np.zeros((0, 2, 3), np.float32)
+        self._colours = np.zeros((0, 2, 3), np.uint8)
 
     def remove(self) -> None:
         """Take the wires off the page."""
@@ -42,24 +46,39 @@ class MuscleWires:
             self._lines.remove()
             self._lines = None
 
+    def add(self, time_s: float, q_wb: FloatArray, root: FloatArray) -> None:
+        """A pose that is not drawn: q_wb (S, 4), root (3,) m. One that is not whole is left out."""
+        if np.isfinite(q_wb).all() and np.isfinite(root).all():
+            self._muscles.add(time_s, q_wb, root)
+
     def draw(self, time_s: float, posture: Posture) -> None:
         """A posture came; the wires follow ten times in a second of its time."""
-        self._muscles.add(time_s, posture.q_wb, posture.p_w[self._root])
-        if 0.0 <= self._due_s - time_s < EVERY_S:
-            return
-        self._due_s = time_s + EVERY_S
-        found = self._muscles.now()
-        if found is None:
-            self.remove()
-            return
-        points, colours = segments_of(found, self._stage.middle)
+        place = posture.p_w[self._root]
+        self.add(time_s, posture.q_wb, place)
+        if not 0.0 <= self._due_s - time_s < EVERY_S:
+            self._due_s = time_s + EVERY_S
+            found = self._muscles.now()
+            if found is None:
+                self.remove()
+                return
+            self._points, colours = segments_of(found, place)
+            self._show(place, colours)
+        elif self._lines is not None:  # between two drawings wires go with the root
+            self._show(place, self._colours)
+
+    def _show(self, place: FloatArray, colours: NDArray[np.uint8]) -> None:
+        """place: (3,) m, of the root. The node itself is not moved: it would lag behind the body."""
+        points = self._points + (place - self._stage.middle).astype(np.float32)
         if self._lines is None:
             self._lines = self._server.scene.add_line_segments(
-                "/body/muscles", points, colours, thickness=0.009
+                "/body/muscles", points, colours, thickness=0.007
             )
-            return
-        with self._server.atomic():
-            self._lines.points, self._lines.colors = points, colours
+        else:
+            with self._server.atomic():
+                self._lines.points = points
+                if colours is not self._colours:
+                    self._lines.colors = colours
+        self._colours = colours
 
 
 def muscle_wires(
@@ -69,15 +88,15 @@ def muscle_wires(
     return None if body_kg is None else MuscleWires(server, stage, skeleton, body_kg)
 
 
-def segments_of(found: LiveActivity, middle: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Ends (n, 2, 3) m and colours (n, 2, 3) of all wires' straight parts. middle: (3,) m, taken off."""
+def segments_of(found: LiveActivity, origin: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Ends (n, 2, 3) m and colours (n, 2, 3) of all wires' straight parts. origin: (3,) m, taken off."""
     parts = [np.stack([path[:-1], path[1:]], axis=1) for path in found.paths]
     counts = [len(part) for part in parts]
     of_wires = np.stack(
         [np.interp(found.activity, (0.0, 0.5, 1.0), stops) for stops in _STOPS.T], axis=1
     ).astype(np.uint8)
     colours = np.repeat(np.repeat(of_wires, counts, axis=0)[:, None], 2, axis=1)
-    return (np.concatenate(parts) - middle).astype(np.float32), colours
+    return (np.concatenate(parts) - origin).astype(np.float32), colours
 
 
 def _with_joints(skeleton: Skeleton) -> Skeleton:

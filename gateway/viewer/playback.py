@@ -14,7 +14,7 @@ from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.marker_points import MarkerScene, ReceivedMarkers, RecordedMarkers
-from gateway.viewer.muscle_wires import muscle_wires
+from gateway.viewer.muscle_wires import ENOUGH_S, MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
@@ -86,7 +86,7 @@ class Playback:
         self._line_shown_s = self._line.value
         if index == self._drawn:
             return
-        self._drawn = index
+        before, self._drawn = self._drawn, index
         pose = PoseMessage.model_validate_json(self._encoder.encode(self._frame(index)))
         posture = self._keeper.take(pose)
         silent = silent_segments(pose.status, self._worn)
@@ -94,6 +94,7 @@ class Playback:
             self._stage.follow(posture.place)
         self._scene.draw(posture, is_stale=False, silent=silent)
         if self._wires is not None:
+            self._add_undrawn(self._wires, before, index)
             self._wires.draw(self._times_s[index], posture)
         self._panel.add_pose(pose)
         where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"
@@ -105,6 +106,12 @@ class Playback:
             self._panel.add_markers(pose.t_ns, instant)
         self._panel.draw_plot()
         self._panel.show_status(self._name, *lines, is_alarm=False)
+
+    def _add_undrawn(self, wires: MuscleWires, before: int, index: int) -> None:
+        """Poses that fell between two pictures."""
+        for i in range(before + 1, index):
+            if self._times_s[index] - self._times_s[i] <= ENOUGH_S:
+                wires.add(self._times_s[i], self._arrays.q_wb[i], self._arrays.p_w[i, 0])
 
     def _take_choices(self) -> None:
         self._scene.show_axes(self._panel.axes.value)
