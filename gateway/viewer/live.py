@@ -117,7 +117,11 @@ class LiveViewer:
         self._scene, self._keeper = BodyScene(self._server, self._stage, skeleton), PostureKeeper(skeleton)
         if self._wires is not None:
             self._wires.remove()
-        self._wires = muscle_wires(self._server, self._stage, skeleton, self._muscles_kg)
+        try:
+            self._wires = muscle_wires(self._server, self._stage, skeleton, self._muscles_kg)
+        except GatewayError as error:  # the page shows the body nonetheless
+            self._wires = None
+            self._panel.show_answer(str(error))
 
     def _draw(self, markers: MarkersMessage | None) -> None:
         if self._latest is None or self._scene is None or self._keeper is None:
