@@ -90,6 +90,11 @@ def _reference(suit: WornSuit, table: ClockTable | None) -> int:
     return suit.module_ids[0] if table is None else table.reference
 
 
+def _triggers(suit: WornSuit, mode: ClockMode, patience_ns: int) -> TriggerAnswers | None:
+    """What pairs triggers with their answers, in the clock mode that has some."""
+    return TriggerAnswers(suit.module_ids, patience_ns) if mode is ClockMode.TRIGGER else None
+
+
 class Pipeline:
     """Chunks in, skeleton frames out."""
 
@@ -105,9 +110,7 @@ class Pipeline:
         root: RootSettings | None = None,
     ) -> None:
         """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
-        is_triggered = clock_mode is ClockMode.TRIGGER
-        triggers = TriggerAnswers(suit.module_ids, trigger_patience_ns) if is_triggered else None
-        self.stream = Stream(clock_mode, clock_table, triggers)
+        self.stream = Stream(clock_mode, clock_table, _triggers(suit, clock_mode, trigger_patience_ns))
         self.corrections = SensorCorrections(suit.calibrations)
         self.despiker = despiker
         self.assembler = FrameAssembler(suit.module_ids, params)
