@@ -73,7 +73,7 @@ def _bridged(fitted: Fit, test: SimulatedTrial) -> FloatArray:
     observed = test.trial.columns(fitted.markers.labels)
     frames = [MarkerFrame(f, round(f * 1e9 / test.trial.rate_hz), seen) for f, seen in enumerate(observed)]
     solved, _ = solve_both_ways(fitted.skeleton, fitted.markers, frames)
-    return np.array([each.frame.q_wb for each in solved])
+    return np.array([each.q_wb for each in solved])
 
 
 def _shown(fitted: Fit, test: SimulatedTrial) -> NDArray[np.bool_]:

@@ -61,15 +61,15 @@ def test_a_gap_is_carried_on_live_and_bridged_offline():
     reconstructor = OpticalReconstructor(BODY, markers)
     live = np.array([quaternion.to_matrix(reconstructor.update(each).q_wb[HAND]) for each in frames])
     solved, counts = solve_both_ways(BODY, markers, frames)
-    offline = np.array([quaternion.to_matrix(each.frame.q_wb[HAND]) for each in solved])
+    offline = np.array([quaternion.to_matrix(each.q_wb[HAND]) for each in solved])
     held = _apart_deg(np.tile(R[gap.start - 1, HAND], (35, 1, 1)), R[gap, HAND])
     carried, bridged = _apart_deg(live, R[:, HAND])[gap], _apart_deg(offline, R[:, HAND])
     assert carried.max() < 0.75 * held.max()
     assert bridged[gap].max() < 4.0 < carried.max()
     assert np.delete(bridged, np.r_[gap]).max() < 3.0
     assert counts["starts"] == 1
-    assert solved[0].fit is not None
-    assert np.isnan(solved[100].fit.residuals[markers.segments == HAND]).all()
+    assert solved[0].markers is not None
+    assert np.isnan(solved[100].markers.residuals[markers.segments == HAND]).all()
 
 
 def test_frames_without_a_pose_stay_as_they_are():
@@ -79,10 +79,10 @@ def test_frames_without_a_pose_stay_as_they_are():
     seen = _seen(model, _waving(1)[0])
     frames = [MarkerFrame(f, f * STEP_NS, each) for f, each in enumerate([nothing, seen, nothing, seen])]
     solved, counts = solve_both_ways(BODY, markers, frames)
-    assert [each.fit is None for each in solved] == [True, False, True, False]
-    assert np.isnan(solved[0].frame.q_wb).all()
+    assert [each.markers is None for each in solved] == [True, False, True, False]
+    assert np.isnan(solved[0].q_wb).all()
     assert counts["lost"] == 2
-    assert solve_both_ways(BODY, markers, frames[:1])[0][0].fit is None
+    assert solve_both_ways(BODY, markers, frames[:1])[0][0].markers is None
 
 
 def test_a_joint_smoothed_through_a_gap_follows_its_sine():
