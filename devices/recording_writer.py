@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
@@ -145,7 +146,8 @@ class _ChunkIndices:
             yield ChunkIndex.read(stream)
 
     def close(self) -> None:
-        self._file.close()
+        with contextlib.suppress(OSError):  # a full disk: nobody wants what is still to be written to it
+            self._file.close()
 
 
 class _Buffered:

@@ -116,6 +116,7 @@ class _Reader:
         self._hips = {"left_": hips[0], "right_": hips[1], "": 0.5 * (hips[0] + hips[1])}
 
     def muscles(self) -> MuscleModel:
+        """All wires, each point in the axes of its body from the joint that the body hangs on."""
         model = self._model
         wires = []
         for i in range(model.nu):
