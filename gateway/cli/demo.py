@@ -81,7 +81,7 @@ def demo(
     rig: Annotated[str, typer.Option(help="Rig to emulate (see config/rigs).")] = "suit_17",
     reconstructor: Annotated[
         str | None,
-        typer.Option(help="joint, independent, fused_neutral, …; else independent."),
+        typer.Option(help="joint, independent, fused_neutral, …; else joint, once it is compiled."),
     ] = None,
     imperfections: Annotated[str, typer.Option(help="ideal, typical or rough.")] = "typical",
     clock: Annotated[
