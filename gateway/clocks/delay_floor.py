@@ -59,7 +59,7 @@ class DelayFloor:
         self._remember()
 
     def take_back(self) -> None:
-        """Be as at the last ``begin`` or ``rebase``, but for the mean delay: what came since comes once more."""
+        """Be as at the last ``begin`` or ``rebase``, but for the mean delay: what came since comes anew."""
         self.packets = 0
         self._time_us, x, self._P = self._begun
         self._x = x.copy()

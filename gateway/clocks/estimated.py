@@ -142,7 +142,8 @@ class EstimatedClock:
         is_first = not self._back.is_known
         elapsed_s = (np.array(self._elapsed, dtype=np.float64) - newest_us) * 1e-6
         if self._is_opening:
-            self._back.take_back(), self._round_trip.take_back()
+            self._back.take_back()
+            self._round_trip.take_back()
         self._back.update(newest_us, elapsed_s, np.array(self._delays), self._slot_us(elapsed_s))
         if self._exchanges:
             received = np.array(self._exchanges)  # (n, 2): module time, delay of the way there

@@ -26,7 +26,7 @@ from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 
 SHARPNESS_US = 10.0
-"""How sharp the floor is: stamps and arrival times are no better."""
+"""How sharp the floor is at best: stamps and arrival times are no better."""
 TRUST = 0.5
 """Weight of a packet: delays of neighbouring packets are not independent."""
 OUTAGE = 6.0
@@ -156,10 +156,11 @@ def _most_likely(
         scale, gained = _reach(step_c, step_r, c, r, t, d, corner), -1.0
         is_whole = scale == 1.0
         while gained < 0.0 and scale > _SHORTEST_STEP:
-            trial = _log_posterior(c + scale * step_c, r + scale * step_r, x, A, t, d, weight, m, slot, corner)
+            near_c, near_r = c + scale * step_c, r + scale * step_r
+            trial = _log_posterior(near_c, near_r, x, A, t, d, weight, m, slot, corner)
             gained = trial - value
             if gained >= 0.0:
-                c, r, value = c + scale * step_c, r + scale * step_r, trial
+                c, r, value = near_c, near_r, trial
             scale *= 0.3
         if gained < (_GAIN if is_whole else 0.0):
             break
@@ -187,6 +188,7 @@ def update(
     and the mean of u (µs).
     """
     n = len(t)
+    # No sharper than so many packets can tell the floor, or the first few would be believed.
     corner = max(SHARPNESS_US, min(m / (TRUST * n), math.sqrt(P[0, 0])))
     lowest = 0.0
     for k in range(n):
