@@ -177,9 +177,12 @@ class EstimatedClock:
         self._expected_us = self._start_us - int(offset_us)
 
     def _slot_us(self, elapsed_s: FloatArray) -> float:
-        """The link's slot, unless the module samples in step with it: then it tells nothing."""
+        """The link's slot, unless the module samples in step with it: then it tells nothing.
+
+        Exchanges are in step with nothing, and where in its slot a module samples is known by them.
+        """
         slot_us = self._batching.slot_us
-        if slot_us and len(elapsed_s) > 1:
+        if slot_us and len(elapsed_s) > 1 and not self._exchanges:
             intervals = np.sort(np.diff(elapsed_s))
             samples = slot_us * 1e-6 / max(float(intervals[len(intervals) // 2]), 1e-6)
             if round(samples) >= 1 and abs(samples - round(samples)) < _IN_STEP:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from benchmarks.clock_relay import relay_errors
+from benchmarks.clock_simulation import Crystal
 from gateway.clocks import EstimatedClock, floor_filter
 
 CYCLE_S, LATENCY_S = 0.010, 0.002
@@ -45,6 +47,15 @@ def test_answers_that_come_at_once_tell_the_offset_of_samples_that_wait(phase_s,
 def test_a_start_that_comes_late_as_a_whole_is_seen_through(seed):
     errors = errors_ms(0.003, seed, first_late_s=0.3)
     assert np.abs(errors[errors[:, 0] > 8.0, 1]).max() < 2.5
+
+
+@pytest.mark.parametrize("ppm", [45.0, -40.0, 100.0])
+def test_behind_a_relay_the_ticks_are_not_taken_for_the_module_s_clock(ppm):
+    """Samples drift through the relay's ticks and all come at a tick: by themselves they tell its clock."""
+    rng = np.random.default_rng(7)
+    errors = relay_errors(rng, Crystal(rng, 130.0, ppm), np.arange(15.0, 120.0), 100.0)
+    assert np.abs(errors).max() < 2000.0
+    assert np.sqrt(np.mean(errors**2)) < 1000.0
 
 
 @pytest.mark.parametrize("seed", range(20))
