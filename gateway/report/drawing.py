@@ -37,6 +37,10 @@ def small_multiples(times: FloatArray, shown: Sequence[tuple[str, FloatArray, tu
 
 
 def panels(count: int, height_in: float, columns: int | None = None) -> tuple[Any, list[Any]]:
+    """A figure and its axes, those beyond ``count`` switched off.
+
+    height_in: of the figure, inches; columns: axes side by side, all where not given.
+    """
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
     columns = columns or count
@@ -53,6 +57,7 @@ def panels(count: int, height_in: float, columns: int | None = None) -> tuple[An
 
 
 def colours(count: int) -> list[Any]:
+    """So many colours (RGBA) that are told apart, in the order of the rainbow."""
     from matplotlib import colormaps  # noqa: PLC0415 - an extra
 
     return [colormaps["nipy_spectral"](0.05 + 0.87 * i / max(count - 1, 1)) for i in range(count)]
