@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from tests.conftest import PoseSource
 
 Until = Callable[..., Awaitable[None]]
+AnnouncedDeath = Callable[[str, MqttSettings], Awaitable[None]]
 
 pytestmark = pytest.mark.system
 
@@ -84,20 +85,10 @@ async def test_first_run_needs_nothing_but_the_gateway(pose_source: PoseSource, 
             assert poses.states == {"lab": "offline"}
 
 
-async def test_last_will_reaches_subscribers_and_late_comers(broker: BrokerProcess, until: Until) -> None:
-    settings = settings_for(broker)
-    async with PoseSubscriber(settings) as watcher:
-        victim = await asyncio.create_subprocess_exec(
-            *[sys.executable, "-c", CLIENT_WITH_A_WILL, str(broker.port)]
-        )
-        try:
-            await until(lambda: watcher.states.get("victim") == "online")
-        finally:
-            victim.kill()
-            await victim.wait()
-        await until(lambda: watcher.states["victim"] == "offline", timeout_s=2)
-    async with PoseSubscriber(settings) as late_comer:
-        await until(lambda: late_comer.states == {"victim": "offline"})
+async def test_last_will_reaches_subscribers_and_late_comers(
+    broker: BrokerProcess, announced_death: AnnouncedDeath
+) -> None:
+    await announced_death(CLIENT_WITH_A_WILL, settings_for(broker))
 
 
 async def test_subscriber_ignores_what_it_did_not_ask_for(
