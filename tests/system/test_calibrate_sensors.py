@@ -44,11 +44,11 @@ def calibrate(*arguments):
         (("--link", "x", "--rig", "arm_3", "-o", "nowhere/x.yaml"), "there is no folder"),
     ],
 )
-def test_bad_input_is_answered_in_one_line(arguments, message):
-    ended = calibrate(*arguments)
-    assert ended.returncode == 1
-    assert message in ended.stderr
-    assert len(ended.stderr.strip().splitlines()) == 1
+def test_bad_input_is_answered_in_one_line(command_line, arguments, message):
+    code, _, err = command_line("calibrate", "sensors", *arguments)
+    assert code == 1
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
 
 
 @pytest.mark.slow
