@@ -28,7 +28,6 @@ from devices.loopback_link import LoopbackLink, loopback_pair
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
 from gateway.cli.emulated_rig import dress, move
-from gateway.cli.main import main
 from gateway.frames import SkeletonFrame
 from gateway.outputs import BridgeInfo
 from gateway.reconstruction.readiness import is_ready
@@ -222,22 +221,6 @@ def pose_source() -> PoseSource:
 def large_pose_source() -> PoseSource:
     """So many segments that a few messages fill the buffers of a connection."""
     return PoseSource(1000)
-
-
-@pytest.fixture
-def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
-    """``command_line("config", "check", path)``: exit code, standard output and error of the whole program,
-    in this process, where starting one would be most of the work."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["mocap-gateway", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        code = ended.value.code
-        assert isinstance(code, int | None)
-        return code or 0, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,7 @@ from devices.emulators.tumbling import TumblingMotion
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_rig import dress
+from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 
@@ -44,8 +45,8 @@ def calibrate(*arguments):
         (("--link", "x", "--rig", "arm_3", "-o", "nowhere/x.yaml"), "there is no folder"),
     ],
 )
-def test_bad_input_is_answered_in_one_line(command_line, arguments, message):
-    code, _, err = command_line("calibrate", "sensors", *arguments)
+def test_bad_input_is_answered_in_one_line(arguments, message):
+    code, _, err = typed_here(["calibrate", "sensors", *arguments])
     assert code == 1
     assert message in err
     assert len(err.strip().splitlines()) == 1

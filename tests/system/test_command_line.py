@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.typed_here import typed_here
+
 pytestmark = pytest.mark.system
 
 
@@ -78,8 +80,8 @@ def test_the_shipped_configuration_is_good():
     assert "17 modules on body 'human_17'" in out
 
 
-def test_the_schema_describes_every_setting(command_line):
-    code, out, _ = command_line("config", "schema")
+def test_the_schema_describes_every_setting():
+    code, out, _ = typed_here(["config", "schema"])
     schema = json.loads(out)
     assert code == 0
     assert {"gateway", "links", "rig", "reconstructor", "clock", "assembly", "mqtt"} <= set(
@@ -87,9 +89,9 @@ def test_the_schema_describes_every_setting(command_line):
     )
 
 
-def test_help_has_an_example_for_every_command(command_line):
+def test_help_has_an_example_for_every_command():
     for command in ("demo", "run", "emulate", "watch"):
-        code, out, _ = command_line(command, "--help")
+        code, out, _ = typed_here([command, "--help"])
         assert code == 0
         assert f"Example: mocap-gateway {command}" in out
 
@@ -106,8 +108,8 @@ def test_help_has_an_example_for_every_command(command_line):
         ({"mqtt": {"password": "hunter2"}}, r"set MOCAP_MQTT_PASSWORD or password_file"),
     ],
 )
-def test_a_wrong_configuration_is_one_clear_line(command_line, tmp_path, changes, said):
-    code, out, err = command_line("config", "check", write_config(tmp_path, 1883, "/dev/null", **changes))
+def test_a_wrong_configuration_is_one_clear_line(tmp_path, changes, said):
+    code, out, err = typed_here(["config", "check", write_config(tmp_path, 1883, "/dev/null", **changes)])
     assert code == 1
     assert re.search(said, err), err
     assert len(err.strip().splitlines()) == 1
@@ -121,10 +123,10 @@ def test_a_wrong_link_ends_the_service_before_anything_is_opened(tmp_path):
     assert err == "mocap-gateway: serail:///dev/ttyUSB0: unknown scheme 'serail'; did you mean 'serial'?\n"
 
 
-def test_a_rig_with_an_unknown_segment_names_the_nearest(command_line, tmp_path):
+def test_a_rig_with_an_unknown_segment_names_the_nearest(tmp_path):
     rig = tmp_path / "rig.yaml"
     rig.write_text("body: human_17\nmodules:\n  - {id: 0, segment: left_tigh}\n")
-    code, _, err = command_line("run", "-c", write_config(tmp_path, 1883, "/dev/null", rig=str(rig)))
+    code, _, err = typed_here(["run", "-c", write_config(tmp_path, 1883, "/dev/null", rig=str(rig))])
     assert code == 1
     assert re.search(r"rig\.yaml: module 0 sits on 'left_tigh'.*did you mean 'left_thigh'", err)
 
@@ -217,7 +219,7 @@ def test_a_recording_is_played_as_if_modules_sent_it(tmp_path, mosquitto, record
     assert len(json.loads(out.splitlines()[-1])["segments"]) == 5
 
 
-def test_wrong_recordings_are_one_line(command_line, tmp_path):
+def test_wrong_recordings_are_one_line(tmp_path):
     broken = tmp_path / "broken.mat"
     broken.write_bytes(os.urandom(200))
     for path, kind, said in (
@@ -225,7 +227,7 @@ def test_wrong_recordings_are_one_line(command_line, tmp_path):
         (broken, "broad", "broken.mat cannot be read as broad"),
         (broken, "brod", r"--format brod: unknown \(did you mean 'broad'"),
     ):
-        code, _, err = command_line("emulate", "--recording", path, "--format", kind)
+        code, _, err = typed_here(["emulate", "--recording", path, "--format", kind])
         assert code == 1
         assert re.search(said, err), err
         assert "Traceback" not in err
