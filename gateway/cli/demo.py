@@ -22,6 +22,7 @@ from rich.live import Live
 from rich.table import Table
 
 from devices.emulators.motions import BodyMotion
+from devices.extras import how_to_add
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
@@ -126,7 +127,7 @@ def _live_page(settings: GatewaySettings, page_port: int | None, console: Consol
         yield
         return
     if importlib.util.find_spec("viser") is None:
-        console.print("no live page: pip install 'mocap-gateway[viewer]' for one", style="dim")
+        console.print(f"no live page: {how_to_add('viewer')} for one", style="dim")
         yield
         return
     arguments = ["view", "--wait", "--port", str(settings.mqtt.port), "--gateway", settings.gateway]

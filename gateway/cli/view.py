@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from devices.extras import how_to_add
 from gateway.cli.broker_options import BrokerChoice, with_broker
 from gateway.cli.progress import progress_bar
 from gateway.credentials import AccessToken, token_for
@@ -86,7 +87,7 @@ async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
     try:
         import viser  # noqa: PLC0415 - an extra, and slow to import
     except ImportError:
-        raise GatewayError("the page needs the extra 'viewer': pip install 'mocap-gateway[viewer]'") from None
+        raise GatewayError(f"the page needs the extra 'viewer': {how_to_add('viewer')}") from None
     from gateway.viewer.gate import Door, Gate  # noqa: PLC0415 - beside the extra
 
     with contextlib.redirect_stdout(io.StringIO()):  # it would name the port behind the gate

@@ -7,6 +7,7 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
+from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
@@ -20,7 +21,7 @@ LINES = ("#1f6fb2", "#e07a1f", "#4f9d4f")
 def require_matplotlib() -> None:
     """Raises ``GatewayError`` where the extra is not installed."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise GatewayError("a report needs the extra 'plot': pip install 'mocap-gateway[plot]'")
+        raise GatewayError(f"a report needs the extra 'plot': {how_to_add('plot')}")
 
 
 def small_multiples(times: FloatArray, shown: Sequence[tuple[str, FloatArray, tuple[str, ...]]]) -> bytes:

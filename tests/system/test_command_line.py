@@ -167,7 +167,7 @@ def test_a_busy_broker_port_of_the_embedded_broker_is_one_line(tmp_path, mosquit
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("medium", ["pty", "tcp", "slcan"])
+@pytest.mark.parametrize("medium", ["pty", "slcan", pytest.param("tcp", marks=pytest.mark.slow)])
 def test_emulate_run_and_watch_work_together(tmp_path, mosquitto, unused_port, medium):
     where = ["--port", unused_port] if medium == "tcp" else ["--link", tmp_path / "suit"]
     emulate = ["emulate", "--rig", "robot_arm_4", "--on", medium, *where, "--json"]
