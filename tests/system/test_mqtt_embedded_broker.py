@@ -109,6 +109,21 @@ async def test_subscriber_ignores_what_it_did_not_ask_for(
             assert poses.undecodable == 0
 
 
+async def test_what_is_retained_goes_to_those_who_asked_for_it(broker: BrokerProcess) -> None:
+    """``mosquitto_sub -t 'mocap/+/pose' -C 1`` beside other subscribers is to print a pose."""
+    settings = settings_for(broker)
+    async with broker_connection(settings, broker.port, "first") as first:
+        await first.subscribe("#")
+        await first.publish("mocap/lab/bridge/state", b"online", qos=1, retain=True)
+        await first.publish("mocap/lab/kept", b"kept", qos=1, retain=True)
+        async with broker_connection(settings, broker.port, "second") as second:
+            await second.subscribe([("mocap/+/kept", 0), ("mocap/+/pose", 0)])
+            await first.publish("mocap/lab/pose", b"pose", qos=1)
+            async with asyncio.timeout(5):
+                heard = [(await anext(second.messages)).topic.value for _ in range(2)]
+    assert heard == ["mocap/lab/kept", "mocap/lab/pose"]
+
+
 async def test_listens_on_loopback_only_and_publishes_nothing_of_its_own(broker: BrokerProcess) -> None:
     assert broker.pid is not None
     listening = [c.laddr for c in psutil.Process(broker.pid).net_connections() if c.status == "LISTEN"]
