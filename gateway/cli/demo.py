@@ -34,7 +34,7 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
-from gateway.reconstruction import FUSED
+from gateway.reconstruction import FUSED, readiness
 from gateway.service import Service
 from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
 from gateway.stream import ClockMode
@@ -82,7 +82,7 @@ def demo(
     rig: Annotated[str, typer.Option(help="Rig to emulate (see config/rigs).")] = "suit_17",
     reconstructor: Annotated[
         str | None,
-        typer.Option(help="joint, independent, fused_neutral, …; else independent."),
+        typer.Option(help="joint, independent, fused_neutral, …; else joint, once it is compiled."),
     ] = None,
     imperfections: Annotated[str, typer.Option(help="ideal, typical or rough.")] = "typical",
     clock: Annotated[
@@ -109,7 +109,7 @@ def demo(
             gateway=GATEWAY,
             links=[LinkSettings(name="suit", url=f"{folder}/suit")],
             rig=rig,
-            reconstructor=reconstructor or "independent",
+            reconstructor=reconstructor or _startable(console),
             clock=ClockSettings(mode=clock),
             mqtt=MqttSettings(broker="embedded", port=_free_port(port)),
         )
@@ -118,6 +118,21 @@ def demo(
         with _live_page(settings, _free_port(page_port) if page else None, console):
             asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
     _print_errors(truth, console)
+
+
+def _startable(console: Console) -> str:
+    """The usual reconstructor; where that is not compiled yet, another, and it is for the next time."""
+    usual: str = GatewaySettings.model_fields["reconstructor"].default
+    if readiness.is_ready(usual):
+        return usual
+    console.print(
+        f"first start: '{usual}' is compiled in the background, about a minute; this run shows "
+        f"'{readiness.FALLBACK}'",
+        style="dim",
+    )
+    nowhere = subprocess.DEVNULL
+    subprocess.Popen(readiness.command(usual), stdout=nowhere, stderr=nowhere, start_new_session=True)
+    return readiness.FALLBACK
 
 
 @contextlib.contextmanager
