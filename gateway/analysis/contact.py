@@ -59,10 +59,12 @@ def estimated_floor(
     known: FloorForces | None = None,
     settings: ContactSettings | None = None,
     progress: Progress | None = None,
+    instants: range | None = None,
 ) -> FloorForces:
     """Forces of feet for which none is known. free: the dynamics without any floor.
 
     known: measured forces; where a foot's is ``MEASURED`` it stays, and only the rest is shared out.
+    instants: frames that are wanted, nothing is estimated at others; None: all.
     """
     chosen = settings or ContactSettings()
     carriers, points = sole_points(motion.skeleton)
@@ -79,7 +81,7 @@ def estimated_floor(
     source = np.full((frames, len(segments)), Source.NONE, dtype=np.uint8)
     if known is not None:
         _enter_known(known, segments.tolist(), force, moment, source)
-    for f in range(frames):
+    for f in range(frames) if instants is None else instants:
         origin = free.p_w[f, root]
         wanted = taken[f].copy()
         wanted[:3] -= force[f].sum(axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -48,6 +48,11 @@ class FloorForces:
         """(F, 3) N."""
         summed: FloatArray = self.force.sum(axis=1)
         return summed
+
+    def part(self, instants: slice) -> FloorForces:
+        """Those of some instants."""
+        force, moment, source = self.force[instants], self.moment[instants], self.source[instants]
+        return replace(self, force=force, moment=moment, source=source)
 
     def centre_of_pressure(self) -> FloatArray:
         """(F, C, 3) m on the floor; NaN where there is no force to speak of."""

@@ -31,7 +31,7 @@ from gateway.cli.pose_table import PoseView
 from gateway.comparison import orientation_error, rmse_deg
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.outputs.settings import MqttSettings
+from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction import FUSED
 from gateway.service import Service
@@ -110,7 +110,9 @@ def demo(
             rig=rig,
             reconstructor=reconstructor or "independent",
             clock=ClockSettings(mode=clock),
-            mqtt=MqttSettings(broker="embedded", port=_free_port(port)),
+            mqtt=MqttSettings(
+                broker="embedded", port=_free_port(port), include=frozenset({PoseMap.POSITION})
+            ),
         )
         with told_when_compiling(partial(console.print, style="dim")):
             service = Service(settings, suit)
