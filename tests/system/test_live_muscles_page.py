@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
 pytest.importorskip("mujoco", reason="the extra 'biomech' is not installed")
 pytest.importorskip("osqp", reason="the extra 'biomech' is not installed")
 pytest.importorskip("myo_sim", reason="the extra 'biomech' is not installed")
+
+import viser
 
 from gateway.analysis.analysing import analyse_motion
 from gateway.analysis.inertia import body_inertia
