@@ -36,13 +36,14 @@ class VideoCrowd:
 
         Raises ``GatewayError`` when their number is not that of the people.
         """
+        return [person.update(frame) for person, frame in zip(self.people, self.masked(frames), strict=True)]
+
+    def masked(self, frames: Sequence[HeatMapFrame]) -> list[HeatMapFrame]:
+        """The frames of one instant, from each what is another person's taken out; raises as ``update``."""
         if len(frames) != len(self.people):
             raise GatewayError(f"maps of {len(frames)} people for {len(self.people)} who are tracked")
         expected = [person.expected for person in self.people]
-        return [
-            person.update(self._masked(frame, index, expected))
-            for index, (person, frame) in enumerate(zip(self.people, frames, strict=True))
-        ]
+        return [self._masked(frame, index, expected) for index, frame in enumerate(frames)]
 
     def _masked(self, frame: HeatMapFrame, index: int, expected: Sequence[FloatArray | None]) -> HeatMapFrame:
         """The maps of a person without the others; as they are until all are known."""

@@ -125,12 +125,11 @@ class KeypointTracker:
         assert self.pose is not None
         return keypoint_places(self.body.model, self.pose.R, self.pose.root)
 
-    @property
-    def expected(self) -> FloatArray:
-        """(n_keypoints, 3) m, where they will be in the next frame, going on as they went."""
+    def expected_after(self, frames: int) -> FloatArray:
+        """(n_keypoints, 3) m, where they will be so many frames later, going on as they went."""
         if len(self._places) < 2:
             return self.places
-        return 2.0 * self._places[-1] - self._places[-2]
+        return self._places[-1] + frames * (self._places[-1] - self._places[-2])
 
     def track(self, maps: CameraMaps) -> Sighting:
         """Find the person in one frame, and keep the pose."""
@@ -197,7 +196,8 @@ class KeypointTracker:
         wide = np.minimum(1 + self._missed, WIDEST).astype(np.float64)
         # one camera tells no depth: going on as it went, the body would leave for nowhere
         alone = sum(seen is not None for seen in maps) < 2
-        coarse = self._candidates(maps, self.places if alone else self.expected, COARSE * wide, False)
+        expected = self.places if alone else self.expected_after(1)
+        coarse = self._candidates(maps, expected, COARSE * wide, False)
         self.solve(coarse)
         fine = self._candidates(maps, coarse.candidates, np.full(len(wide), FINE), True)
         self.solve(fine)
