@@ -116,12 +116,11 @@ class CameraProcess:
 def _run(tasks: Sequence[CameraTask], pipe: Connection) -> None:
     """The child."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends us
-    try:
-        _serve(tasks, pipe)
-    except (DeviceError, GatewayError) as error:
-        pipe.send(("error", str(error)))
-    except (BrokenPipeError, EOFError):
-        return  # the parent has gone
+    with contextlib.suppress(ConnectionError, EOFError):  # the parent has gone
+        try:
+            _serve(tasks, pipe)
+        except (DeviceError, GatewayError) as error:
+            pipe.send(("error", str(error)))
 
 
 def _serve(tasks: Sequence[CameraTask], pipe: Connection) -> None:

@@ -45,16 +45,14 @@ class Steering:
         self._taken = 0
 
     def take(self, messages: Sequence[Sequence[bytes]]) -> list[list[bytes]]:
-        """One instant of messages by person, by camera: returned with the other people masked."""
+        """One instant of messages by person, by camera: returned with the other people masked, and left and
+        right as the body has them."""
         frames = [heat_map_frame(self._taken, each) for each in messages]
         masked = self._crowd.masked(frames)
         for person, frame in zip(self._crowd.people, masked, strict=True):
             person.update(frame)
         self._taken += 1
-        return [
-            list(given) if after is before else _encoded(given, after)
-            for given, before, after in zip(messages, frames, masked, strict=True)
-        ]
+        return [_encoded(*each) for each in zip(messages, frames, masked, strict=True)]
 
     def orders(self) -> Orders:
         """For the picture ``AHEAD`` of the last instant taken."""
@@ -77,11 +75,11 @@ class Steering:
         return orders
 
 
-def _encoded(messages: Sequence[bytes], frame: HeatMapFrame) -> list[bytes]:
-    """The messages with the maps of a frame in the place of their own."""
+def _encoded(messages: Sequence[bytes], before: HeatMapFrame, after: HeatMapFrame) -> list[bytes]:
+    """The messages, where the maps are others than before with these in the place of their own."""
     encoded = []
-    for message, maps in zip(messages, frame.cameras, strict=True):
-        if maps is None:
+    for message, was, maps in zip(messages, before.cameras, after.cameras, strict=True):
+        if maps is None or maps is was:
             encoded.append(message)
             continue
         read = HeatMapReceiver().receive(message)[0]

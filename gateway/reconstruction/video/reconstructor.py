@@ -103,7 +103,7 @@ class VideoReconstructor:
             self._smoothed.reset()
             return self._nobody(frame)
         newest = skeleton_frame(
-            frame.sequence, frame.time_ns, self.tracker.body, pose,
+            frame.sequence, frame.time_ns, self.tracker.body, pose, self.tracker.orientation_sigmas(sighting),
             statuses(self.keypoints.shows, sighting.lost),
         )  # fmt: skip
         tracking = np.where(sighting.lost, Tracking.LOST, np.where(self._lost, Tracking.RECOVERED, 0))

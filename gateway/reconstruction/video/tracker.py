@@ -19,12 +19,14 @@ from gateway.reconstruction.video.inverse_kinematics import (
     VideoBody,
     VideoBodyPose,
     keypoint_places,
+    orientation_sigmas,
     solve,
     video_body,
 )
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.projection import camera_model
 from gateway.reconstruction.video.proportions import PARTS, part_lengths, sized
+from gateway.reconstruction.video.sides import pairs_of, sides_put_right
 
 HALF_WIDTH = 5
 """k of the source: a lattice has (2 k + 1)³ points."""
@@ -96,6 +98,7 @@ class KeypointTracker:
         """The last pose; None: no person is known."""
         self._models = tuple(camera_model(camera) for camera in cameras)
         self._trunk = [keypoints.index(name) for name in TRUNK]
+        self._pairs = pairs_of(keypoints.names)
         self._lengths: list[FloatArray] = []
         self.person = keypoints
         """The keypoints on this person's body, as far as its lengths are known."""
@@ -131,6 +134,12 @@ class KeypointTracker:
             return self.places
         return self._places[-1] + frames * (self._places[-1] - self._places[-2])
 
+    def put_right(self, maps: CameraMaps) -> CameraMaps:
+        """The maps with left and right exchanged where a camera has taken them for each other."""
+        if self.pose is None:
+            return maps
+        return sides_put_right(self._models, maps, self.expected_after(1), self._pairs)
+
     def track(self, maps: CameraMaps) -> Sighting:
         """Find the person in one frame, and keep the pose."""
         sighting = self._first(maps) if self.pose is None else self._search(maps)
@@ -153,6 +162,12 @@ class KeypointTracker:
             self.body, sighting.candidates, np.where(sighting.lost, 0.0, weights), self.pose.R,
             self.pose.root, self.pose.R, HELD_SIGMA**-2, self.floor, steps,
         )  # fmt: skip
+
+    def orientation_sigmas(self, sighting: Sighting) -> FloatArray:
+        """(S,) rad of the last pose, by what is seen of it."""
+        assert self.pose is not None
+        weights = np.where(sighting.lost, 0.0, sighting.likelihood)
+        return orientation_sigmas(self.body, sighting.candidates, weights, self.pose, HELD_SIGMA**-2)
 
     def _first(self, maps: CameraMaps) -> Sighting:
         """A person from nothing but maps: rays, what they leave open from the volume, and a first pose."""
@@ -197,6 +212,7 @@ class KeypointTracker:
         # one camera tells no depth: going on as it went, the body would leave for nowhere
         alone = sum(seen is not None for seen in maps) < 2
         expected = self.places if alone else self.expected_after(1)
+        maps = sides_put_right(self._models, maps, expected, self._pairs)
         coarse = self._candidates(maps, expected, COARSE * wide, False)
         self.solve(coarse)
         fine = self._candidates(maps, coarse.candidates, np.full(len(wide), FINE), True)
