@@ -28,6 +28,8 @@ from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.networks.network import Picture, PoseNetwork, load_network
 from gateway.reconstruction.video.networks.person_detector import Person, PersonDetector
 
+MOST_PEOPLE = 4
+"""Of one picture that are considered, the likeliest ones."""
 _NOWHERE = np.zeros((2, 3))
 _PATIENCE_S = 120.0
 """For one picture: a heavy network on a busy machine takes seconds at the worst."""
@@ -51,14 +53,15 @@ class CameraTask:
 class CameraProcess:
     """The parent's end of one camera, or of two whose pictures are put together."""
 
-    def __init__(self, tasks: Sequence[CameraTask]) -> None:
-        """Starts the process. Nothing is waited for before the first question."""
+    def __init__(self, tasks: Sequence[CameraTask], most: int = 1) -> None:
+        """Starts the process. Nothing is waited for before the first question. most: people in the first
+        picture that are looked for; 1: those that the detector finds at once."""
         self.tasks = tuple(tasks)
         self._name = " and ".join(f"'{task.name}'" for task in tasks)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=_run, args=(self.tasks, theirs), name=f"camera {self._name}", daemon=True
+            target=_run, args=(self.tasks, most, theirs), name=f"camera {self._name}", daemon=True
         )
         self._process.start()
         theirs.close()
@@ -113,17 +116,17 @@ class CameraProcess:
         return content
 
 
-def _run(tasks: Sequence[CameraTask], pipe: Connection) -> None:
+def _run(tasks: Sequence[CameraTask], most: int, pipe: Connection) -> None:
     """The child."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends us
     with contextlib.suppress(ConnectionError, EOFError):  # the parent has gone
         try:
-            _serve(tasks, pipe)
+            _serve(tasks, most, pipe)
         except (DeviceError, GatewayError) as error:
             pipe.send(("error", str(error)))
 
 
-def _serve(tasks: Sequence[CameraTask], pipe: Connection) -> None:
+def _serve(tasks: Sequence[CameraTask], most: int, pipe: Connection) -> None:
     sources = []
     for task in tasks:
         with _naming(task):
@@ -136,7 +139,7 @@ def _serve(tasks: Sequence[CameraTask], pipe: Connection) -> None:
     for instant in zip(*shown, strict=False):
         pictures = [picture for _, _, picture in instant]
         if not followers:
-            pipe.send(("people", [detector.people(picture) for picture in pictures]))
+            pipe.send(("people", [_people(detector, picture, most) for picture in pictures]))
         orders: Sequence[Sequence[Order]] = pipe.recv()
         followers = followers or [[PersonFollower(network, detector) for _ in each] for each in orders]
         maps = _looked_at(network, pictures, followers, orders)
@@ -149,6 +152,10 @@ def _serve(tasks: Sequence[CameraTask], pipe: Connection) -> None:
         names = ", ".join(f"{task.place} has no picture after the first {task.skip}" for task in tasks)
         pipe.send(("error", names))
     pipe.send(("end", None))
+
+
+def _people(detector: PersonDetector, picture: Picture, most: int) -> list[Person]:
+    return detector.people(picture) if most == 1 else detector.everybody(picture, most)
 
 
 @contextlib.contextmanager

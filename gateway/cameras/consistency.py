@@ -45,6 +45,11 @@ class Consistency:
     unrest_shifted: float
     """The same with the offsets taken out."""
 
+    @property
+    def is_one_person(self) -> bool:
+        """Whether two cameras at least look at the same person."""
+        return bool(self.apart) and min(self.apart.values()) <= FAR_APART
+
     def refuse_wrong(self, calibration: Path) -> None:
         """Raises ``GatewayError`` for cameras that are not synchronised, or not those of the calibration."""
         if self.offsets:

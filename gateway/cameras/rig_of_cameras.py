@@ -12,7 +12,7 @@ import numpy as np
 
 from devices.cameras.pictures import CameraError, PictureInfo
 from gateway.body.camera import Camera, project
-from gateway.cameras.camera_process import CameraProcess, CameraTask
+from gateway.cameras.camera_process import MOST_PEOPLE, CameraProcess, CameraTask
 from gateway.cameras.person_follower import Order
 from gateway.cameras.steering import AHEAD, Orders, Steering
 from gateway.frames import FloatArray
@@ -26,8 +26,6 @@ T = TypeVar("T")
 _RATES_DIFFER = 0.002
 _COUNTS_DIFFER = 2
 """Pictures by which synchronised files may differ in length."""
-MOST_PEOPLE = 4
-"""Of one picture that are considered, the likeliest ones."""
 _ABSENT_COST = 0.15
 """Of a camera that is taken not to show the person, as a share of the person's size in pictures."""
 
@@ -61,7 +59,8 @@ class CameraRig:
         paired = {row for pair in self._options.joined for row in pair}
         alone = [(row,) for row in range(len(tasks)) if row not in paired]
         self._rows: list[tuple[int, ...]] = [*self._options.joined, *alone]
-        self._processes = [CameraProcess([tasks[row] for row in rows]) for rows in self._rows]
+        most = 1 if self._options.people == 1 else MOST_PEOPLE
+        self._processes = [CameraProcess([tasks[row] for row in rows], most) for rows in self._rows]
         self._steering: Steering
         self._first: Orders = []
         self.n_people = 0

@@ -106,6 +106,8 @@ def solve(
         raise GatewayError("one camera tells no depth: two synchronised ones are needed at least")
     options = RigOptions(not unequal, wanted, joined_of(join or [], seen))
     captured, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
+    if wanted is None:
+        captured = _real_people(captured, seen)
     known = None if subject is None else load_rig(str(subject))
     outcomes = []
     for messages, place, person in _people(captured, target, fit_subject, force=force):
@@ -122,6 +124,14 @@ def solve(
             export(place, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
     if as_json:
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
+
+
+def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[Instants]:
+    """Those whose rays meet; the first one in any case. Two cameras may each have seen something else."""
+    real = [messages for messages in captured[1:] if consistency_of(cameras, messages).is_one_person]
+    if left := len(captured) - 1 - len(real):
+        typer.echo(f"note: {left} in the first pictures seen by too few cameras, and left out", err=True)
+    return [captured[0], *real]
 
 
 def _people(

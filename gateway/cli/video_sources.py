@@ -13,8 +13,7 @@ from devices.cameras.pictures import open_pictures
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
-from gateway.cameras.camera_process import CameraTask
-from gateway.cameras.rig_of_cameras import MOST_PEOPLE
+from gateway.cameras.camera_process import MOST_PEOPLE, CameraTask
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
 
