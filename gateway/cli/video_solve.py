@@ -103,7 +103,7 @@ def solve(
         files, cameras, network, offsets=offset or [], sizes=sizes, up=up, unit=unit, rate_hz=rate
     )
     if len(seen) < 2:
-        raise GatewayError("one camera tells no depth: two synchronised ones are needed at least")
+        typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
     options = RigOptions(not unequal, wanted, joined_of(join or [], seen))
     captured, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
     if wanted is None:

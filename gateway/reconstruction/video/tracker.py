@@ -12,7 +12,7 @@ from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA
 from gateway.reconstruction.optical.tracking import rigid
-from gateway.reconstruction.video import initial, lattice
+from gateway.reconstruction.video import initial, lattice, one_camera
 from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.inverse_kinematics import (
@@ -25,7 +25,7 @@ from gateway.reconstruction.video.inverse_kinematics import (
 )
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.projection import camera_model
-from gateway.reconstruction.video.proportions import PARTS, part_lengths, sized
+from gateway.reconstruction.video.proportions import PARTS, part_lengths, sized, standard_lengths
 from gateway.reconstruction.video.sides import pairs_of, sides_put_right
 
 HALF_WIDTH = 5
@@ -173,6 +173,8 @@ class KeypointTracker:
         """A person from nothing but maps: rays, what they leave open from the volume, and a first pose."""
         n = len(self.keypoints.names)
         nobody = Sighting(np.full((n, 3), np.nan), np.zeros(n))
+        if len(maps) == 1:
+            return self._first_alone(maps) or nobody
         if sum(seen is not None for seen in maps) < 2:
             return nobody
         points, _ = initial.from_rays(self._models, maps, self.options.use_dlt)
@@ -181,6 +183,20 @@ class KeypointTracker:
             points = self._completed(maps, points)
         if np.isnan(points[self._trunk, 0]).sum() > 1:
             return nobody
+        self._stand_up(points)
+        return self._search(maps)
+
+    def _first_alone(self, maps: CameraMaps) -> Sighting | None:
+        """The same with one camera: depth by the floor, one ratio for all lengths."""
+        if maps[0] is None or not np.isfinite(self.floor):
+            return None
+        points = one_camera.from_floor(self._models[0], maps[0], self.keypoints.names, self.floor)
+        if np.isnan(points[self._trunk, 0]).any():
+            return None
+        if not self._settled:
+            seen = part_lengths(self.keypoints, points)
+            self._set_lengths(one_camera.lengths_shown(seen, standard_lengths(self.keypoints)))
+            self._settled = True
         self._stand_up(points)
         return self._search(maps)
 
