@@ -211,12 +211,15 @@ def watch_field(
     mean = state.field_seen[s]
     if mean[3] == 0.0:
         mean[0], mean[1], mean[2] = length, dip, FIELD_CHANGE**2
+        mean[4], mean[5] = FIELD_CHANGE, 0.0
     mean[3] += dt
     gain = max(expected.gain, dt / mean[3])
     mean[0] += gain * (length - mean[0])
     mean[1] += gain * (dip - mean[1])
-    change = (length / mean[0] - 1.0) ** 2 + (dip - mean[1]) ** 2
-    mean[2] += expected.change_gain * (change - mean[2])
+    of_norm, of_dip = length / mean[0] - 1.0, dip - mean[1]
+    mean[2] += expected.change_gain * (of_norm * of_norm + of_dip * of_dip - mean[2])
+    mean[4] += expected.change_gain * (of_norm - mean[4])
+    mean[5] += expected.change_gain * (of_dip - mean[5])
     steeper, stronger = (dip - expected.dip) / DIP_TOLERANCE, (length / expected.norm - 1.0) / NORM_TOLERANCE
     return off, 1.0 + steeper * steeper + stronger * stronger
 
@@ -235,12 +238,15 @@ def field_row(
 ) -> None:
     """Heading by the field, weak: it is off to the same side for ``heading_memory_s``. off, disturbance: see
     ``watch_field``; what bends the dip bends the heading too, the more the steeper the field."""
-    straying = noise.heading**2 + state.field_seen[s, 2] / expected.horizontal
+    seen = state.field_seen[s]
+    straying = noise.heading**2 + seen[2] / expected.horizontal
+    fleeting = max(0.0, seen[2] - seen[4] * seen[4] - seen[5] * seen[5]) / expected.horizontal
     sigma = math.sqrt(straying + min(state.P[s, 2, 2], OPEN_SIGMA**2))
     weight = max(1.0, abs(off) / sigma / noise.huber) * disturbance
     is_first = (body.opens[s] == 0 or state.misfit[s] >= LOOSE) and state.P[s, 2, 2] > straying
     memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
-    variance = straying * memory_s / dt * weight
+    lasting = (straying - fleeting) * memory_s + fleeting * min(memory_s, FIELD_CHANGE_S)
+    variance = lasting / dt * weight
     add_own(evidence, s, (0.0, 0.0, 1.0), -off, variance)
 
 
