@@ -134,15 +134,20 @@ def write_loads(folder, task):
     loads.printToXML(str(folder / "loads.xml"))
 
 
-def inverse_dynamics(folder, task):
-    tool = osim.InverseDynamicsTool()
-    tool.setModelFileName(str(folder / "plain.osim"))
+def from_files(tool, folder):
+    """Motion and loads as they were written, unfiltered; results beside them."""
     tool.setCoordinatesFileName(str(folder / "motion.sto"))
     tool.setExternalLoadsFileName(str(folder / "loads.xml"))
     tool.setLowpassCutoffFrequency(-1)
+    tool.setResultsDir(str(folder))
+
+
+def inverse_dynamics(folder, task):
+    tool = osim.InverseDynamicsTool()
+    tool.setModelFileName(str(folder / "plain.osim"))
+    from_files(tool, folder)
     tool.setStartTime(task["begin"])
     tool.setEndTime(task["end"])
-    tool.setResultsDir(str(folder))
     tool.setOutputGenForceFileName("torques.sto")
     begun = time.process_time()
     tool.run()
@@ -153,12 +158,9 @@ def static_optimisation(folder, task):
     tool = osim.AnalyzeTool()
     tool.setName("peer")
     tool.setModelFilename(str(folder / "muscles.osim"))
-    tool.setCoordinatesFileName(str(folder / "motion.sto"))
-    tool.setExternalLoadsFileName(str(folder / "loads.xml"))
-    tool.setLowpassCutoffFrequency(-1)
+    from_files(tool, folder)
     tool.setInitialTime(task["optimise_begin"])
     tool.setFinalTime(task["optimise_end"])
-    tool.setResultsDir(str(folder))
     wanted = osim.StaticOptimization()
     wanted.setStartTime(task["optimise_begin"])
     wanted.setEndTime(task["optimise_end"])
