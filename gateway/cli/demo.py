@@ -22,6 +22,7 @@ from rich.live import Live
 from rich.table import Table
 
 from devices.emulators.motions import BodyMotion
+from devices.extras import how_to_add
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
@@ -31,7 +32,7 @@ from gateway.cli.pose_table import PoseView
 from gateway.comparison import orientation_error, rmse_deg
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.outputs.settings import MqttSettings
+from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction import FUSED, readiness
 from gateway.service import Service
@@ -110,7 +111,9 @@ def demo(
             rig=rig,
             reconstructor=reconstructor or _startable(console),
             clock=ClockSettings(mode=clock),
-            mqtt=MqttSettings(broker="embedded", port=_free_port(port)),
+            mqtt=MqttSettings(
+                broker="embedded", port=_free_port(port), include=frozenset({PoseMap.POSITION})
+            ),
         )
         with told_when_compiling(partial(console.print, style="dim")):
             service = Service(settings, suit)
@@ -141,7 +144,7 @@ def _live_page(settings: GatewaySettings, page_port: int | None, console: Consol
         yield
         return
     if importlib.util.find_spec("viser") is None:
-        console.print("no live page: pip install 'mocap-gateway[viewer]' for one", style="dim")
+        console.print(f"no live page: {how_to_add('viewer')} for one", style="dim")
         yield
         return
     arguments = ["view", "--wait", "--port", str(settings.mqtt.port), "--gateway", settings.gateway]
