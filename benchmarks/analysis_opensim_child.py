@@ -185,15 +185,20 @@ def write_loads(folder, task):
     loads.printToXML(str(folder / "loads.xml"))
 
 
+def from_files(tool, folder, motion):
+    """Motion and loads as they were written, unfiltered; results beside them."""
+    tool.setCoordinatesFileName(str(folder / motion))
+    tool.setExternalLoadsFileName(str(folder / "loads.xml"))
+    tool.setLowpassCutoffFrequency(-1)
+    tool.setResultsDir(str(folder))
+
+
 def inverse_dynamics(folder, task):
     tool = osim.InverseDynamicsTool()
     tool.setModelFileName(str(folder / "plain.osim"))
-    tool.setCoordinatesFileName(str(folder / "motion.sto"))
-    tool.setExternalLoadsFileName(str(folder / "loads.xml"))
-    tool.setLowpassCutoffFrequency(-1)
+    from_files(tool, folder, "motion.sto")
     tool.setStartTime(task["begin"])
     tool.setEndTime(task["end"])
-    tool.setResultsDir(str(folder))
     tool.setOutputGenForceFileName("torques.sto")
     begun = time.process_time()
     tool.run()
@@ -204,12 +209,9 @@ def static_optimisation(folder, task):
     tool = osim.AnalyzeTool()
     tool.setName("peer")
     tool.setModelFilename(str(folder / "muscles.osim"))
-    tool.setCoordinatesFileName(str(folder / "motion_kneecaps.sto"))
-    tool.setExternalLoadsFileName(str(folder / "loads.xml"))
-    tool.setLowpassCutoffFrequency(-1)
+    from_files(tool, folder, "motion_kneecaps.sto")
     tool.setInitialTime(task["begin"])
     tool.setFinalTime(task["end"])
-    tool.setResultsDir(str(folder))
     wanted = osim.StaticOptimization()
     wanted.setStartTime(task["begin"])
     wanted.setEndTime(task["end"])

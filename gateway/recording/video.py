@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import time
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,27 +12,26 @@ from typing import Any
 
 import numpy as np
 
-import gateway
 from devices import recording_format as fmt
-from devices.cameras.heat_map_messages import HeatMapReceiver, retimed
+from devices.cameras.heat_map_messages import retimed
 from devices.link import Chunk, Framing
-from devices.recording_writer import RecordingWriter, session_record
+from devices.recording_writer import RecordingWriter
 from gateway.body.camera import Camera
 from gateway.body.camera_entries import entry_of
 from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.body.subject_file import subject_content
 from gateway.errors import GatewayError
-from gateway.heat_map_frames import heat_maps_of
+from gateway.heat_map_frames import heat_map_frame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import OPTICAL
-from gateway.reconstruction.video.heat_maps import HeatMapFrame
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.reconstruction.video.offline import reconstruct_recorded
 from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor
 from gateway.reconstruction.video.tracker import VideoOptions
+from gateway.recording.imported import imported_session
 from gateway.recording.reading import Progress
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
@@ -123,12 +121,6 @@ def video_subject(name: str, suit: WornSuit) -> dict[str, Any]:
     return {**content, "video": {"network": suit.video.network, "cameras": cameras}}
 
 
-def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:
-    """One instant of messages, in the order of the cameras; its time is that of the first."""
-    read = [HeatMapReceiver().receive(message)[0] for message in messages]
-    return HeatMapFrame(sequence, read[0].time_ns, tuple(map(heat_maps_of, read)))
-
-
 def write_solved_video(
     messages: Sequence[Sequence[bytes]],
     rate_hz: float,
@@ -205,17 +197,7 @@ def write_offline_video(
 
 
 def _session(target: Path, solved_by: str = "") -> dict[str, str]:
-    record = session_record(
-        {LINK: Framing.HEAT_MAPS},
-        session=uuid.uuid4().hex,
-        software=gateway.__version__,
-        begun_ns=str(_BEGUN_NS),
-        begun_utc_ns="0",
-        from_start="1",
-        name=target.stem,
-        imported_from="video",
-    )
-    return record | ({"solved_by": solved_by} if solved_by else {})
+    return imported_session({LINK: Framing.HEAT_MAPS}, target, "video", _BEGUN_NS, solved_by=solved_by)
 
 
 def video_chunks(messages: Sequence[Sequence[bytes]], rate_hz: float) -> list[Chunk]:
