@@ -70,7 +70,7 @@ lint: install-dev
 	$(BIN)/mypy
 
 test: install-dev system-tools lint
-	$(BIN)/python -m pytest -n 2 $(TESTS)
+	$(BIN)/python -m pytest -n 3 --dist worksteal $(TESTS)  # many wait: three keep two cores busy
 
 test-socketcan: install-dev
 	@PYTHON=$(BIN)/python tests/socketcan/run.sh

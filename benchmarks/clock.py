@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.clock_faults import recoveries
 from benchmarks.clock_orientation import clocks_in_degrees
 from benchmarks.clock_recordings import recorded_clocks
+from benchmarks.clock_relay import relay_errors
 from benchmarks.clock_simulation import (
     LATENCY_US,
     LOSS,
@@ -39,6 +40,7 @@ SEED = 4
 MODULES = 17
 HOUR_S = 3600.0
 SETTLED_S = 60.0
+RELAY_S = 900.0
 RATE_HZ = 100.0
 TABLE_RATE_HZ = 25.0
 """Of table mode, whose estimate does not depend on it; it saves time."""
@@ -159,6 +161,17 @@ def by_exchange(slot_us: float) -> tuple[Errors, float]:
     return Errors(np.array(errors)), float(np.mean(bounds))
 
 
+def by_relay() -> Errors:
+    """Two-way exchanges through a relay unit that sends every 10 ms what it has got."""
+    seconds = np.arange(SETTLED_S, RELAY_S)
+    rngs = [np.random.default_rng([SEED, 200 + module]) for module in range(MODULES)]
+    return Errors(
+        np.array(
+            [relay_errors(rng, crystal, seconds, RATE_HZ) for rng, crystal in zip(rngs, suit(), strict=True)]
+        )
+    )
+
+
 def by_table(slot_us: float) -> tuple[Errors, float]:
     """A table of 60 minutes measured in one capture, used in another at other temperatures."""
     crystals = suit()
@@ -240,6 +253,7 @@ def run() -> Report:
     arrival_1ms, arrival_16ms = by_arrival(1000.0), by_arrival(16_000.0)
     (exchanged, bound_us), (by_the_table, minutes) = by_exchange(1000.0), by_table(1000.0)
     triggered, timer, answers = by_trigger()
+    relayed = by_relay()
     limit_1ms, limit_16ms = (transport_limit_us(slot, 1e6 / RATE_HZ, 60.0) for slot in (1000.0, 16_000.0))
     recorded, recorded_table = recorded_clocks()
     recovered, recovery_table = recoveries()
@@ -251,6 +265,7 @@ def run() -> Report:
             "arrival_1ms_p99_us", arrival_1ms.p99_us(), "µs", "<=300", "arrival times alone, 1 ms batching"
         ),
         Figure("arrival_16ms_p99_us", arrival_16ms.p99_us(), "µs", "", "arrival times alone, 16 ms batching"),
+        Figure("relay_p99_us", relayed.p99_us(), "µs", "", "relay unit, ticks of 10 ms, exchanges at 4 Hz"),
         Figure("trigger_p99_us", triggered.p99_us(), "µs", "", "unified control, broadcast trigger"),
         Figure(
             "table_p99_us",
@@ -276,6 +291,7 @@ def run() -> Report:
         arrival_16ms.row("arrival times, 16 ms batching", limit_16ms),
         arrival_1ms.row("arrival times, 1 ms batching", limit_1ms),
         exchanged.row("two-way exchanges, 1 ms batching"),
+        relayed.row("two-way exchanges, relay unit with ticks of 10 ms"),
         triggered.row("2, unified control"),
     ]
     kept, missed = timer.figures, sum(answers.figures.missed.values())
@@ -288,7 +304,7 @@ def run() -> Report:
         "arrival times alone cannot see. Trigger: reception differs by an exponential of mean "
         f"{RECEPTION_US:.0f} µs; timer jitter RMS {kept.jitter_rms_us:.0f} µs (common to all), "
         f"{missed} answers missed of "
-        f"{kept.sent * MODULES}.\n\n" + table(heads, rows),
+        f"{kept.sent * MODULES}. Relay: {RELAY_S / 60:.0f} min.\n\n" + table(heads, rows),
         degrees_table,
         recovery_table,
         recorded_table,

@@ -25,6 +25,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.cli.emulated_rig import dress
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching
 from gateway.frames import FloatArray, SkeletonFrame
+from gateway.host_sender import HostSender
 from gateway.pipeline import Pipeline
 from gateway.stream import ClockMode
 from gateway.synchronisation import Synchroniser
@@ -92,7 +93,8 @@ async def capture(
     pipeline = Pipeline(worn, params, "independent", mode, clock_table)
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
     link = _EmulatedLink(SuitTraffic(motion, SuitSettings(), imperfections, SEED))
-    synchroniser = Synchroniser([link], pipeline.stream, EXCHANGE_INTERVAL_S, link.clock_ns)  # type: ignore[list-item]
+    sender = HostSender(pipeline.stream.sent, link.clock_ns)
+    synchroniser = Synchroniser([link], sender, EXCHANGE_INTERVAL_S, link.clock_ns)  # type: ignore[list-item]
     frames: list[SkeletonFrame] = []
     steps_between = round(EXCHANGE_INTERVAL_S / STEP_S)
     for n in range(round(SECONDS / STEP_S)):

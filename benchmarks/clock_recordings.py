@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.figures import Figure, table
 from gateway.clocks import EstimatedClock
 from gateway.frames import FloatArray, IntArray
+from gateway.losses import LinkLosses
 from gateway.statistics import SequenceCounter
 
 DATA = Path(os.environ.get("MOCAP_DATA") or Path(__file__).parents[2] / "shared" / "data")
@@ -63,9 +64,9 @@ def recorded_clocks() -> tuple[list[Figure], str]:
     for name, (counter, times_us) in xio_modules(DATA / "xio_lower_body7").items():
         fitted = _fitted_ppm(counter, times_us)
         found = np.array([recovered_ppm(counter, times_us, seed, 15.0) for seed in range(SEEDS)])
-        sequence = SequenceCounter()
+        sequence, link = SequenceCounter(), LinkLosses()
         for number in counter.tolist():
-            sequence.count(number % 65536)
+            sequence.count(number % 65536, link)
         errors.append(np.abs(found - fitted).max())
         lost += sequence.lost
         rows.append([name, f"{fitted:+.1f}", f"{found.mean():+.1f}", f"{errors[-1]:.1f}", str(sequence.lost)])

@@ -116,13 +116,8 @@ async def _listen(
 ) -> Run:
     received: list[tuple[int, int]] = []
     async with PoseSubscriber(MqttSettings(port=broker_port), "bench") as poses:
-        async with asyncio.timeout(60):
-            while poses.states.get("bench") != "online":
-                await asyncio.sleep(0.05)
-        await asyncio.sleep(1.0)
-        process = psutil.Process(gateway.pid)
-        assert suit.stdin is not None
-        suit.stdin.write(b"go\n")
+        await await_online(poses)
+        process = begin(suit, gateway)
 
         async def collect() -> None:
             async for pose in poses:
@@ -137,6 +132,21 @@ async def _listen(
         await asyncio.sleep(1.0)
         collecting.cancel()
     return _evaluate(np.array(received), written_ns, n_modules, rate_hz, cpu_percent)
+
+
+async def await_online(poses: PoseSubscriber) -> None:
+    """Until the gateway ``bench`` has been online for a second."""
+    async with asyncio.timeout(60):
+        while poses.states.get("bench") != "online":
+            await asyncio.sleep(0.05)
+    await asyncio.sleep(1.0)
+
+
+def begin(suit: asyncio.subprocess.Process, gateway: asyncio.subprocess.Process) -> psutil.Process:
+    """Lets a paced writer begin; returns the gateway's process, to be measured."""
+    assert suit.stdin is not None
+    suit.stdin.write(b"go\n")
+    return psutil.Process(gateway.pid)
 
 
 def _evaluate(

@@ -198,9 +198,9 @@ def _published(
     marker_set: MarkerSet, training: list[MarkerTrial], told: Mapping[str, float], held: MarkerTrial
 ) -> Solved:
     """Body and virtual markers from a stretch of the first half, then the held-out frames with them."""
-    lengths = measurements(marker_set, training, told).lengths
+    measured = measurements(marker_set, training, told)
     vertical = vertical_axis(marker_set, training[0])
-    sightings = [sighted(marker_set, trial, vertical, lengths) for trial in training]
+    sightings = [sighted(marker_set, trial, vertical, measured) for trial in training]
     skeleton, markers = from_rules(marker_set, sightings, vertical)
     columns = [marker_set.labels.index(label) for label in markers.labels]
     learnt = sightings[1] if np.isfinite(sightings[1].places.axes).all(axis=(1, 2, 3)).any() else sightings[0]

@@ -17,13 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import psutil
 import yaml
 
 from benchmarks.emulated_recording import FLUSH_MS, write_session
 from benchmarks.emulated_stream import relay_chunks, suit_17
 from benchmarks.figures import Figure, Report, table
-from benchmarks.latency import line_of, process_of, write_config
+from benchmarks.latency import await_online, begin, line_of, process_of, write_config
 from benchmarks.local_broker import mosquitto
 from benchmarks.paced_writer import ticks
 from devices.emulators.imperfections import TYPICAL
@@ -133,13 +132,8 @@ async def _cpu_percent(
     suit: asyncio.subprocess.Process, gateway: asyncio.subprocess.Process, broker_port: int, seconds: float
 ) -> float:
     async with PoseSubscriber(MqttSettings(port=broker_port), "bench") as poses:
-        async with asyncio.timeout(60):
-            while poses.states.get("bench") != "online":
-                await asyncio.sleep(0.05)
-    await asyncio.sleep(1.0)
-    process = psutil.Process(gateway.pid)
-    assert suit.stdin is not None
-    suit.stdin.write(b"go\n")
+        await await_online(poses)
+    process = begin(suit, gateway)
     await asyncio.sleep(1.0)
     before, begun = sum(process.cpu_times()[:2]), time.monotonic()
     await asyncio.sleep(seconds - 2.0)

@@ -9,6 +9,7 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 from devices.arrivals import Arrivals
+from devices.extras import how_to_add
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
 from devices.link_counts import LinkCounts, LostBefore
 from devices.qtm_packets import DataPacket, Marking, QtmPacketError, marking_of, message_of, packets_of
@@ -137,7 +138,7 @@ def _client() -> _Client:
     try:
         from qtm_rt import protocol, qrt  # noqa: PLC0415 - an extra
     except ImportError:
-        raise LinkError("qtm:// needs the extra 'optical': pip install 'mocap-gateway[optical]'") from None
+        raise LinkError(f"qtm:// needs the extra 'optical': {how_to_add('optical')}") from None
     return _Client(protocol.QTMProtocol, qrt.QRTConnection, protocol.QRTCommandException)
 
 

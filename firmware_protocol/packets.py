@@ -111,6 +111,8 @@ class ReceivedPacket:
     module_time_us: int
     """Module's clock at the moment of sampling, µs modulo 2^32."""
     packet: Packet
+    relayed_us: int | None = None
+    """Relay's clock when it sent the batch that held the packet, µs modulo 2^32; None: came by itself."""
 
 
 class WireFrameDecoder(Protocol):
@@ -187,17 +189,17 @@ class PacketDecoder:
         return received
 
     def _expand(self, batch: Entry, received: list[ReceivedPacket]) -> None:
-        _, module, _, _, body = batch
+        _, module, _, relayed_us, body = batch
         if module != RELAY:
             self._dropped[Defect.BAD_MODULE] += 1
             return
         entries, is_truncated = split_batch(body)
         for entry in entries:
-            self._decode(entry, received)
+            self._decode(entry, received, relayed_us)
         if is_truncated:
             self._dropped[Defect.TRUNCATED] += 1
 
-    def _decode(self, entry: Entry, received: list[ReceivedPacket]) -> None:
+    def _decode(self, entry: Entry, received: list[ReceivedPacket], relayed_us: int | None = None) -> None:
         kind, module, sequence, module_time_us, body = entry
         known = _RECEIVED.get(kind)
         if known is None:
@@ -208,4 +210,4 @@ class PacketDecoder:
         if type(packet) is Defect:
             self._dropped[packet] += 1
         else:
-            received.append(ReceivedPacket(kind, module, sequence, module_time_us, packet))
+            received.append(ReceivedPacket(kind, module, sequence, module_time_us, packet, relayed_us))

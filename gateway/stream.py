@@ -39,6 +39,7 @@ from gateway.clocks import (
     EstimatedClock,
     LinkBatching,
     ModuleClock,
+    RelayBatching,
     SharedClock,
     SharedOffset,
     TableClocks,
@@ -107,7 +108,7 @@ class Stream:
         self._sent_decoders: dict[str, PacketDecoder] = {}
         self._losses: dict[str, LinkLosses] = {}
         self._batching: dict[str, LinkBatching] = {}
-        self._arriving = LinkBatching()  # of the link that the chunk in hand came over
+        self._relays: dict[str, RelayBatching] = {}
         self._listeners: dict[type[Packet], list[Listener]] = {}
         self._new_clock = _clock_factory(clock_mode, clock_table)
         self._exchanges = TimeExchanges(self.modules)
@@ -117,7 +118,7 @@ class Stream:
         """Announce a link, before its first chunk."""
         self._decoders[name] = _decoder(framing)
         self._sent_decoders[name] = _decoder(framing)
-        self._batching[name] = LinkBatching()
+        self._batching[name], self._relays[name] = LinkBatching(), RelayBatching()
         self._losses[name] = LinkLosses()
 
     def notice(self, link: str, cause: Cause) -> None:
@@ -136,8 +137,7 @@ class Stream:
     def receive(self, chunk: Chunk) -> list[Reading]:
         """The readings that a chunk completes, in order of arrival."""
         readings = []
-        self._arriving = self._batching[chunk.link]
-        self._arriving.observe(chunk.arrived_ns)
+        self._batching[chunk.link].observe(chunk.arrived_ns)
         decoder = self._decoders[chunk.link]
         damaged = decoder.damaged
         packets = decoder.feed(chunk.data)
@@ -184,7 +184,7 @@ class Stream:
         return sum(decoder.accepted for decoder in self._decoders.values())
 
     def _read(self, received: ReceivedPacket, chunk: Chunk) -> Reading | None:
-        record, time_ns = self._timed(received, chunk.arrived_ns)
+        record, time_ns = self._timed(received, chunk)
         if self.triggers is not None:
             packet = received.packet
             self.triggers.heard(received.module, chunk.link)
@@ -195,20 +195,28 @@ class Stream:
         sequence = record.counter(received.kind).count(received.sequence, self._losses[chunk.link])
         return None if sequence is None else _reading(record, received.packet, sequence, time_ns)
 
-    def _timed(self, received: ReceivedPacket, arrived_ns: int) -> tuple[ModuleRecord, int]:
+    def _timed(self, received: ReceivedPacket, chunk: Chunk) -> tuple[ModuleRecord, int]:
         """The module's record, and the packet's instant by the module's clock."""
+        if received.relayed_us is not None:
+            self._relays[chunk.link].observe_tick(received.relayed_us)
         record = self.modules.get(received.module)
         if record is None:
-            clock = self._new_clock(received.module, self._arriving)
-            record = ModuleRecord(received.module, clock, first_arrival_ns=arrived_ns)
-            self.modules[received.module] = record
+            record = self._new_record(received, chunk)
         restarts = record.clock.restarts
-        time_ns = record.clock.gateway_time(received.module_time_us, arrived_ns)
+        time_ns = record.clock.gateway_time(received.module_time_us, chunk.arrived_ns)
         if record.clock.restarts != restarts:
             for restarted in record.sequences.values():
                 restarted.restart()
-        record.last_arrival_ns = arrived_ns
+        record.last_arrival_ns = chunk.arrived_ns
         return record, time_ns
+
+    def _new_record(self, received: ReceivedPacket, chunk: Chunk) -> ModuleRecord:
+        """Of a module that is heard for the first time."""
+        waits = self._batching if received.relayed_us is None else self._relays
+        clock = self._new_clock(received.module, waits[chunk.link])
+        record = ModuleRecord(received.module, clock, first_arrival_ns=chunk.arrived_ns)
+        self.modules[received.module] = record
+        return record
 
     def _read_triggered(
         self, triggers: TriggerAnswers, record: ModuleRecord, received: ReceivedPacket, chunk: Chunk

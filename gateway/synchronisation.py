@@ -7,6 +7,7 @@ offset is free of the transport's delay, to a bound that is published; the other
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import Callable, Sequence
 
 from devices.link import Link, gateway_time_ns
@@ -36,7 +37,8 @@ class Synchroniser:
     async def run(self) -> None:
         """Ask for ever."""
         while True:
-            await asyncio.sleep(self._interval_s)
+            # In step with nothing: answers wait now longer, now shorter for a relay's tick or a slot of USB.
+            await asyncio.sleep(self._interval_s * random.uniform(0.9, 1.1))
             await self.ask_all()
 
     async def ask_all(self) -> None:

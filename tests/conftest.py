@@ -34,11 +34,18 @@ from gateway.reconstruction.readiness import is_ready
 from tests.contract_watch import ContractWatch, assert_kept
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-KERNELS = (
-    "from gateway.reconstruction.readiness import make_ready; make_ready('joint')",
-    "from gateway.reconstruction.optical.warm_up import warm_up; warm_up()",
+_CREATED = (
+    "from gateway.body.rig import load_rig; from gateway.reconstruction import create_reconstructor\n"
+    "for name in {}: create_reconstructor(name, load_rig('suit_17'), 0.01)\n"
 )
-"""What takes longest to compile: half a minute each, unless it lies on the disk."""
+KERNELS = (
+    _CREATED.format(["independent"])
+    + "from gateway.reconstruction.readiness import make_ready; make_ready('joint')",
+    "from gateway.reconstruction.optical.warm_up import warm_up; warm_up()\n"
+    + _CREATED.format(["articulated", "gyro_free"]),
+)
+"""What takes longest to compile, unless it lies on the disk: a minute each. What all methods have in common
+comes first in one, and is there when the other gets to it."""
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -14,11 +14,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
+from devices.emulators.recordings import Recording
 from devices.vendor_formats.gaps import rate_of, spread, unwrapped
 from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
-from devices.vendor_formats.xsens_text import add_tracks, orientation_columns, turned
+from devices.vendor_formats.stamped import stamped_tracks
+from devices.vendor_formats.xsens_text import orientation_columns, turned
 
 _STAMP = "SampleTimeFine"
 _STAMP_BITS = 32
@@ -39,18 +40,7 @@ def read_movella_dot(paths: Sequence[Path], *, align: str = "stamps", partial: b
     labels = [tag or label for tag, label in zip(map(_tag, sheets), labels_of(paths), strict=True)]
     refuse_repeats(labels)
     tables = [_module(sheet) for sheet in sheets]
-    zero = min(times[0] for times, _ in tables)
-    end = min(times[-1] for times, _ in tables)
-    if align == "stamps" and any(times[0] >= end for times, _ in tables):
-        raise FormatError(
-            "the modules' time stamps do not overlap: they were not synchronised; --align start lets "
-            "all begin together"
-        )
-    modules: list[ModuleTrack] = []
-    fused: list[FusedTrack] = []
-    for module, (label, (times, rows)) in enumerate(zip(labels, tables, strict=True)):
-        begin = times[0] if align == "start" else zero
-        add_tracks(module, label, times - begin, rows, modules, fused)
+    modules, fused = stamped_tracks(labels, tables, align)
     rate_hz = rate_of(np.diff(tables[0][0]), paths[0])
     notes = tuple(sheet.note for sheet in sheets if sheet.note)
     return Recording("movella_dot", rate_hz, tuple(modules), fused=tuple(fused), notes=notes)

@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from devices.emulators.bodies import FloatArray
-from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
+from devices.emulators.recordings import Recording
 from devices.vendor_formats.gaps import index_of_times, rate_of, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, open_sheet
-from devices.vendor_formats.xsens_text import add_tracks, turned
+from devices.vendor_formats.stamped import stamped_tracks
+from devices.vendor_formats.xsens_text import turned
 
 INERTIAL = "Inertial.csv"
 _TIMES = ("Timestamp (us)",)
@@ -48,16 +49,7 @@ def read_ximu3(paths: Sequence[Path], *, align: str = "stamps", partial: bool = 
     refuse_repeats(labels)
     notes: list[str] = []
     tables = [_module(folder, partial, notes) for folder in folders]
-    zero, end = min(times[0] for times, _ in tables), min(times[-1] for times, _ in tables)
-    if align == "stamps" and any(times[0] >= end for times, _ in tables):
-        raise FormatError(
-            "the modules' time stamps do not overlap: they were not synchronised; --align start lets "
-            "all begin together"
-        )
-    modules: list[ModuleTrack] = []
-    fused: list[FusedTrack] = []
-    for module, (label, (times, rows)) in enumerate(zip(labels, tables, strict=True)):
-        add_tracks(module, label, times - (times[0] if align == "start" else zero), rows, modules, fused)
+    modules, fused = stamped_tracks(labels, tables, align)
     rate_hz = rate_of(np.array([np.median(np.diff(times)) for times, _ in tables]), folders[0])
     begun_ns = _begun_ns(folders[0])
     return Recording(

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from devices import recording_format as fmt
+from devices.extras import how_to_add
 from gateway.batch.job import Job, Outcome, Task, perform
 from gateway.errors import GatewayError
 
@@ -110,9 +111,7 @@ def _client(address: str) -> Any:
     try:
         from distributed import Client  # noqa: PLC0415 - an extra
     except ImportError:
-        raise GatewayError(
-            "a Dask cluster needs the extra 'dask': pip install 'mocap-gateway[dask]'"
-        ) from None
+        raise GatewayError(f"a Dask cluster needs the extra 'dask': {how_to_add('dask')}") from None
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
         client.wait_for_workers(1, timeout=_CONNECT_S)

@@ -3,6 +3,8 @@ place."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -50,6 +52,7 @@ class SubjectFile(_Strict):
         default="z", description="axis of the optical system that points up"
     )
     measurements_m: dict[str, float] = {}
+    angles_deg: dict[str, float] = Field(default={}, description="by which wands lie ahead of joints' axes")
     fit: dict[str, Any] = Field(default={}, description="how the fit came about; for the reader")
     markers: list[MarkerEntry] = Field(min_length=3)
     video: VideoEntry | None = None
@@ -92,14 +95,16 @@ def load_subject(path: Path) -> WornSuit:
 
 def subject_content(
     name: str, marker_set: str, body: dict[str, Any], skeleton: Skeleton, markers: BodyMarkers,
-    fit: dict[str, Any], lengths: dict[str, float],
+    fit: dict[str, Any], lengths: Mapping[str, float], angles: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """The content of a subject file. body: the skeleton as the content of a body file."""
+    """The content of a subject file. body: the skeleton as the content of a body file; angles: rad."""
+    turned = {key: round(math.degrees(value), 4) for key, value in (angles or {}).items() if value}
     return {
         "subject": name,
         "marker_set": marker_set,
         "vertical": markers.vertical,
         "measurements_m": {key: round(value, 6) for key, value in lengths.items()},
+        **({"angles_deg": turned} if turned else {}),
         "fit": fit,
         "markers": [
             {

@@ -49,7 +49,8 @@ class BrokerLink:
     def __init__(self, topic: str, settings: MqttSettings, port: Callable[[], int], name: str) -> None:
         self.name = name
         self.counts = LinkCounts()
-        self._topic = topic
+        self.topic = topic
+        """Or filter."""
         self._settings = settings
         self._port = port
         self._arrivals = Arrivals.never_opened(name)
@@ -81,7 +82,7 @@ class BrokerLink:
         port = self._port()
         try:
             async with broker_connection(self._settings, port, unique_identifier("cameras")) as client:
-                await client.subscribe(self._topic, 0)
+                await client.subscribe(self.topic, 0)
                 subscribed.set_result(None)
                 async for message in client.messages:
                     self._take(arrivals, message)
@@ -91,7 +92,7 @@ class BrokerLink:
     def _take(self, arrivals: Arrivals, message: aiomqtt.Message) -> None:
         """Pass on what is a picture of now: a retained one is not, and brokers may send other topics too."""
         payload = message.payload
-        if not isinstance(payload, bytes) or message.retain or not message.topic.matches(self._topic):
+        if not isinstance(payload, bytes) or message.retain or not message.topic.matches(self.topic):
             return
         if is_one_message(payload):  # or it would take bytes of the next camera's along
             arrivals.put(payload, gateway_time_ns())

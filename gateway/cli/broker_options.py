@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 from pydantic import ValidationError
 
+from gateway.cli.option_groups import with_options
 from gateway.outputs.settings import MqttSettings, TlsSettings
 
 Host = Annotated[str, typer.Option(help="Host of the MQTT broker.")]
@@ -30,3 +32,24 @@ def broker_settings(ca_file: Path | None, **options: Any) -> MqttSettings:
     except ValidationError as error:
         typer.echo("; ".join(problem["msg"] for problem in error.errors()), err=True)
         raise typer.Exit(2) from None
+
+
+@dataclass(frozen=True)
+class BrokerChoice:
+    """What the user said about where the broker is."""
+
+    host: Host = "127.0.0.1"
+    port: Port = 1883
+    username: Username = None
+    password_file: PasswordFile = None
+    ca_file: CaFile = None
+    protocol: Protocol = "3.1.1"
+    base_topic: BaseTopic = "mocap"
+
+    def settings(self) -> MqttSettings:
+        """As ``broker_settings``."""
+        return broker_settings(**asdict(self))
+
+
+with_broker = with_options(BrokerChoice)
+"""For a command whose first parameter is a ``BrokerChoice``."""

@@ -11,7 +11,7 @@ import orjson
 import typer
 
 from gateway.agreement import Agreement, Tracks, agreement, tracks_of
-from gateway.cli import broker_options
+from gateway.cli.broker_options import BrokerChoice, with_broker
 from gateway.cli.diff import print_figures, recorded_arrays
 from gateway.cli.spans import seconds_of
 from gateway.errors import GatewayError
@@ -27,7 +27,9 @@ _DOUBTFUL = 0.7
 """A correlation below it: perhaps not the same motion."""
 
 
+@with_broker
 def compare(
+    broker: BrokerChoice,
     first: Annotated[str, typer.Argument(help="Recording; with --live the name of a gateway.")],
     second: Annotated[str, typer.Argument(help="Recording of the same motion; with --live a gateway.")],
     pair: Annotated[
@@ -56,13 +58,6 @@ def compare(
     ] = False,
     window: Annotated[float, typer.Option(min=5.0, max=600.0, help="With --live: seconds compared.")] = 20.0,
     count: Annotated[int | None, typer.Option(min=1, help="With --live: end after so many.")] = None,
-    host: broker_options.Host = "127.0.0.1",
-    port: broker_options.Port = 1883,
-    username: broker_options.Username = None,
-    password_file: broker_options.PasswordFile = None,
-    ca_file: broker_options.CaFile = None,
-    protocol: broker_options.Protocol = "3.1.1",
-    base_topic: broker_options.BaseTopic = "mocap",
 ) -> None:
     """Compare two sources of one motion, such as optical and inertial: angles and places by segment.
 
@@ -75,15 +70,7 @@ def compare(
             raise GatewayError("--span and --plot are for recordings: leave them out with --live")
         from gateway.cli.compare_live import Live, run_live  # noqa: PLC0415 - only here a broker is spoken to
 
-        settings = broker_options.broker_settings(
-            host=host,
-            port=port,
-            username=username,
-            password_file=password_file,
-            ca_file=ca_file,
-            protocol=protocol,
-            base_topic=base_topic,
-        )
+        settings = broker.settings()
         wanted = Live(first, second, renamed, largest_lag, window, count, as_json, own_headings)
         raise typer.Exit(run_live(settings, wanted))
     _compare_files(Path(first), Path(second), renamed, largest_lag, span, own_headings, plot, as_json)

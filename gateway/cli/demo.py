@@ -22,6 +22,7 @@ from rich.live import Live
 from rich.table import Table
 
 from devices.emulators.motions import BodyMotion
+from devices.extras import how_to_add
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
@@ -31,9 +32,9 @@ from gateway.cli.pose_table import PoseView
 from gateway.comparison import orientation_error, rmse_deg
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.outputs.settings import MqttSettings
+from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
-from gateway.reconstruction import FUSED
+from gateway.reconstruction import FUSED, readiness
 from gateway.service import Service
 from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
 from gateway.stream import ClockMode
@@ -81,7 +82,7 @@ def demo(
     rig: Annotated[str, typer.Option(help="Rig to emulate (see config/rigs).")] = "suit_17",
     reconstructor: Annotated[
         str | None,
-        typer.Option(help="joint, independent, fused_neutral, …; else independent."),
+        typer.Option(help="joint, independent, fused_neutral, …; else joint, once it is compiled."),
     ] = None,
     imperfections: Annotated[str, typer.Option(help="ideal, typical or rough.")] = "typical",
     clock: Annotated[
@@ -108,15 +109,32 @@ def demo(
             gateway=GATEWAY,
             links=[LinkSettings(name="suit", url=f"{folder}/suit")],
             rig=rig,
-            reconstructor=reconstructor or "independent",
+            reconstructor=reconstructor or _startable(console),
             clock=ClockSettings(mode=clock),
-            mqtt=MqttSettings(broker="embedded", port=_free_port(port)),
+            mqtt=MqttSettings(
+                broker="embedded", port=_free_port(port), include=frozenset({PoseMap.POSITION})
+            ),
         )
         with told_when_compiling(partial(console.print, style="dim")):
             service = Service(settings, suit)
         with _live_page(settings, _free_port(page_port) if page else None, console):
             asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
     _print_errors(truth, console)
+
+
+def _startable(console: Console) -> str:
+    """The usual reconstructor; where that is not compiled yet, another, and it is for the next time."""
+    usual: str = GatewaySettings.model_fields["reconstructor"].default
+    if readiness.is_ready(usual):
+        return usual
+    console.print(
+        f"first start: '{usual}' is compiled in the background, about a minute; this run shows "
+        f"'{readiness.FALLBACK}'",
+        style="dim",
+    )
+    nowhere = subprocess.DEVNULL
+    subprocess.Popen(readiness.command(usual), stdout=nowhere, stderr=nowhere, start_new_session=True)
+    return readiness.FALLBACK
 
 
 @contextlib.contextmanager
@@ -126,7 +144,7 @@ def _live_page(settings: GatewaySettings, page_port: int | None, console: Consol
         yield
         return
     if importlib.util.find_spec("viser") is None:
-        console.print("no live page: pip install 'mocap-gateway[viewer]' for one", style="dim")
+        console.print(f"no live page: {how_to_add('viewer')} for one", style="dim")
         yield
         return
     arguments = ["view", "--wait", "--port", str(settings.mqtt.port), "--gateway", settings.gateway]

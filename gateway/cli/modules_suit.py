@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import inspect
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from dataclasses import dataclass, fields
-from functools import wraps
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
 import typer
 
 from gateway.body.rig import load_rig
+from gateway.cli.option_groups import with_options
 from gateway.errors import GatewayError
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.remote import remote_suit
@@ -76,22 +75,8 @@ class Operations(Protocol):
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]: ...
 
 
-def with_suit(command: Callable[..., None]) -> Callable[..., None]:
-    """The command, whose first parameter is a ``SuitChoice``, with the options of one in its place."""
-    own = list(inspect.signature(command, eval_str=True).parameters.values())[1:]
-    options = inspect.signature(SuitChoice, eval_str=True).parameters.values()
-    names = [field.name for field in fields(SuitChoice)]
-
-    @wraps(command)
-    def with_options(**given: Any) -> None:
-        choice = SuitChoice(**{name: given.pop(name) for name in names})
-        command(choice, **given)
-
-    parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in [*own, *options]]
-    with_options.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    del with_options.__wrapped__  # its annotations would be taken instead
-    return with_options
+with_suit = with_options(SuitChoice)
+"""For a command whose first parameter is a ``SuitChoice``."""
 
 
 @contextlib.asynccontextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,7 @@ from gateway.cli.progress import progress_bar
 from gateway.cli.spans import seconds_of
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
+from gateway.reconstruction.optical.landmarks import MOST_ANGLE
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.recording.suit_files import body_of
 
@@ -34,6 +36,14 @@ def fit(
     measure: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=METRES", help="A length of the person; without: as the files tell."),
+    ] = None,
+    angle: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=DEGREES",
+            help="By which a wand lies ahead of its joint's axis, such as left_thigh_rotation=8; without: as "
+            "the files tell.",
+        ),
     ] = None,
     up: Annotated[str | None, typer.Option(help="Axis of the files that points up: x, y or z.")] = None,
     neutral: Annotated[
@@ -66,6 +76,7 @@ def fit(
     options = FitOptions(
         vertical=_axis(up),
         lengths=dict(map(_measurement, measure or [])),
+        angles=dict(map(_angle, angle or [])),
         neutral=None if neutral is None else seconds_of("--neutral", neutral),
         centres="motion" if functional else "rules" if rules_only else "both",
     )
@@ -92,7 +103,7 @@ def _read(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
 def _write(found: Fit, outcome: dict[str, object], target: Path) -> None:
     content = subject_content(
         target.stem, found.marker_set, body_of(found.skeleton), found.skeleton, found.markers,
-        {key: outcome[key] for key in ("trials", "frames", "rmse_mm")}, dict(found.lengths),
+        {key: outcome[key] for key in ("trials", "frames", "rmse_mm")}, found.lengths, found.angles,
     )  # fmt: skip
     try:
         write_subject(target, content)
@@ -117,6 +128,17 @@ def _measurement(text: str) -> tuple[str, float]:
     return name, length
 
 
+def _angle(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        angle = math.radians(float(value))
+    except ValueError:
+        angle = math.nan
+    if not abs(angle) <= MOST_ANGLE:
+        raise GatewayError(f"--angle {text}: NAME=DEGREES is wanted, such as left_thigh_rotation=8")
+    return name, angle
+
+
 def _outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
     names = found.skeleton.segment_names
     return {
@@ -128,6 +150,7 @@ def _outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
         "markers": len(found.markers.labels),
         "assumed": list(found.assumed),
         "up": found.markers.vertical,
+        "angles_deg": {name: round(math.degrees(a), 2) for name, a in found.angles.items() if a},
         "lengths_mm": {
             name: round(1e3 * float(np.linalg.norm(tip)), 1)
             for name, tip in zip(names, found.skeleton.tips, strict=True)
@@ -155,6 +178,9 @@ def _print(found: Fit, outcome: dict[str, object]) -> None:
         f"{outcome['file']}: {outcome['markers']} markers, {outcome['frames']} frames, "
         f"rest {outcome['rmse_mm']} mm RMS, {found.markers.vertical} up"
     )
+    for name, angle in found.angles.items():
+        if angle:
+            typer.echo(f"{name}: {math.degrees(angle):.1f}° (--angle {name}=0 takes the wand as it stands)")
     for name in found.assumed:
         typer.echo(
             f"note: {name} is told by no file: {found.lengths[name]} m taken (--measure {name}=…)", err=True

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from gateway.cli import broker_options
+from devices.extras import how_to_add
+from gateway.cli.broker_options import BrokerChoice, with_broker
 from gateway.cli.progress import progress_bar
 from gateway.credentials import AccessToken, token_for
 from gateway.errors import GatewayError
@@ -27,17 +28,12 @@ PAGE_TOKEN_VARIABLE = "MOCAP_PAGE_TOKEN"
 """Environment variable that may hold the token of the page."""
 
 
+@with_broker
 def view(
+    broker: BrokerChoice,
     recording: Annotated[
         Path | None, typer.Argument(help="A recording to play; without one, what a gateway publishes now.")
     ] = None,
-    host: broker_options.Host = LOOPBACK,
-    port: broker_options.Port = 1883,
-    username: broker_options.Username = None,
-    password_file: broker_options.PasswordFile = None,
-    ca_file: broker_options.CaFile = None,
-    protocol: broker_options.Protocol = "3.1.1",
-    base_topic: broker_options.BaseTopic = "mocap",
     gateway: Annotated[str, typer.Option(help="Name of the gateway; + for the first heard.")] = ANY_GATEWAY,
     page_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
     page_host: Annotated[
@@ -67,15 +63,7 @@ def view(
     The page loads nothing from elsewhere and works on a phone. It only subscribes: it cannot slow the
     gateway down, and may run on another machine.
     """
-    settings = broker_options.broker_settings(
-        host=host,
-        port=port,
-        username=username,
-        password_file=password_file,
-        ca_file=ca_file,
-        protocol=protocol,
-        base_topic=base_topic,
-    )
+    settings = broker.settings()
     token = token_for("the page", page_host, token_file, PAGE_TOKEN_VARIABLE, "--token-file")
     place = _Place(page_host, page_port, token)
     with contextlib.suppress(KeyboardInterrupt):
@@ -99,7 +87,7 @@ async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
     try:
         import viser  # noqa: PLC0415 - an extra, and slow to import
     except ImportError:
-        raise GatewayError("the page needs the extra 'viewer': pip install 'mocap-gateway[viewer]'") from None
+        raise GatewayError(f"the page needs the extra 'viewer': {how_to_add('viewer')}") from None
     from gateway.viewer.gate import Door, Gate  # noqa: PLC0415 - beside the extra
 
     with contextlib.redirect_stdout(io.StringIO()):  # it would name the port behind the gate

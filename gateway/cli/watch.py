@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.text import Text
 
 from devices.link import gateway_time_ns
-from gateway.cli import broker_options
+from gateway.cli.broker_options import BrokerChoice, with_broker
 from gateway.cli.pose_table import PoseView, joint_table
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
@@ -136,14 +136,9 @@ def run_watch(settings: MqttSettings, wanted: Watch) -> int:
         return 0
 
 
+@with_broker
 def watch(
-    host: broker_options.Host = "127.0.0.1",
-    port: broker_options.Port = 1883,
-    username: broker_options.Username = None,
-    password_file: broker_options.PasswordFile = None,
-    ca_file: broker_options.CaFile = None,
-    protocol: broker_options.Protocol = "3.1.1",
-    base_topic: broker_options.BaseTopic = "mocap",
+    broker: BrokerChoice,
     gateway: Annotated[str, typer.Option(help="Name of the gateway; + for all.")] = ANY_GATEWAY,
     once: Annotated[bool, typer.Option("--once", help="Print one pose and end.")] = False,
     count: Annotated[int | None, typer.Option(min=1, help="Print so many poses and end.")] = None,
@@ -165,14 +160,6 @@ def watch(
     count = 1 if once else count
     if timeout is None and count is not None:
         timeout = 10.0
-    settings = broker_options.broker_settings(
-        host=host,
-        port=port,
-        username=username,
-        password_file=password_file,
-        ca_file=ca_file,
-        protocol=protocol,
-        base_topic=base_topic,
-    )
+    settings = broker.settings()
     wanted = Watch(gateway, count, json, quaternions, joints, timeout)
     raise typer.Exit(run_watch(settings, wanted))

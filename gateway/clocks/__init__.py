@@ -10,7 +10,7 @@ sample) → ``utc_anchor`` (gateway time against UTC).
 Sans-I/O and deterministic: arrival times are arguments, and gateway time is the host's monotonic clock.
 """
 
-from gateway.clocks.batching import LinkBatching
+from gateway.clocks.batching import LinkBatching, RelayBatching
 from gateway.clocks.counter import unwrap
 from gateway.clocks.delay_floor import warm_up
 from gateway.clocks.estimated import EstimatedClock
@@ -37,6 +37,7 @@ __all__ = [
     "LinkBatching",
     "ModuleClock",
     "ReferenceInstants",
+    "RelayBatching",
     "SharedClock",
     "SharedOffset",
     "SyncExchanges",

@@ -1,7 +1,7 @@
 """How a link hands over what it has: at once, or at multiples of a slot (USB frames, adapter timers).
 
-All modules of a link share this. The clocks need it: a packet that came at the end of a slot may have been
-ready at any time within it.
+All modules of a link share this; those behind a relay unit share its ticks. The clocks need it: a packet that
+came at the end of a slot may have been ready at any time within it.
 """
 
 from __future__ import annotations
@@ -42,6 +42,22 @@ class LinkBatching:
         if len(self._gaps) > _GAPS:
             self.slot_us = slot_of_gaps(self._gaps[1:])
             self._gaps = []
+
+
+class RelayBatching(LinkBatching):
+    """Finds the tick of the relay unit on one link, from its own stamps on the batches."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._tick_us = 0
+        self._elapsed_ns = 0
+
+    def observe_tick(self, relayed_us: int) -> None:
+        """A packet came in a batch so stamped (µs modulo 2^32)."""
+        if relayed_us != self._tick_us:
+            self._elapsed_ns += (relayed_us - self._tick_us) % 2**32 * 1000
+            self._tick_us = relayed_us
+            self.observe(self._elapsed_ns)
 
 
 def slot_of_gaps(gaps_ns: list[int]) -> float:

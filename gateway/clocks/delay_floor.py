@@ -17,6 +17,8 @@ SHORTEST_SLOT_US = 40.0
 _LARGEST_RATE_PPM = 10_000.0
 _OFFSET_SIGMA_US = 1e6
 _MEAN_DELAY_US = 1_000.0
+_CONFLICT = 5.0
+"""Standard deviations that packets can move a state by; by more, it was surer than it had reason to be."""
 
 
 class Walk(NamedTuple):
@@ -54,17 +56,22 @@ class DelayFloor:
         self._time_us: int | None = None
         self._x[0] = 0.0
         self._P = np.diag([_OFFSET_SIGMA_US**2, rate_sigma_ppm**2])
+        self._remember()
 
-    def start_over(self) -> None:
-        """Forget everything: what was taken in until now was taken for something else."""
-        self.packets, self.residual_us, self._mean_delay_us = 0, 0.0, _MEAN_DELAY_US
-        self._x[1] = 0.0
-        self.begin(self._walk.rate_sigma_ppm)
+    def take_back(self) -> None:
+        """Be as at the last ``begin`` or ``rebase``, but for the mean delay: what came since comes anew."""
+        self.packets = 0
+        self._time_us, x, self._P = self._begun
+        self._x = x.copy()
 
     def rebase(self) -> None:
         """Module time is counted from anew, and the floor is what it was."""
         if self._time_us is not None:
             self._time_us = 0
+            self._remember()
+
+    def _remember(self) -> None:
+        self._begun = self._time_us, self._x.copy(), self._P
 
     @property
     def is_known(self) -> bool:
@@ -95,18 +102,14 @@ class DelayFloor:
         newest_us: module time that the state shall stand at; elapsed_s: (n,) before it (<= 0);
         delays_us: (n,).
         """
-        if self._time_us is None:
-            self._x[0] = float(delays_us.min())
-            x, P = self._x.copy(), self._P
-        else:
-            since_s, walk = (newest_us - self._time_us) * 1e-6, self._walk
-            x, P = floor_filter.predict(
-                self._x, self._P, since_s, walk.offset_us2_per_s, walk.rate_ppm2_per_s
-            )
+        x, P = self._at(newest_us, elapsed_s, delays_us)
         slot_us = max(slot_us, SHORTEST_SLOT_US)
-        after, P_after, score, residual_us = floor_filter.update(
-            x, P, elapsed_s, delays_us, self._mean_delay_us, slot_us
-        )
+        packets = (elapsed_s, delays_us, self._mean_delay_us, slot_us)
+        after, P_after, score, residual_us = floor_filter.update(x, P, *packets)
+        if floor_filter.distance(x, P, after) > _CONFLICT:
+            # Rather the floor is another one than the rate: a crystal keeps it.
+            P = np.diag([_OFFSET_SIGMA_US**2, P[1, 1]])
+            after, P_after, score, residual_us = floor_filter.update(x, P, *packets)
         if abs(after[1]) < _LARGEST_RATE_PPM:
             x, P = after, P_after
         else:  # no crystal is like that: a backlog that came all at once; it tells the least delay only
@@ -116,6 +119,15 @@ class DelayFloor:
         self.packets = min(self.packets + n, REMEMBERED)
         self._mean_delay_us *= math.exp(min(max(score / (self.packets + 20), -0.5), 0.5))
         self.residual_us += (residual_us - self.residual_us) * n / self.packets
+
+    def _at(
+        self, newest_us: int, elapsed_s: FloatArray, delays_us: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """State and covariance before packets are taken in, at the newest of them."""
+        if self._time_us is None:
+            return np.array([delays_us.min(), self._x[1]]), self._P
+        walk, since_s = self._walk, (newest_us - self._time_us) * 1e-6
+        return floor_filter.predict(self._x, self._P, since_s, walk.offset_us2_per_s, walk.rate_ppm2_per_s)
 
 
 def warm_up() -> None:

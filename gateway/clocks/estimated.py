@@ -13,14 +13,13 @@ from gateway.frames import FloatArray
 _FIRST_BLOCK_US = 50_000
 _BLOCK_US = 1_000_000
 _MOST_PACKETS = 2_000
-"""Of one block, so that a module with a runaway rate does not make it dearer."""
+"""Of one block, so that a module with a runaway rate does not make it dearer; and of the opening."""
 _SLEW_PPM = 500.0
 _FIRST_SLEW_PPM = 20_000.0
 _SETTLING_US = 10_000_000
 _STEP_US = 50_000.0
 """An estimate that is off by more is adopted at once: slewing would take too long."""
 _IN_STEP = 0.02
-_SLOT_NEWS = 0.2
 _UNREST_GAIN, _UNREST_SIGMAS = 0.5, 2.0
 """A rate that still moves from block to block is not as well known as its covariance has it: delays that come
 in bursts are less independent than the estimate takes them for."""
@@ -36,6 +35,9 @@ class EstimatedClock:
     the line of the last block; its correction is spread out (slewed), so that instants of advancing stamps
     never run backwards, and no instant lies after its arrival.
 
+    In the first seconds (the opening) every block ends with all packets so far being taken in together, anew:
+    block by block, what a few of them seemed to tell would be believed.
+
     Arrivals alone leave the constant part of the delay in the offset. Two-way exchanges
     (``add_exchange``) take it out: the least delays of the way there and of the way back enclose the
     offset, and it lies in their middle where the two ways are alike.
@@ -48,7 +50,6 @@ class EstimatedClock:
         self._round_trip = DelayFloor(TRANSPORT)  # exchanges only; by the clock of the way back
         self._steps = 0
         self._unrest_ppm = 0.0
-        self._believed_slot_us = self._batching.slot_us
         self._begin(0, 0)
 
     def _begin(self, stamp_us: int, arrived_ns: int) -> None:
@@ -58,6 +59,7 @@ class EstimatedClock:
         is_sure = self._back.packets >= REMEMBERED
         self._back.begin(_RESTARTED_RATE_SIGMA_PPM if is_sure else CRYSTAL.rate_sigma_ppm)
         self._round_trip.rebase()
+        self._is_opening = True
         self._elapsed: list[int] = []
         self._delays: list[float] = []
         self._exchanges: list[tuple[int, float]] = []
@@ -82,7 +84,7 @@ class EstimatedClock:
         elapsed_us = full_us - self._start_us
         self._elapsed.append(elapsed_us)
         self._delays.append(since_ns * 1e-3 - elapsed_us)
-        if elapsed_us >= self._block_end_us or len(self._delays) >= _MOST_PACKETS:
+        if elapsed_us >= self._block_end_us or len(self._delays) > _MOST_PACKETS:
             self._close_block(elapsed_us)
         since_fit_us = elapsed_us - self._fit_us
         offset_us = self._offset_us + self._rate * since_fit_us
@@ -139,8 +141,9 @@ class EstimatedClock:
         newest_us = max(newest_us, self._fit_us)
         is_first = not self._back.is_known
         elapsed_s = (np.array(self._elapsed, dtype=np.float64) - newest_us) * 1e-6
-        if self._slot_is_news() and newest_us < _SETTLING_US:
-            self._back.start_over()
+        if self._is_opening:
+            self._back.take_back()
+            self._round_trip.take_back()
         self._back.update(newest_us, elapsed_s, np.array(self._delays), self._slot_us(elapsed_s))
         if self._exchanges:
             received = np.array(self._exchanges)  # (n, 2): module time, delay of the way there
@@ -148,7 +151,10 @@ class EstimatedClock:
             trips_us = received[:, 1] + self._back.offset_us(newest_us) + self._back.rate_ppm * since_s
             self._round_trip.update(newest_us, since_s, trips_us, 0.0)
         self._follow(newest_us, is_first)
-        self._elapsed, self._delays, self._exchanges = [], [], []
+        if newest_us >= _SETTLING_US or len(self._delays) >= _MOST_PACKETS:
+            self._is_opening = False
+        if not self._is_opening:
+            self._elapsed, self._delays, self._exchanges = [], [], []
         self._block_us = min(2 * self._block_us, _BLOCK_US)
         self._block_end_us = newest_us + self._block_us
 
@@ -170,15 +176,13 @@ class EstimatedClock:
         self._fit_us, self._offset_us, self._rate = newest_us, offset_us, rate_ppm * 1e-6
         self._expected_us = self._start_us - int(offset_us)
 
-    def _slot_is_news(self) -> bool:
-        """Whether the link turned out to hand over otherwise than was believed until now."""
-        before_us, self._believed_slot_us = self._believed_slot_us, self._batching.slot_us
-        return abs(self._believed_slot_us - before_us) > _SLOT_NEWS * max(self._believed_slot_us, before_us)
-
     def _slot_us(self, elapsed_s: FloatArray) -> float:
-        """The link's slot, unless the module samples in step with it: then it tells nothing."""
+        """The link's slot, unless the module samples in step with it: then it tells nothing.
+
+        Exchanges are in step with nothing, and where in its slot a module samples is known by them.
+        """
         slot_us = self._batching.slot_us
-        if slot_us and len(elapsed_s) > 1:
+        if slot_us and len(elapsed_s) > 1 and not self._exchanges:
             intervals = np.sort(np.diff(elapsed_s))
             samples = slot_us * 1e-6 / max(float(intervals[len(intervals) // 2]), 1e-6)
             if round(samples) >= 1 and abs(samples - round(samples)) < _IN_STEP:

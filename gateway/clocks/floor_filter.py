@@ -26,7 +26,7 @@ from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 
 SHARPNESS_US = 10.0
-"""How sharp the floor is: stamps and arrival times are no better."""
+"""How sharp the floor is at best: stamps and arrival times are no better."""
 TRUST = 0.5
 """Weight of a packet: delays of neighbouring packets are not independent."""
 OUTAGE = 6.0
@@ -35,49 +35,49 @@ OUTAGE_WEIGHT = 0.02
 OUTAGE_SCORE = 0.5
 """Nor of the mean delay, unless such packets are many."""
 _ITERATIONS = 30
-_SHORTEST_STEP = 1e-6
+_SHORTEST_STEP = 1e-9
 _GAIN = 3e-3  # of the log posterior: less is not worth another iteration
-_FAR = 20.0
+_FAR, _NEAR = 20.0, 3.0
 
 
 @compiled
-def _softplus(u: float) -> tuple[float, float]:
-    """max(u, 0) with a rounded corner, and its slope."""
-    z = u / SHARPNESS_US
+def _softplus(u: float, corner: float) -> tuple[float, float]:
+    """max(u, 0) with a corner rounded over so many µs, and its slope."""
+    z = u / corner
     if z > 15.0:
         return u, 1.0
     e = math.exp(z)
-    return SHARPNESS_US * math.log1p(e), e / (1.0 + e)
+    return corner * math.log1p(e), e / (1.0 + e)
 
 
 @compiled
-def _packet(u: float, m: float, slot: float) -> tuple[float, float, float, float]:
+def _packet(u: float, m: float, slot: float, corner: float) -> tuple[float, float, float, float]:
     """log P(u), its slope, minus its curvature, and its slope over log m."""
-    beyond = min(u + _FAR * SHARPNESS_US, 0.0)  # far on the wrong side log P is a straight line
-    a, a1 = _softplus(u - beyond)
-    b, b1 = _softplus(u - beyond - slot)
+    beyond = min(u + _FAR * corner, 0.0)  # far on the wrong side log P is a straight line
+    a, a1 = _softplus(u - beyond, corner)
+    b, b1 = _softplus(u - beyond - slot, corner)
     w = (a - b) / m
     h = 1.0 / math.expm1(w)
     slope = (-b1 + (a1 - b1) * h) / m
     # a'' = a'(1 − a') / sharpness
-    a2, b2 = a1 * (1.0 - a1) / SHARPNESS_US, b1 * (1.0 - b1) / SHARPNESS_US
+    a2, b2 = a1 * (1.0 - a1) / corner, b1 * (1.0 - b1) / corner
     information = (b2 - (a2 - b2) * h) / m + ((a1 - b1) / m) ** 2 * h * (1.0 + h)
     if beyond < 0.0:
-        slope, information = 1.0 / SHARPNESS_US, 0.0
-    value = -b / m + math.log(-math.expm1(-w)) + beyond / SHARPNESS_US
+        slope, information = 1.0 / corner, 0.0
+    value = -b / m + math.log(-math.expm1(-w)) + beyond / corner
     return value, slope, max(information, 0.0), b / m - w * h
 
 
 @compiled
 def _log_posterior(
     c: float, r: float, x: FloatArray, A: FloatArray, t: FloatArray, d: FloatArray, weight: FloatArray,
-    m: float, slot: float,
+    m: float, slot: float, corner: float,
 ) -> float:  # fmt: skip
     dc, dr = c - x[0], r - x[1]
     total: float = -0.5 * (A[0, 0] * dc * dc + 2.0 * A[0, 1] * dc * dr + A[1, 1] * dr * dr)
     for k in range(len(t)):
         u = d[k] - c - r * t[k]
-        total += weight[k] * _packet(u, m, slot)[0]
+        total += weight[k] * _packet(u, m, slot, corner)[0]
     return total
 
 
@@ -101,14 +101,14 @@ def predict(
 @compiled
 def _derivatives(
     c: float, r: float, x: FloatArray, A: FloatArray, t: FloatArray, d: FloatArray, weight: FloatArray,
-    m: float, slot: float,
+    m: float, slot: float, corner: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Gradient (2,) of the log posterior and its information (2, 2) at a line."""
     g, H = np.empty(2), A.copy()
     g[0] = -(A[0, 0] * (c - x[0]) + A[0, 1] * (r - x[1]))
     g[1] = -(A[0, 1] * (c - x[0]) + A[1, 1] * (r - x[1]))
     for k in range(len(t)):
-        _, slope, information, _ = _packet(d[k] - c - r * t[k], m, slot)
+        _, slope, information, _ = _packet(d[k] - c - r * t[k], m, slot, corner)
         g[0] -= weight[k] * slope
         g[1] -= weight[k] * slope * t[k]
         H[0, 0] += weight[k] * information
@@ -129,29 +129,52 @@ def _inverse(M: FloatArray) -> FloatArray:
 
 
 @compiled
+def _reach(
+    step_c: float, step_r: float, c: float, r: float, t: FloatArray, d: FloatArray, corner: float
+) -> float:
+    """What part of a step stays on the possible side: with no packet near the line nothing else bounds it."""
+    reach = 1.0
+    for k in range(len(t)):
+        u, fall = d[k] - c - r * t[k], step_c + step_r * t[k]
+        if fall > 0.0 and u > -_NEAR * corner:
+            reach = min(reach, (max(u, 0.0) + _NEAR * corner) / fall)
+    return reach
+
+
+@compiled
 def _most_likely(
     x: FloatArray, A: FloatArray, t: FloatArray, d: FloatArray, weight: FloatArray, c: float, r: float,
-    m: float, slot: float,
+    m: float, slot: float, corner: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """State (2,) and covariance (2, 2) by Newton's method from a line; a step that loses is shortened."""
-    value = _log_posterior(c, r, x, A, t, d, weight, m, slot)
+    value = _log_posterior(c, r, x, A, t, d, weight, m, slot, corner)
     P = _inverse(A)
     for _ in range(_ITERATIONS):
-        g, H = _derivatives(c, r, x, A, t, d, weight, m, slot)
+        g, H = _derivatives(c, r, x, A, t, d, weight, m, slot, corner)
         P = _inverse(H)
         step_c, step_r = P[0, 0] * g[0] + P[0, 1] * g[1], P[0, 1] * g[0] + P[1, 1] * g[1]
-        scale, gained = 1.0, -1.0
+        scale, gained = _reach(step_c, step_r, c, r, t, d, corner), -1.0
+        is_whole = scale == 1.0
         while gained < 0.0 and scale > _SHORTEST_STEP:
-            trial = _log_posterior(c + scale * step_c, r + scale * step_r, x, A, t, d, weight, m, slot)
+            near_c, near_r = c + scale * step_c, r + scale * step_r
+            trial = _log_posterior(near_c, near_r, x, A, t, d, weight, m, slot, corner)
             gained = trial - value
             if gained >= 0.0:
-                c, r, value = c + scale * step_c, r + scale * step_r, trial
+                c, r, value = near_c, near_r, trial
             scale *= 0.3
-        if gained < _GAIN:
+        if gained < (_GAIN if is_whole else 0.0):
             break
     best = np.empty(2)
     best[0], best[1] = c, r
     return best, P
+
+
+@compiled
+def distance(x: FloatArray, P: FloatArray, after: FloatArray) -> float:
+    """How far a state (2,) is from another one, in standard deviations of P (2, 2)."""
+    c, r = after[0] - x[0], after[1] - x[1]
+    A = _inverse(P)
+    return math.sqrt(max(A[0, 0] * c * c + 2.0 * A[0, 1] * c * r + A[1, 1] * r * r, 0.0))
 
 
 @compiled
@@ -165,6 +188,8 @@ def update(
     and the mean of u (µs).
     """
     n = len(t)
+    # No sharper than so many packets can tell the floor, or the first few would be believed.
+    corner = max(SHARPNESS_US, min(m / (TRUST * n), math.sqrt(P[0, 0])))
     lowest = 0.0
     for k in range(n):
         lowest = min(lowest, d[k] - x[0] - x[1] * t[k])
@@ -173,10 +198,10 @@ def update(
     for k in range(n):
         is_held_up = d[k] - c - x[1] * t[k] > OUTAGE * m + slot
         weight[k] = TRUST * (OUTAGE_WEIGHT if is_held_up else 1.0)
-    out_x, out_P = _most_likely(x, _inverse(P), t, d, weight, c, x[1], m, slot)
+    out_x, out_P = _most_likely(x, _inverse(P), t, d, weight, c, x[1], m, slot, corner)
     score = mean = 0.0
     for k in range(n):
         u = d[k] - out_x[0] - out_x[1] * t[k]
-        score += OUTAGE_SCORE if u > OUTAGE * m + slot else _packet(u, m, slot)[3]
+        score += OUTAGE_SCORE if u > OUTAGE * m + slot else _packet(u, m, slot, corner)[3]
         mean += u / n
     return out_x, out_P, score, mean

@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from devices.endpoints import link_from_url
-from devices.link import LinkError
+from devices.link import Framing
 from devices.replay_link import ReplayLink
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.doctor import can, listening, ports, running
 from gateway.doctor.broker import broker
+from gateway.doctor.camera_topics import camera_topic, is_at_broker
 from gateway.doctor.findings import Finding, Surroundings, Verdict, bad, good
 from gateway.doctor.host import disk, metrics_port
 from gateway.doctor.lines import capacity
@@ -55,15 +56,16 @@ def examine(
     states = asyncio.run(running.module_states(settings.mqtt, settings.gateway))
     readable = []
     for link in settings.links:
-        if link.url.startswith("mqtt:"):
-            continue  # it has no port: the broker is looked at below
+        if is_at_broker(link):
+            yield from asyncio.run(camera_topic(link, settings.mqtt, listen_s))
+            continue
         opening = asyncio.run(ports.opening(link, gateway_runs=states is not None))
         yield opening
         yield from ports.naming(link, here)
         yield from ports.latency(link, here)
         yield from can.can_interface(link, here)
         yield from capacity(link.name, link.url, len(suit.module_ids), rate_hz)
-        if opening.verdict is Verdict.GOOD and not _is_recording(link):
+        if opening.verdict is Verdict.GOOD and _speaks_as_a_suit(link):
             readable.append(link)
     yield from asyncio.run(broker(settings.mqtt, settings.gateway, here))
     if states is not None:
@@ -78,8 +80,8 @@ def _listen(links: list[LinkSettings], suit: WornSuit, seconds: float) -> list[F
     return asyncio.run(listening.listen(links, suit, seconds)) if links and seconds else []
 
 
-def _is_recording(link: LinkSettings) -> bool:
-    try:
-        return isinstance(link_from_url(link.url), ReplayLink)
-    except LinkError:
-        return False
+def _speaks_as_a_suit(link: LinkSettings) -> bool:
+    """Whether modules are at the other end: no receiver, no cameras, no file."""
+    opened = link_from_url(link.url)
+    is_stream = opened.framing in (Framing.BYTE_STREAM, Framing.CAN)
+    return link.carries == "suit" and is_stream and not isinstance(opened, ReplayLink)

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-import gateway
 from devices import recording_format as fmt
 from devices.emulators.recordings import Recording, play
 from devices.link import Chunk, Framing
-from devices.recording_writer import RecordingWriter, session_record
+from devices.recording_writer import RecordingWriter
 from gateway.body.skeleton import WornSuit
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import FUSED
 from gateway.recording.arrays import SkeletonArrays, arrays_of
+from gateway.recording.imported import imported_session, origin_event
 from gateway.recording.reading import Progress
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
@@ -90,21 +88,15 @@ def write_imported(
     """
     begun_ns = recording.begun_utc_ns or _FIRST_NS
     end_ns = begun_ns + round(recording.duration_s * 1e9)
-    session = session_record(
-        {LINK: Framing.BYTE_STREAM},
-        session=uuid.uuid4().hex,
-        software=gateway.__version__,
-        begun_ns=str(begun_ns),
-        begun_utc_ns=str(recording.begun_utc_ns),
-        from_start="1",
-        name=target.stem,
-        imported_from=recording.name,
+    session = imported_session(
+        {LINK: Framing.BYTE_STREAM}, target, recording.name, begun_ns, recording.begun_utc_ns
     )
+    more = {"modules": recording.names, "notes": recording.notes}
     pipeline = _pipeline(settings, suit)
     chunks = poses = 0
     counted_ns = begun_ns
     with RecordingWriter(target, session, attachments_of(settings, suit), begun_ns) as writer:
-        writer.add(fmt.EVENTS, begun_ns, _origin(recording, sources, begun_ns))
+        writer.add(fmt.EVENTS, begun_ns, origin_event(recording.name, sources, begun_ns, **more))
         for chunk in chunks_of(recording):
             writer.add_chunk(chunk, Framing.BYTE_STREAM)
             frames = pipeline.feed(chunk)
@@ -138,13 +130,3 @@ def _add_poses(writer: RecordingWriter, frames: list[SkeletonFrame], time_ns: in
 
 def _add_statistics(writer: RecordingWriter, pipeline: Pipeline, time_ns: int) -> None:
     writer.add(fmt.STATISTICS, time_ns, json.dumps(pipeline.statistics()).encode())
-
-
-def _origin(recording: Recording, sources: list[Path], time_ns: int) -> bytes:
-    """The event that tells where it all came from."""
-    files = {
-        path.name: hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "folder"
-        for path in sources
-    }
-    data = {"format": recording.name, "files": files, "modules": recording.names, "notes": recording.notes}
-    return json.dumps({"time_ns": time_ns, "name": "imported", "data": data}).encode()

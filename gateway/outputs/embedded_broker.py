@@ -1,8 +1,7 @@
 """A small MQTT broker for the first run: ``python -m gateway.outputs.embedded_broker --port 1883``.
 
 MQTT 3.1.1, loopback only, no passwords, nothing kept on disk. It prints ``listening <port>`` when
-ready, or one line that says why not, and ends when its standard input closes. One known defect of
-the broker inside (amqtt): a client may be sent retained messages that it did not subscribe to.
+ready, or one line that says why not, and ends when its standard input closes.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from amqtt.adapters import StreamReaderAdapter, StreamWriterAdapter
 from amqtt.broker import Broker
 from amqtt.contexts import BrokerConfig, ListenerConfig, ListenerType
 from amqtt.errors import BrokerError
+from amqtt.session import Session
 
 HOST = "127.0.0.1"
 
@@ -36,9 +36,20 @@ def broker_config(websocket_port: int | None = None) -> BrokerConfig:
     )
 
 
+class _Broker(Broker):  # type: ignore[misc]  # it has no types
+    """amqtt's, which sends whoever connects what is retained on topics that others have subscribed to."""
+
+    async def _publish_retained_messages_for_subscription(
+        self, subscription: tuple[str, int], session: Session
+    ) -> None:
+        holders = self._subscriptions.get(subscription[0], [])
+        if any(holder is session for holder, _ in holders):
+            await super()._publish_retained_messages_for_subscription(subscription, session)
+
+
 async def serve(port: int, websocket_port: int | None) -> None:
     """Run the broker until standard input closes. Raises ``OSError`` when the port is taken."""
-    broker = Broker(broker_config(websocket_port))
+    broker = _Broker(broker_config(websocket_port))
 
     async def take_client(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await broker.external_connected(StreamReaderAdapter(reader), StreamWriterAdapter(writer), "default")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from devices.extras import how_to_add
 from devices.link import gateway_time_ns
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
@@ -32,9 +33,7 @@ class LslSink:
         try:
             self._pylsl = importlib.import_module("pylsl")
         except (ImportError, RuntimeError, OSError) as error:  # the package, or its native library
-            raise OutputError(
-                f"outputs.lsl: LSL is not there ({error}): pip install 'mocap-gateway[lsl]'"
-            ) from error
+            raise OutputError(f"outputs.lsl: LSL is not there ({error}): {how_to_add('lsl')}") from error
         channels = 4 * len(self._segment_names)
         info = self._pylsl.StreamInfo(
             self._name, STREAM_TYPE, channels, self._frame_rate, self._pylsl.cf_float32, self._source

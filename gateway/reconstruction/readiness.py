@@ -8,6 +8,7 @@ compiles in a process of its own: numba holds the interpreter while it does, and
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -46,6 +47,8 @@ def _mark(name: str) -> Path:
 
 
 if __name__ == "__main__":
+    with contextlib.suppress(OSError):
+        os.nice(19)  # whoever waits for it runs meanwhile
     for wanted in sys.argv[1:]:
         if wanted not in RECONSTRUCTORS:
             sys.exit(f"no method is called '{wanted}'")

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import time
-import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import gateway
 from devices import recording_format as fmt
 from devices.link import Chunk, Framing
 from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
-from devices.recording_writer import RecordingWriter, session_record
+from devices.recording_writer import RecordingWriter
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
@@ -30,6 +27,7 @@ from gateway.reconstruction import BOTH_WAYS, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.landmarks import to_world
 from gateway.reconstruction.optical.published_trial import published_trial
+from gateway.recording.imported import imported_session, origin_event
 from gateway.recording.marker_encoding import frame_messages
 from gateway.recording.reading import Progress
 from gateway.recording.snapshot import attachments_of
@@ -64,6 +62,25 @@ class SolvedTrial:
         return float(np.sqrt(np.mean(self.residuals[self.used] ** 2))) if self.used.any() else float("nan")
 
 
+class _Fits:
+    """What became of every marker in every frame."""
+
+    def __init__(self, n_frames: int, markers: BodyMarkers) -> None:
+        self.residuals = np.full((n_frames, len(markers.labels)), np.nan)
+        self.used = np.zeros(self.residuals.shape, dtype=bool)
+        self.renamed: list[tuple[int, str, str]] = []
+        self._labels = markers.labels
+
+    def add(self, index: int, fit: MarkerFit | None) -> None:
+        """Of one frame; None where it has no pose."""
+        if fit is None:
+            return
+        self.residuals[index], self.used[index] = fit.residuals, fit.used
+        self.renamed += [
+            (index, self._labels[marker], "" if had < 0 else self._labels[had]) for marker, had in fit.renamed
+        ]
+
+
 def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optical") -> GatewaySettings:
     """A configuration that plays markers."""
     return GatewaySettings(
@@ -91,9 +108,7 @@ def write_solved_trial(
     pipeline.add_link(LINK, Framing.MARKERS)
     optical = pipeline.optical
     assert optical is not None  # the suit has markers
-    residuals = np.full((trial.n_frames, len(markers.labels)), np.nan)
-    used = np.zeros(residuals.shape, dtype=bool)
-    renamed: list[tuple[int, str, str]] = []
+    fits = _Fits(trial.n_frames, markers)
     spent = 0.0
     frames = 0
     with _writer(target, source, attachments_of(settings, suit)) as writer:
@@ -103,15 +118,13 @@ def write_solved_trial(
             spent += time.process_time() - began
             _add(writer, chunk, made)
             frames += len(made)
-            if optical.last is not None:
-                residuals[index], used[index] = optical.last.residuals, optical.last.used
-                renamed += _told(index, markers, optical.last)
+            fits.add(index, optical.last)
             if progress is not None and index % _CHUNKS_A_TELLING == 0:
                 progress(index, trial.n_frames)
         end_ns = _BEGUN_NS + round(trial.duration_s * 1e9)
         writer.add(fmt.STATISTICS, end_ns, json.dumps(pipeline.statistics()).encode())
     return SolvedTrial(
-        target, frames, markers.labels, residuals, used, tuple(renamed), dict(optical.counts),
+        target, frames, markers.labels, fits.residuals, fits.used, tuple(fits.renamed), dict(optical.counts),
         1e3 * spent / max(trial.n_frames, 1),
     )  # fmt: skip
 
@@ -160,25 +173,16 @@ def write_both_ways_trial(
     began = time.process_time()
     solved, counts = solve_both_ways(suit.skeleton, markers, observed, progress)
     spent = time.process_time() - began
-    residuals = np.full((len(solved), len(markers.labels)), np.nan)
-    used = np.zeros(residuals.shape, dtype=bool)
-    renamed: list[tuple[int, str, str]] = []
+    fits = _Fits(len(solved), markers)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     with _writer(target, source, attachments_of(settings, suit), solved_by=BOTH_WAYS) as writer:
         for index, (chunk, frame) in enumerate(zip(chunks, solved, strict=True)):
             _add(writer, chunk, [frame])
-            if frame.markers is not None:
-                residuals[index], used[index] = frame.markers.residuals, frame.markers.used
-                renamed += _told(index, markers, frame.markers)
+            fits.add(index, frame.markers)
     return SolvedTrial(
-        target, len(solved), markers.labels, residuals, used, tuple(renamed), dict(counts),
+        target, len(solved), markers.labels, fits.residuals, fits.used, tuple(fits.renamed), dict(counts),
         1e3 * spent / max(len(solved), 1),
     )  # fmt: skip
-
-
-def _told(index: int, markers: BodyMarkers, fit: MarkerFit) -> list[tuple[int, str, str]]:
-    """(frame, marker, whose point it had been) of the names put right."""
-    return [(index, markers.labels[m], "" if s < 0 else markers.labels[s]) for m, s in fit.renamed]
 
 
 def _markers_of(suit: WornSuit, subject: str, trial: MarkerTrial, source: Path) -> BodyMarkers:
@@ -198,9 +202,10 @@ def _markers_of(suit: WornSuit, subject: str, trial: MarkerTrial, source: Path) 
 def _writer(
     target: Path, source: Path, attachments: Mapping[str, bytes], solved_by: str = ""
 ) -> Iterator[RecordingWriter]:
-    session = _session(target, _BEGUN_NS) | ({"solved_by": solved_by} if solved_by else {})
+    session = imported_session({LINK: Framing.MARKERS}, target, "optical", _BEGUN_NS, solved_by=solved_by)
+    kind = source.suffix.lstrip(".").lower()
     with RecordingWriter(target, session, attachments, _BEGUN_NS) as writer:
-        writer.add(fmt.EVENTS, _BEGUN_NS, _origin(source, _BEGUN_NS))
+        writer.add(fmt.EVENTS, _BEGUN_NS, origin_event(kind, [source], _BEGUN_NS))
         yield writer
 
 
@@ -209,23 +214,3 @@ def _add(writer: RecordingWriter, chunk: Chunk, made: Sequence[SkeletonFrame]) -
     for frame in made:
         for topic, message in frame_messages(frame):
             writer.add(topic, chunk.arrived_ns, message)
-
-
-def _session(target: Path, begun_ns: int) -> dict[str, str]:
-    return session_record(
-        {LINK: Framing.MARKERS},
-        session=uuid.uuid4().hex,
-        software=gateway.__version__,
-        begun_ns=str(begun_ns),
-        begun_utc_ns="0",
-        from_start="1",
-        name=target.stem,
-        imported_from="optical",
-    )
-
-
-def _origin(source: Path, time_ns: int) -> bytes:
-    """The event that tells where it all came from."""
-    files = {source.name: hashlib.sha256(source.read_bytes()).hexdigest()}
-    data = {"format": source.suffix.lstrip(".").lower(), "files": files}
-    return json.dumps({"time_ns": time_ns, "name": "imported", "data": data}).encode()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import time
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-import gateway
 from devices import recording_format as fmt
 from devices.cameras.heat_map_messages import retimed
 from devices.link import Chunk, Framing
-from devices.recording_writer import RecordingWriter, session_record
+from devices.recording_writer import RecordingWriter
 from gateway.body.camera import Camera
 from gateway.body.camera_entries import entry_of
 from gateway.body.rig import WorldSettings, worn_without_modules
@@ -33,6 +31,7 @@ from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.reconstruction.video.offline import reconstruct_recorded
 from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor
 from gateway.reconstruction.video.tracker import VideoOptions
+from gateway.recording.imported import imported_session
 from gateway.recording.reading import Progress
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
@@ -198,17 +197,7 @@ def write_offline_video(
 
 
 def _session(target: Path, solved_by: str = "") -> dict[str, str]:
-    record = session_record(
-        {LINK: Framing.HEAT_MAPS},
-        session=uuid.uuid4().hex,
-        software=gateway.__version__,
-        begun_ns=str(_BEGUN_NS),
-        begun_utc_ns="0",
-        from_start="1",
-        name=target.stem,
-        imported_from="video",
-    )
-    return record | ({"solved_by": solved_by} if solved_by else {})
+    return imported_session({LINK: Framing.HEAT_MAPS}, target, "video", _BEGUN_NS, solved_by=solved_by)
 
 
 def video_chunks(messages: Sequence[Sequence[bytes]], rate_hz: float) -> list[Chunk]:

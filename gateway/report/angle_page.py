@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
@@ -53,7 +54,7 @@ def _picture(page: AnglePage, kind: str) -> bytes:
     try:
         from matplotlib.figure import Figure  # noqa: PLC0415 - an extra, and slow to import
     except ImportError:
-        raise GatewayError("plots need matplotlib: pip install 'mocap-gateway[plot]'") from None
+        raise GatewayError(f"plots need matplotlib: {how_to_add('plot')}") from None
     n = len(page.names)
     figure = Figure(figsize=(10, 1.2 + 0.9 * n), layout="constrained")
     axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]

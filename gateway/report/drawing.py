@@ -7,6 +7,7 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
+from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
@@ -20,7 +21,7 @@ LINES = ("#1f6fb2", "#e07a1f", "#4f9d4f")
 def require_matplotlib() -> None:
     """Raises ``GatewayError`` where the extra is not installed."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise GatewayError("a report needs the extra 'plot': pip install 'mocap-gateway[plot]'")
+        raise GatewayError(f"a report needs the extra 'plot': {how_to_add('plot')}")
 
 
 def small_multiples(times: FloatArray, shown: Sequence[tuple[str, FloatArray, tuple[str, ...]]]) -> bytes:
@@ -37,6 +38,10 @@ def small_multiples(times: FloatArray, shown: Sequence[tuple[str, FloatArray, tu
 
 
 def panels(count: int, height_in: float, columns: int | None = None) -> tuple[Any, list[Any]]:
+    """A figure and its axes, those beyond ``count`` switched off.
+
+    height_in: of the figure, inches; columns: axes side by side, all where not given.
+    """
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
     columns = columns or count
@@ -53,6 +58,7 @@ def panels(count: int, height_in: float, columns: int | None = None) -> tuple[An
 
 
 def colours(count: int) -> list[Any]:
+    """So many colours (RGBA) that are told apart, in the order of the rainbow."""
     from matplotlib import colormaps  # noqa: PLC0415 - an extra
 
     return [colormaps["nipy_spectral"](0.05 + 0.87 * i / max(count - 1, 1)) for i in range(count)]

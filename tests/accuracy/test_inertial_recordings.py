@@ -1,5 +1,9 @@
-"""Real modules with optical truth: BROAD (Laidig et al. 2021), one rigid body."""
+"""Real modules with optical truth: BROAD (Laidig et al. 2021), one rigid body.
 
+Of some trials the end of their rest and half a minute of motion; whole ones are slow.
+"""
+
+import functools
 import os
 from pathlib import Path
 
@@ -19,10 +23,30 @@ DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).resolve().parents[3] / "
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no recordings in {DATA}")
 
 DEVICE = 9
+PART, WHOLE = (9_000, 20_000), (0, None)
+"""Rows, 286 a second."""
 
 
-def load(trial):
-    return loadmat(next(DATA.glob(f"{trial}_*.mat")), squeeze_me=True)
+def in_part_and_whole(names, part, *whole):
+    """Parameters ``names`` and rows: ``part`` of one trial, and all of this and others, which is slow."""
+    slow = [pytest.param(*each, WHOLE, marks=pytest.mark.slow) for each in (part, *whole)]
+    return pytest.mark.parametrize((*names, "rows"), [(*part, PART), *slow])
+
+
+@functools.cache
+def load(name, rows):
+    whole = loadmat(next(DATA.glob(f"{name}_*.mat")), squeeze_me=True)
+    n = len(whole["imu_acc"])
+    return {
+        key: value[slice(*rows)] if getattr(value, "shape", ())[:1] == (n,) else value
+        for key, value in whole.items()
+    }
+
+
+@functools.cache
+def by_filter(name, rows):
+    """Orientations of ``independent``."""
+    return orientations("independent", load(name, rows))
 
 
 def suit(trial, device):
@@ -59,9 +83,8 @@ def orientations(name, trial, positions=None):
     return q_wb
 
 
-def total_errors_deg(name, trial, positions=None):
+def total_errors_deg(q_wb, trial):
     """On the rows that BROAD scores, wherever an orientation is defined."""
-    q_wb = orientations(name, trial, positions)
     truth = trial["opt_quat"]
     scored = trial["movement"].astype(bool) & np.isfinite(truth).all(axis=1)
     scored &= np.isfinite(q_wb).all(axis=1)
@@ -83,26 +106,28 @@ def rms(errors):
     return np.sqrt(np.mean(errors**2))
 
 
-@pytest.mark.parametrize(("trial", "bound_deg"), [("02", 1.3), ("10", 1.0)])
-def test_independent_is_as_good_as_vqf_is_known_to_be(trial, bound_deg):
-    assert rms(total_errors_deg("independent", load(trial))) < bound_deg
+@in_part_and_whole(("name", "bound_deg"), ("02", 1.3), ("10", 1.0))
+def test_independent_is_as_good_as_vqf_is_known_to_be(name, bound_deg, rows):
+    assert rms(total_errors_deg(by_filter(name, rows), load(name, rows))) < bound_deg
 
 
-def test_independent_is_vqf_and_the_declination_and_nothing_else():
-    trial = load("02")
+@in_part_and_whole(("name",), ("02",))
+def test_independent_is_vqf_and_the_declination_and_nothing_else(name, rows):
+    trial = load(name, rows)
     sensors = [np.ascontiguousarray(trial[name]) for name in ("imu_gyr", "imu_acc", "imu_mag")]
     q = VQF(1.0 / float(trial["sampling_rate"])).updateBatch(*sensors)["quat9D"]
     field = suit(trial, None).magnetic_field
     declination = Rotation.from_euler("z", -np.arctan2(field[0], field[1]))
     expected = (declination * Rotation.from_quat(q[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]]
-    cosine = np.abs((orientations("independent", trial) * expected).sum(axis=1))
+    cosine = np.abs((by_filter(name, rows) * expected).sum(axis=1))
     np.testing.assert_allclose(cosine, 1.0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("trial", "rms_deg", "median_deg"), [("02", 8.0, 5.0), ("21", 18.0, 8.0)])
-def test_articulated_with_known_root_acceleration_solves_every_sample(trial, rms_deg, median_deg):
-    recording = load(trial)
-    aided = total_errors_deg("articulated", recording, smoothed_positions(recording, 10.0))
+@in_part_and_whole(("name", "rms_deg", "median_deg"), ("21", 18.0, 8.0), ("02", 8.0, 5.0))
+def test_articulated_with_known_root_acceleration_solves_every_sample(name, rms_deg, median_deg, rows):
+    trial = load(name, rows)
+    positions = smoothed_positions(trial, 10.0)
+    aided = total_errors_deg(orientations("articulated", trial, positions), trial)
     assert rms(aided) < rms_deg
     assert np.median(aided) < median_deg
-    assert rms(aided) < 0.7 * rms(total_errors_deg("articulated", recording))
+    assert rms(aided) < 0.7 * rms(total_errors_deg(orientations("articulated", trial), trial))

@@ -44,10 +44,10 @@ TRIGGER = wire_frame(SamplingTrigger(number=5), 3, 7, 1003)
 GOOD = [SAMPLE, POSITION, HEALTH]
 
 
-def received(frame: WireFrame) -> ReceivedPacket:
+def received(frame: WireFrame, relayed_us: int | None = None) -> ReceivedPacket:
     packet = decode_body(frame.kind, frame.body)
     assert not isinstance(packet, Defect)
-    return ReceivedPacket(frame.kind, frame.module, frame.sequence, frame.module_time_us, packet)
+    return ReceivedPacket(frame.kind, frame.module, frame.sequence, frame.module_time_us, packet, relayed_us)
 
 
 def fed(*chunks: bytes) -> tuple[list[ReceivedPacket], Counter[Defect], int]:
@@ -71,12 +71,12 @@ def test_can_gives_the_same_packets_as_a_byte_stream():
 def test_a_batch_comes_out_as_the_packets_it_holds():
     batch = relay_batch(GOOD, sequence=9, module_time_us=2000)
     assert (batch.kind, batch.module, batch.sequence, batch.module_time_us) == (0x20, 0xFE, 9, 2000)
-    assert fed(encode_frame(batch)) == ([received(frame) for frame in GOOD], Counter(), 3)
+    assert fed(encode_frame(batch)) == ([received(frame, relayed_us=2000) for frame in GOOD], Counter(), 3)
 
 
 def test_a_wire_frame_that_came_another_way_is_taken():
     decoder = PacketDecoder(FrameDecoder())
-    assert decoder.take(relay_batch(GOOD, 9, 2000)) == [received(frame) for frame in GOOD]
+    assert decoder.take(relay_batch(GOOD, 9, 2000)) == [received(frame, 2000) for frame in GOOD]
     assert decoder.take(replace(SAMPLE, kind=0x77)) == []
     assert (decoder.accepted, decoder.dropped) == (3, Counter({Defect.UNKNOWN_KIND: 1}))
 
@@ -107,7 +107,7 @@ def test_a_truncated_entry_ends_the_batch_and_what_came_before_stands():
     first_two = len(relay_batch(GOOD[:2], 0, 0).body)
     for size in range(first_two + 1, len(batch.body)):
         cut = encode_frame(replace(batch, body=batch.body[:size]))
-        assert fed(cut) == ([received(SAMPLE), received(POSITION)], Counter({Defect.TRUNCATED: 1}), 2)
+        assert fed(cut) == ([received(SAMPLE, 0), received(POSITION, 0)], Counter({Defect.TRUNCATED: 1}), 2)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_a_bad_packet_counts_once_and_harms_no_other(bad: WireFrame, defect: Def
     alone = b"".join(map(encode_frame, [SAMPLE, bad, HEALTH]))
     batched = encode_frame(relay_batch([SAMPLE, bad, HEALTH], 0, 0))
     assert fed(alone) == (survivors, Counter({defect: 1}), 2)
-    assert fed(batched) == (survivors, Counter({defect: 1}), 2)
+    assert fed(batched) == ([received(SAMPLE, 0), received(HEALTH, 0)], Counter({defect: 1}), 2)
 
 
 def test_a_batch_within_a_batch_is_refused_by_both_sides():

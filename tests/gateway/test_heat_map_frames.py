@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.video_truth import messages_of, ring_of_cameras, walking
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from devices.link import Chunk, Framing
 from gateway.accounting import balances_of, unaccounted
@@ -11,7 +10,6 @@ from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
 from gateway.errors import GatewayError, SettingsError
 from gateway.pipeline import Pipeline
-from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.recording.reading import open_recording
 from gateway.recording.solving import verify
 from gateway.recording.video import (
@@ -23,8 +21,8 @@ from gateway.recording.video import (
     write_offline_video,
     write_solved_video,
 )
+from tests.seen_walk import CAMERAS, seen_walk
 
-CAMERAS = ring_of_cameras(3)
 RATE = 60.0
 N = 14
 
@@ -32,10 +30,7 @@ N = 14
 @pytest.fixture(scope="module")
 def messages():
     """A walker before three cameras, by instant."""
-    keypoints = load_keypoint_set("blazepose_33")
-    person = walking(keypoints, N, (-0.2, 0.1), (1.0, 0.2))
-    found = messages_of(CAMERAS, keypoints, person)
-    return found, person
+    return seen_walk(N)
 
 
 @pytest.fixture(scope="module")

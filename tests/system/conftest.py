@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -86,3 +87,23 @@ def gateway_on(mosquitto: Any) -> Callable[..., Any]:
 async def _collect(poses: PoseSubscriber, received: list[ReceivedPose]) -> None:
     async for pose in poses:
         received.append(pose)  # noqa: PERF401 - an endless stream: what has come must show at once
+
+
+@pytest.fixture
+def announced_death(until: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
+    """``await announced_death(program, settings)``: a killed ``victim`` goes offline for those who listen and
+    for those who come later. The program, in Python, is given the broker's port."""
+
+    async def check(program: str, settings: MqttSettings) -> None:
+        async with PoseSubscriber(settings) as watcher:
+            victim = await asyncio.create_subprocess_exec(sys.executable, "-c", program, str(settings.port))
+            try:
+                await until(lambda: watcher.states.get("victim") == "online")
+            finally:
+                victim.kill()
+                await victim.wait()
+            await until(lambda: watcher.states["victim"] == "offline", timeout_s=2)
+        async with PoseSubscriber(settings) as late_comer:
+            await until(lambda: late_comer.states == {"victim": "offline"})
+
+    return check

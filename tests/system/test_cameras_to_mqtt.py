@@ -9,7 +9,6 @@ import socket
 import numpy as np
 import pytest
 
-from benchmarks.video_truth import messages_of, ring_of_cameras, walking
 from devices.reconnect import LinkState
 from gateway.accounting import unaccounted
 from gateway.body.rig import load_rig
@@ -20,22 +19,19 @@ from gateway.cameras.serving import Outlet
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
-from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.recording.video import video_subject, video_suit
 from gateway.service import Service
 from gateway.settings import load_gateway_settings
+from tests.seen_walk import CAMERAS, seen_walk
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
-CAMERAS = ring_of_cameras(3)
 N = 24
 
 
 @pytest.fixture(scope="module")
 def walk():
     """By instant a message a camera, and the walker's left knee, (N, 3) m."""
-    keypoints = load_keypoint_set("blazepose_33")
-    person = walking(keypoints, N, (-0.2, 0.1), (1.0, 0.2))
-    instants = messages_of(CAMERAS, keypoints, person)
+    instants, person = seen_walk(N)
     return instants, person.joints[:, person.skeleton.index("left_shank")]
 
 

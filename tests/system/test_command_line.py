@@ -1,4 +1,4 @@
-"""The commands as a user types them, each in a process of its own."""
+"""The commands as a user types them, each in a process of its own where more than its words count."""
 
 import contextlib
 import json
@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+
+from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 
@@ -79,7 +81,7 @@ def test_the_shipped_configuration_is_good():
 
 
 def test_the_schema_describes_every_setting():
-    code, out, _ = gateway("config", "schema")
+    code, out, _ = typed_here(["config", "schema"])
     schema = json.loads(out)
     assert code == 0
     assert {"gateway", "links", "rig", "reconstructor", "clock", "assembly", "mqtt"} <= set(
@@ -89,7 +91,7 @@ def test_the_schema_describes_every_setting():
 
 def test_help_has_an_example_for_every_command():
     for command in ("demo", "run", "emulate", "watch"):
-        code, out, _ = gateway(command, "--help")
+        code, out, _ = typed_here([command, "--help"])
         assert code == 0
         assert f"Example: mocap-gateway {command}" in out
 
@@ -107,7 +109,7 @@ def test_help_has_an_example_for_every_command():
     ],
 )
 def test_a_wrong_configuration_is_one_clear_line(tmp_path, changes, said):
-    code, out, err = gateway("config", "check", write_config(tmp_path, 1883, "/dev/null", **changes))
+    code, out, err = typed_here(["config", "check", write_config(tmp_path, 1883, "/dev/null", **changes)])
     assert code == 1
     assert re.search(said, err), err
     assert len(err.strip().splitlines()) == 1
@@ -124,7 +126,7 @@ def test_a_wrong_link_ends_the_service_before_anything_is_opened(tmp_path):
 def test_a_rig_with_an_unknown_segment_names_the_nearest(tmp_path):
     rig = tmp_path / "rig.yaml"
     rig.write_text("body: human_17\nmodules:\n  - {id: 0, segment: left_tigh}\n")
-    code, _, err = gateway("run", "-c", write_config(tmp_path, 1883, "/dev/null", rig=str(rig)))
+    code, _, err = typed_here(["run", "-c", write_config(tmp_path, 1883, "/dev/null", rig=str(rig))])
     assert code == 1
     assert re.search(r"rig\.yaml: module 0 sits on 'left_tigh'.*did you mean 'left_thigh'", err)
 
@@ -165,7 +167,7 @@ def test_a_busy_broker_port_of_the_embedded_broker_is_one_line(tmp_path, mosquit
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("medium", ["pty", "tcp", "slcan"])
+@pytest.mark.parametrize("medium", ["pty", "slcan", pytest.param("tcp", marks=pytest.mark.slow)])
 def test_emulate_run_and_watch_work_together(tmp_path, mosquitto, unused_port, medium):
     where = ["--port", unused_port] if medium == "tcp" else ["--link", tmp_path / "suit"]
     emulate = ["emulate", "--rig", "robot_arm_4", "--on", medium, *where, "--json"]
@@ -225,7 +227,7 @@ def test_wrong_recordings_are_one_line(tmp_path):
         (broken, "broad", "broken.mat cannot be read as broad"),
         (broken, "brod", r"--format brod: unknown \(did you mean 'broad'"),
     ):
-        code, _, err = gateway("emulate", "--recording", path, "--format", kind)
+        code, _, err = typed_here(["emulate", "--recording", path, "--format", kind])
         assert code == 1
         assert re.search(said, err), err
         assert "Traceback" not in err

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import socket
 import time
-from pathlib import Path
 
 import numpy as np
 import orjson
@@ -14,35 +13,21 @@ import pytest
 
 from gateway.accounting import unaccounted
 from gateway.body.markers import BodyMarkers
-from gateway.body.rig import load_body, load_rig
+from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
-from gateway.body.subject_file import subject_content, write_subject
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
-from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
-from gateway.recording.suit_files import body_of
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
+from tests.marked_person import places_of, subject_file, y_up
 
 pytestmark = pytest.mark.system
 RATE_HZ, N_FRAMES = 50.0, 60
-
-
-def subject_file(folder: Path) -> tuple[Path, Skeleton, BodyMarkers]:
-    """Four markers on every segment of a person; the optical system's y axis points up."""
-    body = load_body("human_17")
-    segments = np.repeat(np.arange(body.n_segments), 4)
-    places = np.random.default_rng(3).normal(0.0, 0.08, (len(segments), 3))
-    labels = tuple(f"m{i}" for i in range(len(segments)))
-    markers = BodyMarkers(labels, segments, places, np.full(len(segments), 0.004), "y")
-    path = folder / "anna.yaml"
-    write_subject(path, subject_content("anna", "plug_in_gait", body_of(body), body, markers, {}, {}))
-    return path, body, markers
 
 
 def truth(body: Skeleton, frame: int) -> FloatArray:
@@ -56,18 +41,9 @@ def truth(body: Skeleton, frame: int) -> FloatArray:
     return R
 
 
-def places_of(body: Skeleton, markers: BodyMarkers, frame: int) -> FloatArray:
-    """(M, 3) m, world."""
-    R = truth(body, frame)
-    p = kernels.places(body.parents, body.offsets, R, np.array([0.3, -0.2, 0.95]))
-    places: FloatArray = kernels.marker_places(markers.segments, markers.positions, R, p)
-    return places
-
-
 def message(body: Skeleton, markers: BodyMarkers, frame: int) -> bytes:
     """As an optical system with y up sends it, in mm, on its own clock; one marker is hidden now and then."""
-    places = places_of(body, markers, frame)
-    theirs = 1e3 * places[:, [0, 2, 1]] * [1.0, 1.0, -1.0]  # y up: world x, y, z are their x, -z, y
+    theirs = 1e3 * y_up(places_of(body, markers, truth(body, frame)))
     shown = {label: place.tolist() for label, place in zip(markers.labels, theirs, strict=True)}
     if frame % 3 == 0:
         shown["m5"] = None
@@ -100,7 +76,7 @@ async def gateway_of(settings: GatewaySettings, received: list[ReceivedPose]):
 
 
 async def test_datagrams_of_markers_become_the_senders_pose(mosquitto, tmp_path):
-    path, body, markers = subject_file(tmp_path)
+    path, body, markers = subject_file(tmp_path, "y")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -110,7 +86,9 @@ async def test_datagrams_of_markers_become_the_senders_pose(mosquitto, tmp_path)
         f"links: [{{name: cameras, url: 'udp://127.0.0.1:{port}', carries: markers}}]\n"
         f"mqtt: {{port: {mosquitto.port}, decimals: null, include: [position]}}\n"
     )
-    OpticalReconstructor(body, markers).update(MarkerFrame(0, 0, places_of(body, markers, 0)))  # compiles
+    OpticalReconstructor(body, markers).update(
+        MarkerFrame(0, 0, places_of(body, markers, truth(body, 0)))
+    )  # compiles
     settings = load_gateway_settings(config)
     received: list[ReceivedPose] = []
     async with gateway_of(settings, received) as service:
@@ -143,7 +121,7 @@ async def test_datagrams_of_markers_become_the_senders_pose(mosquitto, tmp_path)
 
 
 def test_another_method_for_a_subject_is_one_error_that_says_what_to_write(tmp_path):
-    path, _, _ = subject_file(tmp_path)
+    path, _, _ = subject_file(tmp_path, "y")
     links = [LinkSettings(name="cameras", url="udp://:9763", carries="markers")]
     settings = GatewaySettings(links=links, rig=str(path), mqtt=MqttSettings())
     assert Service(settings, load_rig(str(path))).pipeline.optical is not None

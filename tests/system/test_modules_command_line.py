@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import io
 import json
-import logging
 import signal
 import subprocess
 import sys
-import threading
 from typing import ClassVar
 
 import pytest
@@ -22,10 +19,11 @@ from devices.emulators.transports import PtyTransport
 from firmware_protocol import RELAY
 from firmware_protocol.commands import Verb
 from gateway.body.rig import load_rig
-from gateway.cli.main import app, main
+from gateway.cli.main import app
 from gateway.outputs.settings import MqttSettings
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
+from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 
@@ -78,32 +76,13 @@ class Typed:
         return process
 
     async def __call__(self, *arguments):
-        typed = ["mocap-gateway", "modules", *arguments, *self._where]
-        return await asyncio.wait_for(asyncio.to_thread(run_here, typed), LONGEST_S)
+        typed = ["modules", *arguments, *self._where]
+        return await asyncio.wait_for(asyncio.to_thread(typed_here, typed), LONGEST_S)
 
     async def in_a_process(self, *arguments):
         process = await self.start(*arguments)
         output, errors = await asyncio.wait_for(process.communicate(), LONGEST_S)
         return process.returncode, output.decode(), errors.decode()
-
-
-def run_here(typed):
-    """Exit code, output and errors of the whole program in this thread, its warnings among the errors."""
-    output, errors = io.StringIO(), io.StringIO()
-    warnings = logging.StreamHandler(errors)
-    warnings.setLevel(logging.WARNING)
-    own = threading.get_ident()
-    warnings.addFilter(lambda record: record.thread == own)  # the suit is in this process, too
-    logging.getLogger().addHandler(warnings)
-    try:
-        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(output):
-            patch.setattr(sys, "argv", typed)
-            with contextlib.redirect_stderr(errors), pytest.raises(SystemExit) as left:
-                main()
-            code = left.value.code
-    finally:
-        logging.getLogger().removeHandler(warnings)
-    return code or 0, output.getvalue(), errors.getvalue()
 
 
 async def test_list_shows_every_module_and_names_a_conflict_with_its_remedy(suit_on_port):

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from tests.conftest import PoseSource
 
 Until = Callable[..., Awaitable[None]]
+AnnouncedDeath = Callable[[str, MqttSettings], Awaitable[None]]
 
 pytestmark = pytest.mark.system
 
@@ -84,20 +85,10 @@ async def test_first_run_needs_nothing_but_the_gateway(pose_source: PoseSource, 
             assert poses.states == {"lab": "offline"}
 
 
-async def test_last_will_reaches_subscribers_and_late_comers(broker: BrokerProcess, until: Until) -> None:
-    settings = settings_for(broker)
-    async with PoseSubscriber(settings) as watcher:
-        victim = await asyncio.create_subprocess_exec(
-            *[sys.executable, "-c", CLIENT_WITH_A_WILL, str(broker.port)]
-        )
-        try:
-            await until(lambda: watcher.states.get("victim") == "online")
-        finally:
-            victim.kill()
-            await victim.wait()
-        await until(lambda: watcher.states["victim"] == "offline", timeout_s=2)
-    async with PoseSubscriber(settings) as late_comer:
-        await until(lambda: late_comer.states == {"victim": "offline"})
+async def test_last_will_reaches_subscribers_and_late_comers(
+    broker: BrokerProcess, announced_death: AnnouncedDeath
+) -> None:
+    await announced_death(CLIENT_WITH_A_WILL, settings_for(broker))
 
 
 async def test_subscriber_ignores_what_it_did_not_ask_for(
@@ -116,6 +107,21 @@ async def test_subscriber_ignores_what_it_did_not_ask_for(
             await asyncio.sleep(0.1)
             assert poses.states == {"lab": "online"}
             assert poses.undecodable == 0
+
+
+async def test_what_is_retained_goes_to_those_who_asked_for_it(broker: BrokerProcess) -> None:
+    """``mosquitto_sub -t 'mocap/+/pose' -C 1`` beside other subscribers is to print a pose."""
+    settings = settings_for(broker)
+    async with broker_connection(settings, broker.port, "first") as first:
+        await first.subscribe("#")
+        await first.publish("mocap/lab/bridge/state", b"online", qos=1, retain=True)
+        await first.publish("mocap/lab/kept", b"kept", qos=1, retain=True)
+        async with broker_connection(settings, broker.port, "second") as second:
+            await second.subscribe([("mocap/+/kept", 0), ("mocap/+/pose", 0)])
+            await first.publish("mocap/lab/pose", b"pose", qos=1)
+            async with asyncio.timeout(5):
+                heard = [(await anext(second.messages)).topic.value for _ in range(2)]
+    assert heard == ["mocap/lab/kept", "mocap/lab/pose"]
 
 
 async def test_listens_on_loopback_only_and_publishes_nothing_of_its_own(broker: BrokerProcess) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import sys
 import time
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from tests.conftest import Mosquitto, PoseSource
 
 Until = Callable[..., Awaitable[None]]
+AnnouncedDeath = Callable[[str, MqttSettings], Awaitable[None]]
 
 pytestmark = pytest.mark.system
 
@@ -199,20 +199,10 @@ async def test_restarted_broker_knows_everything_again(
     assert [line.split(" the MQTT")[0] for line in lines] == ["connected to", "lost", "connected again to"]
 
 
-async def test_broker_announces_the_death_of_a_killed_gateway(mosquitto: Mosquitto, until: Until) -> None:
-    settings = MqttSettings(port=mosquitto.port)
-    async with PoseSubscriber(settings) as watcher:
-        victim = await asyncio.create_subprocess_exec(
-            *[sys.executable, "-c", GATEWAY_THAT_PUBLISHES, str(mosquitto.port)]
-        )
-        try:
-            await until(lambda: watcher.states.get("victim") == "online")
-        finally:
-            victim.kill()
-            await victim.wait()
-        await until(lambda: watcher.states["victim"] == "offline", timeout_s=2)
-    async with PoseSubscriber(settings) as late_comer:
-        await until(lambda: late_comer.states == {"victim": "offline"})
+async def test_broker_announces_the_death_of_a_killed_gateway(
+    mosquitto: Mosquitto, announced_death: AnnouncedDeath
+) -> None:
+    await announced_death(GATEWAY_THAT_PUBLISHES, MqttSettings(port=mosquitto.port))
 
 
 async def test_what_cannot_be_encoded_is_dropped_and_the_output_lives_on(

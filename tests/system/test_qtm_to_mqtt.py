@@ -12,33 +12,19 @@ from devices.emulators.qtm_stand_in import QtmStandIn
 from devices.marker_files import MarkerTrial
 from gateway.accounting import unaccounted
 from gateway.body.markers import BodyMarkers
-from gateway.body.rig import load_body, load_rig
+from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
-from gateway.body.subject_file import subject_content, write_subject
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
-from gateway.reconstruction.optical import kernels
-from gateway.recording.suit_files import body_of
 from gateway.service import Service
 from gateway.settings import load_gateway_settings
+from tests.marked_person import places_of, subject_file, y_up
 
 pytestmark = pytest.mark.system
 pytest.importorskip("qtm_rt", reason="the extra 'optical' is not installed")
 RATE_HZ, N_FRAMES = 50.0, 80
-
-
-def subject(folder) -> tuple[str, Skeleton, BodyMarkers]:
-    """Four markers on every segment. The subject file says z up; what QTM says counts."""
-    body = load_body("human_17")
-    segments = np.repeat(np.arange(body.n_segments), 4)
-    places = np.random.default_rng(3).normal(0.0, 0.08, (len(segments), 3))
-    labels = tuple(f"m{i}" for i in range(len(segments)))
-    markers = BodyMarkers(labels, segments, places, np.full(len(segments), 0.004), "z")
-    path = folder / "anna.yaml"
-    write_subject(path, subject_content("anna", "plug_in_gait", body_of(body), body, markers, {}, {}))
-    return str(path), body, markers
 
 
 def turned(body: Skeleton, frame: int) -> FloatArray:
@@ -51,16 +37,14 @@ def captured(body: Skeleton, markers: BodyMarkers) -> MarkerTrial:
     """By a system with y up; one marker has lost its name."""
     positions = np.empty((N_FRAMES, len(markers.labels), 3))
     for frame in range(N_FRAMES):
-        R = turned(body, frame)
-        p = kernels.places(body.parents, body.offsets, R, np.array([0.3, -0.2, 0.95]))
-        world = kernels.marker_places(markers.segments, markers.positions, R, p)
-        positions[frame] = world[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+        positions[frame] = y_up(places_of(body, markers, turned(body, frame)))
     labels = tuple("*7" if label == "m7" else label for label in markers.labels)
     return MarkerTrial("turn", labels, RATE_HZ, positions)
 
 
 async def test_what_qtm_streams_comes_out_as_poses_and_a_hang_up_is_survived(mosquitto, tmp_path):
-    path, body, markers = subject(tmp_path)
+    # its file says z up; what QTM says counts
+    path, body, markers = subject_file(tmp_path, "z")
     stand_in = QtmStandIn(captured(body, markers), up="+Y", left_out={20, 21}, repeats=True)
     await stand_in.start()
     config = tmp_path / "gateway.yaml"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.outputs.exporters.take import Take, markers_of, rotation
@@ -21,7 +22,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     try:
         import ezc3d  # noqa: PLC0415 - an extra
     except ImportError:
-        raise GatewayError("C3D needs the extra 'export': pip install 'mocap-gateway[export]'") from None
+        raise GatewayError(f"C3D needs the extra 'export': {how_to_add('export')}") from None
     segments, joints = take.skeleton.segment_names, [joint.name for joint in take.skeleton.joints]
     angle_labels = [f"{name}_angles" for name in joints]
     places = np.concatenate([take.p_w, take.tips_w], axis=1) * units_per_m

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.outputs.exporters.take import Take, rotation
@@ -27,7 +28,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     try:
         import pygltflib  # noqa: PLC0415 - an extra
     except ImportError:
-        raise GatewayError("glTF needs the extra 'export': pip install 'mocap-gateway[export]'") from None
+        raise GatewayError(f"glTF needs the extra 'export': {how_to_add('export')}") from None
     document = _Document(pygltflib)
     document.add_skeleton(take, units_per_m)
     document.add_body(take, units_per_m)

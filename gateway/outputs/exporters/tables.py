@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.outputs.exporters.take import Take, markers_of
@@ -82,7 +83,7 @@ def write_parquet_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None
         import pyarrow  # noqa: PLC0415 - an extra
         import pyarrow.parquet  # noqa: PLC0415
     except ImportError:
-        raise GatewayError("Parquet needs the extra 'export': pip install 'mocap-gateway[export]'") from None
+        raise GatewayError(f"Parquet needs the extra 'export': {how_to_add('export')}") from None
     pyarrow.parquet.write_table(pyarrow.table(dict(table)), path)
 
 

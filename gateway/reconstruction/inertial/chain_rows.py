@@ -203,7 +203,8 @@ def watch_field(
 ) -> tuple[float, float]:
     """Heading by which the field is seen off, rad, and how disturbed it looks (1: not at all).
 
-    How much its norm and dip change while segment s moves goes to ``state.field_seen[s]``.
+    How much its norm and dip change while segment s moves goes to ``state.field_seen[s]``, and how much of
+    that lasts: means of a change to and fro are small.
     """
     h, seen = body.field, _seen(state.R[s], m)
     off = math.atan2(h[0] * seen[1] - h[1] * seen[0], h[0] * seen[0] + h[1] * seen[1])
@@ -211,12 +212,15 @@ def watch_field(
     mean = state.field_seen[s]
     if mean[3] == 0.0:
         mean[0], mean[1], mean[2] = length, dip, FIELD_CHANGE**2
+        mean[4], mean[5] = FIELD_CHANGE, 0.0
     mean[3] += dt
     gain = max(expected.gain, dt / mean[3])
     mean[0] += gain * (length - mean[0])
     mean[1] += gain * (dip - mean[1])
-    change = (length / mean[0] - 1.0) ** 2 + (dip - mean[1]) ** 2
-    mean[2] += expected.change_gain * (change - mean[2])
+    of_norm, of_dip = length / mean[0] - 1.0, dip - mean[1]
+    mean[2] += expected.change_gain * (of_norm * of_norm + of_dip * of_dip - mean[2])
+    mean[4] += expected.change_gain * (of_norm - mean[4])
+    mean[5] += expected.change_gain * (of_dip - mean[5])
     steeper, stronger = (dip - expected.dip) / DIP_TOLERANCE, (length / expected.norm - 1.0) / NORM_TOLERANCE
     return off, 1.0 + steeper * steeper + stronger * stronger
 
@@ -233,15 +237,30 @@ def field_row(
     expected: ExpectedField,
     dt: float,
 ) -> None:
-    """Heading by the field, weak: it is off to the same side for ``heading_memory_s``. off, disturbance: see
-    ``watch_field``; what bends the dip bends the heading too, the more the steeper the field."""
-    straying = noise.heading**2 + state.field_seen[s, 2] / expected.horizontal
-    sigma = math.sqrt(straying + min(state.P[s, 2, 2], OPEN_SIGMA**2))
-    weight = max(1.0, abs(off) / sigma / noise.huber) * disturbance
+    """Heading by the field, weak. off, disturbance: see ``watch_field``.
+
+    How far it is off throughout is found beside the heading and taken off: a field that stays as it is holds
+    a heading where it was, but does not say where that is. What bends the dip bends the heading too, the more
+    the steeper the field: for ``heading_memory_s`` to the same side where the change lasts, and no longer than
+    it is watched where it comes and goes.
+    """
+    seen, offset = state.field_seen[s], state.field_offset[s]
+    change = seen[2] / expected.horizontal
+    fleeting = max(0.0, seen[2] - seen[4] * seen[4] - seen[5] * seen[5]) / expected.horizontal
+    offset[1] = min(offset[1] + noise.heading**2 * dt / noise.heading_offset_s, noise.heading**2)
+    straying, uncertain = offset[1] + change, min(state.P[s, 2, 2], OPEN_SIGMA**2)
+    off -= offset[0]
+    weight = max(1.0, abs(off) / math.sqrt(straying + uncertain) / noise.huber) * disturbance
     is_first = (body.opens[s] == 0 or state.misfit[s] >= LOOSE) and state.P[s, 2, 2] > straying
     memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
-    variance = straying * memory_s / dt * weight
+    varying = (change - fleeting) * memory_s + fleeting * min(memory_s, FIELD_CHANGE_S)
+    variance = (offset[1] * memory_s + varying) / dt * weight
     add_own(evidence, s, (0.0, 0.0, 1.0), -off, variance)
+    if not is_first:  # what the heading is off by stays as long as the field's own
+        white = (uncertain * noise.heading_memory_s + varying) / dt * weight
+        gain = offset[1] / (offset[1] + white)
+        offset[0] += gain * off
+        offset[1] -= gain * offset[1]
 
 
 @compiled

@@ -49,10 +49,12 @@ class Noise(NamedTuple):
     start_tilt: float = 0.3
     """rad: of a first orientation from one specific force."""
     heading: float = 0.1
-    """rad: how far the field's heading strays where it passes all tests and does not change from place to
+    """rad: how far the field's heading is off where it passes all tests and does not change from place to
     place; where its norm and dip change, that is added."""
+    heading_offset_s: float = 300.0
+    """Within it that is another one; until then it is found."""
     heading_memory_s: float = 10.0
-    """For how long it stays off to the same side."""
+    """For how long changes stay off to the same side, and what is not yet found."""
     start_heading: float = 0.5
     """rad: how far it may be off throughout: what a first heading by the field counts against the motion."""
     unaided_speed: float = 0.3
@@ -116,8 +118,12 @@ class FilterState(NamedTuple):
     swing: FloatArray  # (n, 3, 3) average of R [ω]×
     arm: FloatArray  # (n, 6) found errors of to_joint and from_parent, m
     arm_covariance: FloatArray  # (n, 6, 6) their covariance
+    arm_variance: FloatArray  # (n,) what that meant for a component of the joint's row when asked, (m/s²)²
+    learnt_s: FloatArray  # (n,) since that; infinite: never
     compass_s: FloatArray  # (n,) for how long an undisturbed field has been seen
-    field_seen: FloatArray  # (n, 4) field's mean norm µT and dip rad, mean square of their changes, seconds
+    field_seen: FloatArray  # (n, 6) field's mean norm µT and dip rad, mean square of their changes, seconds;
+    # and mean changes of norm (relative) and dip, rad
+    field_offset: FloatArray  # (n, 2) heading by which the field is off throughout, rad; its variance
     heading: FloatArray  # (n, 3) cosine and sine sums of an open heading, and their possible length
     rest: FloatArray  # (n, 10) average rate, force, their variances, seconds at rest, and see ``rest_rows``
     device_shift: FloatArray  # (d, 3) found error of a fixed point's arm, m
@@ -141,9 +147,9 @@ def initial_state(n: int, d: int) -> FilterState:
         np.full(2, -1, np.int64), np.zeros(n, np.int64), np.ones(n, np.int64), z(n), z(n),
         z(n, 3, 3), z(n, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6),
         z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
-        z(n, 6), z(n, 6, 6), z(n), z(n, 4), z(n, 3), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf),
-        z(d, N_READINGS, 5),
-        np.zeros((d, 2), np.int64),
+        z(n, 6), z(n, 6, 6), z(n), np.full(n, np.inf),
+        z(n), z(n, 6), z(n, 2), z(n, 3), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf),
+        z(d, N_READINGS, 5), np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, 7), -np.inf),
         z(n), z(n, 3), z(n),
     )  # fmt: skip

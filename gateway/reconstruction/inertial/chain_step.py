@@ -355,9 +355,8 @@ def _joint_row(
         return  # this instant's averages are those before the turn
     else:
         at_once = variance * dt / noise.row_memory_s
-        variance += learn_joint_arms(
-            state, noise, scratch.learning, s, p, u, u_p, K[s], K[p], variance, at_once, dt
-        )
+        added = learn_joint_arms(state, noise, scratch.learning, s, p, u, u_p, K[s], K[p], at_once, dt)
+        variance += added * noise.row_memory_s / dt
     chain_rows.joint_row(evidence, state, noise, s, p, u, u_p, variance, dt, is_lost)
 
 

@@ -7,6 +7,7 @@ six components; the orientation error enters it as noise that stays for ``ORIENT
 arms are still uncertain of enters the orientation's rows. Directions that never show stay as measured.
 Where a fixed point holds a segment, the constant error ``b`` of its accelerometer shows too, as ``R b``
 through the low-pass; between two modules it does not show well enough to be of use.
+A joint's rows are correlated over the low-pass, so what they say of constants is asked every ``LEARN_S``.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ from gateway.reconstruction.inertial.chain_state import FilterState, Noise
 from gateway.reconstruction.inertial.tree_filter import Three
 
 ORIENTATION_MEMORY_S = 1.0
+LEARN_S = 0.025
+"""How often a joint is asked, at most: half the low-pass' time constant, a quarter of what rows share."""
+PHASES = 3
+"""Joints take turns, so that no frame has all the work."""
 
 
 class Learning(NamedTuple):
@@ -87,15 +92,18 @@ def learn_joint_arms(
     u_p: FloatArray,
     K: FloatArray,
     K_p: FloatArray,
-    variance: float,
     at_once: float,
     dt: float,
 ) -> float:
     """Corrects ``state.arm[s]`` and, in place, the sides u, u_p (3,); K, K_p (3, 3) 1/s², world.
 
-    variance: of a component of the row that comes every dt, (m/s²)²; at_once: of a single one. Returns what
-    the arms' uncertainty adds to the former.
+    at_once: variance of a component of a single row, (m/s²)². Returns what the arms' uncertainty adds to it.
     """
+    state.learnt_s[s] += dt
+    if state.learnt_s[s] < 0.9 * LEARN_S:  # frames jitter
+        return float(state.arm_variance[s])
+    interval_s = min(state.learnt_s[s], noise.row_memory_s)
+    state.learnt_s[s] = 0.0 if math.isfinite(state.learnt_s[s]) else -LEARN_S * (s % PHASES) / PHASES
     for i in range(3):
         for j in range(3):
             work.rows[i, j], work.rows[i, 3 + j] = -K[i, j], K_p[i, j]
@@ -103,14 +111,17 @@ def learn_joint_arms(
         0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2]), relative_covariance(state, s, p)
     )
     residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
-    added = learn_rows(state.arm_covariance[s], work, residual, off, variance, at_once, noise.huber, dt)
+    variance = at_once * noise.row_memory_s / interval_s
+    state.arm_variance[s] = learn_rows(
+        state.arm_covariance[s], work, residual, off, variance, at_once, noise.huber, interval_s
+    )
     change = work.change
     for i in range(6):
         state.arm[s, i] += change[i]
     for i in range(3):
         u[i] += K[i, 0] * change[0] + K[i, 1] * change[1] + K[i, 2] * change[2]
         u_p[i] += K_p[i, 0] * change[3] + K_p[i, 1] * change[4] + K_p[i, 2] * change[5]
-    return added * noise.row_memory_s / dt
+    return float(state.arm_variance[s])
 
 
 @compiled

@@ -41,6 +41,8 @@ class PositionSettings(NamedTuple):
     slip_speed: float = 0.1
     """m/s: a point that the legs see move faster has left the ground, whatever the foot's module says; and
     the ball of a foot that rolls off its heel stays until then."""
+    surely: float = 3.0
+    """Standard deviations of the body's velocity beyond which a contact that slips is not one."""
     relaxation_s: float = 2.0
     """Two feet that are held share out what they contradict each other."""
     push_off_s: float = 0.3
@@ -61,7 +63,7 @@ class PositionState(NamedTuple):
     acceleration: FloatArray  # (3,) of the frame before, world, m/s²
     anchor: FloatArray  # (c, 3) where a contact is held, m; NaN: it is not
     rolling_s: FloatArray  # (c,) since its segment last rested
-    has_slipped: FloatArray  # (c,) 1: moves against what the body stands on, whatever its module says
+    has_slipped: FloatArray  # (c,) 1: moves against what carries the body, whatever its module says
     clock: FloatArray  # (2,) 1 once begun; seconds since anything rested
     standing: IntArray  # (1,) contact segment that the body stands on, −1: none
 
@@ -250,18 +252,21 @@ def _holds(
 ) -> bool:
     """Whether contact c is on the ground and does not move.
 
-    One that slips while another segment stands is not taken back until it moves with that or its module has
-    seen it move: a module that is stuck in rest would else pull the body along.
+    One that slips while another segment stands, or faster than the body's own velocity can be wrong, is not
+    taken back until it moves with the body or its module has seen it move: a module that is stuck in rest
+    would else pull the body along.
     """
     state.rolling_s[c] = 0.0 if resting_s > 0.0 else state.rolling_s[c] + dt
     if not (is_finite(r) and is_finite(v_r)):
         return False
-    slips = norm(state.x[:, 1] + v_r) >= settings.slip_speed
+    speed = norm(state.x[:, 1] + v_r)
+    slips = speed >= settings.slip_speed
+    is_sure = _stands_elsewhere(contacts, state, c) or speed >= settings.surely * math.sqrt(state.P[0, 1, 1])
     if resting_s == 0.0 or not slips:
         state.has_slipped[c] = 0.0
     if not is_finite(state.anchor[c]):
-        return resting_s > 0.0 and not (state.has_slipped[c] > 0.0 and _stands_elsewhere(contacts, state, c))
-    if slips and resting_s > 0.0 and _stands_elsewhere(contacts, state, c):
+        return resting_s > 0.0 and not (state.has_slipped[c] > 0.0 and is_sure)
+    if slips and resting_s > 0.0 and is_sure:
         state.has_slipped[c] = 1.0
     return not slips and state.rolling_s[c] < settings.push_off_s
 

@@ -26,6 +26,7 @@ from gateway.reconstruction.optical.bundle import (
 )
 from gateway.reconstruction.optical.joint_ranges import shown_joints
 from gateway.reconstruction.optical.landmarks import (
+    Measured,
     SegmentPlaces,
     landmarks_of,
     measurements,
@@ -70,6 +71,8 @@ class FitOptions:
     """x, y or z; None: found from the markers."""
     lengths: Mapping[str, float] = field(default_factory=dict)
     """Measurements of the person, m."""
+    angles: Mapping[str, float] = field(default_factory=dict)
+    """Angles of the person, rad."""
     neutral: tuple[float, float] | None = None
     """Seconds of the first trial in which the person stands neutral: axes are then those of that posture."""
     centres: Literal["rules", "both", "motion"] = "both"
@@ -85,6 +88,8 @@ class Fit:
     markers: BodyMarkers
     marker_set: str
     lengths: Mapping[str, float]
+    angles: Mapping[str, float]
+    """rad"""
     assumed: tuple[str, ...]
     """Measurements that nobody told."""
     frames: int
@@ -102,9 +107,9 @@ def fit_body(
 ) -> Fit:
     """The body that explains the trials. Raises ``GatewayError`` where they do not tell enough."""
     options = options or FitOptions()
-    measured = measurements(marker_set, list(trials), options.lengths)
+    measured = measurements(marker_set, list(trials), options.lengths, options.angles)
     vertical = options.vertical or vertical_axis(marker_set, trials[0])
-    sightings = [sighted(marker_set, trial, vertical, measured.lengths) for trial in trials]
+    sightings = [sighted(marker_set, trial, vertical, measured) for trial in trials]
     if options.neutral is not None:
         sightings = _stood_neutral(marker_set, sightings, trials[0], options.neutral)
     moving = _moving(sightings)
@@ -141,6 +146,7 @@ def fit_body(
         markers=replace(markers, positions=final.positions, sigmas=final.sigmas),
         marker_set=marker_set.file.name,
         lengths=measured.lengths,
+        angles=measured.angles,
         assumed=measured.assumed,
         frames=len(observed),
         rmse=done.rmse,
@@ -167,9 +173,7 @@ def _anchored_in_neutral(
     return _made_neutral(body, done, stood, tips)
 
 
-def sighted(
-    marker_set: MarkerSet, trial: MarkerTrial, vertical: str, lengths: Mapping[str, float]
-) -> Sighting:
+def sighted(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Sighting:
     """A trial's markers in the world, and what rules make of them."""
     markers = to_world(trial.columns(marker_set.labels), vertical)
     if not np.isfinite(markers).any():
@@ -178,7 +182,7 @@ def sighted(
             + ", ".join(label for label in trial.labels[:12] if label)
             + (", …" if len(trial.labels) > 12 else "")
         )
-    return Sighting(trial.name, markers, landmarks_of(marker_set, trial, vertical, lengths).places())
+    return Sighting(trial.name, markers, landmarks_of(marker_set, trial, vertical, measured).places())
 
 
 def _stood_neutral(

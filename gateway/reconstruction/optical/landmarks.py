@@ -38,6 +38,10 @@ _UP = {
 """From the axes of the optical system to the world, Z up, by the axis that points up there."""
 
 
+MOST_ANGLE = np.pi / 2
+"""rad: a wand further from its joint's axis than that is none."""
+
+
 def to_world(positions: FloatArray, vertical: str) -> FloatArray:
     """Positions (…, 3) of a system whose axis ``vertical`` points up, in the world, Z up."""
     turned: FloatArray = positions @ _UP[vertical].T
@@ -70,23 +74,26 @@ def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
 
 @dataclass(frozen=True)
 class Measured:
-    """Lengths of a person, and which of them nobody told."""
+    """Lengths and angles of a person, and which lengths nobody told."""
 
     lengths: Mapping[str, float]  # m
+    angles: Mapping[str, float]  # rad
     assumed: tuple[str, ...]
 
 
-def measurements(marker_set: MarkerSet, trials: list[MarkerTrial], given: Mapping[str, float]) -> Measured:
-    """Lengths for the rules: as given, else from the files, else the marker set's defaults.
+def measurements(
+    marker_set: MarkerSet,
+    trials: list[MarkerTrial],
+    given: Mapping[str, float],
+    given_angles: Mapping[str, float] | None = None,
+) -> Measured:
+    """What the rules need: as given (m, rad), else from the files, else the marker set's defaults.
 
-    Raises ``GatewayError`` for one given that the marker set does not have.
+    Raises ``GatewayError`` for one given that the marker set does not have, and for an angle that cannot be.
     """
-    known = marker_set.file.measurements
-    for name in given:
-        if name not in known:
-            raise GatewayError(
-                f"marker set '{marker_set.file.name}' has no measurement '{name}'{nearest(name, known)}"
-            )
+    known, angles = marker_set.file.measurements, dict(given_angles or {})
+    _refuse_unknown(marker_set, "measurement", given, known)
+    _refuse_unknown(marker_set, "angle", angles, marker_set.file.angles)
     lengths, assumed = dict(given), []
     for name, entry in known.items():
         told = [
@@ -102,7 +109,33 @@ def measurements(marker_set: MarkerSet, trials: list[MarkerTrial], given: Mappin
         elif entry.default_m is not None:
             lengths[name] = entry.default_m
             assumed.append(name)
-    return Measured(lengths, tuple(assumed))
+    for name, angle in marker_set.file.angles.items():
+        if name not in angles:
+            found = [
+                _told_angle(trial, parameter)
+                for trial in trials
+                for parameter in angle.parameters
+                if trial.parameters.get(parameter)
+            ]
+            angles[name] = float(np.mean(found or [0.0]))
+    return Measured(lengths, angles, tuple(assumed))
+
+
+def _told_angle(trial: MarkerTrial, parameter: str) -> float:
+    angle = trial.parameters[parameter]
+    if abs(angle) > MOST_ANGLE:
+        raise GatewayError(f"{trial.name}: {parameter} is {angle:g} rad: no wand stands so; correct the file")
+    return angle
+
+
+def _refuse_unknown(
+    marker_set: MarkerSet, what: str, given: Mapping[str, float], known: Mapping[str, object]
+) -> None:
+    for name in given:
+        if name not in known:
+            raise GatewayError(
+                f"marker set '{marker_set.file.name}' has no {what} '{name}'{nearest(name, known)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -121,12 +154,11 @@ class SegmentPlaces:
 class Landmarks:
     """Points of a trial, each worked out when it is first asked for."""
 
-    def __init__(
-        self, marker_set: MarkerSet, markers: Mapping[str, FloatArray], lengths: Mapping[str, float]
-    ):
+    def __init__(self, marker_set: MarkerSet, markers: Mapping[str, FloatArray], measured: Measured):
         """markers: label to (F, 3) m, world."""
         self._set = marker_set
-        self._lengths = lengths
+        self._lengths = measured.lengths
+        self._angles = measured.angles
         self._points: dict[str, FloatArray] = dict(markers)
         self._n_frames = len(next(iter(markers.values())))
 
@@ -185,6 +217,10 @@ class Landmarks:
             return self.marker_radius
         return self._lengths[value] if isinstance(value, str) else value
 
+    def angle(self, name: str) -> float:
+        """Of the person, rad."""
+        return self._angles[name]
+
     def inside(self, width: Length) -> float:
         """From a marker's middle to the middle of a joint of that width, m."""
         return 0.5 * self.length(width) + self.marker_radius
@@ -198,9 +234,11 @@ class Landmarks:
 
 def _chord(at: Landmarks, rule: Chord) -> FloatArray:
     points = at.point(rule.proximal), at.point(rule.marker), at.point(rule.plane)
+    ahead = 0.0 if rule.wand_angle is None else at.angle(rule.wand_angle)
+    turned = ahead if rule.side == "right" else -ahead
     if rule.offset is not None:
-        return rules.chord(*points, at.length(rule.offset) + at.marker_radius)
-    return rules.chord(*points, at.inside(rule.width or 0.0))
+        return rules.chord(*points, at.length(rule.offset) + at.marker_radius, turned)
+    return rules.chord(*points, at.inside(rule.width or 0.0), turned)
 
 
 def _davis_hip(at: Landmarks, rule: DavisHip) -> FloatArray:
@@ -262,10 +300,8 @@ _APPLY: dict[str, Callable[..., FloatArray]] = {
 }
 
 
-def landmarks_of(
-    marker_set: MarkerSet, trial: MarkerTrial, vertical: str, lengths: Mapping[str, float]
-) -> Landmarks:
+def landmarks_of(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Landmarks:
     """The landmarks of a trial in the world."""
     world = to_world(trial.columns(marker_set.labels), vertical)
     markers = {label: world[:, m] for m, label in enumerate(marker_set.labels)}
-    return Landmarks(marker_set, markers, lengths)
+    return Landmarks(marker_set, markers, measured)

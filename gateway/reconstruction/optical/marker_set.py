@@ -37,6 +37,12 @@ class Measurement(_Strict):
     )
 
 
+class Angle(_Strict):
+    """An angle of the person that rules need; 0 where nobody tells it."""
+
+    parameters: list[str] = Field(default=[], description="names under which C3D files tell it, rad")
+
+
 class Between(_Strict):
     """A point on a line."""
 
@@ -76,11 +82,18 @@ class Chord(_Strict):
     plane: str
     width: Length | None = Field(default=None, description="of the joint: half of it lies between")
     offset: Length | None = Field(default=None, description="from the skin to the joint's centre")
+    wand_angle: str | None = Field(
+        default=None,
+        description="angle by which the third point lies ahead of the joint's axis, about the bone",
+    )
+    side: Side | None = Field(default=None, description="with wand_angle: of which leg")
 
     @model_validator(mode="after")
     def _tells_one(self) -> Chord:
         if (self.width is None) == (self.offset is None):
             raise ValueError("either 'width' or 'offset' is wanted")
+        if (self.wand_angle is None) != (self.side is None):
+            raise ValueError("'wand_angle' and 'side' go together")
         return self
 
 
@@ -203,6 +216,7 @@ class MarkerSetFile(_Strict):
     )
     marker_radius_m: float = Field(default=0.007, ge=0, lt=0.1)
     measurements: dict[str, Measurement] = {}
+    angles: dict[str, Angle] = {}
     markers: dict[str, list[str]] = Field(description="segment to the markers on it")
     points: dict[str, PointRule | list[PointRule]] = Field(
         default={},
@@ -279,7 +293,7 @@ def _check_segments(marker_set: MarkerSet) -> None:
 def _check_points(marker_set: MarkerSet) -> None:
     file, path = marker_set.file, marker_set.path
     known = {*marker_set.labels}
-    fixed = {"left", "right", MARKER_RADIUS, *marker_set.body.segment_names, *file.measurements}
+    fixed = {"left", "right", MARKER_RADIUS, *marker_set.body.segment_names, *file.measurements, *file.angles}
     for point in file.points:
         for rule in marker_set.rules(point):
             _refuse_unknown(path, f"points.{point}", names_in(getattr(rule, rule.kind)), known | fixed)

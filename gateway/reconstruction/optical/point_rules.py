@@ -47,12 +47,17 @@ def perpendicular(
     return moved
 
 
-def chord(proximal: FloatArray, marker: FloatArray, plane: FloatArray, distance: float) -> FloatArray:
+def chord(
+    proximal: FloatArray, marker: FloatArray, plane: FloatArray, distance: float, wand_angle: float = 0.0
+) -> FloatArray:
     """The joint centre ``distance`` m from a marker on its side, by the chord function of Plug-in-Gait.
 
     Proximal joint centre, marker and sought centre c make a right angle at c, in the plane through the third
     point, on the other side than that: Davis et al. 1991 (Hum. Mov. Sci. 10: 575–587), Kadaba et al. 1990
     (J. Orthop. Res. 8: 383–392). NaN where the marker is nearer than ``distance`` to the proximal joint.
+
+    wand_angle: rad, by which the third point is turned from that plane, about the line from the centre to the
+    proximal joint (right-handed, from the marker to the third point); NaN where none of the centres does it.
     """
     along = proximal - marker
     length = np.linalg.norm(along, axis=-1, keepdims=True)
@@ -62,8 +67,38 @@ def chord(proximal: FloatArray, marker: FloatArray, plane: FloatArray, distance:
     with np.errstate(invalid="ignore"):
         cosine = distance / length
         sine = np.sqrt(1.0 - cosine**2)
+        to_centre = np.arcsin(cosine)
+    if wand_angle:
+        turn = _chord_turn(proximal, marker, plane, to_centre, wand_angle)
+        across = np.cos(turn) * across + np.sin(turn) * np.cross(across, direction)
     centre: FloatArray = marker + distance * (cosine * direction - sine * across)
     return centre
+
+
+def _chord_turn(
+    proximal: FloatArray, marker: FloatArray, plane: FloatArray, to_centre: FloatArray, wand_angle: float
+) -> FloatArray:
+    """By how much the centre goes round the line from marker to proximal joint for a wand out of the plane,
+    (F, 1) rad.
+
+    Seen from the proximal joint, centre, marker and wand are the corners of a spherical triangle: two sides
+    and the angle at the centre are known. Law of sines, then Napier's analogy; of two triangles the one that
+    goes over into the plane.
+
+    to_centre: (F, 1) rad, the side from the marker to the centre.
+    """
+    to_marker, to_wand = unit(marker - proximal), unit(plane - proximal)
+    apart = np.arctan2(
+        np.linalg.norm(np.cross(to_marker, to_wand), axis=-1, keepdims=True),
+        np.sum(to_marker * to_wand, axis=-1, keepdims=True),
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        at_wand = np.arcsin(np.sin(wand_angle) * np.sin(to_centre) / np.sin(apart))
+    turn: FloatArray = 2.0 * np.arctan2(
+        np.tan(0.5 * (wand_angle + at_wand)) * np.cos(0.5 * (apart + to_centre)),
+        np.cos(0.5 * (apart - to_centre)),
+    )
+    return turn
 
 
 def davis_hip(

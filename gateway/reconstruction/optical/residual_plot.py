@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
@@ -26,7 +27,7 @@ def write_residual_plot(solved: _Solved, rate_hz: float, path: Path) -> None:
     try:
         from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
     except ImportError:
-        raise GatewayError("--plot needs the extra 'plot': pip install 'mocap-gateway[plot]'") from None
+        raise GatewayError(f"--plot needs the extra 'plot': {how_to_add('plot')}") from None
     residuals = 1e3 * np.asarray(solved.residuals)
     seconds = len(residuals) / rate_hz
     figure = Figure(figsize=(10, 0.16 * len(solved.labels) + 3), layout="constrained")

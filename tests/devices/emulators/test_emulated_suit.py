@@ -32,6 +32,7 @@ from firmware_protocol import (
     PacketDecoder,
     pack_can_records,
 )
+from tests.running_suit import running
 
 CAN = SuitSettings(encoding=Encoding(Framing.CAN))
 
@@ -61,17 +62,6 @@ def open_raw(path):
     descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     tty.setraw(descriptor)
     return descriptor
-
-
-@contextlib.asynccontextmanager
-async def running(suit):
-    task = asyncio.create_task(suit.run())
-    try:
-        yield task
-    finally:
-        task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
 
 
 async def test_pty_end_to_end_at_full_speed_without_loss(arm4, tmp_path):

@@ -36,6 +36,7 @@ from firmware_protocol import (
 )
 from firmware_protocol.commands import Verb, encode_arguments
 from firmware_protocol.device_settings import encode_value
+from tests.running_suit import running
 
 BYTES, CAN = Encoding(), Encoding(Framing.CAN)
 channels = itertools.count()
@@ -47,17 +48,6 @@ def traffic_of(arm4, encoding=BYTES, has_relay=False):
 
 def bytes_of(packet, module, encoding=BYTES):
     return encoding.encode(wire_frame(packet, module, 0, 0))
-
-
-@contextlib.asynccontextmanager
-async def running(suit):
-    task = asyncio.create_task(suit.run())
-    try:
-        yield task
-    finally:
-        task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
 
 
 class Conversation:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.clocks import LinkBatching
+from gateway.clocks import LinkBatching, RelayBatching
 
 
 def slot_of(arrivals_us):
@@ -31,3 +31,12 @@ def test_usb_slots_are_found_though_the_host_wakes_late(slot_us, late_us):
 def test_a_link_without_slots_has_none():
     assert slot_of(sampled()) == 0.0
     assert slot_of(sampled(3)) == 0.0
+
+
+def test_a_relay_s_tick_is_found_from_its_stamps_over_their_wrap_and_silent_ticks():
+    batching, rng = RelayBatching(), np.random.default_rng(3)
+    ticks = np.flatnonzero(rng.random(60) < 0.7)
+    for stamp in (2**32 - 300_000 + 10_000 * ticks).tolist():
+        for _ in range(rng.integers(1, 20)):
+            batching.observe_tick(stamp % 2**32)
+    assert batching.slot_us == 10_000.0

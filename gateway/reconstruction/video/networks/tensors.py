@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.extras import how_to_add
 from gateway.errors import GatewayError
 
 FloatTensor = NDArray[np.float32]
@@ -23,9 +24,7 @@ class LiteModel:
         try:
             from ai_edge_litert.interpreter import Interpreter  # noqa: PLC0415 - an extra
         except ImportError as error:
-            raise GatewayError(
-                "ai-edge-litert is not installed: pip install 'mocap-gateway[video]' adds it"
-            ) from error
+            raise GatewayError(f"ai-edge-litert is not installed: {how_to_add('video')} adds it") from error
         try:
             with _without_chatter():
                 self._interpreter = Interpreter(str(path), num_threads=threads)

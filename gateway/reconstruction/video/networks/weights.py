@@ -51,13 +51,17 @@ class Weights:
             ) from None
         except OSError as error:
             raise GatewayError(f"{self.path}: cannot be read: {error.strerror}") from error
-        found = hashlib.sha256(content).hexdigest()
-        if found != self.sha256:
+        if apart := self.difference(content):
             raise GatewayError(
-                f"{self.path} is damaged or another file (sha256 {found[:12]}…, not {self.sha256[:12]}…): "
+                f"{self.path} is damaged or another file ({apart}): "
                 f"`mocap-gateway video fetch-model {self.name}` fetches it again"
             )
         return self.path
+
+    def difference(self, content: bytes) -> str:
+        """How the checksum of a content differs; empty where it is the file."""
+        found = hashlib.sha256(content).hexdigest()
+        return "" if found == self.sha256 else f"sha256 {found[:12]}…, not {self.sha256[:12]}…"
 
 
 DETECTOR = Weights(

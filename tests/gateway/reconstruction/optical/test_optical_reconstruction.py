@@ -223,7 +223,7 @@ def test_joint_centres_are_those_that_plug_in_gait_wrote(trial: str) -> None:
     marker_set = load_marker_set("plug_in_gait")
     vertical = vertical_axis(marker_set, read)
     told = {"marker_diameter": 0.016} if trial in BTK else {}  # these files do not tell it
-    landmarks = landmarks_of(marker_set, read, vertical, measurements(marker_set, [read], told).lengths)
+    landmarks = landmarks_of(marker_set, read, vertical, measurements(marker_set, [read], told))
     for point, label in {
         "left_shoulder": "LCLO", "right_elbow": "RHUO", "left_wrist": "LRAO", "left_knee": "LFEO",
         "right_ankle": "RTIO", "hips": "PELO",
