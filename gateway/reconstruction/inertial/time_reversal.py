@@ -42,6 +42,7 @@ def turned_back(state: FilterState, noise: Noise) -> FilterState:
     back.C[...] = state.C * np.outer(sign, sign)
     forgotten = np.array([noise.start_tilt] * 2 + [noise.start_heading] + [noise.bias] * 3) ** 2
     back.P[:, range(6), range(6)] += forgotten
+    back.field_offset[:, 1] = noise.heading**2
     return back
 
 
