@@ -31,6 +31,8 @@ SUITES = (
     "held",
     "optical",
     "video_speed",
+    "camera_boards",
+    "video_people",
     "video",
     "analysis",
 )

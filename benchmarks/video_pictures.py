@@ -10,10 +10,12 @@ import numpy as np
 
 from devices.cameras.pictures import Picture, open_pictures
 from gateway.calibration.cameras_import import import_cameras
+from gateway.calibration.picture_size import SizeChange, fitted
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
-from gateway.reconstruction.video.camera import Camera
+from gateway.reconstruction.video.camera import Camera, project
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps, HeatMapFrame
+from gateway.reconstruction.video.initial import centroids
 from gateway.reconstruction.video.inverse_kinematics import keypoint_places, video_body
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
 from gateway.reconstruction.video.networks.network import PoseNetwork, load_network
@@ -21,10 +23,11 @@ from gateway.reconstruction.video.networks.person_detector import PersonDetector
 from gateway.reconstruction.video.people import people_apart
 from gateway.reconstruction.video.projection import camera_model
 from gateway.reconstruction.video.reconstructor import VideoOptions, VideoReconstructor
-from gateway.reconstruction.video.region import PersonRegion, peaks
+from gateway.reconstruction.video.region import PersonRegion
 
 DATA = Path(__file__).parents[2] / "shared/data/pose2sim_single"
 RATE_HZ = 60.0
+_MOST_OFF = 4
 
 
 @dataclass(frozen=True)
@@ -50,9 +53,19 @@ class Solved:
     smoothed: FloatArray
 
 
+def calibrated_cameras() -> tuple[Camera, ...]:
+    """As the pictures are. Those of two cameras were shrunk from 1088 to 1080 columns, with a border above
+    and below: their still pictures, in the calibrated size, lie over the films' so and not otherwise."""
+    return tuple(
+        fitted(camera, info.width, info.height, SizeChange.SCALED)
+        for camera in import_cameras(DATA / "calibration/Calib.qca.txt")
+        for info in [open_pictures(str(DATA / f"videos/{camera.name}.mp4")).info]
+    )
+
+
 def look(network_name: str) -> Seen:
     """Raises ``GatewayError`` when weights are missing."""
-    cameras = import_cameras(DATA / "calibration/Calib.qca.txt")
+    cameras = calibrated_cameras()
     network, keypoints = load_network(network_name, threads=2), load_keypoint_set("blazepose_33")
     reconstructor = VideoReconstructor(cameras, keypoints)
     sources = [open_pictures(str(DATA / f"videos/{camera.name}.mp4")) for camera in cameras]
@@ -92,15 +105,44 @@ def solve(seen: Seen, weighted: bool = True) -> Solved:
 
 
 def points_2d(seen: Seen) -> tuple[FloatArray, FloatArray]:
-    """What other methods triangulate: pixels (F, n_cameras, n_keypoints, 2) of the maps' highest values, and
-    those (F, n_cameras, n_keypoints)."""
+    """What other methods triangulate: pixels (F, n_cameras, n_keypoints, 2) of the centroids about the maps'
+    highest values, and those values (F, n_cameras, n_keypoints)."""
     n = len(seen.person.names)
     nothing = (np.full((n, 2), np.nan), np.zeros(n))
-    found = [[peaks(maps) if maps is not None else nothing for maps in f.cameras] for f in seen.frames]
+    found = [[_centroids(maps) if maps is not None else nothing for maps in f.cameras] for f in seen.frames]
     return (
         np.array([[points for points, _ in frame] for frame in found]),
         np.array([[likely for _, likely in frame] for frame in found]),
     )
+
+
+def _centroids(maps: CameraHeatMaps) -> tuple[FloatArray, FloatArray]:
+    """(n_keypoints, 2) pixels, and how high the maps are there."""
+    places, peaks = centroids(maps.likelihood)
+    A = maps.map_from_pixel
+    pixels: FloatArray = np.linalg.solve(A[:, :2], (places - A[:, 2]).T).T.astype(np.float64)
+    return pixels, peaks
+
+
+def off_in_pictures(seen: Seen, rows: list[int], reference: FloatArray) -> int:
+    """Pictures by which the 2D points of all cameras match the reference (F, 12, 3) m best when taken later.
+
+    rows: of the keypoints. What is off by as much in all frames does not count.
+    """
+    points, _ = points_2d(seen)
+    spread = []
+    for late in range(-_MOST_OFF, _MOST_OFF + 1):
+        early = slice(max(0, -late), len(points) - max(0, late))
+        later = slice(max(0, late), len(points) - max(0, -late))
+        off = np.stack(
+            [
+                points[later, c][:, rows] - project(each, reference[early])
+                for c, each in enumerate(seen.cameras)
+            ]
+        )
+        off -= np.nanmedian(off, axis=1, keepdims=True)
+        spread.append(float(np.nanmedian(np.linalg.norm(off, axis=-1))))
+    return int(np.argmin(spread)) - _MOST_OFF
 
 
 def _maps(

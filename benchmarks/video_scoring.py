@@ -37,21 +37,48 @@ class Agreement:
     """Mean after one rigid motion a frame."""
 
 
-def reference_limbs(path: Path) -> FloatArray:
-    """(F, 12, 3) m, Z up, of a TRC file with Y up."""
+def reference_limbs(path: Path, n_pictures: int) -> FloatArray:
+    """(n_pictures, 12, 3) m, Z up, of a TRC file with Y up: by the times in the file, 0 the first picture.
+
+    NaN for a picture of which the file does not tell: the example's first line is dated 1/60 s, and belongs
+    to the second picture.
+    """
     trial = read_markers(path)
-    return trial.columns(tuple(LIMBS.values()))[:, :, [2, 0, 1]]
+    first = round(first_time_s(path) * trial.rate_hz)
+    limbs = np.full((n_pictures, len(LIMBS), 3), np.nan)
+    rows = trial.columns(tuple(LIMBS.values()))[:, :, [2, 0, 1]][: n_pictures - first]
+    limbs[first : first + len(rows)] = rows
+    return limbs
+
+
+def first_time_s(path: Path) -> float:
+    """Of the first line of a TRC file."""
+    return float(path.read_text(encoding="utf-8").splitlines()[5].split("\t")[1])
 
 
 def agreement(limbs: FloatArray, reference: FloatArray) -> Agreement:
     """Of limbs (F, 12, 3) m with the reference; frames that are not there (NaN) do not count."""
     apart = 1e3 * np.linalg.norm(limbs - reference, axis=2)
-    frames = [1e3 * _aligned(a, b) for a, b in zip(limbs, reference, strict=True) if np.isfinite(a).all()]
+    both = np.isfinite(limbs + reference).all(axis=(1, 2))
+    frames = [1e3 * _aligned(a, b) for a, b in zip(limbs[both], reference[both], strict=True)]
     trial = 1e3 * _aligned(limbs.reshape(-1, 3), reference.reshape(-1, 3))
     return Agreement(
         float(np.nanmean(apart)), float(np.nanmedian(apart)), float(np.nanpercentile(apart, 95)),
         float(np.nanmean(trial)), float(np.mean(frames)),
     )  # fmt: skip
+
+
+def by_joint(limbs: FloatArray, reference: FloatArray) -> list[list[str]]:
+    """Of every limb joint: mean distance, how much of it all frames have in common, and how much varies."""
+    rows = []
+    for name, off in zip(LIMBS, np.moveaxis(1e3 * (limbs - reference), 1, 0), strict=True):
+        mean = float(np.nanmean(np.linalg.norm(off, axis=1)))
+        constant = np.nanmean(off, axis=0)
+        varying = float(np.sqrt(np.nanmean(np.sum((off - constant) ** 2, axis=1))))
+        rows.append(
+            [name.replace("_", " "), *(f"{v:.0f}" for v in (mean, np.linalg.norm(constant), varying))]
+        )
+    return rows
 
 
 def jitter_mm(limbs: FloatArray) -> float:

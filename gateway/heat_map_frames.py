@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -167,6 +167,12 @@ class _Instants:
         return HeatMapFrame(
             sequence, time_ns, tuple(heat_maps_of(messages.get(row)) for row in range(self._n))
         )
+
+
+def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:
+    """One instant of messages, in the order of the cameras; its time is that of the first."""
+    read = [HeatMapReceiver().receive(message)[0] for message in messages]
+    return HeatMapFrame(sequence, read[0].time_ns, tuple(map(heat_maps_of, read)))
 
 
 def heat_maps_of(message: HeatMapMessage | None) -> CameraHeatMaps | None:

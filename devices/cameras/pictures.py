@@ -7,6 +7,7 @@ v4l:///dev/video0    a capture device of Linux (Video4Linux); v4l:///dev/video0?
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,8 +27,11 @@ Picture = NDArray[np.uint8]
 IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 LIVE = "v4l://"
 _FOLDER_RATE_HZ = 60.0
-_WHOLE = 0.98
-"""Of the pictures that a file promises, those that must be readable."""
+_MAY_LACK = 2
+"""Pictures by which a whole file may be shorter than it says: some formats only estimate their number."""
+_MAY_BE_OFF = 1.5
+"""Intervals by which a picture's own time may be off from its place in the file."""
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own complaints; ours are one line each
 
 
 class CameraError(DeviceError):
@@ -80,7 +84,7 @@ class VideoFile:
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
         if not self._capture.isOpened() or width <= 0 or height <= 0:
-            raise CameraError(f"{path}: is no video that can be read: is it whole, and a video at all?")
+            raise CameraError(f"{path}: {_why_unreadable(path)}")
         if not 0 < rate < 10_000 or count <= 0:
             raise CameraError(
                 f"{path}: says {rate:g} pictures a second and {count} in all: copy it into a file with an "
@@ -90,17 +94,30 @@ class VideoFile:
 
     def __iter__(self) -> Iterator[tuple[int, Picture]]:
         assert self.info.count is not None
-        done = 0
+        done, first_ms = 0, 0.0
         while True:
             is_read, picture = self._capture.read()
             if not is_read:
                 break
+            ms = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+            first_ms = first_ms if done else ms
+            self._check_time(done, 1e-3 * (ms - first_ms))
             yield round(done * 1e9 / self.info.rate_hz), picture.astype(np.uint8, copy=False)
             done += 1
-        if done < _WHOLE * self.info.count:
+        if done < self.info.count - _MAY_LACK:
             raise CameraError(
                 f"{self._path}: picture {done + 1} of {self.info.count} cannot be decoded: the file is "
                 "damaged or was cut off"
+            )
+
+    def _check_time(self, index: int, time_s: float) -> None:
+        """Whether a picture stands where its own time says; files without times tell 0 of every picture."""
+        off = time_s * self.info.rate_hz - index
+        if time_s > 0.0 and abs(off) > _MAY_BE_OFF:
+            raise CameraError(
+                f"{self._path}: picture {index + 1} is dated {abs(off):.1f} pictures too "
+                f"{'late' if off > 0 else 'early'}: pictures before it are damaged, or the rate varies; "
+                "convert the file to a constant rate"
             )
 
     def close(self) -> None:
@@ -171,6 +188,34 @@ _LIVE_PROPERTIES = {
     "height": cv2.CAP_PROP_FRAME_HEIGHT,
     "fps": cv2.CAP_PROP_FPS,
 }
+
+
+def _why_unreadable(path: Path) -> str:
+    """What an unreadable file seems to be."""
+    boxes = _mp4_boxes(path)
+    if not path.stat().st_size:
+        return "is empty"
+    if boxes[:1] == ["ftyp"] and "moov" not in boxes:
+        return (
+            "has no index (MP4 writes it at the end): the file was cut off, or its camera stopped before "
+            "it was closed; copy it again, or repair it with the camera's own software"
+        )
+    return "is no video that can be read: is it whole, and a video at all?"
+
+
+def _mp4_boxes(path: Path) -> list[str]:
+    """Names of the outermost boxes of an MP4 file, as far as they can be followed (ISO/IEC 14496-12, 4.2)."""
+    names: list[str] = []
+    with path.open("rb") as file:
+        while len(head := file.read(8)) == 8:
+            size, begun = int.from_bytes(head[:4], "big"), file.tell() - 8
+            if size == 1:
+                size = int.from_bytes(file.read(8), "big")
+            names.append(head[4:].decode("latin-1"))
+            if size < 8:
+                break
+            file.seek(begun + size)
+    return names
 
 
 def image_files(folder: Path) -> list[Path]:

@@ -14,7 +14,7 @@ from gateway.analysis.floor import FloorForces, feet
 from gateway.analysis.inertia import BodyInertia
 from gateway.analysis.inverse_dynamics import Dynamics, inverse_dynamics
 from gateway.analysis.joint_torques import angle_axes, joint_torques
-from gateway.analysis.plates import measured_floor
+from gateway.analysis.plates import LEVEL_M, measured_floor
 from gateway.analysis.smooth_motion import SmoothMotion, smooth_motion
 from gateway.analysis.trust import WHOLE_BODY
 from gateway.analysis.trust import told as told_notes
@@ -118,15 +118,17 @@ def analyse_motion(
 def _floor(
     motion: SmoothMotion, free: Dynamics, known: FloorForces | None, inertia: BodyInertia, told: Tell
 ) -> FloorForces:
-    """Measured where it was, estimated elsewhere if the body is whole and has feet."""
+    """Measured where it was, estimated elsewhere if the body is whole, has feet, and the floor is level."""
     on = feet(motion.skeleton)
     frames = len(motion.time_s)
-    if len(on) and inertia.share > WHOLE_BODY:
+    is_level = known is None or np.ptp(known.height_m) < LEVEL_M
+    if len(on) and inertia.share > WHOLE_BODY and is_level:
         return estimated_floor(motion, free, known, progress=told("floor forces"))
     if known is not None:
         return known
     nothing = np.zeros((frames, len(on), 3))
-    return FloorForces(on, nothing, nothing, np.zeros(nothing.shape[:2], dtype=np.uint8))
+    none = np.zeros(nothing.shape[:2])
+    return FloorForces(on, nothing, nothing, none.astype(np.uint8), none)
 
 
 def _derivatives(time_s: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -38,8 +38,10 @@ class ContactSettings:
     height_m: float = 0.030
     """Above the floor, at which a point is half as likely to carry."""
     height_spread_m: float = 0.008
-    speed_m_s: float = 1.0
-    """At which a point is half as likely to carry."""
+    landing_m_s: float = 0.5
+    """At which a point that slows down is half as likely to carry: it is stopped by the floor."""
+    leaving_m_s: float = 1.2
+    """At which a point that speeds up is half as likely to carry: it is still pushed by the floor."""
     speed_spread_m_s: float = 0.15
     arm_m: float = 1.0
     """A moment counts as much as a force at this arm."""
@@ -59,10 +61,12 @@ def estimated_floor(
     known: FloorForces | None = None,
     settings: ContactSettings | None = None,
     progress: Progress | None = None,
+    instants: range | None = None,
 ) -> FloorForces:
     """Forces of feet for which none is known. free: the dynamics without any floor.
 
     known: measured forces; where a foot's is ``MEASURED`` it stays, and only the rest is shared out.
+    instants: frames that are wanted, nothing is estimated at others; None: all.
     """
     chosen = settings or ContactSettings()
     carriers, points = sole_points(motion.skeleton)
@@ -79,7 +83,7 @@ def estimated_floor(
     source = np.full((frames, len(segments)), Source.NONE, dtype=np.uint8)
     if known is not None:
         _enter_known(known, segments.tolist(), force, moment, source)
-    for f in range(frames):
+    for f in range(frames) if instants is None else instants:
         origin = free.p_w[f, root]
         wanted = taken[f].copy()
         wanted[:3] -= force[f].sum(axis=0)
@@ -97,16 +101,17 @@ def estimated_floor(
         source[f, loaded] = Source.ESTIMATED
         if progress is not None and f % _FRAMES_A_TELLING == 0:
             progress(f, frames)
-    shown = height if known is None else known.height_m
+    shown = np.full(source.shape, height) if known is None else known.height_m
     return FloorForces(segments, force, moment, source, shown, () if known is None else known.notes)
 
 
 def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: ContactSettings) -> FloatArray:
     """(F, P) from 0 to 1: how surely points with these paths (F, P, 3) carry."""
     speed = np.linalg.norm(np.gradient(paths, time_s, axis=0), axis=-1)
+    limit = np.where(np.gradient(speed, axis=0) < 0.0, settings.landing_m_s, settings.leaving_m_s)
     above = paths[..., 2] - height_m
     low = expit((settings.height_m - above) / settings.height_spread_m)
-    slow = expit((settings.speed_m_s - speed) / settings.speed_spread_m_s)
+    slow = expit((limit - speed) / settings.speed_spread_m_s)
     sure: FloatArray = np.maximum(low * slow, settings.least_share)
     return sure
 

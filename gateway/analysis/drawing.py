@@ -53,9 +53,12 @@ def scene_of(found: Analysis) -> Scene:
     length = float(np.linalg.norm(facing))
     forward = facing / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
     heights = found.dynamics.p_w[..., 2]
-    tall = float(heights.max() - found.floor.height_m) + 0.35
+    tall = float(heights.max() - found.floor.height_m.min()) + 0.35
     return Scene(
-        forward, np.cross(forward, [0.0, 0.0, 1.0]), 0.88 * HEIGHT / max(tall, 0.5), found.floor.height_m
+        forward,
+        np.cross(forward, [0.0, 0.0, 1.0]),
+        0.88 * HEIGHT / max(tall, 0.5),
+        float(found.floor.height_m.min()),
     )
 
 

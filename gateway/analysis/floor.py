@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -39,8 +39,7 @@ class FloorForces:
     force: FloatArray  # (F, C, 3) N
     moment: FloatArray  # (F, C, 3) N m, about the world's origin
     source: NDArray[np.uint8]  # (F, C) Source
-    height_m: float = 0.0
-    """Of the floor."""
+    height_m: FloatArray  # (F, C) of what is under the foot
     notes: tuple[str, ...] = ()
     """Sentences on what is doubtful."""
 
@@ -48,6 +47,11 @@ class FloorForces:
         """(F, 3) N."""
         summed: FloatArray = self.force.sum(axis=1)
         return summed
+
+    def part(self, instants: slice) -> FloorForces:
+        """Those of some instants."""
+        force, moment, source = self.force[instants], self.moment[instants], self.source[instants]
+        return replace(self, force=force, moment=moment, source=source, height_m=self.height_m[instants])
 
     def centre_of_pressure(self) -> FloatArray:
         """(F, C, 3) m on the floor; NaN where there is no force to speak of."""

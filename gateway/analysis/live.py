@@ -1,8 +1,8 @@
 """Muscles of a motion that still goes on, at reduced detail: the last moment, again and again.
 
-Only what has come is used: the last part of a second, on a coarse grid, goes through the same low-pass,
-inverse dynamics, floor and programme as a recording, and what is told is the instant ``LAG_S`` before its
-end, where the filter has something on both sides. The work for one answer is that of ``GRID`` instants.
+Only what has come is used: the last part of a second, on a grid, goes through the same low-pass and inverse
+dynamics as a recording. Floor and muscles are found for one instant of it, ``LAG_S`` before its end, where
+the filter has something on both sides.
 """
 
 from __future__ import annotations
@@ -12,19 +12,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.analysis.analysing import analyse_motion
+from gateway.analysis.contact import estimated_floor
 from gateway.analysis.inertia import body_inertia
+from gateway.analysis.inverse_dynamics import Dynamics, inverse_dynamics
+from gateway.analysis.joint_torques import angle_axes, joint_torques
 from gateway.analysis.muscle_model import muscle_model
 from gateway.analysis.muscle_paths import MusclePaths
 from gateway.analysis.muscles import knee_flexion, moment_arms, muscle_torques
-from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ, smooth_motion
+from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ, SmoothMotion, smooth_motion
 from gateway.analysis.tension import TensionSolver
+from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 
-GRID, STEP_S = 15, 0.04
+GRID, STEP_S = 41, 0.02
 SPAN_S = (GRID - 1) * STEP_S
-LAG = 3
+LAG = 6
 LAG_S = LAG * STEP_S
 _LONGEST_GAP_S = 0.4
 _MOST_KEPT = 1024
@@ -35,7 +38,9 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 class LiveActivity:
     """W muscles."""
 
-    activity: FloatArray  # (W,) 0 to 1, of ``LAG_S`` ago
+    time_s: float
+    """Instant of the activities: that of the newest pose less ``LAG_S``."""
+    activity: FloatArray  # (W,) 0 to 1
     paths: tuple[FloatArray, ...]
     """Of each its points (n, 3) m in the world, in the posture of the newest pose."""
 
@@ -69,16 +74,26 @@ class LiveMuscles:
         if not self._poses or self._poses[0][0] > self._poses[-1][0] - SPAN_S:
             return None
         motion = smooth_motion(self._skeleton, *self._on_grid(), DEFAULT_CUTOFF_HZ)
-        found = analyse_motion(motion, "live", self._inertia, GRAVITY)
-        knees, f = knee_flexion(found), GRID - 1 - LAG
-        flexion = {side: float(angles[f]) for side, angles in knees.items()}
-        self._paths.place(motion.root[f], motion.rotation[f], flexion)
-        arms = moment_arms(found, self._paths, self._asked, f, flexion)
-        wanted = np.array([found.torques[f, j, k] for j, k in self._asked])
+        told = slice(GRID - 1 - LAG, None)
+        dynamics = self._dynamics(motion, told)
+        angles = joint_angles(self._skeleton, motion.part(told).orientations())
+        axes = angle_axes(self._skeleton, angles, dynamics.rotation_wb)
+        torques = joint_torques(self._skeleton, axes, dynamics.moment)
+        knees = knee_flexion(self._skeleton, angles)
+        then, newest = ({side: float(flexion[i]) for side, flexion in knees.items()} for i in (0, -1))
+        self._paths.place(motion.root[told.start], motion.rotation[told.start], then)
+        arms = moment_arms(self._paths, self._asked, dynamics.rotation_wb[0], axes[0], then)
+        wanted = np.array([torques[0, j, k] for j, k in self._asked])
         activity, _ = self._solver.solve(arms, wanted, np.zeros(len(self._largest)))
-        newest = {side: float(angles[-1]) for side, angles in knees.items()}
         self._paths.place(self._poses[-1][2], motion.rotation[-1], newest)
-        return LiveActivity(activity, tuple(self._paths.polylines()))
+        return LiveActivity(self._poses[-1][0] - LAG_S, activity, tuple(self._paths.polylines()))
+
+    def _dynamics(self, motion: SmoothMotion, told: slice) -> Dynamics:
+        """Of the instants that are told, the first of them with the floor's forces."""
+        free = inverse_dynamics(motion, self._inertia, GRAVITY)
+        instant = range(told.start, told.start + 1)
+        floor = estimated_floor(motion, free, instants=instant).part(told)
+        return inverse_dynamics(motion.part(told), self._inertia, GRAVITY, floor)
 
     def _on_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Times (GRID,), q_wb (GRID, S, 4), root (GRID, 3), laid between the poses that came."""

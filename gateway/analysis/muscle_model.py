@@ -35,7 +35,8 @@ PATELLA = "patella"
 TRUNK = ("ercspn", "intobl", "extobl")
 """How names of muscles of the trunk begin."""
 _SIDES = {"_l": "left_", "_r": "right_"}
-_SPHERE = 4
+WRAP_SPHERE = 4
+"""In mujoco's kinds of what a wire slides over; a cylinder is the next."""
 _PEAK_FORCE = 2
 """In the parameters of a muscle's gain."""
 
@@ -142,7 +143,7 @@ class _Reader:
     def _point(self, wrap: int, muscle_side: str) -> WirePoint:
         model, thing = self._model, int(self._model.wrap_objid[wrap])
         kind = int(model.wrap_type[wrap])
-        if kind not in (_SPHERE, _SPHERE + 1):
+        if kind not in (WRAP_SPHERE, WRAP_SPHERE + 1):
             segment, place = self._placed(int(model.site_bodyid[thing]), model.site_pos[thing], muscle_side)
             return WirePoint(segment, place)
         segment, place = self._placed(int(model.geom_bodyid[thing]), model.geom_pos[thing], muscle_side)
@@ -153,7 +154,7 @@ class _Reader:
                 int(model.site_bodyid[site]), model.site_pos[site], muscle_side
             )
         radius = float(model.geom_size[thing, 0])
-        return WirePoint(segment, place, turn, radius, kind == _SPHERE, beside, side_segment)
+        return WirePoint(segment, place, turn, radius, kind == WRAP_SPHERE, beside, side_segment)
 
     def _placed(self, body: int, position: FloatArray, muscle_side: str) -> tuple[str, FloatArray]:
         """Our segment, and the place from its proximal joint; on the pelvis and the trunk from the hip of the

@@ -32,7 +32,7 @@ class MusclePaths:
         self.wires = tuple(
             wire for wire in muscles.wires if all(point.segment in known for point in wire.points)
         )
-        self._muscles, self._skeleton = muscles, skeleton
+        self._muscles, self.skeleton = muscles, skeleton
         self.model = mujoco.MjModel.from_xml_string(self._mjcf())
         self.data = mujoco.MjData(self.model)
         names = skeleton.segment_names
@@ -46,7 +46,7 @@ class MusclePaths:
         data = self.data
         for s, at in enumerate(self._positions):
             begin = at
-            if self._skeleton.parents[s] < 0:
+            if self.skeleton.parents[s] < 0:
                 data.qpos[at : at + 3], begin = root, at + 3
             data.qpos[begin : begin + 4] = rotation[s]
         for side, angle in flexion.items():
@@ -59,7 +59,7 @@ class MusclePaths:
 
     def moments(self, segment: int) -> FloatArray:
         """(W, 3) N m in the segment's axes at its proximal joint, for one newton in each wire."""
-        begin = self._rates[segment] + (3 if self._skeleton.parents[segment] < 0 else 0)
+        begin = self._rates[segment] + (3 if self.skeleton.parents[segment] < 0 else 0)
         return -self._jacobian()[:, begin : begin + 3]
 
     def patella_moments(self, side: str, flexion: float) -> FloatArray:
@@ -98,10 +98,10 @@ class MusclePaths:
         return self._scaling.size, self._scaling.size, 1.0
 
     def _mjcf(self) -> str:
-        model = Element("mujoco", model=f"{self._skeleton.name} muscles")
+        model = Element("mujoco", model=f"{self.skeleton.name} muscles")
         SubElement(model, "compiler", angle="radian")
         SubElement(SubElement(model, "option"), "flag", contact="disable", constraint="disable")
-        bodies = _bodies(SubElement(model, "worldbody"), self._skeleton)
+        bodies = _bodies(SubElement(model, "worldbody"), self.skeleton)
         for side in SIDES:
             bodies[side + PATELLA] = _patella(bodies[f"{side}thigh"], side, self._scaling)
         tendons = SubElement(model, "tendon")

@@ -85,11 +85,11 @@ def find_muscles(
     activity, arms = np.zeros((frames, len(names))), np.zeros((frames, len(asked), len(names)))
     left = np.zeros((frames, len(asked)))
     drawn = []
-    knees = knee_flexion(found)
+    knees = knee_flexion(found.skeleton, found.angles)
     for f in range(frames):
         flexion = {side: float(angles[f]) for side, angles in knees.items()}
         paths.place(found.motion.root[f], found.motion.rotation[f], flexion)
-        arms[f] = moment_arms(found, paths, asked, f, flexion)
+        arms[f] = moment_arms(paths, asked, found.dynamics.rotation_wb[f], found.axes[f], flexion)
         wanted = np.array([found.torques[f, j, k] for j, k in asked])
         activity[f], left[f] = solver.solve(arms[f], wanted, chosen.bias[f], chosen.weight[f])
         drawn.append(tuple(paths.polylines()))
@@ -99,18 +99,22 @@ def find_muscles(
 
 
 def moment_arms(
-    found: Analysis, paths: MusclePaths, asked: tuple[tuple[int, int], ...], f: int, flexion: dict[str, float]
+    paths: MusclePaths,
+    asked: tuple[tuple[int, int], ...],
+    rotation_wb: FloatArray,
+    axes: FloatArray,
+    flexion: dict[str, float],
 ) -> FloatArray:
     """(R, W) m: the work of each wire's newton on each angle, in the posture that paths are in.
 
-    asked: of ``muscle_torques``. f: the posture's instant. flexion: of the knees by side, rad.
+    asked: of ``muscle_torques``. rotation_wb: (S, 3, 3). axes: (J, 3, 3) of the angles, world. flexion: of
+    the knees by side, rad.
     """
     rows = []
-    names = found.skeleton.segment_names
+    names = paths.skeleton.segment_names
     for j, k in asked:
-        joint = found.skeleton.joints[j]
-        axis = found.dynamics.rotation_wb[f, joint.distal].T @ found.axes[f, j, k]
-        row = paths.moments(joint.distal) @ axis
+        joint = paths.skeleton.joints[j]
+        row = paths.moments(joint.distal) @ (rotation_wb[joint.distal].T @ axes[j, k])
         side = next((side for side in SIDES if names[joint.distal] == f"{side}shank"), None)
         if side is not None and k == 0:
             row = row + paths.patella_moments(side, flexion[side])
@@ -118,12 +122,12 @@ def moment_arms(
     return np.stack(rows)
 
 
-def knee_flexion(found: Analysis) -> dict[str, FloatArray]:
-    """(F,) rad of the knees' flexion by side."""
-    names = found.skeleton.segment_names
+def knee_flexion(skeleton: Skeleton, angles: FloatArray) -> dict[str, FloatArray]:
+    """(F,) rad of the knees' flexion by side, of all angles (F, J, 3)."""
+    names = skeleton.segment_names
     return {
-        side: found.angles[:, j, 0]
-        for j, joint in enumerate(found.skeleton.joints)
+        side: angles[:, j, 0]
+        for j, joint in enumerate(skeleton.joints)
         for side in SIDES
         if names[joint.distal] == f"{side}shank"
     }

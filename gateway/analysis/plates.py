@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +21,10 @@ from gateway.analysis.smooth_motion import SmoothMotion, low_pass
 from gateway.frames import FloatArray, IntArray
 from gateway.reconstruction.optical.landmarks import to_world
 
+LEVEL_M = 0.05
+"""Plates whose heights differ by more are steps of a stair."""
+_EMPTY_N = 60.0
+"""What a plate shows of noise and offset is smaller."""
 _SHORTEST_STEP_S = 0.1
 """What loads a plate for less is not a step."""
 _FARTHEST_FOOT_M = 0.35
@@ -49,8 +54,14 @@ def measured_floor(
     samples = np.round((motion.time_s - motion.time_s[0]) * plates.rate_hz).astype(np.int64)
     force, moment = np.zeros((2, frames, len(on), 3))
     source = np.full((frames, len(on)), Source.NONE, dtype=np.uint8)
+    heights = [to_world(plate.centre[None], vertical)[0, 2] for plate in plates.plates]
+    height_m = np.full(source.shape, np.mean(heights))
     notes: list[str] = []
-    for number, plate in enumerate(plates.plates, 1):
+    is_stair = np.ptp(heights) > LEVEL_M
+    if is_stair:
+        notes.append("The plates are of different heights: where a foot is on none, no force of it is known.")
+    for number, stored in enumerate(plates.plates, 1):
+        plate = _zeroed(stored, plates.rate_hz)
         at = samples[samples < len(plate.force)]
         turned = _in_world(plate, vertical)
         smooth = [low_pass(values, plates.rate_hz, cutoff_hz)[at] for values in turned[:2]]
@@ -60,15 +71,24 @@ def measured_floor(
                 force[first:last, c] += smooth[0][first:last]
                 moment[first:last, c] += smooth[1][first:last]
                 source[begin:end, c] = Source.MEASURED
+                height_m[begin:end, c] = heights[number - 1]
                 own = to_world(plate.corners, vertical)
-                if _is_beside(paths[begin:end, carriers == on[c]], own):
+                if not is_stair and _is_beside(paths[begin:end, carriers == on[c]], own):
                     name = motion.skeleton.segment_names[on[c]].replace("_", " ")
                     notes.append(
                         f"The {name} stands partly beside plate {number} at {motion.time_s[begin]:.2f}–"
                         f"{motion.time_s[end - 1]:.2f} s: its force is larger than measured."
                     )
-    heights = [to_world(plate.centre[None], vertical)[0, 2] for plate in plates.plates]
-    return FloorForces(on, force, moment, source, float(np.mean(heights)), tuple(notes))
+    return FloorForces(on, force, moment, source, height_m, tuple(notes))
+
+
+def _zeroed(plate: ForcePlate, rate_hz: float) -> ForcePlate:
+    """Less what the plate shows when hardly anything is on it; as it is if that is never for long."""
+    is_empty = np.abs(plate.force).max(axis=1) < _EMPTY_N
+    if is_empty.sum() < _SHORTEST_STEP_S * rate_hz:
+        return plate
+    force, moment = (np.median(values[is_empty], axis=0) for values in (plate.force, plate.moment))
+    return replace(plate, force=plate.force - force, moment=plate.moment - moment)
 
 
 def _in_world(plate: ForcePlate, vertical: str) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ Its derivatives are those of that projected curve, exactly; joint angles follow 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -50,6 +50,15 @@ class SmoothMotion:
             own = self.rotation[:, s]
             q_wb[:, s] = own if parent < 0 else product(q_wb[:, parent], own)
         return q_wb
+
+    def part(self, instants: slice) -> SmoothMotion:
+        """Some of its instants."""
+        cut = {
+            field.name: getattr(self, field.name)[instants]
+            for field in fields(self)
+            if field.name not in ("skeleton", "cutoff_hz")
+        }
+        return replace(self, **cut)
 
 
 def smooth_motion(

@@ -17,6 +17,8 @@ from gateway.calibration.cameras_intrinsics import Lens, calibrate_lens
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 
+_SCENE_DOES_NOT_FIT = 10.0
+"""Pixels of reprojection error; a board that cameras see at once leaves less than one."""
 Tell = Callable[[int, int], None]
 
 
@@ -91,6 +93,13 @@ def calibrate_cameras(
     ]
     instants = [views for views in instants if len(views) >= min(2, len(names))]
     placement = place_cameras(scene_board, lenses, instants, names)
+    worst = int(np.argmax(placement.rms))
+    if placement.rms[worst] > _SCENE_DOES_NOT_FIT:
+        raise GatewayError(
+            f"camera '{names[worst]}': corners in the pictures of the scene are "
+            f"{placement.rms[worst]:.0f} pixels off from any place of the cameras: the n-th pictures of all "
+            "cameras must be of one instant; give pictures that were taken at once with --scene"
+        )
     return CamerasResult(
         placed_cameras(names, sizes, lenses, placement), tuple(lenses), placement,
         tuple(tuple(lens_pictures[name]) for name in names),

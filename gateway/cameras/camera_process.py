@@ -1,15 +1,17 @@
-"""A camera in a process of its own: it decodes, finds the person, runs the network, and hands over
-heat-map messages in the order of the pictures.
+"""A camera in a process of its own: it decodes, finds people, runs the network, and hands over heat-map
+messages in the order of the pictures. Two whose pictures are put together are in one process.
 
-What goes over the pipe: from the child ``("opened", PictureInfo)``, ``("people", [Person, …])`` of the first
-picture, then messages as bytes, at last ``("end", None)``, or ``("error", text)``; to the child, once,
-the region to follow or None.
+What goes over the pipe: from the child ``("opened", [PictureInfo, …])`` and ``("people", [[Person, …], …])``
+of the first pictures, by camera; then for every list of orders (by camera, by person) that it is sent
+``("messages", …)``, bytes by camera and person; at last ``("end", None)``, or ``("error", text)``.
 """
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import signal
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
@@ -17,14 +19,17 @@ from typing import Any
 import numpy as np
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
-from devices.cameras.pictures import CameraError, PictureInfo, open_pictures
+from devices.cameras.pictures import CameraError, PictureInfo, PictureSource, open_pictures
 from devices.device_errors import DeviceError
-from gateway.cameras.person_follower import PersonFollower
+from gateway.cameras.person_follower import Order, PersonFollower
+from gateway.cameras.stitching import joined_heat_maps
 from gateway.errors import GatewayError
-from gateway.reconstruction.video.networks.network import Picture, load_network
+from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.reconstruction.video.networks.network import Picture, PoseNetwork, load_network
 from gateway.reconstruction.video.networks.person_detector import Person, PersonDetector
-from gateway.reconstruction.video.region import PersonRegion
 
+MOST_PEOPLE = 4
+"""Of one picture that are considered, the likeliest ones."""
 _NOWHERE = np.zeros((2, 3))
 _PATIENCE_S = 120.0
 """For one picture: a heavy network on a busy machine takes seconds at the worst."""
@@ -46,37 +51,44 @@ class CameraTask:
 
 
 class CameraProcess:
-    """The parent's end of one camera."""
+    """The parent's end of one camera, or of two whose pictures are put together."""
 
-    def __init__(self, task: CameraTask) -> None:
-        """Starts the process. Nothing is waited for before the first question."""
-        self.task = task
+    def __init__(self, tasks: Sequence[CameraTask], most: int = 1) -> None:
+        """Starts the process. Nothing is waited for before the first question. most: people in the first
+        picture that are looked for; 1: those that the detector finds at once."""
+        self.tasks = tuple(tasks)
+        self._name = " and ".join(f"'{task.name}'" for task in tasks)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        name = f"camera {task.name}"
-        self._process = context.Process(target=_run, args=(task, theirs), name=name, daemon=True)
+        self._process = context.Process(
+            target=_run, args=(self.tasks, most, theirs), name=f"camera {self._name}", daemon=True
+        )
         self._process.start()
         theirs.close()
         self._has_ended = False
 
-    def info(self) -> PictureInfo:
-        """What the opened source says of itself; the first question. Raises ``CameraError``."""
-        info: PictureInfo = self._answer("opened")
-        return info
+    def infos(self) -> list[PictureInfo]:
+        """What the opened sources say of themselves; the first question. Raises ``CameraError``."""
+        infos: list[PictureInfo] = self._answer("opened")
+        return infos
 
-    def people(self) -> list[Person]:
-        """Everybody in the first picture; the second question. Raises ``CameraError``."""
-        people: list[Person] = self._answer("people")
+    def people(self) -> list[list[Person]]:
+        """Everybody in the first pictures, by camera; the second question. Raises ``CameraError``."""
+        people: list[list[Person]] = self._answer("people")
         return people
 
-    def follow(self, region: PersonRegion | None) -> None:
-        """Whom to take; None: whoever is found first. After this the messages come."""
-        self._pipe.send(region)
+    def order(self, orders: Sequence[Sequence[Order]]) -> None:
+        """Look at the next picture, where each person is said to be: by camera, by person.
 
-    def message(self) -> bytes | None:
-        """The heat maps of the next picture; None at the end. Raises ``CameraError`` when the camera failed
-        or its process has died."""
-        return None if self._has_ended else self._answer("message")
+        The number of people is that of the first orders.
+        """
+        with contextlib.suppress(ConnectionError):  # it has ended: messages() tells why
+            self._pipe.send(orders)
+
+    def messages(self) -> list[list[bytes]] | None:
+        """The heat maps of the next picture ordered, by camera, by person; None at the end. Raises
+        ``CameraError`` when the camera failed or its process has died."""
+        return None if self._has_ended else self._answer("messages")
 
     def close(self) -> None:
         """End the process, wherever it is."""
@@ -87,19 +99,16 @@ class CameraProcess:
     def _answer(self, wanted: str) -> Any:
         try:
             if not self._pipe.poll(_PATIENCE_S):
-                raise CameraError(f"camera '{self.task.name}': gave no picture for {_PATIENCE_S:.0f} s")
-            answer = self._pipe.recv()
+                raise CameraError(f"camera {self._name}: gave no picture for {_PATIENCE_S:.0f} s")
+            kind, content = self._pipe.recv()
         except (EOFError, ConnectionError):
             self._process.join(5.0)
             raise CameraError(
-                f"camera '{self.task.name}': its process ended by itself (exit code "
+                f"camera {self._name}: its process ended by itself (exit code "
                 f"{self._process.exitcode}); where memory ran out, try fewer cameras or the network 'lite'"
             ) from None
-        if isinstance(answer, bytes):
-            return answer
-        kind, content = answer
         if kind == "error":
-            raise CameraError(f"camera '{self.task.name}': {content}")
+            raise CameraError(content)
         if kind == "end":
             self._has_ended = True
             return None
@@ -107,32 +116,84 @@ class CameraProcess:
         return content
 
 
-def _run(task: CameraTask, pipe: Connection) -> None:
+def _run(tasks: Sequence[CameraTask], most: int, pipe: Connection) -> None:
     """The child."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends us
-    try:
-        _serve(task, pipe)
-    except (DeviceError, GatewayError) as error:
-        pipe.send(("error", str(error)))
-    except (BrokenPipeError, EOFError):
-        return  # the parent has gone
+    with contextlib.suppress(ConnectionError, EOFError):  # the parent has gone
+        try:
+            _serve(tasks, most, pipe)
+        except (DeviceError, GatewayError) as error:
+            pipe.send(("error", str(error)))
 
 
-def _serve(task: CameraTask, pipe: Connection) -> None:
-    source = open_pictures(task.place, task.rate_hz)
-    pipe.send(("opened", source.info))
-    follower = PersonFollower(load_network(task.network), PersonDetector())
-    has_begun = False
-    for index, (time_ns, picture) in enumerate(source):
-        if index < task.skip:
-            continue
-        if not has_begun:
-            _begin(follower, picture, pipe)
-            has_begun = True
-        pipe.send(message_of(follower, picture, task, *instant_of(task, source.info, index, time_ns)))
-    if not has_begun:
-        pipe.send(("error", f"{task.place} has no picture after the first {task.skip}"))
+def _serve(tasks: Sequence[CameraTask], most: int, pipe: Connection) -> None:
+    sources = []
+    for task in tasks:
+        with _naming(task):
+            sources.append(open_pictures(task.place, task.rate_hz))
+    infos = [source.info for source in sources]
+    pipe.send(("opened", infos))
+    detector, network = PersonDetector(), load_network(tasks[0].network)
+    shown = [_pictures(task, source) for task, source in zip(tasks, sources, strict=True)]
+    followers: list[list[PersonFollower]] = []
+    for instant in zip(*shown, strict=False):
+        pictures = [picture for _, _, picture in instant]
+        if not followers:
+            pipe.send(("people", [_people(detector, picture, most) for picture in pictures]))
+        orders: Sequence[Sequence[Order]] = pipe.recv()
+        followers = followers or [[PersonFollower(network, detector) for _ in each] for each in orders]
+        maps = _looked_at(network, pictures, followers, orders)
+        messages = [
+            [_message(task, each, *instant_of(task, info, index, time_ns)) for each in of_camera]
+            for task, info, (index, time_ns, _), of_camera in zip(tasks, infos, instant, maps, strict=True)
+        ]
+        pipe.send(("messages", messages))
+    if not followers:
+        names = ", ".join(f"{task.place} has no picture after the first {task.skip}" for task in tasks)
+        pipe.send(("error", names))
     pipe.send(("end", None))
+
+
+def _people(detector: PersonDetector, picture: Picture, most: int) -> list[Person]:
+    return detector.people(picture) if most == 1 else detector.everybody(picture, most)
+
+
+@contextlib.contextmanager
+def _naming(task: CameraTask) -> Iterator[None]:
+    """What goes wrong with a source is told with the camera's name."""
+    try:
+        yield
+    except DeviceError as error:
+        raise CameraError(f"camera '{task.name}': {error}") from error
+
+
+def _pictures(task: CameraTask, source: PictureSource) -> Iterator[tuple[int, int, Picture]]:
+    """Index, instant in ns and picture, after those that are left out."""
+    with _naming(task):
+        for index, (time_ns, picture) in enumerate(source):
+            if index >= task.skip:
+                yield index, time_ns, picture
+
+
+def _looked_at(
+    network: PoseNetwork,
+    pictures: Sequence[Picture],
+    followers: Sequence[Sequence[PersonFollower]],
+    orders: Sequence[Sequence[Order]],
+) -> list[list[CameraHeatMaps | None]]:
+    """The maps of every camera and person; of somebody in two pictures both from one look."""
+    maps = [
+        [None if o.joined is not None else f.heat_maps(picture, o) for f, o in zip(by, of, strict=True)]
+        for picture, by, of in zip(pictures, followers, orders, strict=True)
+    ]
+    for camera, of_camera in enumerate(orders):
+        for person, order in enumerate(of_camera):
+            if order.joined is not None and order.region is not None:
+                other = 1 - camera
+                maps[camera][person], maps[other][person] = joined_heat_maps(
+                    network, pictures[camera], pictures[other], order.region, order.joined
+                )
+    return maps
 
 
 def instant_of(task: CameraTask, info: PictureInfo, index: int, time_ns: int) -> tuple[int, int]:
@@ -145,18 +206,14 @@ def instant_of(task: CameraTask, info: PictureInfo, index: int, time_ns: int) ->
     return index - task.skip, time_ns - round(task.skip * 1e9 / info.rate_hz)
 
 
-def _begin(follower: PersonFollower, picture: Picture, pipe: Connection) -> None:
-    pipe.send(("people", follower.people(picture)))
-    chosen = pipe.recv()
-    if chosen is not None:
-        follower.follow(chosen)
-
-
 def message_of(
     follower: PersonFollower, picture: Picture, task: CameraTask, sequence: int, time_ns: int
 ) -> bytes:
     """The heat maps of one picture as they go over the wire."""
-    maps = follower.heat_maps(picture)
+    return _message(task, follower.heat_maps(picture), sequence, time_ns)
+
+
+def _message(task: CameraTask, maps: CameraHeatMaps | None, sequence: int, time_ns: int) -> bytes:
     return encode_heat_maps(
         HeatMapMessage(
             task.name, task.network, sequence, time_ns,

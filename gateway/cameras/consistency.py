@@ -7,7 +7,7 @@ they meet better at other instants.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,23 +15,17 @@ import numpy as np
 
 from devices.cameras.heat_map_messages import HeatMapReceiver
 from gateway.body.camera import Camera
+from gateway.cameras.synchronisation import signed_distances, synchronisation_of
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.heat_map_frames import heat_maps_of
 from gateway.reconstruction.video.initial import rays_through
 from gateway.reconstruction.video.projection import camera_model
 
-LONGEST_OFFSET = 15
-"""Pictures by which a camera may be off for it to be found."""
 FAR_APART = 0.08
 """Median distance of two rays to one keypoint from which a calibration counts as wrong, m; a right one has
 10 to 30 mm with the noise of the network."""
-_LEAST_LIKELIHOOD = 0.5
-_LEAST_GAIN, _LEAST_RATIO = 0.006, 0.7
-"""By which an offset must bring rays nearer, m and as a share, to count: who stands still shows none."""
 _MOST_INSTANTS = 300
-_PARALLEL = 0.1
-"""Sine of the angle between two rays under which they say little."""
 _FEWEST = 20
 """Pairs of rays."""
 
@@ -40,28 +34,38 @@ _FEWEST = 20
 class Consistency:
     """How well the cameras agree."""
 
+    names: tuple[str, ...]
+    """Of the cameras."""
     apart: dict[str, float]
     """By camera, m: median distance of its rays to those of the others."""
     offsets: dict[str, int]
-    """By camera: pictures by which it is behind the first one; only those that are not 0."""
-    apart_shifted: dict[str, float]
-    """As ``apart``, with the offsets taken out."""
+    """By camera: pictures by which it is behind most of the others; only those that are not 0."""
+    unrest: float
+    """By which rays pass each other now on this side, now on that, m: mean of all pairs of cameras."""
+    unrest_shifted: float
+    """The same with the offsets taken out."""
+
+    @property
+    def is_one_person(self) -> bool:
+        """Whether two cameras at least look at the same person."""
+        return bool(self.apart) and min(self.apart.values()) <= FAR_APART
 
     def refuse_wrong(self, calibration: Path) -> None:
         """Raises ``GatewayError`` for cameras that are not synchronised, or not those of the calibration."""
         if self.offsets:
             name = max(self.offsets, key=lambda each: abs(self.offsets[each]))
-            told = ", ".join(f"{each} by {n:+d}" for each, n in self.offsets.items())
+            rest = "".join(f", '{each}' {_told(n)} them" for each, n in self.offsets.items() if each != name)
             earliest = min(0, *self.offsets.values())
             cure = " ".join(
                 f"--offset {each}={self.offsets.get(each, 0) - earliest}"
-                for each in self.apart
+                for each in self.names
                 if self.offsets.get(each, 0) != earliest
             )
+            others = "the others" if len(self.names) > 2 else "the other"
             raise GatewayError(
-                f"the cameras are not synchronised: behind the first are {told} pictures (rays of {name} "
-                f"pass the others' at {1e3 * self.apart[name]:.0f} mm, shifted at "
-                f"{1e3 * self.apart_shifted[name]:.0f} mm): {cure}"
+                f"the cameras are not synchronised: camera '{name}' is {_told(self.offsets[name])} {others}"
+                f"{rest} (rays through one keypoint swing by {1e3 * self.unrest:.0f} mm, so shifted by "
+                f"{1e3 * self.unrest_shifted:.0f} mm): {cure}"
             )
         if self.apart and min(self.apart.values()) > FAR_APART:
             name, far = max(self.apart.items(), key=lambda item: item[1])
@@ -78,23 +82,33 @@ class Consistency:
             )
 
 
+def _told(offset: int) -> str:
+    n = abs(offset)
+    return f"{n} picture{'s' if n > 1 else ''} {'behind' if offset > 0 else 'ahead of'}"
+
+
 def consistency_of(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]]) -> Consistency:
     """From the heat maps of a capture, a message a camera and instant."""
     directions, likely = _rays(cameras, messages[:_MOST_INSTANTS])
     positions = np.stack([camera.position for camera in cameras])
-    pairs = {
-        (a, b): _apart_by_offset(
-            positions[b] - positions[a], directions[:, a], directions[:, b], likely[:, [a, b]]
-        )
-        for a, b in itertools.combinations(range(len(cameras)), 2)
-    }
-    offsets = _best_offsets(pairs, len(cameras))
-    names = [camera.name for camera in cameras]
+    found = synchronisation_of(positions, directions, likely)
+    names = tuple(camera.name for camera in cameras)
+    apart = _apart(positions, directions, likely, [0] * len(names))
+    shifted = _apart(positions, directions, likely, found.offsets)
+    is_calibrated = min(shifted.values(), default=0.0) <= FAR_APART  # else no offset is to be believed
     return Consistency(
-        _by_camera(pairs, names, [0] * len(names)),
-        {name: offset for name, offset in zip(names, offsets, strict=True) if offset},
-        _by_camera(pairs, names, offsets),
+        names,
+        {names[c]: far for c, far in apart.items()},
+        _of_most(names, found.offsets) if is_calibrated else {},
+        found.before,
+        found.after,
     )
+
+
+def _of_most(names: Sequence[str], offsets: Sequence[int]) -> dict[str, int]:
+    """Offsets that are not 0 when those of most cameras (of as many: the first ones) are."""
+    usual = max(offsets, key=offsets.count)
+    return {name: offset - usual for name, offset in zip(names, offsets, strict=True) if offset != usual}
 
 
 def _rays(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]]) -> tuple[FloatArray, FloatArray]:
@@ -120,81 +134,22 @@ def _rays(cameras: Sequence[Camera], messages: Sequence[Sequence[bytes]]) -> tup
     return directions, likely
 
 
-def _apart_by_offset(
-    between: FloatArray, first: FloatArray, second: FloatArray, likely: FloatArray
-) -> FloatArray:
-    """(2 n + 1,) median distance of the rays of two cameras, m, the second's taken -n to n pictures later.
-
-    between: (3,) from the first camera to the second. NaN where too few keypoints are seen by both.
-    """
-    curve = np.full(2 * LONGEST_OFFSET + 1, np.nan)
-    n = len(first)
-    for index, offset in enumerate(range(-LONGEST_OFFSET, LONGEST_OFFSET + 1)):
-        early = slice(max(0, -offset), n - max(0, offset))
-        late = slice(max(0, offset), n - max(0, -offset))
-        common = np.cross(first[early], second[late])
-        sine = np.linalg.norm(common, axis=-1)
-        sure = np.minimum(likely[early, 0], likely[late, 1]) > _LEAST_LIKELIHOOD
-        chosen = sure & (sine > _PARALLEL)
-        if chosen.sum() >= _FEWEST:
-            curve[index] = np.median(np.abs(common[chosen] @ between) / sine[chosen])
-    return curve
-
-
-def _best_offsets(pairs: Mapping[tuple[int, int], FloatArray], n: int) -> list[int]:
-    """Pictures by which each camera is behind the first; all 0 unless others are clearly better."""
-    starts = [[0] * n]
-    for reference in range(n):
-        offsets = [_best_of_pair(pairs, reference, c) for c in range(n)]
-        starts.append([offset - offsets[0] for offset in offsets])
-    best = min((_descended(pairs, start) for start in starts), key=lambda found: _total(pairs, found))
-    before, after = _total(pairs, [0] * n), _total(pairs, best)
-    is_clear = before - after > _LEAST_GAIN and after < _LEAST_RATIO * before
-    return best if is_clear else [0] * n
-
-
-def _best_of_pair(pairs: Mapping[tuple[int, int], FloatArray], a: int, b: int) -> int:
-    if a == b:
-        return 0
-    curve = pairs[min(a, b), max(a, b)]
-    if np.isnan(curve).all():
-        return 0
-    offset = int(np.nanargmin(curve)) - LONGEST_OFFSET
-    return offset if a < b else -offset
-
-
-def _descended(pairs: Mapping[tuple[int, int], FloatArray], start: list[int]) -> list[int]:
-    """One camera after the other is shifted to where all agree best."""
-    offsets = list(start)
-    for _ in range(3):
-        for c in range(1, len(offsets)):
-            tried = [[*offsets[:c], o, *offsets[c + 1 :]] for o in range(-LONGEST_OFFSET, LONGEST_OFFSET + 1)]
-            offsets = min([offsets, *tried], key=lambda each: _total(pairs, each))
-    return offsets
-
-
-def _total(pairs: Mapping[tuple[int, int], FloatArray], offsets: Sequence[int]) -> float:
-    """Mean distance over all pairs at these offsets, m; infinite where one is out of reach."""
-    values = [_at(curve, offsets[b] - offsets[a]) for (a, b), curve in pairs.items()]
-    known = [value for value in values if not np.isnan(value)]
-    return float(np.mean(known)) if known else np.inf
-
-
-def _at(curve: FloatArray, offset: int) -> float:
-    return float(curve[offset + LONGEST_OFFSET]) if abs(offset) <= LONGEST_OFFSET else np.inf
-
-
-def _by_camera(
-    pairs: Mapping[tuple[int, int], FloatArray], names: Sequence[str], offsets: Sequence[int]
-) -> dict[str, float]:
-    """By camera the lower median of its distances to the others: one wrong camera does not spoil the rest."""
-    apart = {}
-    for c, name in enumerate(names):
-        values = sorted(
-            value
-            for (a, b), curve in pairs.items()
-            if c in {a, b} and not np.isnan(value := _at(curve, offsets[b] - offsets[a]))
-        )
-        if values:
-            apart[name] = values[(len(values) - 1) // 2]
-    return apart
+def _apart(
+    positions: FloatArray, directions: FloatArray, likely: FloatArray, offsets: Sequence[int]
+) -> dict[int, float]:
+    """By camera, m: the lower median of its median distances to the others, so that one wrong camera does not
+    spoil the rest. offsets: pictures by which each is behind; a camera that sees nobody is left out."""
+    n = len(directions) - max(offsets) + min(offsets)
+    starts = [offset - min(offsets) for offset in offsets]
+    found: dict[int, list[float]] = {}
+    for a, b in itertools.combinations(range(len(positions)), 2):
+        first, second = slice(starts[a], starts[a] + n), slice(starts[b], starts[b] + n)
+        apart = signed_distances(
+            positions[b] - positions[a], directions[first, a], directions[second, b],
+            np.minimum(likely[first, a], likely[second, b]),
+        )  # fmt: skip
+        known = np.abs(apart[np.isfinite(apart)])
+        if len(known) >= _FEWEST:
+            for camera in (a, b):
+                found.setdefault(camera, []).append(float(np.median(known)))
+    return {camera: sorted(values)[(len(values) - 1) // 2] for camera, values in sorted(found.items())}

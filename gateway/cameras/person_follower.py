@@ -1,13 +1,30 @@
-"""One person through the pictures of one camera: found by the detector, then followed by the heat maps."""
+"""One person through the pictures of one camera: found by the detector, then followed by the heat maps, or
+wherever the pose that all cameras together give says that the person is."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from gateway.frames import FloatArray
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.networks.network import Picture, PoseNetwork
-from gateway.reconstruction.video.networks.person_detector import Person, PersonDetector
+from gateway.reconstruction.video.networks.person_detector import PersonDetector
 from gateway.reconstruction.video.region import PersonRegion, region_of_maps
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """Where one person will be in one picture of one camera, as far as the pose tells."""
+
+    is_told: bool = False
+    """False: no pose is known, the camera follows by itself."""
+    region: PersonRegion | None = None
+    """Told None: the camera does not see the person."""
+    joined: FloatArray | None = None
+    """(2, 3) pixel of the neighbouring camera's picture to pixel of this one's, about the person, who is
+    in both: see ``stitching``. None: this picture alone."""
 
 
 class PersonFollower:
@@ -19,16 +36,12 @@ class PersonFollower:
         self._region: PersonRegion | None = None
         self._last: PersonRegion | None = None
 
-    def people(self, picture: Picture) -> list[Person]:
-        """Everybody in a picture, the likeliest first."""
-        return self._detector.people(picture)
-
-    def follow(self, region: PersonRegion) -> None:
-        """Take the person of that region from now on."""
-        self._region = region
-
-    def heat_maps(self, picture: Picture) -> CameraHeatMaps | None:
+    def heat_maps(self, picture: Picture, order: Order | None = None) -> CameraHeatMaps | None:
         """Of the person; None when nobody is seen. One who was lost is looked for where they were last."""
+        if order is not None and order.is_told:
+            self._region = order.region
+            if order.region is None:
+                return None
         if self._region is None:
             self._region = self._found(picture)
         if self._region is None:

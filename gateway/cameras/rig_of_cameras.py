@@ -1,44 +1,69 @@
-"""All cameras of a capture, in step: processes started, checked against each other, one person chosen."""
+"""All cameras of a capture, in step: processes started and checked against each other, people chosen and
+followed."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Self
+from dataclasses import dataclass
+from typing import Self, TypeVar
 
 import numpy as np
 
 from devices.cameras.pictures import CameraError, PictureInfo
 from gateway.body.camera import Camera, project
-from gateway.cameras.camera_process import CameraProcess, CameraTask
+from gateway.cameras.camera_process import MOST_PEOPLE, CameraProcess, CameraTask
+from gateway.cameras.person_follower import Order
+from gateway.cameras.steering import AHEAD, Orders, Steering
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.initial import nearest_to_rays
+from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.networks.person_detector import Person
 from gateway.reconstruction.video.projection import camera_model, ray
 from gateway.reconstruction.video.region import PersonRegion
 
+T = TypeVar("T")
 _RATES_DIFFER = 0.002
 _COUNTS_DIFFER = 2
 """Pictures by which synchronised files may differ in length."""
-_MOST_PEOPLE = 4
-"""Of one picture that are considered."""
 _ABSENT_COST = 0.15
 """Of a camera that is taken not to show the person, as a share of the person's size in pictures."""
 
 
+@dataclass(frozen=True)
+class RigOptions:
+    """What a capture is of."""
+
+    must_agree: bool = True
+    """Raise ``CameraError`` for files of different rates and lengths."""
+    people: int | None = 1
+    """To be followed; None: everybody whom two cameras or more see in the first picture."""
+    joined: tuple[tuple[int, int], ...] = ()
+    """Cameras whose pictures are put together where a person is in both, by their place in the order."""
+
+
 class CameraRig:
-    """``with CameraRig(cameras, tasks) as rig: for messages in rig: …``"""
+    """``with CameraRig(cameras, tasks, keypoints) as rig: for messages in rig: …``"""
 
     def __init__(
-        self, cameras: Sequence[Camera], tasks: Sequence[CameraTask], *, must_agree: bool = True
+        self,
+        cameras: Sequence[Camera],
+        tasks: Sequence[CameraTask],
+        keypoints: KeypointSet,
+        options: RigOptions | None = None,
     ) -> None:
-        """cameras: calibrated, for the pictures as they are; tasks: in the same order.
-
-        must_agree: raise ``CameraError`` for files of different rates and lengths.
-        """
-        self._cameras = cameras
-        self._processes = [CameraProcess(task) for task in tasks]
-        self._must_agree = must_agree
+        """cameras: calibrated, for the pictures as they are; tasks: in the same order; keypoints: of the
+        network."""
+        self._cameras, self._tasks, self._keypoints = cameras, tasks, keypoints
+        self._options = options or RigOptions()
+        paired = {row for pair in self._options.joined for row in pair}
+        alone = [(row,) for row in range(len(tasks)) if row not in paired]
+        self._rows: list[tuple[int, ...]] = [*self._options.joined, *alone]
+        most = 1 if self._options.people == 1 else MOST_PEOPLE
+        self._processes = [CameraProcess([tasks[row] for row in rows], most) for rows in self._rows]
+        self._steering: Steering
+        self._first: Orders = []
+        self.n_people = 0
         self.rate_hz = 0.0
         self.count: int | None = None
         """Pictures that every camera has; None: live."""
@@ -54,14 +79,17 @@ class CameraRig:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def __iter__(self) -> Iterator[list[bytes]]:
-        """The messages of every instant, in the order of the cameras, until the first camera ends."""
-        while True:
-            messages = [process.message() for process in self._processes]
-            whole = [message for message in messages if message is not None]
-            if len(whole) < len(messages):
-                return
-            yield whole
+    def __iter__(self) -> Iterator[list[list[bytes]]]:
+        """The messages of every instant, by person, in the order of the cameras, until the first camera
+        ends."""
+        self._order(self._first)
+        unknown = [[Order() for _ in range(self.n_people)] for _ in self._cameras]
+        for _ in range(1, AHEAD):
+            self._order(unknown)
+        while (messages := self._messages()) is not None:
+            masked = self._steering.take(messages)
+            self._order(self._steering.orders())
+            yield masked
 
     def close(self) -> None:
         """End all processes."""
@@ -69,16 +97,41 @@ class CameraRig:
             process.close()
 
     def _begin(self) -> None:
-        infos = [process.info() for process in self._processes]
-        tasks = [process.task for process in self._processes]
-        if self._must_agree:
-            check_agreement(infos, tasks)
+        infos = self._by_camera([process.infos() for process in self._processes])
+        if self._options.must_agree:
+            check_agreement(infos, self._tasks)
         self.rate_hz = infos[0].rate_hz
-        counts = [info.count - task.skip for info, task in zip(infos, tasks, strict=True) if info.count]
+        counts = [info.count - task.skip for info, task in zip(infos, self._tasks, strict=True) if info.count]
         self.count = min(counts) if counts else None
-        people = [process.people() for process in self._processes]
-        for process, region in zip(self._processes, same_person(self._cameras, people), strict=True):
-            process.follow(region)
+        seen = self._by_camera([process.people() for process in self._processes])
+        regions = people_in_common(self._cameras, seen, self._options.people)
+        self.n_people = len(regions)
+        self._first = [
+            [Order(region is not None or self.n_people > 1, region) for region in of_camera]
+            for of_camera in zip(*regions, strict=True)
+        ]
+        self._steering = Steering(self._cameras, self._keypoints, self.n_people, self._options.joined)
+
+    def _order(self, orders: Orders) -> None:
+        for process, rows in zip(self._processes, self._rows, strict=True):
+            process.order([orders[row] for row in rows])
+
+    def _messages(self) -> list[list[bytes]] | None:
+        """By person, by camera; None at the end."""
+        answers = [process.messages() for process in self._processes]
+        whole = [answer for answer in answers if answer is not None]
+        if len(whole) < len(answers):
+            return None
+        return [list(each) for each in zip(*self._by_camera(whole), strict=True)]
+
+    def _by_camera(self, answers: Sequence[Sequence[T]]) -> list[T]:
+        """Answers of processes as one list in the order of the cameras."""
+        found = {
+            row: each
+            for rows, answer in zip(self._rows, answers, strict=True)
+            for row, each in zip(rows, answer, strict=True)
+        }
+        return [found[row] for row in range(len(self._tasks))]
 
 
 def check_agreement(infos: Sequence[PictureInfo], tasks: Sequence[CameraTask]) -> None:
@@ -100,22 +153,52 @@ def check_agreement(infos: Sequence[PictureInfo], tasks: Sequence[CameraTask]) -
         )
 
 
-def same_person(cameras: Sequence[Camera], people: Sequence[Sequence[Person]]) -> list[PersonRegion | None]:
-    """Of the people in each camera's picture those that are one person in the world: hips and shoulders meet.
+def people_in_common(
+    cameras: Sequence[Camera], people: Sequence[Sequence[Person]], wanted: int | None
+) -> list[list[PersonRegion | None]]:
+    """By person, by camera: the regions of the ``wanted`` people of a first picture whose hips and shoulders
+    meet in the world, those whom most cameras agree upon first; None: everybody.
 
-    None for a camera that does not show the person; of several people, the one that most cameras agree upon.
+    None in the place of a region: the camera does not show the person. One person is always given, though it
+    be nobody. Raises ``CameraError`` when there are fewer than are wanted.
     """
-    options: list[list[Person | None]] = [[*each[:_MOST_PEOPLE], None] for each in people]
+    left = [list(each) for each in people]
+    found: list[list[PersonRegion | None]] = []
+    while wanted is None or len(found) < wanted:
+        chosen = _closest_person(cameras, left, surely=bool(found))
+        if chosen is None:
+            break
+        found.append([None if person is None else person.region for person in chosen])
+        left = [
+            [person for person in each if person is not taken]
+            for each, taken in zip(left, chosen, strict=True)
+        ]
+    if wanted is not None and 1 < wanted != len(found):
+        raise CameraError(
+            f"--people {wanted}: in the first pictures {len(found)} are seen by two cameras or more; begin "
+            "where all of them are in sight (--offset), or take --people all"
+        )
+    return found or [[None] * len(cameras)]
+
+
+def _closest_person(
+    cameras: Sequence[Camera], people: Sequence[Sequence[Person]], *, surely: bool
+) -> tuple[Person | None, ...] | None:
+    """Of each camera's people those that are one person; None where two cameras agree upon nobody.
+
+    surely: whether that the rays pass each other like those of two people leaves nobody, too.
+    """
+    options: list[list[Person | None]] = [[*each[:MOST_PEOPLE], None] for each in people]
     best: tuple[float, tuple[Person | None, ...]] | None = None
     for chosen in itertools.product(*options):
-        if sum(person is not None for person in chosen) < min(2, len(cameras)):
+        n_seeing = sum(person is not None for person in chosen)
+        if n_seeing < min(2, len(cameras)):
             continue
         cost = _disagreement(cameras, chosen)
-        if best is None or cost < best[0]:
+        agreed = cost - _ABSENT_COST * (len(chosen) - n_seeing) < _ABSENT_COST * n_seeing
+        if (agreed or not surely) and (best is None or cost < best[0]):
             best = cost, chosen
-    if best is None:
-        return [None] * len(cameras)
-    return [None if person is None else person.region for person in best[1]]
+    return None if best is None else best[1]
 
 
 def _disagreement(cameras: Sequence[Camera], chosen: Sequence[Person | None]) -> float:

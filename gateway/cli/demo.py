@@ -32,7 +32,7 @@ from gateway.cli.pose_table import PoseView
 from gateway.comparison import orientation_error, rmse_deg
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.outputs.settings import MqttSettings
+from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction import FUSED, readiness
 from gateway.service import Service
@@ -111,7 +111,9 @@ def demo(
             rig=rig,
             reconstructor=reconstructor or _startable(console),
             clock=ClockSettings(mode=clock),
-            mqtt=MqttSettings(broker="embedded", port=_free_port(port)),
+            mqtt=MqttSettings(
+                broker="embedded", port=_free_port(port), include=frozenset({PoseMap.POSITION})
+            ),
         )
         with told_when_compiling(partial(console.print, style="dim")):
             service = Service(settings, suit)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -20,12 +20,28 @@ from gateway.body.subject_file import write_subject
 from gateway.calibration.picture_size import SizeChange
 from gateway.cameras.camera_process import CameraTask
 from gateway.cameras.consistency import Consistency, consistency_of
-from gateway.cameras.rig_of_cameras import CameraRig
+from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
 from gateway.cli.export import export
 from gateway.cli.progress import progress_bar
-from gateway.cli.video_sources import Cameras, Network, Offset, Places, Rate, Sizes, Unit, Up, matched
+from gateway.cli.video_sources import (
+    Cameras,
+    Join,
+    Network,
+    Offset,
+    People,
+    Places,
+    Rate,
+    Sizes,
+    Unit,
+    Up,
+    joined_of,
+    matched,
+    people_of,
+)
 from gateway.errors import GatewayError
 from gateway.outputs.exporters import FORMATS
+from gateway.reconstruction.video.keypoint_set import load_keypoint_set
+from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.recording.video import (
     SolvedVideo,
     video_subject,
@@ -33,6 +49,9 @@ from gateway.recording.video import (
     write_offline_video,
     write_solved_video,
 )
+
+Instants = list[list[bytes]]
+"""Messages of one person: of every instant, one a camera."""
 
 
 def solve(
@@ -60,6 +79,8 @@ def solve(
         Path | None,
         typer.Option(help="Write the person and the cameras into a file: a gateway's rig, or --subject."),
     ] = None,
+    people: People = "1",
+    join: Join = None,
     offset: Offset = None,
     sizes: Sizes = SizeChange.NONE,
     up: Up = None,
@@ -76,22 +97,56 @@ def solve(
 ) -> None:
     """Solve synchronised videos of calibrated cameras, into a recording that replays, exports and reports
     like any other."""
-    target = _target(files, output, to or [], force=force)
+    wanted = people_of(people)
+    target = _target(files, output, to or [], force=force or wanted != 1)
     seen, tasks = matched(
         files, cameras, network, offsets=offset or [], sizes=sizes, up=up, unit=unit, rate_hz=rate
     )
     if len(seen) < 2:
-        raise GatewayError("one camera tells no depth: two synchronised ones are needed at least")
-    messages, rate_hz = looked_at(seen, tasks, frames, must_agree=not unequal, is_shown=not as_json)
-    checked = consistency_of(seen, messages)
-    checked.refuse_wrong(cameras)
-    suit = video_suit(seen, network, messages, None if subject is None else load_rig(str(subject)))
-    if fit_subject is not None:
-        _write_subject(fit_subject, suit, force=force)
-    done = _written(messages, rate_hz, suit, target, offline=offline, is_shown=not as_json)
-    _tell(done, checked, seen, as_json)
-    if to:
-        export(target, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
+        typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
+    options = RigOptions(not unequal, wanted, joined_of(join or [], seen))
+    captured, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
+    if wanted is None:
+        captured = _real_people(captured, seen)
+    known = None if subject is None else load_rig(str(subject))
+    outcomes = []
+    for messages, place, person in _people(captured, target, fit_subject, force=force):
+        checked = consistency_of(seen, messages)
+        checked.refuse_wrong(cameras)
+        suit = video_suit(seen, network, messages, known)
+        if person is not None:
+            _write_subject(person, suit, force=force)
+        done = _written(messages, rate_hz, suit, place, offline=offline, is_shown=not as_json)
+        outcomes.append(_outcome(done, checked, len(seen)))
+        if not as_json:
+            _tell(outcomes[-1])
+        if to:
+            export(place, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
+    if as_json:
+        typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
+
+
+def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[Instants]:
+    """Those whose rays meet; the first one in any case. Two cameras may each have seen something else."""
+    real = [messages for messages in captured[1:] if consistency_of(cameras, messages).is_one_person]
+    if left := len(captured) - 1 - len(real):
+        typer.echo(f"note: {left} in the first pictures seen by too few cameras, and left out", err=True)
+    return [captured[0], *real]
+
+
+def _people(
+    captured: Sequence[Instants], target: Path, subject: Path | None, *, force: bool
+) -> Iterator[tuple[Instants, Path, Path | None]]:
+    """What is seen of each, and where recording and person go. Raises ``GatewayError`` where they may not."""
+    if len(captured) == 1:
+        yield captured[0], target, subject
+        return
+    places = [target.with_stem(f"{target.stem}_{n}") for n, _ in enumerate(captured, start=1)]
+    for place in places:
+        if place.exists() and not force:
+            raise GatewayError(f"{place} exists: name other files with --output, or replace it with --force")
+    for n, (messages, place) in enumerate(zip(captured, places, strict=True), start=1):
+        yield messages, place, None if subject is None else subject.with_stem(f"{subject.stem}_{n}")
 
 
 def _target(files: Sequence[str], output: Path | None, to: Sequence[str], *, force: bool) -> Path:
@@ -137,46 +192,50 @@ def looked_at(
     cameras: Sequence[Camera],
     tasks: Sequence[CameraTask],
     frames: int | None,
+    options: RigOptions,
     *,
-    must_agree: bool = True,
     is_shown: bool = True,
-) -> tuple[list[list[bytes]], float]:
-    """The heat maps of every instant, a message a camera, and the rate in Hz."""
-    messages: list[list[bytes]] = []
+) -> tuple[list[Instants], float]:
+    """By person, the heat maps of every instant, a message a camera; and the rate in Hz."""
+    keypoints = load_keypoint_set(weights_of(tasks[0].network).keypoint_set)
     with (
         progress_bar("looking at pictures", is_shown=is_shown) as tell,
-        CameraRig(cameras, tasks, must_agree=must_agree) as rig,
+        CameraRig(cameras, tasks, keypoints, options) as rig,
     ):
         if rig.count is None and frames is None:
             raise GatewayError("a live camera has no end: say with --frames how many pictures to take")
         total = min(each for each in (rig.count, frames) if each is not None)
-        for instant in itertools.islice(rig, total):
-            messages.append(instant)
-            tell(len(messages), total)
-        return messages, rig.rate_hz
+        captured: list[Instants] = [[] for _ in range(rig.n_people)]
+        for done, instant in enumerate(itertools.islice(rig, total), start=1):
+            for messages, each in zip(captured, instant, strict=True):
+                messages.append(each)
+            tell(done, total)
+        return captured, rig.rate_hz
 
 
-def _tell(done: SolvedVideo, checked: Consistency, cameras: Sequence[Camera], as_json: bool) -> None:
-    figures = _keypoint_figures(done, len(cameras))
-    outcome = {
+def _outcome(done: SolvedVideo, checked: Consistency, n_cameras: int) -> dict[str, Any]:
+    return {
         "file": str(done.path),
         "frames": done.frames,
         "ms_per_frame": round(done.ms_per_frame, 2),
         "counts": done.counts,
         "rays_apart_mm": {name: round(1e3 * value, 1) for name, value in checked.apart.items()},
-        "keypoints": figures,
+        "keypoints": _keypoint_figures(done, n_cameras),
     }
-    if as_json:
-        typer.echo(json.dumps(outcome, indent=2))
-        return
-    if figures:
+
+
+def _tell(outcome: dict[str, Any]) -> None:
+    if outcome["keypoints"]:
         table = Table("keypoint", "tracked %", "mean likelihood a camera")
-        for name, each in figures.items():
+        for name, each in outcome["keypoints"].items():
             table.add_row(name, f"{each['tracked_percent']:.0f}", f"{each['likelihood']:.2f}")
         Console().print(table)
-    apart = ", ".join(f"{name} {1e3 * value:.0f}" for name, value in checked.apart.items())
+    apart = ", ".join(f"{name} {mm:.0f}" for name, mm in outcome["rays_apart_mm"].items())
     typer.echo(f"rays of a camera pass those of the others at (median, mm): {apart}")
-    typer.echo(f"{done.path}: {done.frames} frames, {done.ms_per_frame:.1f} ms a frame after the heat maps")
+    typer.echo(
+        f"{outcome['file']}: {outcome['frames']} frames, {outcome['ms_per_frame']:.1f} ms a frame after the "
+        "heat maps"
+    )
 
 
 def _keypoint_figures(done: SolvedVideo, n_cameras: int) -> dict[str, dict[str, float]]:

@@ -13,7 +13,7 @@ from devices.cameras.pictures import open_pictures
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
-from gateway.cameras.camera_process import CameraTask
+from gateway.cameras.camera_process import MOST_PEOPLE, CameraTask
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
 
@@ -38,6 +38,16 @@ Sizes = Annotated[
 ]
 Up = Annotated[str | None, typer.Option(help=f"Axis of the calibration that points up: {', '.join(AXES)}.")]
 Unit = Annotated[str, typer.Option(help="Unit of lengths in .toml, .yml and .xml calibrations: m, cm or mm.")]
+People = Annotated[
+    str, typer.Option(metavar="N|all", help="People to follow, one recording each; all whom two cameras see.")
+]
+Join = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="CAMERA+CAMERA",
+        help="Two cameras side by side, put together where somebody is partly in either picture.",
+    ),
+]
 Rate = Annotated[float | None, typer.Option(min=1, help="Pictures a second of folders of images.")]
 
 
@@ -119,3 +129,30 @@ def offsets_of(texts: Sequence[str], known: list[str]) -> dict[str, int]:
             )
         offsets[name] = int(number)
     return offsets
+
+
+def people_of(text: str) -> int | None:
+    """How many people; None: all. Raises ``GatewayError``."""
+    if text == "all":
+        return None
+    if not text.isdigit() or not 0 < int(text) <= MOST_PEOPLE:
+        raise GatewayError(f"--people {text}: a number from 1 to {MOST_PEOPLE} is wanted, or all")
+    return int(text)
+
+
+def joined_of(texts: Sequence[str], cameras: Sequence[Camera]) -> tuple[tuple[int, int], ...]:
+    """Pairs of cameras by their place in the order. Raises ``GatewayError``."""
+    names = [camera.name for camera in cameras]
+    pairs = []
+    for text in texts:
+        first, _, second = text.partition("+")
+        if first not in names or second not in names or first == second:
+            raise GatewayError(
+                f"--join {text}: CAMERA+CAMERA is wanted, such as {names[0]}+{names[-1]} (cameras: "
+                f"{', '.join(names)})"
+            )
+        pairs.append((names.index(first), names.index(second)))
+    rows = [row for pair in pairs for row in pair]
+    if len(set(rows)) < len(rows):
+        raise GatewayError(f"--join {' --join '.join(texts)}: a camera has one neighbour at the most")
+    return tuple(pairs)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from devices import recording_format as fmt
-from devices.cameras.heat_map_messages import HeatMapReceiver, retimed
+from devices.cameras.heat_map_messages import retimed
 from devices.link import Chunk, Framing
 from devices.recording_writer import RecordingWriter
 from gateway.body.camera import Camera
@@ -22,10 +22,9 @@ from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.body.subject_file import subject_content
 from gateway.errors import GatewayError
-from gateway.heat_map_frames import heat_maps_of
+from gateway.heat_map_frames import heat_map_frame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import OPTICAL
-from gateway.reconstruction.video.heat_maps import HeatMapFrame
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.networks.weights import weights_of
@@ -120,12 +119,6 @@ def video_subject(name: str, suit: WornSuit) -> dict[str, Any]:
     )  # fmt: skip
     cameras = [entry_of(camera) for camera in suit.video.cameras]
     return {**content, "video": {"network": suit.video.network, "cameras": cameras}}
-
-
-def heat_map_frame(sequence: int, messages: Sequence[bytes]) -> HeatMapFrame:
-    """One instant of messages, in the order of the cameras; its time is that of the first."""
-    read = [HeatMapReceiver().receive(message)[0] for message in messages]
-    return HeatMapFrame(sequence, read[0].time_ns, tuple(map(heat_maps_of, read)))
 
 
 def write_solved_video(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
+from collections import deque
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
@@ -32,12 +33,14 @@ from gateway.viewer.stage import Stage
 RETRY_S = 0.5
 RECORDED_AFTER_S = 10.0
 """Older poses are told by their instant: they come from a recording."""
+MOST_UNDRAWN = 256
+"""Poses between two pictures that muscles are told of."""
 TEXTS_EVERY = 10
 """Texts and plots are brought up to date with every so manyeth picture."""
 
 
 class LiveViewer:
-    """Draws the latest pose thirty times a second; poses in between go into the plot only."""
+    """Draws the latest pose thirty times a second; poses in between go into the plot and to muscles only."""
 
     def __init__(
         self, server: viser.ViserServer, settings: MqttSettings, gateway: str, muscles_kg: float | None = None
@@ -45,6 +48,7 @@ class LiveViewer:
         """muscles_kg: mass of the person whose muscles are shown; None: none are."""
         self._muscles_kg = muscles_kg
         self._wires: MuscleWires | None = None
+        self._undrawn: deque[ReceivedPose] = deque(maxlen=MOST_UNDRAWN)
         self._server = server
         self._settings = settings
         self._gateway = gateway
@@ -92,6 +96,7 @@ class LiveViewer:
                 self._gateway = received.gateway  # the first that is heard, from now on
             if received.gateway == self._gateway:
                 self._latest = received
+                self._undrawn.append(received)
                 self._view.add(received)
                 self._markers.add(received)
                 self._panel.add_pose(received.pose)
@@ -131,6 +136,8 @@ class LiveViewer:
         if latest is self._drawn and is_stale == self._was_stale:
             return
         self._drawn, self._was_stale = latest, is_stale
+        if self._wires is not None:
+            self._add_undrawn(self._wires, self._keeper, latest)
         posture = self._keeper.take(latest.pose)
         if self._panel.follow.value:
             self._stage.follow(posture.place)
@@ -141,6 +148,14 @@ class LiveViewer:
         self._instant = instant
         if instant is not None:
             self._panel.add_markers(latest.pose.t_ns, instant)
+
+    def _add_undrawn(self, wires: MuscleWires, keeper: PostureKeeper, latest: ReceivedPose) -> None:
+        """Poses that came between two pictures, up to the one that is drawn."""
+        while self._undrawn and self._undrawn[0].pose.t_ns <= latest.pose.t_ns:
+            pose = self._undrawn.popleft().pose
+            if pose is not latest.pose:
+                posture = keeper.take(pose)
+                wires.add(pose.t_ns * 1e-9, posture.q_wb, posture.place)
 
     def _take_choices(self) -> None:
         if self._scene is None:

@@ -14,6 +14,7 @@ from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
+from gateway.viewer.appearance import chips
 from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
 
@@ -22,8 +23,14 @@ ENOUGH_S = SPAN_S + 0.1
 """Of poses, for a drawing after a jump."""
 _BODIES = ("human_17", "human_23")
 """Whose joints a published body has, which is told without them."""
+NOT_PLACED = (
+    "Muscles: the gateway publishes no positions, so pushing off and braking are not seen; set mqtt.include: "
+    "[position] there."
+)
 _STOPS = np.array([[165, 185, 205], [245, 190, 60], [215, 40, 40]], dtype=np.float64)
-"""Colours of activity 0, 0.5 and 1."""
+"""Colours of activity 0, 0.5 and 1, as they are to look."""
+_GAMMA = 2.2
+"""The page takes a line's colours as amounts of light: as they are told they would be washed out."""
 
 
 class MuscleWires:
@@ -39,9 +46,15 @@ class MuscleWires:
         self._due_s = -np.inf
         self._points = np.zeros((0, 2, 3), np.float32)
         self._colours = np.zeros((0, 2, 3), np.uint8)
+        self._legend = server.gui.add_html(_legend(is_placed=True))
+        self._is_placed = True
 
     def remove(self) -> None:
-        """Take the wires off the page."""
+        """Take them off the page for good."""
+        self._clear()
+        self._legend.remove()
+
+    def _clear(self) -> None:
         if self._lines is not None:
             self._lines.remove()
             self._lines = None
@@ -54,12 +67,15 @@ class MuscleWires:
     def draw(self, time_s: float, posture: Posture) -> None:
         """A posture came; the wires follow ten times in a second of its time."""
         place = posture.p_w[self._root]
+        if posture.is_placed != self._is_placed:
+            self._is_placed = posture.is_placed
+            self._legend.content = _legend(self._is_placed)
         self.add(time_s, posture.q_wb, place)
         if not 0.0 <= self._due_s - time_s < EVERY_S:
             self._due_s = time_s + EVERY_S
             found = self._muscles.now()
             if found is None:
-                self.remove()
+                self._clear()
                 return
             self._points, colours = segments_of(found, place)
             self._show(place, colours)
@@ -92,11 +108,20 @@ def segments_of(found: LiveActivity, origin: FloatArray) -> tuple[NDArray[np.flo
     """Ends (n, 2, 3) m and colours (n, 2, 3) of all wires' straight parts. origin: (3,) m, taken off."""
     parts = [np.stack([path[:-1], path[1:]], axis=1) for path in found.paths]
     counts = [len(part) for part in parts]
-    of_wires = np.stack(
-        [np.interp(found.activity, (0.0, 0.5, 1.0), stops) for stops in _STOPS.T], axis=1
-    ).astype(np.uint8)
+    looks = np.stack([np.interp(found.activity, (0.0, 0.5, 1.0), stops) for stops in _STOPS.T], axis=1)
+    of_wires = (255.0 * (looks / 255.0) ** _GAMMA).astype(np.uint8)
     colours = np.repeat(np.repeat(of_wires, counts, axis=0)[:, None], 2, axis=1)
     return (np.concatenate(parts) - origin).astype(np.float32), colours
+
+
+def _legend(is_placed: bool) -> str:
+    """What the wires' colours mean, and what is amiss, as HTML."""
+    names = ("muscle idle", "half", "at its largest")
+    meanings = [
+        (name, (int(stop[0]), int(stop[1]), int(stop[2]))) for name, stop in zip(names, _STOPS, strict=True)
+    ]
+    amiss = "" if is_placed else f'<div style="font-size:12px;padding:0 12px 6px">{NOT_PLACED}</div>'
+    return chips(meanings) + amiss
 
 
 def _with_joints(skeleton: Skeleton) -> Skeleton:

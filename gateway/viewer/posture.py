@@ -19,6 +19,8 @@ class Posture:
     q_wb: FloatArray  # (s, 4)
     p_w: FloatArray  # (s, 3) m
     place: FloatArray  # (3,) m, of the root's joint
+    is_placed: bool
+    """Whether the pose told where the body is; else it stands on the floor, always above the same point."""
     status: tuple[str, ...]
     sigma_rad: tuple[float | None, ...]
 
@@ -53,19 +55,20 @@ class PostureKeeper:
             if known is not None:
                 self._q_wb[s] = known
         sigma = pose.sigma or {}
-        p_w = self._positions(pose)
+        place = (pose.position or {}).get(names[self._root])
+        p_w = self._positions(place)
         return Posture(
             q_wb=self._q_wb.copy(),
             p_w=p_w,
             place=p_w[self._root],
+            is_placed=place is not None and any(place),
             status=tuple(pose.status.get(name, "missing") for name in names),
             sigma_rad=tuple(sigma.get(name) for name in names),
         )
 
-    def _positions(self, pose: PoseMessage) -> FloatArray:
+    def _positions(self, place: tuple[float, ...] | None) -> FloatArray:
         """(s, 3) by forward kinematics from the root; a body whose place nobody knows stands on the floor."""
         skeleton = self._skeleton
-        place = (pose.position or {}).get(skeleton.segment_names[self._root])
         root = np.zeros(3) if place is None else np.array(place, np.float64)
         p_w = joint_positions(skeleton.parents, skeleton.offsets, self._q_wb, root)
         if not root.any():

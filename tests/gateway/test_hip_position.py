@@ -80,10 +80,11 @@ def test_the_hips_that_cameras_see_are_readings_of_the_device(seen):
 
 
 @pytest.mark.slow  # compiling
-def test_the_root_is_where_the_cameras_see_the_hips(seen):
+@pytest.mark.parametrize("reconstructor", ["articulated", "joint"])
+def test_the_root_is_where_the_cameras_see_the_hips(seen, reconstructor):
     folder, instants, truth = seen
     suit = load_rig(str(folder / "rig.yaml"))
-    pipeline, observed, _ = fed(suit, instants, "articulated")
+    pipeline, observed, _ = fed(suit, instants, reconstructor)
     placed = [pipeline.reconstructor.update(frame) for frame in observed]
     pelvis = suit.skeleton.index("pelvis")
     last = max(k for k, frame in enumerate(observed) if frame.local)

@@ -36,12 +36,18 @@ class VideoCrowd:
 
         Raises ``GatewayError`` when their number is not that of the people.
         """
+        return [person.update(frame) for person, frame in zip(self.people, self.masked(frames), strict=True)]
+
+    def masked(self, frames: Sequence[HeatMapFrame]) -> list[HeatMapFrame]:
+        """The frames of one instant, from each what is another person's taken out, and left and right put
+        right; raises as ``update``."""
         if len(frames) != len(self.people):
             raise GatewayError(f"maps of {len(frames)} people for {len(self.people)} who are tracked")
         expected = [person.expected for person in self.people]
+        masked = [self._masked(frame, index, expected) for index, frame in enumerate(frames)]
         return [
-            person.update(self._masked(frame, index, expected))
-            for index, (person, frame) in enumerate(zip(self.people, frames, strict=True))
+            replace(frame, cameras=tuple(person.tracker.put_right(frame.cameras)))
+            for person, frame in zip(self.people, masked, strict=True)
         ]
 
     def _masked(self, frame: HeatMapFrame, index: int, expected: Sequence[FloatArray | None]) -> HeatMapFrame:

@@ -20,7 +20,7 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import BodyModel, add_held, body_model, normal_equations
-from gateway.reconstruction.video.freedom import Freedom, freedom_of, kept_free, turn_matrix
+from gateway.reconstruction.video.freedom import DEGREES, Freedom, freedom_of, kept_free, turn_matrix
 
 FLOOR_SIGMA = 0.003
 """How far below the floor a contact may be before it counts as much as a keypoint, m."""
@@ -98,6 +98,46 @@ def solve(
         if gain < _SMALLEST_GAIN * cost:
             break
     return VideoBodyPose(R, root, steps)
+
+
+@compiled
+def orientation_sigmas(
+    body: VideoBody, candidates: FloatArray, weights: FloatArray, pose: VideoBodyPose, stiffness: float
+) -> FloatArray:
+    """(S,) rad: standard deviation of every segment's orientation, about all axes together.
+
+    The inverse of the normal equations at the pose, in the 40 degrees of freedom, with the spread of the
+    candidates (n_keypoints, 3) m about the body where it is more than ``markers.sigmas`` promise. weights:
+    (n_keypoints,), 0: not seen; stiffness: as of ``solve``, all that is known of what is not seen.
+    """
+    model = body.model
+    places = keypoint_places(model, pose.R, pose.root)
+    H, _, _ = _equations(body, places, weights, pose.R, pose.root, pose.R, stiffness, -np.inf)
+    T = turn_matrix(body.freedom, model.parents, pose.R)
+    A = T.T @ (H @ T)
+    for i in range(len(A)):
+        A[i, i] += 1e-9
+    covariance = _variance(model, candidates, weights, places) * np.linalg.inv(A)
+    sigmas = np.empty(len(model.parents))
+    turns = np.zeros((len(model.parents), 3, T.shape[1]))
+    for s in range(len(model.parents)):
+        turns[s] = T[3 + 3 * s : 6 + 3 * s]
+        if model.parents[s] >= 0:
+            turns[s] += turns[model.parents[s]]
+        sigmas[s] = np.sqrt(np.trace(turns[s] @ covariance @ turns[s].T))
+    return sigmas
+
+
+@compiled
+def _variance(model: BodyModel, candidates: FloatArray, weights: FloatArray, places: FloatArray) -> float:
+    """How much farther candidates are from the body than they should be, squared; 1 at the least."""
+    total, n = 0.0, 0
+    for m in range(len(candidates)):
+        if weights[m] > 0.0 and np.isfinite(candidates[m, 0]):
+            off = candidates[m] - places[m]
+            total += weights[m] * dot(off, off) / model.sigmas[m] ** 2
+            n += 3
+    return max(1.0, total / max(1, n - DEGREES))
 
 
 @compiled

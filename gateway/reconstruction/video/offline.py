@@ -64,7 +64,7 @@ def reconstruct_recorded(
             continue
         tracker.solve(sighting)
         newest = skeleton_frame(
-            frame.sequence, frame.time_ns, tracker.body, tracker.pose,
+            frame.sequence, frame.time_ns, tracker.body, tracker.pose, tracker.orientation_sigmas(sighting),
             statuses(keypoints.shows, sighting.likelihood <= BRIDGED_WEIGHT),
         )  # fmt: skip
         ready = smoothed.add(newest, tracker.body, tracker.pose, tracker.floor)

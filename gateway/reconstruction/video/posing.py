@@ -19,15 +19,16 @@ _STEPS = 8
 
 
 def skeleton_frame(
-    sequence: int, time_ns: int, body: VideoBody, pose: VideoBodyPose, status: NDArray[np.uint8]
-) -> SkeletonFrame:
-    """A pose as it is; rates and accelerations are not known (NaN)."""
+    sequence: int, time_ns: int, body: VideoBody, pose: VideoBodyPose, sigma: FloatArray,
+    status: NDArray[np.uint8],
+) -> SkeletonFrame:  # fmt: skip
+    """A pose as it is; rates and accelerations are not known (NaN). sigma: (S,) rad."""
     n = len(body.model.parents)
     unknown = np.full((n, 3), np.nan)
     return SkeletonFrame(
         sequence, time_ns, np.stack([quaternion.from_matrix(each) for each in pose.R]), unknown,
         unknown.copy(), kernels.places(body.model.parents, body.model.offsets, pose.R, pose.root),
-        np.full(n, np.nan), status, 0,
+        sigma, status, 0,
     )  # fmt: skip
 
 

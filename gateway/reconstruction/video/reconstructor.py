@@ -89,7 +89,11 @@ class VideoReconstructor:
     @property
     def expected(self) -> FloatArray | None:
         """(n_keypoints, 3) m, where the keypoints will be in the next frame; None: no person is known."""
-        return None if self.tracker.pose is None else self.tracker.expected
+        return self.expected_after(1)
+
+    def expected_after(self, frames: int) -> FloatArray | None:
+        """(n_keypoints, 3) m, where they will be so many frames later; None: no person is known."""
+        return None if self.tracker.pose is None else self.tracker.expected_after(frames)
 
     def update(self, frame: HeatMapFrame) -> VideoPose:
         """The pose of one instant. Without any maps the last pose is held; before the first, NaN."""
@@ -99,11 +103,12 @@ class VideoReconstructor:
             self._smoothed.reset()
             return self._nobody(frame)
         newest = skeleton_frame(
-            frame.sequence, frame.time_ns, self.tracker.body, pose,
+            frame.sequence, frame.time_ns, self.tracker.body, pose, self.tracker.orientation_sigmas(sighting),
             statuses(self.keypoints.shows, sighting.lost),
         )  # fmt: skip
         tracking = np.where(sighting.lost, Tracking.LOST, np.where(self._lost, Tracking.RECOVERED, 0))
         self._lost = sighting.lost
+        expected = self.tracker.expected_after(1)
         return VideoPose(
             sequence=frame.sequence,
             time_ns=frame.time_ns,
@@ -113,9 +118,7 @@ class VideoReconstructor:
             keypoints=self.tracker.places,
             likelihood=sighting.likelihood,
             tracking=tracking.astype(np.uint8),
-            regions=tuple(
-                person_region(camera, self.tracker.expected, self.keypoints.names) for camera in self.cameras
-            ),
+            regions=tuple(person_region(camera, expected, self.keypoints.names) for camera in self.cameras),
         )
 
     def finish(self) -> list[SkeletonFrame]:

@@ -14,12 +14,17 @@ _LEAST_SHARE = 0.4
 """Of the keypoints, that must be in the picture for the camera to count as seeing the person."""
 
 
-def person_region(camera: Camera, keypoints: FloatArray, names: Sequence[str]) -> PersonRegion | None:
+def person_region(
+    camera: Camera, keypoints: FloatArray, names: Sequence[str], *, must_see: bool = True
+) -> PersonRegion | None:
     """The region of a person with keypoints (n_keypoints, 3) m of those names; None: the camera does not see
-    the person, and is left out."""
+    the person, and is left out.
+
+    must_see: None too where most of the person is beyond the picture's border.
+    """
     pixels = project(camera, keypoints)
     with np.errstate(invalid="ignore"):
         inside = ((pixels > 0) & (pixels < (camera.width - 1, camera.height - 1))).all(axis=1)
-    if inside.mean() < _LEAST_SHARE:
+    if must_see and inside.mean() < _LEAST_SHARE:
         return None
     return region_of_points(pixels, np.ones(len(pixels)), names)

@@ -12,19 +12,21 @@ from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA
 from gateway.reconstruction.optical.tracking import rigid
-from gateway.reconstruction.video import initial, lattice
+from gateway.reconstruction.video import initial, lattice, one_camera
 from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.inverse_kinematics import (
     VideoBody,
     VideoBodyPose,
     keypoint_places,
+    orientation_sigmas,
     solve,
     video_body,
 )
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.projection import camera_model
-from gateway.reconstruction.video.proportions import PARTS, part_lengths, sized
+from gateway.reconstruction.video.proportions import PARTS, part_lengths, sized, standard_lengths
+from gateway.reconstruction.video.sides import pairs_of, sides_put_right
 
 HALF_WIDTH = 5
 """k of the source: a lattice has (2 k + 1)³ points."""
@@ -96,6 +98,7 @@ class KeypointTracker:
         """The last pose; None: no person is known."""
         self._models = tuple(camera_model(camera) for camera in cameras)
         self._trunk = [keypoints.index(name) for name in TRUNK]
+        self._pairs = pairs_of(keypoints.names)
         self._lengths: list[FloatArray] = []
         self.person = keypoints
         """The keypoints on this person's body, as far as its lengths are known."""
@@ -125,12 +128,17 @@ class KeypointTracker:
         assert self.pose is not None
         return keypoint_places(self.body.model, self.pose.R, self.pose.root)
 
-    @property
-    def expected(self) -> FloatArray:
-        """(n_keypoints, 3) m, where they will be in the next frame, going on as they went."""
+    def expected_after(self, frames: int) -> FloatArray:
+        """(n_keypoints, 3) m, where they will be so many frames later, going on as they went."""
         if len(self._places) < 2:
             return self.places
-        return 2.0 * self._places[-1] - self._places[-2]
+        return self._places[-1] + frames * (self._places[-1] - self._places[-2])
+
+    def put_right(self, maps: CameraMaps) -> CameraMaps:
+        """The maps with left and right exchanged where a camera has taken them for each other."""
+        if self.pose is None:
+            return maps
+        return sides_put_right(self._models, maps, self.expected_after(1), self._pairs)
 
     def track(self, maps: CameraMaps) -> Sighting:
         """Find the person in one frame, and keep the pose."""
@@ -155,10 +163,18 @@ class KeypointTracker:
             self.pose.root, self.pose.R, HELD_SIGMA**-2, self.floor, steps,
         )  # fmt: skip
 
+    def orientation_sigmas(self, sighting: Sighting) -> FloatArray:
+        """(S,) rad of the last pose, by what is seen of it."""
+        assert self.pose is not None
+        weights = np.where(sighting.lost, 0.0, sighting.likelihood)
+        return orientation_sigmas(self.body, sighting.candidates, weights, self.pose, HELD_SIGMA**-2)
+
     def _first(self, maps: CameraMaps) -> Sighting:
         """A person from nothing but maps: rays, what they leave open from the volume, and a first pose."""
         n = len(self.keypoints.names)
         nobody = Sighting(np.full((n, 3), np.nan), np.zeros(n))
+        if len(maps) == 1:
+            return self._first_alone(maps) or nobody
         if sum(seen is not None for seen in maps) < 2:
             return nobody
         points, _ = initial.from_rays(self._models, maps, self.options.use_dlt)
@@ -167,6 +183,20 @@ class KeypointTracker:
             points = self._completed(maps, points)
         if np.isnan(points[self._trunk, 0]).sum() > 1:
             return nobody
+        self._stand_up(points)
+        return self._search(maps)
+
+    def _first_alone(self, maps: CameraMaps) -> Sighting | None:
+        """The same with one camera: depth by the floor, one ratio for all lengths."""
+        if maps[0] is None or not np.isfinite(self.floor):
+            return None
+        points = one_camera.from_floor(self._models[0], maps[0], self.keypoints.names, self.floor)
+        if np.isnan(points[self._trunk, 0]).any():
+            return None
+        if not self._settled:
+            seen = part_lengths(self.keypoints, points)
+            self._set_lengths(one_camera.lengths_shown(seen, standard_lengths(self.keypoints)))
+            self._settled = True
         self._stand_up(points)
         return self._search(maps)
 
@@ -197,7 +227,9 @@ class KeypointTracker:
         wide = np.minimum(1 + self._missed, WIDEST).astype(np.float64)
         # one camera tells no depth: going on as it went, the body would leave for nowhere
         alone = sum(seen is not None for seen in maps) < 2
-        coarse = self._candidates(maps, self.places if alone else self.expected, COARSE * wide, False)
+        expected = self.places if alone else self.expected_after(1)
+        maps = sides_put_right(self._models, maps, expected, self._pairs)
+        coarse = self._candidates(maps, expected, COARSE * wide, False)
         self.solve(coarse)
         fine = self._candidates(maps, coarse.candidates, np.full(len(wide), FINE), True)
         self.solve(fine)

@@ -55,9 +55,67 @@ def test_a_film_that_was_cut_off_is_told(tmp_path):
         list(open_pictures(str(path)))
 
 
+def test_a_file_without_its_index_says_so(tmp_path):
+    path = film(tmp_path / "cam.mp4", 60)
+    path.write_bytes(path.read_bytes()[:-300])  # the end of the index, which stands last
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.index(b"moov") - 4])
+    with pytest.raises(CameraError, match=r"cam\.mp4: has no index"):
+        open_pictures(str(path))
+
+
+class Capture:
+    """Pictures 40 ms apart, of which some are missing; so many are promised."""
+
+    def __init__(self, missing, promised):
+        self._times = [40.0 * n for n in range(10) if n not in missing]
+        self._read = -1
+        self._promised = promised
+
+    def isOpened(self):  # noqa: N802 - OpenCV's name
+        return True
+
+    def read(self):
+        self._read += 1
+        return self._read < len(self._times), shade(self._read)
+
+    def get(self, what):
+        told = {
+            cv2.CAP_PROP_FRAME_WIDTH: 64.0,
+            cv2.CAP_PROP_FRAME_HEIGHT: 48.0,
+            cv2.CAP_PROP_FPS: 25.0,
+            cv2.CAP_PROP_FRAME_COUNT: float(self._promised),
+        }
+        return told[what] if what in told else self._times[self._read]
+
+
+@pytest.mark.parametrize(
+    ("missing", "promised", "told"),
+    [
+        ((), 20, "picture 11 of 20 cannot be decoded"),
+        ((4, 5), 8, "picture 5 is dated 2.0 pictures too late"),
+        ((), 12, None),
+        ((4,), 10, None),
+    ],
+)
+def test_pictures_that_are_missing_are_told(tmp_path, monkeypatch, missing, promised, told):
+    path = film(tmp_path / "cam.mp4")
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture(missing, promised))
+    source = open_pictures(str(path))
+    if told is None:
+        assert len(list(source)) == 10 - len(missing)
+        return
+    with pytest.raises(CameraError, match=told):
+        list(source)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "told"),
-    [("no.mp4", None, "no such video"), ("text.mp4", b"hello", "no video that can be read")],
+    [
+        ("empty.mp4", b"", "is empty"),
+        ("no.mp4", None, "no such video"),
+        ("text.mp4", b"hello", "no video that can be read"),
+    ],
 )
 def test_what_is_no_video_is_told(tmp_path, name, content, told):
     path = tmp_path / name

@@ -1,12 +1,15 @@
 """Floor forces that nobody measured: standing, stepping over, flight; and which foot a plate belongs to."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
 
 from devices.marker_files.force_plates import ForcePlate, ForcePlates
-from gateway.analysis.contact import ContactSettings, estimated_floor, smooth_split
+from gateway.analysis.analysing import MeasuredForces, analyse_motion
+from gateway.analysis.contact import ContactSettings, estimated_floor, smooth_split, stances
 from gateway.analysis.floor import Source, feet
 from gateway.analysis.inertia import body_inertia
 from gateway.analysis.inverse_dynamics import inverse_dynamics
@@ -49,7 +52,7 @@ def test_estimated_forces_keep_inside_the_friction_pyramid():
         [0.5 * 12.0 * time_s**2, 0 * time_s, 0.928 + 0 * time_s], axis=1
     )  # more than friction gives
     motion, free = held(path)
-    settings = ContactSettings(friction=0.5, speed_m_s=100.0)
+    settings = ContactSettings(friction=0.5, landing_m_s=100.0, leaving_m_s=100.0)
     floor = estimated_floor(motion, free, settings=settings)
     sideways = np.abs(floor.force[..., 0]) + np.abs(floor.force[..., 1])
     assert (sideways <= 0.5 * floor.force[..., 2] + 1e-6).all()
@@ -81,6 +84,16 @@ def test_standing_on_both_for_long_asks_for_no_split():
     assert np.isnan(shares).all()
 
 
+def test_a_foot_lands_when_it_is_stopped_and_leaves_when_it_is_fast():
+    time_s = np.arange(100) / 100
+    speed = np.clip(2.0 - 8.0 * time_s, 0.0, None) + np.clip(8.0 * (time_s - 0.6), 0.0, None)
+    path = np.zeros((100, 1, 3))
+    path[:, 0, 0] = np.cumsum(speed) / 100
+    carries = np.flatnonzero(stances(time_s, path, 0.0, ContactSettings())[:, 0] > 0.5) / 100
+    assert carries[0] == pytest.approx(1.5 / 8.0, abs=0.015)
+    assert carries[-1] == pytest.approx(0.6 + 1.2 / 8.0, abs=0.015)
+
+
 def plate_under(place, force, frames=400):
     """One plate of 0.4 m by 0.4 m, sampled at 1000 Hz, loaded at its middle from 0.1 to 0.3 s."""
     x, y = place
@@ -109,6 +122,31 @@ def test_a_load_far_from_all_feet_is_nobodys():
     motion, free = standing()
     plates = ForcePlates(1000.0, (plate_under((1.5, 0.0), [0.0, 0.0, 400.0]),))
     assert not measured_floor(plates, "z", motion, free, None).source.any()
+
+
+def test_what_an_empty_plate_shows_is_taken_off():
+    motion, free = standing()
+    plate = plate_under((0.05, 0.167), [0.0, 0.0, 400.0])
+    noise = np.random.default_rng(3).normal(0.0, 3.0, (400, 3))
+    offset = np.array([2.0, -1.0, 14.0])
+    plates = ForcePlates(1000.0, (replace(plate, force=plate.force + offset + noise),))
+    floor = measured_floor(plates, "z", motion, free, None)
+    assert floor.force[15:25].sum(axis=1).mean(axis=0) == pytest.approx([0.0, 0.0, 400.0], abs=3.0)
+    assert np.abs(floor.force[:8].sum(axis=1).mean(axis=0)).max() < 4.0
+
+
+def test_plates_of_a_stair_have_their_own_heights_and_nothing_is_estimated_beside_them():
+    motion, free = standing()
+    low = plate_under((0.05, 0.167), [60.0, 0.0, 400.0])
+    high = plate_under((3.0, 0.0), [0.0, 0.0, 0.0])
+    raised = replace(low, corners=low.corners + np.array([0.0, 0.0, 0.2]))
+    plates = ForcePlates(1000.0, (raised, high))
+    floor = measured_floor(plates, "z", motion, free, None)
+    c = feet(BODY).tolist().index(NAMES.index("left_foot"))
+    assert floor.centre_of_pressure()[20, c] == pytest.approx([0.05, 0.167, 0.2], abs=1e-9)
+    assert "different heights" in floor.notes[0]
+    found = analyse_motion(motion, "stair", INERTIA, GRAVITY, MeasuredForces(plates, "z"))
+    assert not (found.floor.source == Source.ESTIMATED).any()
 
 
 def test_a_foot_beside_its_plate_is_told():

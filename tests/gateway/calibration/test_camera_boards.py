@@ -1,6 +1,8 @@
 """Cameras calibrated from rendered boards, whose truth is known."""
 
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +12,14 @@ pytest.importorskip("cv2")
 import cv2
 from typer.testing import CliRunner
 
+from benchmarks.camera_boards import real_lens
 from gateway.body.camera import Camera, project
 from gateway.calibration.boards import board_of, find_board
 from gateway.calibration.cameras_extrinsics import place_cameras
 from gateway.calibration.cameras_file import load_cameras
+from gateway.calibration.cameras_import import import_cameras
 from gateway.calibration.cameras_intrinsics import Lens, calibrate_lens
+from gateway.calibration.cameras_session import BoardPicture, calibrate_cameras
 from gateway.cli.main import app
 from gateway.errors import GatewayError
 
@@ -24,6 +29,7 @@ SIZE = (640, 480)
 MATRIX = np.array([[620.0, 0.0, 310.0], [0.0, 615.0, 250.0], [0.0, 0.0, 1.0]])
 DISTORTION = np.array([-0.12, 0.05, 0.001, -0.0008, 0.0])
 PIXELS_A_SQUARE = 60
+REAL = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[4] / "shared/data")) / "pose2sim_single"
 
 
 def texture(board):
@@ -199,3 +205,23 @@ def test_the_command_calibrates_from_folders(tmp_path):
     for found, truth in zip(load_cameras(target), cameras, strict=True):
         assert found.position == pytest.approx(truth.position, abs=0.02)
     assert len(list((tmp_path / "cameras_boards").iterdir())) == 14
+
+
+def test_pictures_that_were_not_taken_at_once_are_no_scene(lens_views):
+    """Those of the lens, another for each camera at the same place."""
+    blank = np.zeros((SIZE[1], SIZE[0], 3), dtype=np.uint8)
+    pictures = [BoardPicture(str(n), blank, view) for n, view in enumerate(lens_views)]
+    taken = {"a": pictures, "b": pictures[2:] + pictures[:2]}
+    with pytest.raises(GatewayError, match=r"camera '.': corners .* pixels off .* with --scene"):
+        calibrate_cameras(CHECKERBOARD, taken, CHECKERBOARD, taken)
+
+
+@pytest.mark.slow
+def test_real_lenses_are_those_of_the_shipped_calibration():
+    """Seven pictures of a board held by hand, each left out in turn."""
+    if not REAL.is_dir():
+        pytest.skip("no recording pose2sim_single beside the repository")
+    for camera in import_cameras(REAL / "calibration/Calib.qca.txt"):
+        lens = real_lens(REAL, camera)
+        assert lens.focal_px == pytest.approx(camera.matrix[0, 0], rel=0.01)
+        assert lens.held_out_px < 2.0

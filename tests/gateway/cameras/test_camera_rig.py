@@ -14,7 +14,7 @@ from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver, e
 from devices.cameras.pictures import CameraError, PictureInfo
 from gateway.body.camera import project
 from gateway.cameras.camera_process import CameraProcess, CameraTask
-from gateway.cameras.rig_of_cameras import check_agreement, same_person
+from gateway.cameras.rig_of_cameras import check_agreement, people_in_common
 from gateway.cameras.serving import Outlet
 from gateway.cli.video_serve import moment
 from gateway.errors import GatewayError
@@ -32,7 +32,7 @@ def test_the_person_that_all_cameras_see_is_taken_and_not_the_bystander():
     people = [[person(c, walker)] for c in CAMERAS]
     people[0].insert(0, person(CAMERAS[0], bystander, 0.99))
     people[1].insert(0, person(CAMERAS[1], bystander, 0.99))
-    chosen = same_person(CAMERAS, people)
+    (chosen,) = people_in_common(CAMERAS, people, 1)
     for c, region in zip(CAMERAS, chosen, strict=True):
         assert region is not None
         assert region.centre == pytest.approx(person(c, walker).hips)
@@ -41,12 +41,27 @@ def test_the_person_that_all_cameras_see_is_taken_and_not_the_bystander():
 def test_a_camera_without_the_person_is_left_out():
     people = [[person(c, (0.0, 0.0, 0.0))] for c in CAMERAS]
     people[2] = [person(CAMERAS[2], (1.0, -0.9, 0.0))]
-    chosen = same_person(CAMERAS, people)
+    (chosen,) = people_in_common(CAMERAS, people, 1)
     assert [region is None for region in chosen] == [False, False, True, False]
 
 
 def test_nobody_in_one_picture_only_is_nobody():
-    assert same_person(CAMERAS, [[], [], [person(CAMERAS[2], (0, 0, 0))], []]) == [None] * 4
+    assert people_in_common(CAMERAS, [[], [], [person(CAMERAS[2], (0, 0, 0))], []], 1) == [[None] * 4]
+
+
+def test_people_are_told_apart_whatever_order_the_cameras_see_them_in():
+    places = [(0.4, 0.3, 0.0), (-0.6, -0.4, 0.0)]
+    people = [[person(c, places[(n + k) % 2]) for k in range(2)] for n, c in enumerate(CAMERAS)]
+    people[0].append(person(CAMERAS[0], (-1.5, 1.0, 0.0)))  # seen by nobody else
+    for wanted in (2, None):
+        found = people_in_common(CAMERAS, people, wanted)
+        assert len(found) == 2
+        for regions in found:
+            hips = [region.centre for region in regions]
+            place = min(places, key=lambda at: np.linalg.norm(hips[0] - person(CAMERAS[0], at).hips))
+            assert hips == [pytest.approx(person(c, place).hips) for c in CAMERAS]
+    with pytest.raises(CameraError, match="--people 3: in the first pictures 2 are seen"):
+        people_in_common(CAMERAS, people, 3)
 
 
 def infos(*rows):
@@ -65,10 +80,10 @@ def test_files_of_other_rates_and_lengths_are_refused_with_the_figures():
 
 
 def test_what_a_camera_cannot_do_is_told_with_its_name(tmp_path):
-    process = CameraProcess(CameraTask("left", str(tmp_path / "no.mp4"), "full"))
+    process = CameraProcess([CameraTask("left", str(tmp_path / "no.mp4"), "full")])
     try:
         with pytest.raises(CameraError, match=r"camera 'left'.*no such video"):
-            process.info()
+            process.infos()
     finally:
         process.close()
 
@@ -78,12 +93,12 @@ def test_a_process_that_dies_is_told(tmp_path):
 
     for index in range(3):
         cv2.imwrite(str(tmp_path / f"{index}.png"), np.zeros((48, 64, 3), dtype=np.uint8))
-    process = CameraProcess(CameraTask("left", str(tmp_path), "full"))
+    process = CameraProcess([CameraTask("left", str(tmp_path), "full")])
     try:
         os.kill(process._process.pid, signal.SIGKILL)
         process._process.join(20)
         with pytest.raises(CameraError, match="camera 'left': its process ended by itself"):
-            process.info()
+            process.infos()
     finally:
         process.close()
 

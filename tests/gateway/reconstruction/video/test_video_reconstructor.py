@@ -8,6 +8,7 @@ import pytest
 from benchmarks.video_truth import rendered, ring_of_cameras, true_regions, walking
 from gateway.errors import GatewayError
 from gateway.frames import Status
+from gateway.geometry import quaternion
 from gateway.reconstruction.video.crowd import VideoCrowd
 from gateway.reconstruction.video.heat_maps import HeatMapFrame
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
@@ -194,3 +195,35 @@ def test_a_floor_far_above_the_person_is_not_the_persons():
     reconstructor, _, errors = tracked(person, 3, options=VideoOptions(floor_m=0.6))
     assert reconstructor.tracker.floor == -np.inf
     assert np.median(errors) < 0.004
+
+
+def test_orientations_stray_about_as_far_as_their_sigma_says():
+    """With the maps' blobs a cell off at random: cells are centimetres wide."""
+    generator = np.random.default_rng(4)
+    person = walking(KEYPOINTS, 30, (-0.6, 0.0), (0.3, 0.6))
+    reconstructor = VideoReconstructor(CAMERAS, KEYPOINTS)
+    regions, ratios = true_regions(CAMERAS, KEYPOINTS, person.keypoints[0]), []
+    for f, points in enumerate(person.keypoints):
+        off = generator.normal(size=(len(CAMERAS), len(points), 2))
+        pose = reconstructor.update(rendered(CAMERAS, regions, points[None], f, None, off))
+        regions = pose.regions
+        if f >= 20:
+            found = np.array([quaternion.to_matrix(q) for q in pose.newest.q_wb])
+            turns = found @ person.R[f].transpose(0, 2, 1)
+            angles = np.arccos(np.clip((np.trace(turns, axis1=1, axis2=2) - 1) / 2, -1, 1))
+            ratios.append(angles / pose.newest.sigma)
+    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.6
+
+
+def test_one_camera_from_the_start_places_somebody_on_the_floor():
+    person = walking(KEYPOINTS, 6, (0.2, -0.3), (0.4, 0.6))
+    camera = CAMERAS[:1]
+    reconstructor = VideoReconstructor(camera, KEYPOINTS)
+    for f, points in enumerate(person.keypoints):
+        regions = true_regions(camera, KEYPOINTS, points)
+        pose = reconstructor.update(rendered(camera, regions, points[None], f))
+        off = np.linalg.norm(pose.keypoints - points, axis=1)
+        assert np.median(off) < 0.25
+    assert np.isfinite(pose.newest.sigma).all()
+    floating = VideoReconstructor(camera, KEYPOINTS, VideoOptions(floor_m=None))
+    assert np.isnan(floating.update(rendered(camera, regions, points[None], 0)).keypoints).all()

@@ -1,0 +1,99 @@
+"""One person in the pictures of two neighbouring cameras, seen by the network as a whole: step 7 of
+JP2020-042476A.
+
+About the person the pixels of the second picture go to those of the first by an affine map, which the
+person's expected keypoints tell. The network sees the first picture, and the second where the first has
+ended. Of the heat maps each camera gets the cells that lie in its own picture, with the map from its own
+pixels: a ray belongs to the camera that took the pixel, so that neither the seam nor the distance of the two
+cameras moves a keypoint.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.body.camera import Camera, project
+from gateway.frames import FloatArray
+from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.reconstruction.video.networks.network import Picture, PoseNetwork
+from gateway.reconstruction.video.region import PersonRegion
+
+WHOLE = 0.97
+"""Share of the keypoints in a picture, from which nothing is missing in it."""
+_LEAST_GAIN = 0.06
+"""Share of the keypoints that the second camera must add."""
+_FEWEST = 6
+"""Keypoints from which an affine map follows."""
+
+
+def in_picture(camera: Camera, pixels: FloatArray) -> NDArray[np.bool_]:
+    """(n,) whether pixels (n, 2) lie in the camera's picture; NaN does not."""
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0) & (pixels <= (camera.width - 1, camera.height - 1))
+    return np.asarray(inside.all(axis=1), dtype=np.bool_)
+
+
+def joining(first: Camera, second: Camera, keypoints: FloatArray) -> FloatArray | None:
+    """(2, 3) pixel of the second camera to pixel of the first, about a person with keypoints (n, 3) m.
+
+    None where the first sees all of the person, or the second adds too little.
+    """
+    here, there = project(first, keypoints), project(second, keypoints)
+    inside, beside = in_picture(first, here), in_picture(second, there)
+    if inside.mean() >= WHOLE or (beside & ~inside).mean() < _LEAST_GAIN:
+        return None
+    known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+    if known.sum() < _FEWEST:
+        return None
+    given = np.column_stack([there[known], np.ones(known.sum())])
+    solution, _, rank, _ = np.linalg.lstsq(given, here[known], rcond=None)
+    return np.ascontiguousarray(solution.T) if rank == 3 else None
+
+
+def joined_heat_maps(
+    network: PoseNetwork, first: Picture, second: Picture, region: PersonRegion, joined: FloatArray
+) -> tuple[CameraHeatMaps, CameraHeatMaps]:
+    """The maps of a person for the first and for the second camera.
+
+    region: in the first picture's pixels, beyond its border too. joined: (2, 3) of ``joining``.
+    """
+    corner = np.floor(region.centre - 0.75 * region.size)
+    side = int(np.ceil(1.5 * region.size))
+    canvas = _canvas(first, second, joined, corner, side)
+    maps = network.heat_maps(canvas, PersonRegion(region.centre - corner, region.size, region.roll))
+    to_map = _after(maps.map_from_pixel, np.column_stack([np.eye(2), -corner]))
+    own = _cells_of(first, to_map, maps.likelihood.shape[1:])
+    return (
+        CameraHeatMaps(maps.likelihood * own, to_map),
+        CameraHeatMaps(maps.likelihood * ~own, _after(to_map, joined)),
+    )
+
+
+def _canvas(first: Picture, second: Picture, joined: FloatArray, corner: FloatArray, side: int) -> Picture:
+    """A square of the first picture's pixels from ``corner`` on: the first over the second over black."""
+    moved = joined.copy()
+    moved[:, 2] -= corner
+    canvas = np.asarray(cv2.warpAffine(second, moved, (side, side), flags=cv2.INTER_LINEAR), dtype=np.uint8)
+    left, top = (int(value) for value in corner)
+    height, width = first.shape[:2]
+    x0, x1 = max(0, left), min(width, left + side)
+    y0, y1 = max(0, top), min(height, top + side)
+    if x0 < x1 and y0 < y1:
+        canvas[y0 - top : y1 - top, x0 - left : x1 - left] = first[y0:y1, x0:x1]
+    return canvas
+
+
+def _cells_of(picture: Picture, to_map: FloatArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(rows, columns) cells of a map that lie in a picture."""
+    rows, columns = np.indices(shape).reshape(2, -1)
+    pixels = np.linalg.solve(to_map[:, :2], np.stack([columns, rows]) - to_map[:, 2:]).T
+    height, width = picture.shape[:2]
+    inside = (pixels >= -0.5) & (pixels <= (width - 0.5, height - 0.5))
+    return np.asarray(inside.all(axis=1), dtype=np.bool_).reshape(shape)
+
+
+def _after(second: FloatArray, first: FloatArray) -> FloatArray:
+    """(2, 3): the affine map ``first``, then ``second``."""
+    return np.column_stack([second[:, :2] @ first[:, :2], second[:, :2] @ first[:, 2] + second[:, 2]])

@@ -1,0 +1,98 @@
+"""Muscles on the live page, of poses over a real broker: as the analysis of the whole motion has them."""
+
+from __future__ import annotations
+
+import asyncio
+
+import aiomqtt
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+pytest.importorskip("mujoco", reason="the extra 'biomech' is not installed")
+pytest.importorskip("osqp", reason="the extra 'biomech' is not installed")
+pytest.importorskip("myo_sim", reason="the extra 'biomech' is not installed")
+
+import viser
+
+from gateway.analysis.analysing import analyse_motion
+from gateway.analysis.inertia import body_inertia
+from gateway.analysis.live import GRAVITY
+from gateway.analysis.muscles import find_muscles
+from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.rig import load_rig
+from gateway.outputs.messages import BridgeState, PoseMessage, describe_body
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.topics import Topics
+from gateway.viewer import muscle_wires
+from gateway.viewer.live import LiveViewer
+
+pytestmark = pytest.mark.system
+BODY = load_rig("suit_17").skeleton
+ROOT = (0.3, -0.2, 0.93)
+KG = 70.0
+TIMES_S = np.arange(140) * 0.02
+LEGS = ("pelvis", "thigh", "shank", "foot")
+
+
+def bow(time_s):
+    """(S, 4): the trunk goes forward and back."""
+    angle = 0.6 * np.sin(1.7 * time_s) ** 2
+    turned = Rotation.from_quat(BODY.neutral, scalar_first=True) * Rotation.from_rotvec([0.0, 0.0, -angle])
+    is_leg = np.array([name.endswith(LEGS) for name in BODY.segment_names])
+    return np.where(is_leg[:, None], BODY.neutral, turned.as_quat(scalar_first=True))
+
+
+def message(index, is_placed):
+    names, q_wb = BODY.segment_names, bow(TIMES_S[index]).tolist()
+    return PoseMessage(
+        t_ns=round(TIMES_S[index] * 1e9), seq=index, frame="ENU", order="wxyz", root="pelvis",
+        segments=dict(zip(names, map(tuple, q_wb), strict=True)), status=dict.fromkeys(names, "measured"),
+        position={"pelvis": ROOT} if is_placed else None,
+    )  # fmt: skip
+
+
+async def watched(port, monkeypatch, is_placed):
+    """What the page is told of muscles, and its legends, while the motion is published."""
+    told, legends = [], []
+    drawn, legend = muscle_wires.segments_of, muscle_wires._legend
+    monkeypatch.setattr(muscle_wires, "segments_of", lambda found, at: told.append(found) or drawn(found, at))
+    monkeypatch.setattr(
+        muscle_wires, "_legend", lambda is_placed: legends.append(legend(is_placed)) or legends[-1]
+    )
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    topics = Topics("mocap", "lab")
+    showing = asyncio.create_task(LiveViewer(server, MqttSettings(port=port), "lab", KG).run())
+    async with aiomqtt.Client("127.0.0.1", port) as client:
+        await client.publish(topics.bridge_state, BridgeState(state="online").payload(), retain=True)
+        await client.publish(topics.body, describe_body(BODY).payload(), retain=True)
+        while not legends:  # the page knows the body
+            assert not showing.done()
+            await asyncio.sleep(0.05)
+        for index in range(len(TIMES_S)):
+            await client.publish(topics.pose, message(index, is_placed).payload())
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.3)
+    showing.cancel()
+    await asyncio.gather(showing, return_exceptions=True)
+    server.stop()
+    return told, legends
+
+
+async def test_the_page_has_the_activities_of_the_whole_motion(mosquitto, monkeypatch):
+    told, legends = await watched(mosquitto.port, monkeypatch, is_placed=True)
+    motion = np.array([bow(t) for t in TIMES_S])
+    smooth = smooth_motion(BODY, TIMES_S, motion, np.tile(ROOT, (len(TIMES_S), 1)), 6.0)
+    whole = find_muscles(analyse_motion(smooth, "bow", body_inertia(BODY, KG), GRAVITY))
+    assert len(told) >= 3  # a busy machine draws few pictures
+    for found in told:
+        then = whole.activity[int(np.argmin(np.abs(TIMES_S - found.time_s)))]
+        assert found.activity == pytest.approx(then, abs=0.06)
+    assert max(found.activity.max() for found in told) > 0.1
+    assert all(muscle_wires.NOT_PLACED not in each for each in legends)
+
+
+async def test_the_page_says_that_positions_are_missing(mosquitto, monkeypatch):
+    _, legends = await watched(mosquitto.port, monkeypatch, is_placed=False)
+    assert muscle_wires.NOT_PLACED in legends[-1]
