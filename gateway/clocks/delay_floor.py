@@ -61,7 +61,7 @@ class DelayFloor:
     def take_back(self, forgets_delays: bool = False) -> None:
         """Be as at the last ``begin`` or ``rebase``: what was taken in since then comes once more.
 
-        The mean delay found meanwhile stays, but with ``forgets_delays``: it was waiting that was taken for it.
+        The mean delay found meanwhile stays, but with ``forgets_delays``: then it was waiting for a slot.
         """
         self.packets = 0
         self._time_us, x, self._P = self._begun
