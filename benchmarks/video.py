@@ -124,7 +124,7 @@ def _figures(points: dict[str, FloatArray]) -> list[Figure]:
 def _in_step(seen: Seen) -> Figure:
     rows = [seen.person.names.index(name) for name in LIMBS]
     return Figure(
-        "pictures_off_in_time", off_in_pictures(seen, rows, _reference()), "pictures", "<=0",
+        "pictures_off_in_time", abs(off_in_pictures(seen, rows, _reference())), "pictures", "<=0",
         "by which 2D points and the reference, by its own times, match best: no part of the disagreement",
     )  # fmt: skip
 

@@ -6,16 +6,21 @@ import contextlib
 import selectors
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 from typing import Protocol
 
+from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps
 from devices.cameras.pictures import CameraError, open_pictures
 from gateway.cameras.camera_process import CameraTask, instant_of, message_of
 from gateway.cameras.person_follower import PersonFollower
 from gateway.reconstruction.video.networks.network import load_network
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
+from gateway.recording.reading import open_recording
 
+RECORDING = ".mcap"
 _MOST_WAITING = 1 << 18
 """Bytes that a receiver may be behind; more, and it misses messages."""
 
@@ -57,18 +62,59 @@ def serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None = No
 
     begin_s: when a file begins, seconds since the epoch; None: when there is somebody to take it.
     """
-    source = open_pictures(task.place, task.rate_hz)
-    follower = PersonFollower(load_network(task.network), PersonDetector())
+    is_recorded = Path(task.place).suffix == RECORDING
+    source = _Recorded(task) if is_recorded else _LookedAt(task)
     with contextlib.closing(source), contextlib.closing(sink), contextlib.suppress(KeyboardInterrupt):
         if begin_s is not None:
             time.sleep(max(0.0, begin_s - time.time()))
-        elif source.info.count is not None:
+        elif not source.is_live:
             sink.wait_for_first()
         begun = time.monotonic()
-        for index, (time_ns, picture) in enumerate(source):
-            if source.info.count is not None and speed > 0:
+        for time_ns, message in source:
+            if not source.is_live and speed > 0:
                 time.sleep(max(0.0, begun + time_ns * 1e-9 / speed - time.monotonic()))
-            sink.offer(message_of(follower, picture, task, *instant_of(task, source.info, index, time_ns)))
+            sink.offer(message())
+
+
+class _LookedAt:
+    """Pictures of a camera through the network."""
+
+    def __init__(self, task: CameraTask) -> None:
+        self._task = task
+        self._source = open_pictures(task.place, task.rate_hz)
+        self._follower = PersonFollower(load_network(task.network), PersonDetector())
+        self.is_live = self._source.info.count is None
+        self.close = self._source.close
+
+    def __iter__(self) -> Iterator[tuple[int, Callable[[], bytes]]]:
+        """When, ns after the first one, and what makes the message then."""
+        for index, (time_ns, picture) in enumerate(self._source):
+            instant = instant_of(self._task, self._source.info, index, time_ns)
+            yield time_ns, partial(message_of, self._follower, picture, self._task, *instant)
+
+
+class _Recorded:
+    """The heat maps that a recording of ``video solve`` has of one camera: no picture, no network."""
+
+    is_live = False
+
+    def __init__(self, task: CameraTask) -> None:
+        recording = open_recording(Path(task.place))
+        receiver = HeatMapReceiver()
+        every = [each for chunk in recording.chunks() for each in receiver.receive(chunk.data)]
+        self._messages = [each for each in every if each.camera == task.name]
+        if not self._messages:
+            known = ", ".join(sorted({each.camera for each in every})) or "none"
+            raise CameraError(f"{task.place} has no camera '{task.name}' (its cameras: {known})")
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def __iter__(self) -> Iterator[tuple[int, Callable[[], bytes]]]:
+        """When, ns after the first one, and the message."""
+        first = self._messages[0].time_ns
+        for each in self._messages:
+            yield each.time_ns - first, partial(encode_heat_maps, each)
 
 
 @contextlib.contextmanager

@@ -20,7 +20,10 @@ _DAY_S = 86_400
 
 
 def serve_camera(
-    place: Annotated[str, typer.Argument(help="Video, folder of images, or v4l:///dev/video0.")],
+    place: Annotated[
+        str,
+        typer.Argument(help="Video, folder, v4l:///dev/video0, or recording of `solve`."),
+    ],
     name: Annotated[str, typer.Option(help="Of the camera, as the calibration has it.")],
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0: any that is free.")] = 9765,
     host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 for all.")] = "127.0.0.1",
@@ -46,7 +49,8 @@ def serve_camera(
 
     Every gateway that connects gets the messages from then on. In its configuration the link is
     url: tcp://HOST:PORT, or mqtt:///TOPIC at its own broker, with carries: heat_maps. Files of several
-    cameras keep together when all begin --at the same time.
+    cameras keep together when all begin --at the same time. Of a recording the heat maps are served as they
+    are, without pictures or network.
     """
     begin_s = None if at is None else moment(at, time.time())
     task = CameraTask(name, place, network, rate)

@@ -138,15 +138,13 @@ def _people(
     captured: Sequence[Instants], target: Path, subject: Path | None, *, force: bool
 ) -> Iterator[tuple[Instants, Path, Path | None]]:
     """What is seen of each, and where recording and person go. Raises ``GatewayError`` where they may not."""
-    if len(captured) == 1:
-        yield captured[0], target, subject
-        return
-    places = [target.with_stem(f"{target.stem}_{n}") for n, _ in enumerate(captured, start=1)]
+    names = [f"_{n}" for n, _ in enumerate(captured, start=1)] if len(captured) > 1 else [""]
+    places = [target.with_stem(target.stem + name) for name in names]
     for place in places:
         if place.exists() and not force:
             raise GatewayError(f"{place} exists: name other files with --output, or replace it with --force")
-    for n, (messages, place) in enumerate(zip(captured, places, strict=True), start=1):
-        yield messages, place, None if subject is None else subject.with_stem(f"{subject.stem}_{n}")
+    for messages, place, name in zip(captured, places, names, strict=True):
+        yield messages, place, None if subject is None else subject.with_stem(subject.stem + name)
 
 
 def _target(files: Sequence[str], output: Path | None, to: Sequence[str], *, force: bool) -> Path:
@@ -231,7 +229,8 @@ def _tell(outcome: dict[str, Any]) -> None:
             table.add_row(name, f"{each['tracked_percent']:.0f}", f"{each['likelihood']:.2f}")
         Console().print(table)
     apart = ", ".join(f"{name} {mm:.0f}" for name, mm in outcome["rays_apart_mm"].items())
-    typer.echo(f"rays of a camera pass those of the others at (median, mm): {apart}")
+    if apart:
+        typer.echo(f"rays of a camera pass those of the others at (median, mm): {apart}")
     typer.echo(
         f"{outcome['file']}: {outcome['frames']} frames, {outcome['ms_per_frame']:.1f} ms a frame after the "
         "heat maps"

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps
@@ -45,7 +46,7 @@ def from_floor(model: CameraModel, maps: CameraHeatMaps, names: Sequence[str], f
 
 
 def _nearest_foot(
-    position: FloatArray, directions: FloatArray, sure: FloatArray, names: Sequence[str], floor: float
+    position: FloatArray, directions: FloatArray, sure: NDArray[np.bool_], names: Sequence[str], floor: float
 ) -> FloatArray | None:
     """Where the ray through the lowest keypoint of a foot meets the floor, (3,) m: the other may be lifted,
     and then seems farther away."""

@@ -1,8 +1,9 @@
 """Left and right that a network takes for each other in one camera, put back. Compiled.
 
 From the side or from behind a network may call the left arm the right one for seconds, as sure of itself as
-ever. The body as it goes on tells: where the maps of a pair are far likelier the other way round, in no more
-than half of the cameras, the two maps are exchanged. If most cameras say so, it is the body that is wrong.
+ever. The body as it goes on tells: where the maps of a pair are far likelier the other way round in one
+camera, and all cameras together do not find so, the two maps are exchanged. If all together do, it is the
+body that is wrong.
 """
 
 from __future__ import annotations
@@ -42,8 +43,7 @@ def sides_put_right(
     for c, (model, seen) in enumerate(zip(models, maps, strict=True)):
         if seen is not None:
             gains[c] = _gains(model, seen.likelihood, seen.map_from_pixel, expected, pairs)
-    crossed = gains > _LIKELIER
-    crossed &= 2 * crossed.sum(axis=0) <= np.isfinite(gains).sum(axis=0)
+    crossed = (gains > _LIKELIER) & (np.nansum(gains, axis=0) < _LIKELIER)
     return [
         seen if seen is None or not rows.any() else _exchanged(seen, pairs[rows])
         for seen, rows in zip(maps, crossed, strict=True)

@@ -208,12 +208,13 @@ def test_the_command_calibrates_from_folders(tmp_path):
 
 
 def test_pictures_that_were_not_taken_at_once_are_no_scene(lens_views):
-    """Those of the lens, another for each camera at the same place."""
+    """The n-th ones show the board at different places."""
     blank = np.zeros((SIZE[1], SIZE[0], 3), dtype=np.uint8)
     pictures = [BoardPicture(str(n), blank, view) for n, view in enumerate(lens_views)]
-    taken = {"a": pictures, "b": pictures[2:] + pictures[:2]}
+    lenses = {"a": pictures, "b": pictures}
+    scene = {"a": pictures[:2], "b": pictures[3:5]}
     with pytest.raises(GatewayError, match=r"camera '.': corners .* pixels off .* with --scene"):
-        calibrate_cameras(CHECKERBOARD, taken, CHECKERBOARD, taken)
+        calibrate_cameras(CHECKERBOARD, lenses, CHECKERBOARD, scene)
 
 
 @pytest.mark.slow

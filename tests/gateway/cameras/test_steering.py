@@ -12,6 +12,8 @@ from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.regions import person_region
 from gateway.reconstruction.video.sides import pairs_of
 
+pytestmark = pytest.mark.timeout(600)  # whichever test comes first compiles
+
 CAMERAS = ring_of_cameras(3)
 KEYPOINTS = load_keypoint_set("blazepose_33")
 WALKER = walking(KEYPOINTS, 8, (-0.3, 0.2), (0.5, 0.8))
