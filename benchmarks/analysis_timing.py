@@ -29,9 +29,11 @@ def timing_rows(trial: AnalysedTrial, begin_s: float, end_s: float) -> list[list
 
 
 def _axes(trial: AnalysedTrial, centre_of_mass: FloatArray, begin_s: float, end_s: float) -> list[str]:
-    time_s = trial.measured.time_s - trial.measured.time_s[0]
+    known = np.flatnonzero(np.isfinite(centre_of_mass).all(axis=1))  # a file's may begin late and end early
+    frames = slice(int(known[0]), int(known[-1]) + 1)
+    time_s = (trial.measured.time_s - trial.measured.time_s[0])[frames]
     among = (time_s > begin_s) & (time_s < end_s)
-    smooth = low_pass(centre_of_mass, trial.trial.rate_hz, CUTOFF_HZ)
+    smooth = low_pass(centre_of_mass[frames], trial.trial.rate_hz, CUTOFF_HZ)
     taken = trial.files.body_kg * make_interp_spline(time_s, smooth, k=5)(time_s, 2)[among]
     total = np.sum([plate.force for plate in trial.plates.plates], axis=0)
     force = low_pass(total, trial.plates.rate_hz, CUTOFF_HZ)

@@ -38,10 +38,8 @@ class ContactSettings:
     height_m: float = 0.030
     """Above the floor, at which a point is half as likely to carry."""
     height_spread_m: float = 0.008
-    landing_m_s: float = 0.5
-    """At which a point that slows down is half as likely to carry: it is stopped by the floor."""
-    leaving_m_s: float = 1.2
-    """At which a point that speeds up is half as likely to carry: it is still pushed by the floor."""
+    speed_m_s: float = 1.0
+    """At which a point is half as likely to carry."""
     speed_spread_m_s: float = 0.15
     arm_m: float = 1.0
     """A moment counts as much as a force at this arm."""
@@ -108,10 +106,9 @@ def estimated_floor(
 def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: ContactSettings) -> FloatArray:
     """(F, P) from 0 to 1: how surely points with these paths (F, P, 3) carry."""
     speed = np.linalg.norm(np.gradient(paths, time_s, axis=0), axis=-1)
-    limit = np.where(np.gradient(speed, axis=0) < 0.0, settings.landing_m_s, settings.leaving_m_s)
     above = paths[..., 2] - height_m
     low = expit((settings.height_m - above) / settings.height_spread_m)
-    slow = expit((limit - speed) / settings.speed_spread_m_s)
+    slow = expit((settings.speed_m_s - speed) / settings.speed_spread_m_s)
     sure: FloatArray = np.maximum(low * slow, settings.least_share)
     return sure
 

@@ -19,7 +19,7 @@ from gateway.analysis.joint_torques import angle_axes, joint_torques
 from gateway.analysis.muscle_model import muscle_model
 from gateway.analysis.muscle_paths import MusclePaths
 from gateway.analysis.muscles import knee_flexion, moment_arms, muscle_torques
-from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ, SmoothMotion, smooth_motion
+from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ, SmoothMotion, relative, smooth_motion
 from gateway.analysis.tension import TensionSolver
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
@@ -41,8 +41,6 @@ class LiveActivity:
     time_s: float
     """Instant of the activities: that of the newest pose less ``LAG_S``."""
     activity: FloatArray  # (W,) 0 to 1
-    paths: tuple[FloatArray, ...]
-    """Of each its points (n, 3) m in the world, in the posture of the newest pose."""
 
 
 class LiveMuscles:
@@ -80,13 +78,19 @@ class LiveMuscles:
         axes = angle_axes(self._skeleton, angles, dynamics.rotation_wb)
         torques = joint_torques(self._skeleton, axes, dynamics.moment)
         knees = knee_flexion(self._skeleton, angles)
-        then, newest = ({side: float(flexion[i]) for side, flexion in knees.items()} for i in (0, -1))
+        then = {side: float(flexion[0]) for side, flexion in knees.items()}
         self._paths.place(motion.root[told.start], motion.rotation[told.start], then)
         arms = moment_arms(self._paths, self._asked, dynamics.rotation_wb[0], axes[0], then)
         wanted = np.array([torques[0, j, k] for j, k in self._asked])
         activity, _ = self._solver.solve(arms, wanted, np.zeros(len(self._largest)))
-        self._paths.place(self._poses[-1][2], motion.rotation[-1], newest)
-        return LiveActivity(self._poses[-1][0] - LAG_S, activity, tuple(self._paths.polylines()))
+        return LiveActivity(self._poses[-1][0] - LAG_S, activity)
+
+    def wires(self, q_wb: FloatArray, root: FloatArray) -> list[FloatArray]:
+        """Of each muscle its points (n, 3) m in the world, in any posture: q_wb (S, 4), root (3,) m."""
+        angles = joint_angles(self._skeleton, q_wb[None])
+        flexion = {side: float(knee[0]) for side, knee in knee_flexion(self._skeleton, angles).items()}
+        self._paths.place(root, relative(self._skeleton, q_wb[None])[0], flexion)
+        return self._paths.polylines()
 
     def _dynamics(self, motion: SmoothMotion, told: slice) -> Dynamics:
         """Of the instants that are told, the first of them with the floor's forces."""

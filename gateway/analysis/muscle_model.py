@@ -37,6 +37,7 @@ TRUNK = ("ercspn", "intobl", "extobl")
 _SIDES = {"_l": "left_", "_r": "right_"}
 WRAP_SPHERE = 4
 """In mujoco's kinds of what a wire slides over; a cylinder is the next."""
+_GAINS = 9
 _PEAK_FORCE = 2
 """In the parameters of a muscle's gain."""
 
@@ -64,6 +65,12 @@ class Wire:
     peak_force_n: float
     """Isometric, at its best length."""
     points: tuple[WirePoint, ...]
+    gain: FloatArray
+    """(9,) of mujoco's muscle: how the force follows length and speed."""
+    length_range: FloatArray
+    """(2,) m between which the model's wire can be."""
+    standing_length_m: float
+    """Of the model's wire, in its standing posture."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +132,13 @@ class _Reader:
             name = model.actuator(i).name
             start, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
             points = tuple(self._point(w, _side(name)) for w in range(start, start + count))
-            wires.append(Wire(name, float(model.actuator_gainprm[i, _PEAK_FORCE]), points))
+            gain = model.actuator_gainprm[i, :_GAINS].copy()
+            wires.append(
+                Wire(
+                    name, float(gain[_PEAK_FORCE]), points, gain, model.actuator_lengthrange[i].copy(),
+                    float(model.tendon_length0[tendon]),
+                )
+            )  # fmt: skip
         tips = {}
         for end, side in _SIDES.items():
             hip, knee, ankle = (self._at(f"{body}{end}") for body in ("femur", "tibia", "talus"))

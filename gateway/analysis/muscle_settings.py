@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from gateway.analysis.muscle_curves import Curves
 from gateway.errors import GatewayError, SettingsError, nearest
 from gateway.frames import FloatArray
 from gateway.settings_files import load_settings
@@ -50,6 +52,10 @@ class MuscleFile(_Strict):
     strength: Annotated[float, Field(gt=0, le=10)] = Field(
         default=1.0, description="largest force of all muscles, of the model's"
     )
+    curves: Curves = Field(
+        default=Curves.NONE,
+        description="what the largest force follows: none, length, or length_velocity of the muscle",
+    )
     muscles: list[MuscleEntry] = []
     guide: GuideSettings | None = None
 
@@ -61,17 +67,20 @@ class MuscleCosts:
     strength: FloatArray  # (W,)
     bias: FloatArray  # (F, W)
     weight: FloatArray  # (F, W)
+    is_force: NDArray[np.bool_]  # (W,) whose bias was measured as a force, at the largest force
+    curves: Curves = Curves.NONE
 
 
 def plain_costs(names: tuple[str, ...], frames: int) -> MuscleCosts:
     """All alike."""
-    return MuscleCosts(np.ones(len(names)), np.zeros((frames, len(names))), np.ones((frames, len(names))))
+    zero = np.zeros((frames, len(names)))
+    return MuscleCosts(np.ones(len(names)), zero, np.ones_like(zero), np.zeros(len(names), dtype=bool))
 
 
 def load_costs(path: Path, names: tuple[str, ...], peak_n: FloatArray, time_s: FloatArray) -> MuscleCosts:
     """Of a file, for these muscles and instants. Raises ``SettingsError`` naming file, entry and remedy."""
     file = load_settings(path, MuscleFile)
-    found = plain_costs(names, len(time_s))
+    found = replace(plain_costs(names, len(time_s)), curves=file.curves)
     found.strength[:] = file.strength
     for number, entry in enumerate(file.muscles):
         meant = [i for i, name in enumerate(names) if fnmatchcase(name, entry.name)]
@@ -110,6 +119,7 @@ def _guide(
         within = (time_s >= measured_at[known][0]) & (time_s <= measured_at[known][-1])
         into.bias[within, w] = np.clip(np.interp(time_s[within], measured_at[known], share), 0.0, 1.0)
         into.weight[within, w] = weight
+        into.is_force[w] |= is_force
 
 
 def _read_table(path: Path) -> dict[str, FloatArray]:

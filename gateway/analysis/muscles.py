@@ -9,7 +9,8 @@ import numpy as np
 
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.inertia import part_name
-from gateway.analysis.muscle_model import MuscleModel, muscle_model
+from gateway.analysis.muscle_curves import force_shares
+from gateway.analysis.muscle_model import muscle_model
 from gateway.analysis.muscle_paths import MusclePaths, absent_segments
 from gateway.analysis.muscle_settings import MuscleCosts, plain_costs
 from gateway.analysis.tension import TensionSolver
@@ -30,7 +31,8 @@ class MuscleResult:
     """F instants of W muscles, and the R torques that they were asked for."""
 
     names: tuple[str, ...]
-    largest_force: FloatArray  # (W,) N
+    largest_force: FloatArray  # (W,) N, at the best length
+    share: FloatArray  # (F, W) of it that the muscle has at its length and speed; 1 without curves
     activity: FloatArray  # (F, W) tension over largest force, 0 to 1
     paths: tuple[tuple[FloatArray, ...], ...]
     """For each instant and muscle its points (n, 3) m in the world."""
@@ -42,7 +44,7 @@ class MuscleResult:
     @property
     def tension(self) -> FloatArray:
         """(F, W) N."""
-        tension: FloatArray = self.activity * self.largest_force
+        tension: FloatArray = self.activity * self.largest_force * self.share
         return tension
 
 
@@ -70,32 +72,37 @@ def find_muscles(
     found: Analysis,
     costs: Callable[[MusclePaths], MuscleCosts] | None = None,
     progress: Progress | None = None,
-    model: MuscleModel | None = None,
 ) -> MuscleResult:
-    """costs: of the muscles that the body carries; None: all alike. model: None for the published one.
+    """costs: of the muscles that the body carries; None: all alike.
 
     Raises ``GatewayError`` for a body without legs, or without the extra ``biomech``.
     """
-    paths = MusclePaths(found.skeleton, model or muscle_model())
+    paths = MusclePaths(found.skeleton, muscle_model())
     asked = muscle_torques(found.skeleton)
     frames, names = len(found.time_s), tuple(wire.name for wire in paths.wires)
     chosen = plain_costs(names, frames) if costs is None else costs(paths)
     largest = np.array([wire.peak_force_n for wire in paths.wires]) * chosen.strength
-    solver = TensionSolver(largest, len(asked), chosen.weight[0])
-    activity, arms = np.zeros((frames, len(names))), np.zeros((frames, len(asked), len(names)))
-    left = np.zeros((frames, len(asked)))
+    activity, lengths = np.zeros((2, frames, len(names)))
+    arms, left = np.zeros((frames, len(asked), len(names))), np.zeros((frames, len(asked)))
     drawn = []
     knees = knee_flexion(found.skeleton, found.angles)
     for f in range(frames):
         flexion = {side: float(angles[f]) for side, angles in knees.items()}
         paths.place(found.motion.root[f], found.motion.rotation[f], flexion)
         arms[f] = moment_arms(paths, asked, found.dynamics.rotation_wb[f], found.axes[f], flexion)
-        wanted = np.array([found.torques[f, j, k] for j, k in asked])
-        activity[f], left[f] = solver.solve(arms[f], wanted, chosen.bias[f], chosen.weight[f])
+        lengths[f] = paths.lengths()
         drawn.append(tuple(paths.polylines()))
         if progress is not None and f % _FRAMES_A_TELLING == 0:
-            progress(f, frames)
-    return MuscleResult(names, largest, activity, tuple(drawn), asked, arms, left)
+            progress(f, 2 * frames)
+    share = force_shares(paths, lengths, found.time_s, chosen.curves)
+    bias = np.where(chosen.is_force, np.clip(chosen.bias / share, 0.0, 1.0), chosen.bias)
+    solver = TensionSolver(largest, len(asked), chosen.weight[0])
+    for f in range(frames):
+        wanted = np.array([found.torques[f, j, k] for j, k in asked])
+        activity[f], left[f] = solver.solve(arms[f] * share[f], wanted, bias[f], chosen.weight[f])
+        if progress is not None and f % _FRAMES_A_TELLING == 0:
+            progress(frames + f, 2 * frames)
+    return MuscleResult(names, largest, share, activity, tuple(drawn), asked, arms, left)
 
 
 def moment_arms(

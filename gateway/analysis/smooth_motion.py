@@ -78,7 +78,7 @@ def smooth_motion(
             f"{_FEWEST_PERIODS / cutoff_hz:.2f} s at least, or a higher --cutoff (0: none)"
         )
     rate_hz = (len(time_s) - 1) / lasts_s
-    turned = _continuous(_relative(skeleton, q_wb))
+    turned = _continuous(relative(skeleton, q_wb))
     turned, places = low_pass(turned, rate_hz, cutoff_hz), low_pass(root, rate_hz, cutoff_hz)
     path = make_interp_spline(time_s, places, k=5)
     curve = make_interp_spline(time_s, turned.reshape(len(turned), -1), k=5)
@@ -155,7 +155,8 @@ def matrices(q: FloatArray) -> FloatArray:
     return shaped
 
 
-def _relative(skeleton: Skeleton, q_wb: FloatArray) -> FloatArray:
+def relative(skeleton: Skeleton, q_wb: FloatArray) -> FloatArray:
+    """(F, S, 4) of each segment to its parent, of the root to the world. q_wb: (F, S, 4)."""
     turned = q_wb.copy()
     for s, parent in enumerate(skeleton.parents.tolist()):
         if parent >= 0:

@@ -90,6 +90,8 @@ def analyse_file(
     """
     require_biomech()
     require_matplotlib()
+    if file.is_dir():
+        raise GatewayError(f"{file} is a folder: name a recording, or a trial of markers, in it")
     folder = output or file.with_name(f"{file.stem}_analysis")
     if folder.exists() and not force:
         raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")

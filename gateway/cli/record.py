@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ from rich.live import Live
 from rich.table import Table
 
 from gateway.body.rig import load_rig
+from gateway.cli.compiling import told_when_compiling
 from gateway.cli.preparing import make_ready
 from gateway.cli.run import until_signal
 from gateway.log_format import set_up_logging
@@ -44,7 +46,8 @@ def record(
     suit = load_rig(settings.rig, config)
     set_up_logging(settings.log.level, settings.log.format)
     make_ready(fitting_suit(settings, suit).reconstructor)
-    service = Service(settings, suit)
+    with told_when_compiling(partial(typer.echo, err=True)):
+        service = Service(settings, suit)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))
     status = service.recording.status()
     typer.echo(

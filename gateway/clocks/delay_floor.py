@@ -58,11 +58,16 @@ class DelayFloor:
         self._P = np.diag([_OFFSET_SIGMA_US**2, rate_sigma_ppm**2])
         self._remember()
 
-    def take_back(self) -> None:
-        """Be as at the last ``begin`` or ``rebase``, but for the mean delay: what came since comes anew."""
+    def take_back(self, forgets_delays: bool = False) -> None:
+        """Be as at the last ``begin`` or ``rebase``: what was taken in since then comes once more.
+
+        The mean delay found meanwhile stays, but with ``forgets_delays``: then it was waiting for a slot.
+        """
         self.packets = 0
         self._time_us, x, self._P = self._begun
         self._x = x.copy()
+        if forgets_delays:
+            self._mean_delay_us = _MEAN_DELAY_US
 
     def rebase(self) -> None:
         """Module time is counted from anew, and the floor is what it was."""

@@ -17,9 +17,11 @@ _MOST_PACKETS = 2_000
 _SLEW_PPM = 500.0
 _FIRST_SLEW_PPM = 20_000.0
 _SETTLING_US = 10_000_000
+_OPENING_US = 5_000_000
 _STEP_US = 50_000.0
 """An estimate that is off by more is adopted at once: slewing would take too long."""
 _IN_STEP = 0.02
+_SLOT_NEWS = 0.2
 _UNREST_GAIN, _UNREST_SIGMAS = 0.5, 2.0
 """A rate that still moves from block to block is not as well known as its covariance has it: delays that come
 in bursts are less independent than the estimate takes them for."""
@@ -50,6 +52,7 @@ class EstimatedClock:
         self._round_trip = DelayFloor(TRANSPORT)  # exchanges only; by the clock of the way back
         self._steps = 0
         self._unrest_ppm = 0.0
+        self._believed_slot_us = self._batching.slot_us
         self._begin(0, 0)
 
     def _begin(self, stamp_us: int, arrived_ns: int) -> None:
@@ -142,7 +145,7 @@ class EstimatedClock:
         is_first = not self._back.is_known
         elapsed_s = (np.array(self._elapsed, dtype=np.float64) - newest_us) * 1e-6
         if self._is_opening:
-            self._back.take_back()
+            self._back.take_back(forgets_delays=self._slot_is_news())
             self._round_trip.take_back()
         self._back.update(newest_us, elapsed_s, np.array(self._delays), self._slot_us(elapsed_s))
         if self._exchanges:
@@ -151,7 +154,7 @@ class EstimatedClock:
             trips_us = received[:, 1] + self._back.offset_us(newest_us) + self._back.rate_ppm * since_s
             self._round_trip.update(newest_us, since_s, trips_us, 0.0)
         self._follow(newest_us, is_first)
-        if newest_us >= _SETTLING_US or len(self._delays) >= _MOST_PACKETS:
+        if newest_us >= _OPENING_US or len(self._delays) >= _MOST_PACKETS:
             self._is_opening = False
         if not self._is_opening:
             self._elapsed, self._delays, self._exchanges = [], [], []
@@ -175,6 +178,11 @@ class EstimatedClock:
         self._fade_us = max(_FADE_US, abs(correction_us) / (slew_ppm * 1e-6))
         self._fit_us, self._offset_us, self._rate = newest_us, offset_us, rate_ppm * 1e-6
         self._expected_us = self._start_us - int(offset_us)
+
+    def _slot_is_news(self) -> bool:
+        """Whether the link turned out to hand over otherwise than was believed until now."""
+        before_us, self._believed_slot_us = self._believed_slot_us, self._batching.slot_us
+        return abs(self._believed_slot_us - before_us) > _SLOT_NEWS * max(self._believed_slot_us, before_us)
 
     def _slot_us(self, elapsed_s: FloatArray) -> float:
         """The link's slot, unless the module samples in step with it: then it tells nothing.

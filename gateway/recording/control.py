@@ -209,6 +209,7 @@ class RecordingControl:
 
     def _say_why_it_ended(self, reason: str) -> None:
         """Called in the recorder's thread."""
+        self._lasted_s = time.monotonic() - self._begun
         if reason == "stopped":
             log.info("recording ended")
         else:

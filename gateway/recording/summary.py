@@ -90,6 +90,10 @@ def recordings_in(folder: Path) -> Iterator[Recording | RecordingError]:
     """
     try:
         paths = sorted(path for path in folder.iterdir() if path.suffix == fmt.SUFFIX)
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"there is no folder {folder}: the first `mocap-gateway record` makes it; or name another one"
+        ) from error
     except OSError as error:
         raise RecordingError(f"{folder} cannot be read: {error.strerror}") from error
     shown: set[Path] = set()

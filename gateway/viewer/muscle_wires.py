@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import viser
 from numpy.typing import NDArray
 
 from gateway.analysis.body_model import require_biomech
-from gateway.analysis.live import SPAN_S, LiveActivity, LiveMuscles
+from gateway.analysis.live import SPAN_S, LiveMuscles
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
@@ -44,8 +45,7 @@ class MuscleWires:
         self._muscles = LiveMuscles(_with_joints(skeleton), body_kg)
         self._lines: viser.LineSegmentsHandle | None = None
         self._due_s = -np.inf
-        self._points = np.zeros((0, 2, 3), np.float32)
-        self._colours = np.zeros((0, 2, 3), np.uint8)
+        self._activity: FloatArray | None = None
         self._legend = server.gui.add_html(_legend(is_placed=True))
         self._is_placed = True
 
@@ -65,7 +65,7 @@ class MuscleWires:
             self._muscles.add(time_s, q_wb, root)
 
     def draw(self, time_s: float, posture: Posture) -> None:
-        """A posture came; the wires follow ten times in a second of its time."""
+        """A posture came: the wires lie on it; activities follow ten times in a second of its time."""
         place = posture.p_w[self._root]
         if posture.is_placed != self._is_placed:
             self._is_placed = posture.is_placed
@@ -74,27 +74,21 @@ class MuscleWires:
         if not 0.0 <= self._due_s - time_s < EVERY_S:
             self._due_s = time_s + EVERY_S
             found = self._muscles.now()
-            if found is None:
-                self._clear()
-                return
-            self._points, colours = segments_of(found, place)
-            self._show(place, colours)
-        elif self._lines is not None:  # between two drawings wires go with the root
-            self._show(place, self._colours)
+            self._activity = None if found is None else found.activity
+        if self._activity is None:
+            self._clear()
+            return
+        paths = self._muscles.wires(posture.q_wb, place)
+        self._show(*segments_of(self._activity, paths, self._stage.middle))
 
-    def _show(self, place: FloatArray, colours: NDArray[np.uint8]) -> None:
-        """place: (3,) m, of the root. The node itself is not moved: it would lag behind the body."""
-        points = self._points + (place - self._stage.middle).astype(np.float32)
-        if self._lines is None:
-            self._lines = self._server.scene.add_line_segments(
-                "/body/muscles", points, colours, thickness=0.007
-            )
-        else:
+    def _show(self, points: NDArray[np.float32], colours: NDArray[np.uint8]) -> None:
+        """The node itself is not moved: it would lag behind the body."""
+        if self._lines is not None and self._lines.points.shape == points.shape:
             with self._server.atomic():
-                self._lines.points = points
-                if colours is not self._colours:
-                    self._lines.colors = colours
-        self._colours = colours
+                self._lines.points, self._lines.colors = points, colours
+            return
+        self._clear()  # a wire that begins to slide over a bone has more parts than before
+        self._lines = self._server.scene.add_line_segments("/body/muscles", points, colours, thickness=0.007)
 
 
 def muscle_wires(
@@ -104,11 +98,13 @@ def muscle_wires(
     return None if body_kg is None else MuscleWires(server, stage, skeleton, body_kg)
 
 
-def segments_of(found: LiveActivity, origin: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def segments_of(
+    activity: FloatArray, paths: Sequence[FloatArray], origin: FloatArray
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Ends (n, 2, 3) m and colours (n, 2, 3) of all wires' straight parts. origin: (3,) m, taken off."""
-    parts = [np.stack([path[:-1], path[1:]], axis=1) for path in found.paths]
+    parts = [np.stack([path[:-1], path[1:]], axis=1) for path in paths]
     counts = [len(part) for part in parts]
-    looks = np.stack([np.interp(found.activity, (0.0, 0.5, 1.0), stops) for stops in _STOPS.T], axis=1)
+    looks = np.stack([np.interp(activity, (0.0, 0.5, 1.0), stops) for stops in _STOPS.T], axis=1)
     of_wires = (255.0 * (looks / 255.0) ** _GAMMA).astype(np.uint8)
     colours = np.repeat(np.repeat(of_wires, counts, axis=0)[:, None], 2, axis=1)
     return (np.concatenate(parts) - origin).astype(np.float32), colours

@@ -21,6 +21,8 @@ from firmware_protocol.commands import Verb
 from firmware_protocol.device_settings import encode_value
 
 LABEL, RATE = 10, 2
+OFF_S = 0.1
+"""Of a module that loses power: back before it is asked again."""
 
 
 @pytest.fixture(autouse=True)
@@ -128,7 +130,7 @@ async def test_writes_are_refused_unless_allowed(configured):
 async def test_a_module_that_restarts_while_it_is_written_ends_right(configured, verb, moment):
     async with configured() as (suit, configurator):
         device = suit.traffic.device(1)
-        device.power_cut = PowerCut(verb, moment=moment)
+        device.power_cut = PowerCut(verb, moment=moment, off_s=OFF_S)
         await configurator.write(suit.unique_id(1), {"label": "left", "sampling_rate": 50.0})
         assert device.boots == 2
         assert (device.settings["label"], device.settings["sampling_rate"]) == ("left", 50.0)
@@ -139,7 +141,7 @@ async def test_a_module_that_restarts_while_it_is_written_ends_right(configured,
 async def test_power_lost_inside_the_flash_ends_right(configured, step):
     async with configured() as (suit, configurator):
         device = suit.traffic.device(1)
-        device.power_cut = PowerCut(Verb.COMMIT, moment=Moment.IN_FLASH, flash_step=step)
+        device.power_cut = PowerCut(Verb.COMMIT, moment=Moment.IN_FLASH, flash_step=step, off_s=OFF_S)
         await configurator.write(suit.unique_id(1), {"label": "left"})
         assert device.boots == 2
         assert device.settings["label"] == "left"
@@ -172,7 +174,7 @@ async def test_swapped_modules_are_set_right_and_never_share_an_id(configured):
 @pytest.mark.parametrize("moment", [Moment.BEFORE, Moment.IN_FLASH, Moment.AFTER])
 async def test_a_swap_ends_right_whenever_a_module_restarts(configured, victim, verb, moment):
     async with configured() as (suit, configurator):
-        suit.traffic.device(victim).power_cut = PowerCut(verb, moment=moment, flash_step=12)
+        suit.traffic.device(victim).power_cut = PowerCut(verb, moment=moment, flash_step=12, off_s=OFF_S)
         await configurator.assign_ids({suit.unique_id(0): 3, suit.unique_id(3): 0})
         assert suit.ids() == {0: 3, 1: 1, 2: 2, 3: 0}
         # It is in the flash, not only in the memory of the device.

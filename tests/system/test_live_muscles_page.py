@@ -18,7 +18,7 @@ import viser
 
 from gateway.analysis.analysing import analyse_motion
 from gateway.analysis.inertia import body_inertia
-from gateway.analysis.live import GRAVITY
+from gateway.analysis.live import GRAVITY, LiveMuscles
 from gateway.analysis.muscles import find_muscles
 from gateway.analysis.smooth_motion import smooth_motion
 from gateway.body.rig import load_rig
@@ -56,8 +56,8 @@ def message(index, is_placed):
 async def watched(port, monkeypatch, is_placed):
     """What the page is told of muscles, and its legends, while the motion is published."""
     told, legends = [], []
-    drawn, legend = muscle_wires.segments_of, muscle_wires._legend
-    monkeypatch.setattr(muscle_wires, "segments_of", lambda found, at: told.append(found) or drawn(found, at))
+    now, legend = LiveMuscles.now, muscle_wires._legend
+    monkeypatch.setattr(LiveMuscles, "now", lambda self: told.append(now(self)) or told[-1])
     monkeypatch.setattr(
         muscle_wires, "_legend", lambda is_placed: legends.append(legend(is_placed)) or legends[-1]
     )
@@ -81,7 +81,8 @@ async def watched(port, monkeypatch, is_placed):
 
 
 async def test_the_page_has_the_activities_of_the_whole_motion(mosquitto, monkeypatch):
-    told, legends = await watched(mosquitto.port, monkeypatch, is_placed=True)
+    answers, legends = await watched(mosquitto.port, monkeypatch, is_placed=True)
+    told = [found for found in answers if found is not None]
     motion = np.array([bow(t) for t in TIMES_S])
     smooth = smooth_motion(BODY, TIMES_S, motion, np.tile(ROOT, (len(TIMES_S), 1)), 6.0)
     whole = find_muscles(analyse_motion(smooth, "bow", body_inertia(BODY, KG), GRAVITY))

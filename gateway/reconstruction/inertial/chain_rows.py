@@ -241,8 +241,8 @@ def field_row(
 
     How far it is off throughout is found beside the heading and taken off: a field that stays as it is holds
     a heading where it was, but does not say where that is. What bends the dip bends the heading too, the more
-    the steeper the field: for ``heading_memory_s`` to the same side where the change lasts, and no longer than
-    it is watched where it comes and goes.
+    the steeper the field: for ``heading_memory_s`` to the same side where the change lasts, for no longer
+    than it is watched where it comes and goes.
     """
     seen, offset = state.field_seen[s], state.field_offset[s]
     change = seen[2] / expected.horizontal

@@ -103,7 +103,7 @@ def learn_joint_arms(
     if state.learnt_s[s] < 0.9 * LEARN_S:  # frames jitter
         return float(state.arm_variance[s])
     interval_s = min(state.learnt_s[s], noise.row_memory_s)
-    state.learnt_s[s] = 0.0 if math.isfinite(state.learnt_s[s]) else -LEARN_S * (s % PHASES) / PHASES
+    state.learnt_s[s] = 0.0 if math.isfinite(state.learnt_s[s]) else -dt * (s % PHASES)
     for i in range(3):
         for j in range(3):
             work.rows[i, j], work.rows[i, 3 + j] = -K[i, j], K_p[i, j]

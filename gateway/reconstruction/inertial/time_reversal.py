@@ -16,8 +16,8 @@ from gateway.reconstruction.inertial.chain_state import FilterState, Noise, init
 
 KEPT = (
     "R", "is_started", "is_open", "silent_s", "force_bias", "arm", "arm_covariance", "compass_s",
-    "field_seen", "field_offset", "sun", "unaided_square", "device_shift", "device_covariance", "device_age_s", "rest",
-    "misfit",
+    "field_seen", "field_offset", "sun", "unaided_square", "device_shift", "device_covariance",
+    "device_age_s", "rest", "misfit",
 )  # fmt: skip
 """Of the state, what is the same seen backward."""
 
@@ -42,6 +42,7 @@ def turned_back(state: FilterState, noise: Noise) -> FilterState:
     back.C[...] = state.C * np.outer(sign, sign)
     forgotten = np.array([noise.start_tilt] * 2 + [noise.start_heading] + [noise.bias] * 3) ** 2
     back.P[:, range(6), range(6)] += forgotten
+    back.field_offset[:, 1] = noise.heading**2
     return back
 
 

@@ -21,7 +21,7 @@ from gateway.reconstruction.optical.pose_solver import (
     solve_pose,
 )
 from gateway.reconstruction.optical.rates import Rates
-from gateway.reconstruction.optical.tracking import NEAR, start_pose, turned_on
+from gateway.reconstruction.optical.tracking import ACCEPTED, NEAR, laid_anew, start_pose, turned_on
 
 _LONGEST = 15
 _FAR = 0.15
@@ -29,8 +29,6 @@ _FAR = 0.15
 _LONGEST_PREDICTION_NS = 60_000_000
 _GOOD_SHARE = 0.5
 """Of the markers seen, that must be near their virtual ones for the body not to count as lost."""
-_ACCEPTED = 0.25
-"""Say from which a marker counts as used."""
 _SMALLEST_VARIANCE = 0.25
 
 
@@ -50,7 +48,8 @@ class OpticalReconstructor:
         self.markers = markers
         self.model = body_model(skeleton, markers)
         self.counts: Counter[str] = Counter()
-        """starts, renamed, rejected, lost (frames without a pose)."""
+        """starts, laid_anew (frames with segments that had been missed), renamed, rejected, lost (frames
+        without a pose)."""
         self.last: MarkerFit | None = None
         self._neutral = quaternion.to_matrix(skeleton.neutral)
         self._rates = Rates()
@@ -97,6 +96,11 @@ class OpticalReconstructor:
         if pose is not None:
             pose, renamed = self._questioned(frame, pose, renamed)
             if _is_good(pose, frame.positions):
+                other = laid_anew(self.model, frame.positions, pose)
+                if other is not None:
+                    self.counts["laid_anew"] += 1
+                    self.reset()
+                    pose, renamed = self._questioned(frame, other, ())
                 self.counts["renamed"] += len(renamed)
                 return pose, renamed
         begun = start_pose(self.model, frame.positions, self._neutral)
@@ -165,13 +169,13 @@ class OpticalReconstructor:
         virtual = self._virtual(pose)
         positions = _with_names(frame, renamed, virtual)
         residuals = np.linalg.norm(positions - virtual, axis=1)
-        used = pose.weights > _ACCEPTED
+        used = pose.weights > ACCEPTED
         return MarkerFit(positions, virtual, residuals, used, renamed, frame.unlabelled)
 
     def _frame(self, frame: MarkerFrame, pose: Pose) -> SkeletonFrame:
         p_w = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)
         rate, acceleration = self._rates.add(frame.time_ns, pose.R, p_w)
-        used = pose.weights > _ACCEPTED
+        used = pose.weights > ACCEPTED
         carried = np.zeros(self.skeleton.n_segments, dtype=bool)
         carried[self.model.segments[used]] = True
         return SkeletonFrame(
@@ -222,4 +226,4 @@ def _with_names(frame: MarkerFrame, renamed: Renamed, virtual: FloatArray) -> Fl
 
 def _is_good(pose: Pose, observed: FloatArray) -> bool:
     seen = np.isfinite(observed).all(axis=1).sum()
-    return bool((pose.weights > _ACCEPTED).sum() >= _GOOD_SHARE * seen)
+    return bool((pose.weights > ACCEPTED).sum() >= _GOOD_SHARE * seen)

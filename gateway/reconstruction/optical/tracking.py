@@ -21,6 +21,10 @@ NEAR = 0.03
 """Distance at which a marker begins to lose its say once the pose is known, m."""
 _SCALES = (2.0, 0.3, 0.1, NEAR)
 """The same while a pose is sought from nowhere: all markers speak at first."""
+ACCEPTED = 0.25
+"""Say from which a marker counts as used."""
+_ENOUGH = 3
+"""Markers that show how a segment lies."""
 _LONGEST = 60
 _HOPELESS = 0.1  # m: a marker this far off says no more about a pose
 
@@ -72,6 +76,33 @@ def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> P
     straight = np.tile(neutral, (len(model.parents), 1, 1))
     poses = [_settled(model, observed, R) for R in (straight, _middle_posture(model, neutral))]
     return _untwisted(model, observed, min(poses, key=lambda pose: _price(model, observed, pose)))
+
+
+def laid_anew(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose | None:
+    """A cheaper pose, with segments laid over markers of their own that the pose misses; None without one.
+
+    After a gap a segment may have turned so far that half of its markers or more count as ghosts: a minimum
+    of its own as well. Where three or more lie to each other as they should, none of them is one.
+
+    observed: (M, 3) m, under the names that they came with.
+    """
+    seen = np.isfinite(observed).all(axis=1)
+    n = len(model.parents)
+    own_seen = np.bincount(model.segments[seen], minlength=n)
+    missed = np.bincount(model.segments[seen & (pose.weights <= ACCEPTED)], minlength=n)
+    strays = (own_seen >= _ENOUGH) & (2 * missed >= own_seen)
+    if not strays.any():
+        return None
+    R, root = pose.R.copy(), pose.root
+    for s in np.flatnonzero(strays).tolist():
+        own = model.segments == s
+        turn, shift = rigid(model.positions[own], observed[own])
+        rest = np.linalg.norm(observed[own] - model.positions[own] @ turn.T - shift, axis=1)
+        if np.nanmax(rest) < NEAR:
+            R[s] = turn
+            root = shift if model.parents[s] < 0 else root
+    other = solve_pose(model, observed, np.ones(len(observed)), R, root, NEAR, _LONGEST, R, 0.0)
+    return other if _price(model, observed, other) < _price(model, observed, pose) else None
 
 
 def _untwisted(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose:
@@ -135,5 +166,7 @@ def _price(model: BodyModel, observed: FloatArray, pose: Pose) -> float:
     """Half the squared distances of all markers, none worse than ``_HOPELESS``, and what the joints cost."""
     p = kernels.places(model.parents, model.offsets, pose.R, pose.root)
     joints = normal_equations(model, observed, np.zeros(len(observed)), pose.R, p)[2]
-    apart = np.minimum(np.nan_to_num(pose.residuals), _HOPELESS) / model.sigmas
+    expected = kernels.marker_places(model.segments, model.positions, pose.R, p)
+    residuals = np.nan_to_num(np.linalg.norm(observed - expected, axis=1))
+    apart = np.minimum(residuals, _HOPELESS) / model.sigmas
     return float(0.5 * (apart**2).sum() + joints)

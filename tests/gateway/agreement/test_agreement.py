@@ -77,7 +77,7 @@ def test_noise_is_stated_as_it_is():
 
 
 def test_finds_the_drift_of_a_clock():
-    first, second = first_and_second(lag_s=0.5, ppm=200.0, seconds=180.0)
+    first, second = first_and_second(lag_s=0.5, ppm=200.0, seconds=90.0)
     found = align_time(first, second)
     assert found.drift_ppm == pytest.approx(200.0, abs=5.0)
     assert max(figures.rms_deg for figures in agreement(first, second).segments) < 0.15

@@ -48,13 +48,13 @@ def test_live_tells_what_the_whole_motion_told_shortly_before():
     then = whole.activity[69 - round(LAG_S / STEP_S)]
     assert then.max() > 0.1
     assert found.activity == pytest.approx(then, abs=0.05)
-    pose = whole.paths[69]
-    assert max(np.abs(a[[0, -1]] - b[[0, -1]]).max() for a, b in zip(found.paths, pose, strict=True)) < 0.02
-    points, colours = segments_of(found, ROOT)
+    pose, wires = whole.paths[69], live.wires(motion[69], ROOT)
+    assert max(np.abs(a[[0, -1]] - b[[0, -1]]).max() for a, b in zip(wires, pose, strict=True)) < 0.02
+    points, colours = segments_of(found.activity, wires, ROOT)
     assert points.shape == colours.shape
-    assert len(points) == sum(len(path) - 1 for path in found.paths)
+    assert len(points) == sum(len(path) - 1 for path in wires)
     strongest = int(np.argmax(found.activity))
-    first = sum(len(path) - 1 for path in found.paths[:strongest])
+    first = sum(len(path) - 1 for path in wires[:strongest])
     assert colours[first, 0, 0].astype(int) - colours[first, 0, 2] > 0  # towards red
 
 

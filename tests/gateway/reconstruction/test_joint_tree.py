@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 from gateway.geometry.rotation_matrix import from_rotation_vector
 from gateway.reconstruction.inertial import blocks as blocks_module
 from gateway.reconstruction.inertial import tree_filter
-from gateway.reconstruction.inertial.lever_arms import learn_rows, learning
+from gateway.reconstruction.inertial.chain_state import Noise, initial_state
+from gateway.reconstruction.inertial.lever_arms import learn_joint_arms, learn_rows, learning
 from gateway.reconstruction.inertial.local_rows import derivative_weights
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -203,6 +204,23 @@ def test_three_rows_at_once_are_three_scalar_updates(surprise):
     np.testing.assert_allclose(work.change, x, atol=1e-12)
     np.testing.assert_allclose(found, P, atol=1e-12)
     np.testing.assert_array_equal(found, found.T)
+
+
+def test_joints_are_asked_about_their_arms_in_turn():
+    """At 100 Hz every third frame; what their uncertainty adds to a row is told in every frame."""
+    state, work, noise = initial_state(6, 0), learning(), Noise()
+    state.arm_covariance[:] = noise.lever_arm_offset**2 * np.eye(6)
+    K, u = 20.0 * np.eye(3), np.array([0.0, 0.0, 10.0])
+    asked = np.zeros((30, 6), bool)
+    for frame in range(30):
+        for s in range(1, 6):
+            before = state.arm_covariance[s].copy()
+            added = learn_joint_arms(state, noise, work, s, 0, u.copy(), u.copy(), K, K, 0.04, 0.01)
+            asked[frame, s] = (state.arm_covariance[s] != before).any()
+            assert added > 0.0
+    assert asked[0, 1:].all()
+    assert asked[1:].sum(axis=1).max() <= 2
+    assert asked[:, 1:].sum(axis=0) == pytest.approx(10, abs=1)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.1, 0.4999, 0.5001, 3.0])

@@ -288,7 +288,9 @@ async def test_what_comes_after_an_orderly_end_is_not_lost(tmp_path):
     control = RecordingControl(settings, load_rig("arm_3"), links, dict, dict)
     control.start()
     control.chunk(chunk(0), Framing.BYTE_STREAM)
+    await asyncio.sleep(0.2)
     await control.stop()
+    assert control.status()["seconds"] >= 0.2, "also when nobody asked while it lasted"
     control.chunk(chunk(1), Framing.BYTE_STREAM)
     control.event("link", {})
     assert control.balance == (1, 1, 0, 0)

@@ -119,7 +119,7 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
         (("info", __file__), "is no recording of mocap-gateway"),
         (("recover", "absent.mcap"), "cannot be read"),
         (("recover", "x.mcap", "--in-place", "--output", "y.mcap"), "not both"),
-        (("recordings", "absent"), "absent cannot be read"),
+        (("recordings", "absent"), "there is no folder absent"),
         (("diff", "absent.mcap", "absent.mcap"), "cannot be read"),
         (("replay", "{card}"), "tells no suit"),
         (("replay", "{path}", "--speed", "fast"), "a number above 0, or max, is needed"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from gateway.body.markers import BodyMarkers
@@ -175,3 +176,36 @@ def test_hips_of_all_regressions_lie_close_together_and_mirror():
     np.testing.assert_allclose(right[0], right[1], atol=1e-4)
     left = point_rules.hara_hip(asis, sacrum, 0.88, "left")
     np.testing.assert_allclose(left, right[3] * [1, -1, 1])
+
+
+@pytest.mark.parametrize(
+    ("segment", "turn_deg"),
+    [
+        ("right_upper_arm", (100, 0, 60)),
+        ("left_forearm", (0, 0, 110)),
+        ("left_thigh", (0, 0, 100)),
+        ("pelvis", (0, 150, 0)),
+    ],
+)
+def test_a_limb_that_turned_far_within_a_gap_is_met_at_once(segment, turn_deg):
+    """Half of its markers or more are farther from where they are expected than any ghost."""
+    first = BODY.index(segment)
+    limb = [s for s in range(BODY.n_segments) if s == first or _bears(first, s)]
+    markers = _markers(4)
+    model = body_model(BODY, markers)
+    R, gap = _waving(40), slice(15, 25)
+    R[25:, limb] = R[25:, limb] @ rm.from_rotation_vector(np.radians(np.array(turn_deg, dtype=np.float64)))
+    observed = np.array([_seen(model, each) for each in R])
+    observed[gap, np.isin(markers.segments, limb)] = np.nan
+    reconstructor = OpticalReconstructor(BODY, markers)
+    found = [reconstructor.update(MarkerFrame(f, f * STEP_NS, seen)) for f, seen in enumerate(observed)]
+    turned = Rotation.from_quat([frame.q_wb[first] for frame in found[25:]], scalar_first=True)
+    assert _apart_deg(turned.as_matrix(), R[25:, first]).max() < 2.0
+    assert reconstructor.counts["laid_anew"] + reconstructor.counts["starts"] == 2
+    assert np.isfinite(np.array([frame.q_wb for frame in found])).all()
+
+
+def _bears(first: int, segment: int) -> bool:
+    """Whether a segment hangs on another, at any distance."""
+    parent = int(BODY.parents[segment])
+    return parent >= 0 and (parent == first or _bears(first, parent))

@@ -1,0 +1,64 @@
+"""What the field is believed: how far it is off throughout is found, and what comes and goes averages out."""
+
+import numpy as np
+import pytest
+
+from benchmarks.fast_arm import fast_arm
+from gateway.geometry.rotation_matrix import from_rotation_vector
+from gateway.reconstruction.inertial.chain_rows import expected_field, field_row, watch_field
+from gateway.reconstruction.inertial.chain_state import Noise, chain_body, initial_state
+from gateway.reconstruction.inertial.tree_filter import no_evidence
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+DT, N, SEGMENT = 0.05, 5, 2
+BODY, NOISE = chain_body(fast_arm(), uses_field=True), Noise()
+
+
+def watched(seconds, field_at, sigma):
+    """State; then the heading that the last row tells, rad, and how surely, 1/rad². The segment's heading is
+    right, and known to sigma."""
+    state = initial_state(N, 1)
+    state.R[:] = np.eye(3)
+    state.field_offset[:, 1] = NOISE.heading**2
+    expected = expected_field(BODY, DT)
+    for k in range(round(seconds / DT)):
+        state.P[SEGMENT, 2, 2] = sigma**2
+        evidence = no_evidence(N)
+        off, disturbance = watch_field(BODY, state, SEGMENT, field_at(k * DT), expected, DT)
+        field_row(evidence, BODY, state, NOISE, SEGMENT, off, disturbance, expected, DT)
+    told = evidence.own[SEGMENT, 2, 2]
+    return state, evidence.own_vector[SEGMENT, 2] / told, told
+
+
+def turned(angle):
+    """The field as a building bends it, the same at all times."""
+    field = from_rotation_vector(np.array([0.0, 0.0, angle])) @ BODY.field
+    return lambda _: field
+
+
+def test_a_field_that_is_off_throughout_turns_nobody_whose_heading_is_known():
+    _, at_first, _ = watched(DT, turned(0.1), 0.01)
+    state, at_last, _ = watched(60.0, turned(0.1), 0.01)
+    assert abs(at_first) == pytest.approx(0.1, rel=0.01)
+    assert abs(at_last) < 0.01
+    assert state.field_offset[SEGMENT, 0] == pytest.approx(-at_first, rel=0.1)
+    assert 0.0 < state.field_offset[SEGMENT, 1] < 0.1 * NOISE.heading**2
+
+
+def test_it_leads_a_heading_that_nobody_knows():
+    _, at_last, _ = watched(10.0, turned(0.1), 1.0)
+    assert abs(at_last) == pytest.approx(0.1, rel=0.1)
+
+
+def test_it_holds_a_heading_the_better_the_longer_it_stays_as_it_is():
+    told = [watched(seconds, turned(0.1), 0.05)[2] for seconds in (5.0, 30.0, 120.0)]
+    assert told[2] > told[1] > told[0]
+
+
+def test_what_comes_and_goes_averages_out_and_what_lasts_does_not():
+    def to_and_fro(period):
+        return lambda t: BODY.field * (1.0 + 0.05 * np.sign(np.sin(2.0 * np.pi * t / period)))
+
+    fleeting, lasting = (watched(59.0, to_and_fro(period), 0.01)[2] for period in (0.4, 12.0))
+    assert fleeting > 1.5 * lasting
