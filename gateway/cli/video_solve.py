@@ -98,6 +98,10 @@ def solve(
     """Solve synchronised videos of calibrated cameras, into a recording that replays, exports and reports
     like any other."""
     wanted = people_of(people)
+    if subject is not None and wanted != 1:
+        raise GatewayError(
+            "--subject is one person's, --people of more measures everybody: leave one of them out"
+        )
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
     seen, tasks = matched(
