@@ -175,7 +175,7 @@ def people_in_common(
         ]
     if wanted is not None and 1 < wanted != len(found):
         raise CameraError(
-            f"--people {wanted}: in the first pictures {len(found)} are seen by two cameras or more; begin "
+            f"--people {wanted}: {len(found)} seen by two cameras or more in the first pictures; begin "
             "where all of them are in sight (--offset), or take --people all"
         )
     return found or [[None] * len(cameras)]

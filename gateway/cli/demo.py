@@ -117,8 +117,10 @@ def demo(
         )
         with told_when_compiling(partial(console.print, style="dim")):
             service = Service(settings, suit)
-        with _live_page(settings, _free_port(page_port) if page else None, console):
-            asyncio.run(_run(service, settings, truth, imperfections, None if keep else seconds))
+        with contextlib.ExitStack() as beside:
+            beside.enter_context(_live_page(settings, _free_port(page_port) if page else None, console))
+            running = _run(service, settings, truth, imperfections, None if keep else seconds, beside)
+            asyncio.run(running)
     _print_errors(truth, console)
 
 
@@ -159,13 +161,22 @@ def _live_page(settings: GatewaySettings, page_port: int | None, console: Consol
 
 
 async def _run(
-    service: Service, settings: GatewaySettings, truth: Truth, imperfections: str, seconds: float | None
+    service: Service,
+    settings: GatewaySettings,
+    truth: Truth,
+    imperfections: str,
+    seconds: float | None,
+    beside: contextlib.ExitStack,
 ) -> None:
+    """beside: what listens to the broker, and is to be gone before it."""
     async with _emulator(settings, imperfections) as start_ns:
         truth.start_ns = start_ns
         serving = asyncio.create_task(service.run())
         watching = asyncio.create_task(_watch(service, settings, truth, seconds))
-        await asyncio.wait({serving, watching}, return_when=asyncio.FIRST_COMPLETED)
+        try:
+            await asyncio.wait({serving, watching}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            beside.close()
         for task in (watching, serving):
             task.cancel()
         results = await asyncio.gather(watching, serving, return_exceptions=True)

@@ -98,7 +98,12 @@ def solve(
     """Solve synchronised videos of calibrated cameras, into a recording that replays, exports and reports
     like any other."""
     wanted = people_of(people)
-    target = _target(files, output, to or [], force=force or wanted != 1)
+    if subject is not None and wanted != 1:
+        raise GatewayError(
+            "--subject is one person's, --people of more measures everybody: leave one of them out"
+        )
+    target = _target(files, output, to or [])
+    _places(target, wanted or 1, force=force)
     seen, tasks = matched(
         files, cameras, network, offsets=offset or [], sizes=sizes, up=up, unit=unit, rate_hz=rate
     )
@@ -138,24 +143,31 @@ def _people(
     captured: Sequence[Instants], target: Path, subject: Path | None, *, force: bool
 ) -> Iterator[tuple[Instants, Path, Path | None]]:
     """What is seen of each, and where recording and person go. Raises ``GatewayError`` where they may not."""
-    names = [f"_{n}" for n, _ in enumerate(captured, start=1)] if len(captured) > 1 else [""]
-    places = [target.with_stem(target.stem + name) for name in names]
+    places = _places(target, len(captured), force=force)
+    people = [None] * len(captured) if subject is None else _named(subject, len(captured))
+    yield from zip(captured, places, people, strict=True)
+
+
+def _places(target: Path, n: int, *, force: bool) -> list[Path]:
+    """Of n recordings. Raises ``GatewayError`` where one stands in the way."""
+    places = _named(target, n)
     for place in places:
         if place.exists() and not force:
-            raise GatewayError(f"{place} exists: name other files with --output, or replace it with --force")
-    for messages, place, name in zip(captured, places, names, strict=True):
-        yield messages, place, None if subject is None else subject.with_stem(subject.stem + name)
+            raise GatewayError(f"{place} exists: name another file with --output, or replace it with --force")
+    return places
 
 
-def _target(files: Sequence[str], output: Path | None, to: Sequence[str], *, force: bool) -> Path:
-    """Where the recording goes. Raises ``GatewayError`` where it may not, or a format is unknown."""
+def _named(path: Path, n: int) -> list[Path]:
+    """n files beside ``path``, numbered; the path itself for one."""
+    return [path] if n == 1 else [path.with_stem(f"{path.stem}_{k + 1}") for k in range(n)]
+
+
+def _target(files: Sequence[str], output: Path | None, to: Sequence[str]) -> Path:
+    """Where the recording goes. Raises ``GatewayError`` when a format is unknown."""
     for name in to:
         if name not in FORMATS:
             raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
-    target = output or Path(files[0].rpartition("=")[2]).with_suffix(".mcap")
-    if target.exists() and not force:
-        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
-    return target
+    return output or Path(files[0].rpartition("=")[2]).with_suffix(".mcap")
 
 
 def _written(

@@ -39,7 +39,8 @@ Sizes = Annotated[
 Up = Annotated[str | None, typer.Option(help=f"Axis of the calibration that points up: {', '.join(AXES)}.")]
 Unit = Annotated[str, typer.Option(help="Unit of lengths in .toml, .yml and .xml calibrations: m, cm or mm.")]
 People = Annotated[
-    str, typer.Option(metavar="N|all", help="People to follow, one recording each; all whom two cameras see.")
+    str,
+    typer.Option(metavar="N|all", help="People to follow, one recording each; all: whom two cameras see."),
 ]
 Join = Annotated[
     list[str] | None,

@@ -60,7 +60,7 @@ def test_people_are_told_apart_whatever_order_the_cameras_see_them_in():
             hips = [region.centre for region in regions]
             place = min(places, key=lambda at: np.linalg.norm(hips[0] - person(CAMERAS[0], at).hips))
             assert hips == [pytest.approx(person(c, place).hips) for c in CAMERAS]
-    with pytest.raises(CameraError, match="--people 3: in the first pictures 2 are seen"):
+    with pytest.raises(CameraError, match="--people 3: 2 seen by two cameras"):
         people_in_common(CAMERAS, people, 3)
 
 
