@@ -59,7 +59,7 @@ def _packet(u: float, m: float, slot: float, corner: float) -> tuple[float, floa
     w = (a - b) / m
     h = 1.0 / math.expm1(w)
     slope = (-b1 + (a1 - b1) * h) / m
-    # a'' = a'(1 − a') / sharpness
+    # a'' = a'(1 − a') / corner
     a2, b2 = a1 * (1.0 - a1) / corner, b1 * (1.0 - b1) / corner
     information = (b2 - (a2 - b2) * h) / m + ((a1 - b1) / m) ** 2 * h * (1.0 + h)
     if beyond < 0.0:
