@@ -23,11 +23,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.asked_suit import asked
 from benchmarks.emulated_stream import suit_17
 from benchmarks.fault_bench import METHOD
 from devices.emulators import IDEAL, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import Fault, FaultPlan
-from devices.link import Chunk, Framing
+from devices.link import Framing
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, SkeletonFrame, Status
 from gateway.pipeline import Pipeline
@@ -163,9 +164,8 @@ class FaultFree:
         return Orientations(between / np.linalg.norm(between, axis=1, keepdims=True), rate)
 
     def _run(self) -> Iterator[SkeletonFrame]:
-        for sent in self._traffic.transmissions():
-            arrived_ns = self._start_ns + round(sent.time_s * 1e9)
-            yield from self._pipeline.feed(Chunk(sent.data, arrived_ns, _LINK))
+        for chunk in asked(self._traffic, self._pipeline.stream.sent, self._start_ns, _LINK):
+            yield from self._pipeline.feed(chunk)
 
 
 def follow(track: Path, plan: FaultPlan, start_ns: int) -> list[dict[str, float]]:

@@ -6,20 +6,20 @@ have come: what else the machine does meanwhile makes no difference.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
+from benchmarks.asked_suit import asked
 from benchmarks.emulated_stream import LINK, suit_17
 from benchmarks.fault_bench import METHOD
 from benchmarks.soak_reference import Comparison, FaultFree, Orientations
 from devices.emulators import IDEAL, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import FaultPlan, Unplug
 from devices.emulators.faulty_suit import FaultySuit
-from devices.link import Chunk, Framing
+from devices.link import Chunk, Framing, SentChunk
 from gateway.pipeline import Pipeline
 from gateway.settings import AssemblySettings
 
 START_NS = 1_000_000_000
-STEP_S = 0.01
 
 
 def simulated(plan: FaultPlan, seconds: float) -> list[dict[str, float]]:
@@ -28,7 +28,7 @@ def simulated(plan: FaultPlan, seconds: float) -> list[dict[str, float]]:
     comparison = Comparison(free.worn, plan, START_NS)
     pipeline = Pipeline(free.worn, AssemblySettings().params(), METHOD)
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
-    for chunk in _chunks(plan, seconds):
+    for chunk in _chunks(plan, seconds, pipeline.stream.sent):
         for frame in pipeline.feed(chunk):
             late_s = (chunk.arrived_ns - frame.time_ns) * 1e-9
             pose = Orientations(frame.q_wb, frame.angular_rate)
@@ -36,12 +36,14 @@ def simulated(plan: FaultPlan, seconds: float) -> list[dict[str, float]]:
     return comparison.summary()
 
 
-def _chunks(plan: FaultPlan, seconds: float) -> Iterator[Chunk]:
-    """What comes through the cable, while it is plugged in."""
+def _chunks(plan: FaultPlan, seconds: float, note: Callable[[SentChunk], None]) -> Iterator[Chunk]:
+    """What comes through the cable, while it is plugged in. note: told of every question."""
     _, motion = suit_17()
     suit = FaultySuit(SuitTraffic(motion, SuitSettings(has_relay=True), IDEAL, seed=1), plan)
     pulls = plan.windows(Unplug)
-    for step in range(1, round(seconds / STEP_S) + 1):
-        for sent in suit.advance(step * STEP_S):
-            if not any(pull.is_on(sent.time_s) for pull in pulls):
-                yield Chunk(sent.data, START_NS + round(sent.time_s * 1e9), LINK)
+    for chunk in asked(suit, note, START_NS, LINK):
+        at_s = (chunk.arrived_ns - START_NS) * 1e-9
+        if at_s > seconds:
+            return
+        if not any(pull.is_on(at_s) for pull in pulls):
+            yield chunk

@@ -146,35 +146,44 @@ class PlannedAngles:
     """Joint angles: splines for the legs, waves for everything else. Used as ``Waves`` are."""
 
     def __init__(
-        self, others: Waves, coefficients: FloatArray, knots: FloatArray, rest_s: float, stride_s: float
+        self,
+        others: Waves,
+        coefficients: FloatArray,
+        knots: FloatArray,
+        rest_s: float,
+        stride_s: float,
+        nodes: IntArray | None = None,
     ) -> None:
         """coefficients: (6, K, N, 3) of powers from the knot (K,) on, highest first; the last stride repeats.
-        rest_s: until then the legs are at rest."""
+        rest_s: until then the legs are at rest. nodes: the rows that are meant, in that order; default: all.
+        """
         self._others, self._coefficients, self._knots = others, coefficients, knots
         self._rest_s, self._stride_s = rest_s, stride_s
+        self._nodes = np.arange(coefficients.shape[2]) if nodes is None else nodes
 
     def with_idle_row(self) -> PlannedAngles:
         """One node more, which never turns."""
         idle = np.zeros((*self._coefficients.shape[:2], 1, 3))
         coefficients = np.concatenate([self._coefficients, idle], axis=2)
-        return self._of(self._others.with_idle_row(), coefficients)
+        return self._of(
+            self._others.with_idle_row(), coefficients, np.append(self._nodes, self._coefficients.shape[2])
+        )
 
     def rows(self, rows: IntArray) -> PlannedAngles:
-        """The angles of some nodes only, in that order."""
-        return self._of(self._others.rows(rows), self._coefficients[:, :, rows])
+        """The angles of some nodes only, in that order. Megabytes of coefficients stay where they are."""
+        return self._of(self._others.rows(rows), self._coefficients, self._nodes[rows])
 
-    def _of(self, others: Waves, coefficients: FloatArray) -> PlannedAngles:
-        return PlannedAngles(others, coefficients, self._knots, self._rest_s, self._stride_s)
+    def _of(self, others: Waves, coefficients: FloatArray, nodes: IntArray) -> PlannedAngles:
+        return PlannedAngles(others, coefficients, self._knots, self._rest_s, self._stride_s, nodes)
 
     def evaluate(self, times: FloatArray, fade: Derivatives) -> list[Derivatives]:
         """About x, y and z at ``times`` (T, N), each (T, N)."""
         interval, since = self._interval(times.astype(np.float64))
-        nodes = np.arange(times.shape[1])
         moves = times > self._rest_s
         others = self._others.evaluate(times, fade)
         result = []
         for axis in range(3):
-            c = self._coefficients[:, interval, nodes, axis] * moves
+            c = self._coefficients[:, interval, self._nodes, axis] * moves
             value, rate, acceleration = np.zeros((3, *times.shape))
             for k in range(_DEGREE + 1):
                 acceleration = acceleration * since + 2.0 * rate
