@@ -25,6 +25,7 @@ from gateway.cli.watch import Watch, watch_poses
 from gateway.outputs import MqttSettings
 from gateway.outputs.messages import PoseMessage
 from gateway.outputs.mqtt import MqttOutput
+from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
     from tests.conftest import Mosquitto, PoseSource
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.system
 
 WATCH = [sys.executable, "-c", "import typer; from gateway.cli.watch import watch; typer.run(watch)"]
-PATIENCE_S = 30.0
 HIDE_CURSOR, SHOW_CURSOR = b"\x1b[?25l", b"\x1b[?25h"
 
 
