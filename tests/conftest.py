@@ -32,6 +32,7 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs import BridgeInfo
 from gateway.reconstruction.readiness import is_ready
 from tests.contract_watch import ContractWatch, assert_kept
+from tests.patience import PATIENCE_S
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 _CREATED = (
@@ -133,7 +134,7 @@ class Mosquitto:
 
     def _await_listener(self) -> None:
         assert self._process is not None
-        deadline = time.monotonic() + 5
+        deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             try:
                 socket.create_connection((self.host, self.port), timeout=1).close()
@@ -177,7 +178,7 @@ def unused_port() -> int:
     return free_port()
 
 
-async def _until(condition: Callable[[], bool], timeout_s: float = 8.0) -> None:
+async def _until(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
     async with asyncio.timeout(timeout_s):
         while not condition():
             await asyncio.sleep(0.005)
@@ -185,7 +186,7 @@ async def _until(condition: Callable[[], bool], timeout_s: float = 8.0) -> None:
 
 @pytest.fixture
 def until() -> Callable[..., Awaitable[None]]:
-    """``await until(condition, timeout_s=8.0)``: polls; raises ``TimeoutError``."""
+    """``await until(condition, timeout_s=PATIENCE_S)``: polls; raises ``TimeoutError``."""
     return _until
 
 
@@ -293,7 +294,7 @@ def commanded_suit() -> Callable[..., Any]:
         suit = EmulatedSuit(traffic, transport or LoopbackTransport(far))
         running = asyncio.create_task(suit.run())
         try:
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(PATIENCE_S):
                 while suit.start_ns is None:
                     await asyncio.sleep(0.01)
             yield CommandedSuit(traffic, suit, near)

@@ -7,10 +7,12 @@ import os
 import pty
 import tty
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from typing import Any
 
 import pytest
 
-from devices.link import Chunk, Link
+from devices.link import Chunk, Link, gateway_time_ns
+from tests.patience import PATIENCE_S
 
 
 class PseudoTerminal:
@@ -29,7 +31,7 @@ class PseudoTerminal:
     async def read(self, size: int) -> bytes:
         """Exactly ``size`` bytes from the gateway."""
         data = b""
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(PATIENCE_S):
             while len(data) < size:
                 try:
                     data += os.read(self.master, size - len(data))
@@ -59,7 +61,7 @@ def pseudo_terminal() -> Iterator[Callable[[], PseudoTerminal]]:
 @pytest.fixture
 def next_chunk() -> Callable[[AsyncIterator[Chunk]], Awaitable[Chunk]]:
     async def read(chunks: AsyncIterator[Chunk]) -> Chunk:
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(PATIENCE_S):
             return await anext(chunks)
 
     return read
@@ -71,7 +73,7 @@ def read_bytes() -> Callable[[Link, int], Awaitable[bytes]]:
 
     async def read(link: Link, size: int) -> bytes:
         data = b""
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(PATIENCE_S):
             async for chunk in link:
                 assert chunk.link == link.name
                 data += chunk.data
@@ -83,12 +85,17 @@ def read_bytes() -> Callable[[Link, int], Awaitable[bytes]]:
 
 
 @pytest.fixture
-def until() -> Callable[[Callable[[], bool]], Awaitable[None]]:
-    """Waits until something holds that nobody announces."""
+def stamped_on_arrival(
+    until: Callable[..., Awaitable[None]],
+) -> Callable[[Any, Callable[[], object]], Awaitable[None]]:
+    """``await stamped_on_arrival(link, send)``: a chunk is as old as it is, however late it is looked at."""
 
-    async def wait(holds: Callable[[], bool]) -> None:
-        async with asyncio.timeout(2):
-            while not holds():
-                await asyncio.sleep(0.001)
+    async def check(link: Any, send: Callable[[], object]) -> None:
+        before_ns = gateway_time_ns()
+        send()
+        await until(lambda: link.counts.waiting > 0)
+        there_ns = gateway_time_ns()
+        await asyncio.sleep(0.01)
+        assert before_ns < (await anext(aiter(link))).arrived_ns <= there_ns
 
-    return wait
+    return check

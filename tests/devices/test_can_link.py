@@ -8,8 +8,9 @@ import can
 import pytest
 
 from devices.can_link import CanLink
-from devices.link import Framing, LinkError, gateway_time_ns
+from devices.link import Framing, LinkError
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
+from tests.patience import PATIENCE_S
 
 FRAMES = [
     CanFrame(0x0C40_0141, bytes(range(8))),
@@ -32,7 +33,7 @@ async def joined(request):
 
 async def read_frames(link: CanLink, count: int) -> list[CanFrame]:
     frames: list[CanFrame] = []
-    async with asyncio.timeout(2):
+    async with asyncio.timeout(PATIENCE_S):
         async for chunk in link:
             frames += unpack_can_records(chunk.data)
             if len(frames) >= count:
@@ -45,7 +46,7 @@ async def test_frames_of_every_kind_pass_both_ways(joined):
     assert link.framing is Framing.CAN
     await link.write(pack_can_records(FRAMES))
     for _ in FRAMES:
-        peer.send(peer.recv(1))
+        peer.send(peer.recv(PATIENCE_S))
     assert await read_frames(link, len(FRAMES)) == FRAMES
 
 
@@ -53,7 +54,7 @@ async def test_a_burst_arrives_whole_in_order_and_in_few_chunks(joined):
     link, peer = joined
     for index in range(500):
         peer.send(can.Message(arbitration_id=index, data=b"12345678"))
-    async with asyncio.timeout(2):
+    async with asyncio.timeout(PATIENCE_S):
         chunks = []
         while sum(len(unpack_can_records(chunk.data)) for chunk in chunks) < 500:
             chunks.append(await anext(aiter(link)))
@@ -62,20 +63,16 @@ async def test_a_burst_arrives_whole_in_order_and_in_few_chunks(joined):
     assert len(chunks) < 250
 
 
-async def test_arrival_is_stamped_before_a_busy_reader_looks(joined, next_chunk):
+async def test_arrival_is_stamped_before_a_busy_reader_looks(joined, stamped_on_arrival):
     link, peer = joined
-    before = gateway_time_ns()
-    peer.send(can.Message(arbitration_id=1))
-    await asyncio.sleep(0.05)
-    after = gateway_time_ns()
-    assert before < (await next_chunk(aiter(link))).arrived_ns < after - 25_000_000
+    await stamped_on_arrival(link, lambda: peer.send(can.Message(arbitration_id=1)))
 
 
 async def test_bus_that_fails_is_a_loss(joined):
     link, _ = joined
     link._bus.shutdown()  # under the reading thread
     with pytest.raises(LinkError, match="bus was lost: Cannot operate on a closed bus"):
-        async with asyncio.timeout(1):
+        async with asyncio.timeout(PATIENCE_S):
             await anext(aiter(link))
     with pytest.raises(LinkError, match="was lost"):
         await link.write(pack_can_records(FRAMES))

@@ -77,7 +77,7 @@ async def test_a_device_that_shares_its_id_answers_for_itself_alone(commanded_su
     async with commanded_suit(stored_ids={2: 1}) as suit:
         client = CommandClient([suit.link])
         async with client.reading():
-            await client.ask(suit.unique_id(2), Verb.IDENTIFY, 5)
+            await client.ask(suit.unique_id(2), Verb.IDENTIFY, 60)
             now_s = suit.soon_s()
             assert suit.traffic.device(2).is_blinking(now_s)
             assert not suit.traffic.device(1).is_blinking(now_s)

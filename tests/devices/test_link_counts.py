@@ -14,6 +14,7 @@ from devices import link_counts, udp_link
 from devices.arrivals import Arrivals
 from devices.link_counts import LinkCounts, LostBefore, SerialErrors
 from devices.udp_link import UdpLink
+from tests.patience import PATIENCE_S
 
 
 @given(st.lists(st.tuples(st.integers(1, 50), st.booleans()), max_size=60))
@@ -55,7 +56,7 @@ async def overflow(link: UdpLink, dropped_before: int) -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
         for _ in range(200):
             sent += peer.sendto(b"x" * 100, link.address) == 100
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while received + link.counts.losses - dropped_before < sent:
                 received += (await anext(aiter(link))).data == b"x" * 100
                 if link.counts.losses == dropped_before:

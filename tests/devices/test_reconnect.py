@@ -13,6 +13,7 @@ from devices.loopback_link import loopback_pair
 from devices.reconnect import BackOff, LinkState, LinkStatus, ReconnectingLink
 from devices.serial_link import SerialLink
 from devices.tcp_link import TcpLink
+from tests.patience import PATIENCE_S
 
 UP, DOWN, CLOSED, CONNECTING = LinkState.UP, LinkState.DOWN, LinkState.CLOSED, LinkState.CONNECTING
 
@@ -68,7 +69,7 @@ async def run(
     link = ReconnectingLink(inner, sleep=sleep, clock=lambda: inner.time, on_change=changes.append)
     await link.open()
     reading = asyncio.ensure_future(_data(link))
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(PATIENCE_S):
         await played.wait()
         await link.close()
         data = await reading
@@ -139,14 +140,14 @@ async def test_strict_opening_raises_and_lenient_goes_on():
     assert [chunk async for chunk in lenient] == []
 
 
-async def test_strict_link_survives_losses_after_the_first_opening():
+async def test_strict_link_survives_losses_after_the_first_opening(until):
     near, far = loopback_pair("suit")
     link = ReconnectingLink(near, strict=True, back_off=BackOff(0.001, 0.001))
     await link.open()
     chunks = aiter(link)
-    for word in (b"one", b"two", b"three"):
+    for losses, word in enumerate((b"one", b"two", b"three")):
         reading = asyncio.ensure_future(anext(chunks))
-        await asyncio.sleep(0.01)
+        await until(lambda losses=losses: (link.state, link.reconnections) == (UP, losses))
         await far.open()
         await far.write(word)
         assert (await reading).data == word
@@ -164,7 +165,7 @@ async def test_closing_ends_an_opening_that_hangs():
     opening = asyncio.ensure_future(link.open())
     await asyncio.sleep(0)
     assert link.state is CONNECTING
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(PATIENCE_S):
         await link.close()
         await opening
     assert link.state is CLOSED

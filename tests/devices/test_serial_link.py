@@ -15,8 +15,9 @@ import termios
 import pytest
 
 from devices import serial_ports
-from devices.link import Framing, LinkError, gateway_time_ns
+from devices.link import Framing, LinkError
 from devices.serial_link import SerialLink
+from tests.patience import PATIENCE_S
 
 EVERY_BYTE = bytes(range(256))
 
@@ -39,14 +40,9 @@ async def test_every_byte_passes_both_ways(joined, read_bytes):
     assert await terminal.read(2048) == EVERY_BYTE * 8
 
 
-async def test_arrival_is_stamped_before_a_busy_reader_looks(joined, next_chunk):
+async def test_arrival_is_stamped_before_a_busy_reader_looks(joined, stamped_on_arrival):
     terminal, link = joined
-    before = gateway_time_ns()
-    terminal.write(b"x")
-    await asyncio.sleep(0.05)
-    after = gateway_time_ns()
-    chunk = await next_chunk(aiter(link))
-    assert before < chunk.arrived_ns < after - 25_000_000
+    await stamped_on_arrival(link, lambda: terminal.write(b"x"))
 
 
 async def test_large_write_waits_without_blocking_the_loop(joined):
@@ -67,10 +63,10 @@ async def test_concurrent_writes_do_not_mix(joined):
     await writing
 
 
-async def test_hang_up_gives_what_came_then_the_loss(joined, read_bytes):
+async def test_hang_up_gives_what_came_then_the_loss(joined, read_bytes, until):
     terminal, link = joined
     terminal.write(b"last words")
-    await asyncio.sleep(0.01)
+    await until(lambda: link.counts.waiting == 10)
     terminal.close()
     assert await read_bytes(link, 10) == b"last words"
     with pytest.raises(LinkError, match=r"was lost .*unplugged or switched off"):
@@ -85,7 +81,7 @@ async def test_hang_up_ends_a_write_that_waits(joined):
     await asyncio.sleep(0.01)
     terminal.close()
     with pytest.raises(LinkError, match="was lost"):
-        await asyncio.wait_for(writing, 1)
+        await asyncio.wait_for(writing, PATIENCE_S)
 
 
 async def test_closing_ends_iteration_and_a_write_that_waits(joined):
@@ -94,9 +90,9 @@ async def test_closing_ends_iteration_and_a_write_that_waits(joined):
     writing = asyncio.ensure_future(link.write(bytes(200_000)))
     await asyncio.sleep(0.01)
     await link.close()
-    assert await asyncio.wait_for(reading, 1) is None
+    assert await asyncio.wait_for(reading, PATIENCE_S) is None
     with pytest.raises(LinkError, match="closed while writing"):
-        await asyncio.wait_for(writing, 1)
+        await asyncio.wait_for(writing, PATIENCE_S)
     with pytest.raises(LinkError, match="suit is closed"):
         await link.write(b"x")
 
@@ -115,11 +111,18 @@ async def test_symlink_is_resolved_at_every_open(pseudo_terminal, tmp_path, read
         terminal.close()
 
 
-async def test_what_waited_before_opening_is_discarded(pseudo_terminal, read_bytes):
+def waiting_on(descriptor):
+    """Bytes that the kernel holds for whoever reads."""
+    count = bytearray(4)
+    fcntl.ioctl(descriptor, termios.FIONREAD, count)
+    return int.from_bytes(count, sys.byteorder)
+
+
+async def test_what_waited_before_opening_is_discarded(pseudo_terminal, read_bytes, until):
     terminal = pseudo_terminal()
     held = os.open(terminal.path, os.O_RDWR | os.O_NOCTTY)
     terminal.write(b"stale")
-    await asyncio.sleep(0.01)
+    await until(lambda: waiting_on(held) == 5)
     link = SerialLink(terminal.path)
     await link.open()
     terminal.write(b"fresh")

@@ -12,6 +12,7 @@ from devices.loopback_link import loopback_pair
 from devices.serial_link import SerialLink
 from devices.slcan_link import SlcanLink
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
+from tests.patience import PATIENCE_S
 
 
 @pytest.fixture
@@ -47,7 +48,7 @@ async def test_lost_adapter_is_told_and_closing_it_is_quiet(joined):
     terminal, link = joined
     terminal.close()
     with pytest.raises(LinkError, match="was lost"):
-        async with asyncio.timeout(1):
+        async with asyncio.timeout(PATIENCE_S):
             await anext(aiter(link))
     await link.close()
 

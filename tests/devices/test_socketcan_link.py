@@ -14,6 +14,7 @@ from devices import socketcan_link
 from devices.link import Framing, LinkError
 from devices.socketcan_link import SocketCanLink, can_interfaces, frame_from_kernel, kernel_bytes
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
+from tests.patience import PATIENCE_S
 
 # struct can_frame and canfd_frame of linux/can.h, written out byte by byte (little-endian machine).
 GOLDEN = [
@@ -98,7 +99,7 @@ async def test_frames_that_the_kernel_dropped_are_counted(monkeypatch):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bus:
         for _ in range(sent):
             bus.sendto(data, ours.getsockname())
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(PATIENCE_S):
             while received + link.kernel_dropped < sent:
                 received += len(unpack_can_records((await anext(aiter(link))).data))
                 if link.kernel_dropped == 0:  # told with the next frame that fits

@@ -7,8 +7,9 @@ import socket
 
 import pytest
 
-from devices.link import Framing, LinkError, gateway_time_ns
+from devices.link import Framing, LinkError
 from devices.tcp_link import TcpLink
+from tests.patience import PATIENCE_S
 
 
 class Server:
@@ -40,7 +41,7 @@ async def server():
 async def joined(server):
     link = TcpLink("127.0.0.1", server.port, name="relay")
     await link.open()
-    reader, writer = await asyncio.wait_for(server.accepted.get(), 1)
+    reader, writer = await asyncio.wait_for(server.accepted.get(), PATIENCE_S)
     yield link, reader, writer
     await link.close()
     writer.close()
@@ -52,7 +53,7 @@ async def test_bytes_pass_both_ways(joined, read_bytes):
     writer.write(b"from the relay")
     assert await read_bytes(link, 14) == b"from the relay"
     await link.write(b"to the relay")
-    assert await asyncio.wait_for(reader.readexactly(12), 1) == b"to the relay"
+    assert await asyncio.wait_for(reader.readexactly(12), PATIENCE_S) == b"to the relay"
 
 
 async def test_socket_sends_at_once_and_notices_a_silent_peer(joined):
@@ -63,20 +64,16 @@ async def test_socket_sends_at_once_and_notices_a_silent_peer(joined):
     assert connected.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 5
 
 
-async def test_arrival_is_stamped_before_a_busy_reader_looks(joined, next_chunk):
+async def test_arrival_is_stamped_before_a_busy_reader_looks(joined, stamped_on_arrival):
     link, _, writer = joined
-    before = gateway_time_ns()
-    writer.write(b"x")
-    await asyncio.sleep(0.05)
-    after = gateway_time_ns()
-    assert before < (await next_chunk(aiter(link))).arrived_ns < after - 25_000_000
+    await stamped_on_arrival(link, lambda: writer.write(b"x"))
 
 
 async def test_orderly_close_of_the_peer_ends_iteration(joined):
     link, _, writer = joined
     writer.write(b"bye")
     writer.close()
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(PATIENCE_S):
         assert b"".join([chunk.data async for chunk in link]) == b"bye"
     with pytest.raises(LinkError, match="relay is closed"):
         await link.write(b"x")
@@ -89,7 +86,7 @@ async def test_reset_by_the_peer_is_a_loss(joined):
     )
     writer.transport.abort()
     with pytest.raises(LinkError, match="was lost"):
-        async with asyncio.timeout(1):
+        async with asyncio.timeout(PATIENCE_S):
             await anext(aiter(link))
 
 
@@ -100,7 +97,7 @@ async def test_writing_waits_while_the_peer_does_not_read(joined):
     await asyncio.sleep(0.02)
     assert not writing.done()
     received = 0
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         while received < total:
             received += len(await reader.read(1 << 20))
         await writing
@@ -113,7 +110,7 @@ async def test_closing_ends_iteration_and_a_write_that_waits(joined):
     await asyncio.sleep(0.01)
     await link.close()
     await link.close()  # twice is harmless
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(PATIENCE_S):
         assert await reading is None
         await asyncio.gather(writing, return_exceptions=True)
 

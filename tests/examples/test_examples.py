@@ -25,6 +25,7 @@ from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.outputs.side_settings import OutputsSettings
 from gateway.outputs.unity import AvatarPoses, t_pose
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -41,7 +42,7 @@ def frame(sequence, q_wb=None):
     )  # fmt: skip
 
 
-async def lines_while_publishing(output, *command, cwd=None, timeout_s=30):
+async def lines_while_publishing(output, *command, cwd=None, timeout_s=2 * PATIENCE_S):
     """What a program prints until it ends, while poses are offered."""
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(*command, cwd=cwd, stdout=pipe, stderr=pipe)
@@ -96,7 +97,7 @@ async def test_python_subscriber(mosquitto, until):
 
 def test_python_subscriber_without_a_broker(unused_port):
     command = [sys.executable, str(EXAMPLES / "python" / "subscribe.py"), "--port", str(unused_port)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False)
     assert done.returncode == 1
     assert done.stderr.startswith(f"no broker at 127.0.0.1:{unused_port}")
 
@@ -175,11 +176,11 @@ async def test_browser_page(mosquitto, mqtt_js, unused_port, until, chromium):
         page.on("request", lambda request: outside.append(request.url))
         await page.goto(page_url)
         offering = asyncio.create_task(_offer_for_ever(output))
-        await page.get_by_text("lab: online").wait_for(timeout=20_000)
+        await page.get_by_text("lab: online").wait_for(timeout=1000 * PATIENCE_S)
         await page.get_by_role("row", name="left_hand").get_by_text("0.707, 0.707, 0.000, 0.000").wait_for()
         assert await page.get_by_text("measured").count() == SKELETON.n_segments
         offering.cancel()
-        await page.locator("body.stale").wait_for(timeout=5000)
+        await page.locator("body.stale").wait_for(timeout=1000 * PATIENCE_S)
         await browser.close()
     server.shutdown()
     assert all("127.0.0.1" in url for url in outside)
@@ -219,7 +220,9 @@ def test_node_red_flow_is_wired_and_its_function_bends():
     const out = {{}};
     for (const [name, payload] of Object.entries(poses)) out[name] = f({{payload}})?.payload ?? null;
     console.log(JSON.stringify(out));"""
-    done = subprocess.run([node, "-e", program], capture_output=True, text=True, timeout=30, check=True)
+    done = subprocess.run(
+        [node, "-e", program], capture_output=True, text=True, timeout=PATIENCE_S, check=True
+    )
     assert json.loads(done.stdout) == {"upright": 0, "lying": 90, "missing": None}
 
 
@@ -240,14 +243,14 @@ def blender_example():
     return module
 
 
-async def test_blender_reads_what_the_gateway_sends(unused_port):
+async def test_blender_reads_what_the_gateway_sends(unused_port, until):
     blender = blender_example()
     receiver = blender.listen(unused_port)
     side = SideOutputs(OutputsSettings(vmc={"port": unused_port}), SKELETON, "lab", 100.0)
     q_wb = t_pose(SKELETON)
     async with side.running():
         side.offer(frame(0, q_wb))
-        await asyncio.sleep(0.05)
+        await until(lambda: side.counters["vmc"].published == 1)
     seen = {}
     blender.apply = lambda armature, name, values: seen.update({name: values})
     assert blender.step(receiver, None) == blender.INTERVAL_S

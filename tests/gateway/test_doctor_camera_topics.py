@@ -14,6 +14,7 @@ from gateway.doctor.camera_topics import camera_topic
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.settings import MqttSettings
 from gateway.settings import GatewaySettings, LinkSettings
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 LINK = LinkSettings(name="cameras", url="mqtt:///mocap_cameras/+", carries="heat_maps")
@@ -22,15 +23,19 @@ LINK = LinkSettings(name="cameras", url="mqtt:///mocap_cameras/+", carries="heat
 async def found_while(mqtt, sent):
     """The findings by subject, while ``sent`` (topic to payload) is published again and again."""
 
+    is_sending = asyncio.Event()
+
     async def send():
         async with broker_connection(mqtt, mqtt.port, "camera") as client:
             while True:
                 for topic, payload in sent.items():
                     await client.publish(topic, payload)
+                is_sending.set()
                 await asyncio.sleep(0.02)
 
     sending = asyncio.create_task(send())
-    found = await camera_topic(LINK, mqtt, 0.4)
+    await asyncio.wait_for(is_sending.wait(), PATIENCE_S)
+    found = await camera_topic(LINK, mqtt, 0.8)
     sending.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await sending

@@ -21,6 +21,7 @@ from gateway.doctor.host import disk, metrics_port
 from gateway.doctor.running import judge
 from gateway.outputs.messages import ModuleClockState, ModuleState
 from gateway.settings import LinkSettings, MetricsSettings, RecordingSettings
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -68,7 +69,7 @@ def emulated(tmp_path, *options):
     command = [sys.executable, "-m", "gateway", "emulate", "--on", "pty", "--link", str(port), *options]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE_S
         while not port.exists():
             assert process.poll() is None
             assert time.monotonic() < deadline
@@ -76,7 +77,7 @@ def emulated(tmp_path, *options):
         yield str(port)
     finally:
         process.terminate()
-        process.wait(10)
+        process.wait(PATIENCE_S)
 
 
 def assert_named(finding, verdict, found, remedy):
@@ -346,7 +347,7 @@ def test_a_running_gateway_is_asked(examined, mosquitto, tmp_path):
         command = [sys.executable, "-m", "gateway", "run", "-c", str(tmp_path / "gateway.yaml")]
         process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         try:
-            deadline = time.monotonic() + 40
+            deadline = time.monotonic() + 2 * PATIENCE_S
             while True:
                 findings = examined(**options)
                 # states of modules are retained one by one, as they are heard
@@ -356,7 +357,7 @@ def test_a_running_gateway_is_asked(examined, mosquitto, tmp_path):
                 time.sleep(0.3)
         finally:
             process.terminate()
-            process.wait(10)
+            process.wait(PATIENCE_S)
     assert "is open in the running gateway" in findings["suit: port"].found
     assert "by the running gateway" in findings["metrics"].found
     assert "modules: heard" not in findings

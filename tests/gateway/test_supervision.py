@@ -8,6 +8,7 @@ from gateway.body.rig import load_rig
 from gateway.service import Service
 from gateway.settings import GatewaySettings
 from gateway.supervision import kept_running
+from tests.patience import PATIENCE_S
 
 
 async def test_what_fails_is_said_and_started_again(monkeypatch, caplog):
@@ -20,7 +21,7 @@ async def test_what_fails_is_said_and_started_again(monkeypatch, caplog):
         if runs < 3:
             raise ValueError(f"no luck {runs}")
 
-    await asyncio.wait_for(kept_running("the triggerer", fails_twice), 5)
+    await asyncio.wait_for(kept_running("the triggerer", fails_twice), PATIENCE_S)
     assert runs == 3
     errors = [record for record in caplog.records if record.levelno == logging.ERROR]
     assert [record.getMessage().split(";")[0] for record in errors] == ["the triggerer failed"] * 2
@@ -33,7 +34,7 @@ async def test_data_cannot_flow_once_the_output_has_died(unused_port):
     )
     service = Service(settings, load_rig("single"))
     running = asyncio.create_task(service.run())
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(PATIENCE_S):
         while not service.can_flow:
             await asyncio.sleep(0.01)
     task = service.mqtt._task

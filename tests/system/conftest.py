@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 
 from devices.reconnect import LinkState, ReconnectingLink
 from gateway.body.rig import load_rig
+from gateway.outputs import connection, mqtt
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.service import Service
@@ -22,6 +24,30 @@ from gateway.settings import (
     GatewaySettings,
     LinkSettings,
 )
+from tests.patience import PATIENCE_S
+
+
+@pytest.fixture(autouse=True)
+def _brokers_are_given_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A broker of a busy machine, and what is told it at the end, may be late; by so much that nothing that
+    waits for a broker that never answers would pass for quick."""
+    monkeypatch.setattr(connection, "TIMEOUT_S", PATIENCE_S)
+    monkeypatch.setattr(mqtt, "_DRAIN_S", PATIENCE_S)
+    monkeypatch.setattr(mqtt, "_FAREWELL_S", PATIENCE_S)
+
+
+@pytest.fixture
+def attempts(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Grows by the instant of every attempt of an MQTT output to reach its broker, s."""
+    made: list[float] = []
+    connect = mqtt.broker_connection
+
+    def noted(*arguments: Any, **options: Any) -> Any:
+        made.append(time.monotonic())
+        return connect(*arguments, **options)
+
+    monkeypatch.setattr(mqtt, "broker_connection", noted)
+    return made
 
 
 @dataclass
@@ -35,11 +61,11 @@ class RunningGateway:
         """Until the gateway has opened its only link."""
         (link,) = self.service.links
         assert isinstance(link, ReconnectingLink)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             while link.state is not LinkState.UP:
                 await asyncio.sleep(0.01)
 
-    async def until_quiet(self, quiet_s: float = 0.5, first_s: float = 20.0) -> None:
+    async def until_quiet(self, quiet_s: float = 0.5, first_s: float = PATIENCE_S) -> None:
         """Until poses have come and stopped coming."""
         async with asyncio.timeout(first_s):
             while not self.received:
@@ -102,7 +128,7 @@ def announced_death(until: Callable[..., Awaitable[None]]) -> Callable[..., Awai
             finally:
                 victim.kill()
                 await victim.wait()
-            await until(lambda: watcher.states["victim"] == "offline", timeout_s=2)
+            await until(lambda: watcher.states["victim"] == "offline")
         async with PoseSubscriber(settings) as late_comer:
             await until(lambda: late_comer.states == {"victim": "offline"})
 

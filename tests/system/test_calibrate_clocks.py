@@ -19,6 +19,7 @@ from gateway.clocks import load_clock_table
 from gateway.errors import SettingsError
 from gateway.pipeline import Pipeline
 from gateway.settings import load_gateway_settings
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -58,7 +59,7 @@ async def test_the_table_has_the_emulated_rates_and_the_pipeline_takes_it(tmp_pa
     # a hitch of this machine by 1 ms is 100 ppm of such a minute
     shortened = ("--minutes", 2, "--minute-s", 10, "--settling-s", 3)
     with calibrate("-c", config, *shortened) as process:
-        out, error = await asyncio.to_thread(process.communicate, timeout=60)
+        out, error = await asyncio.to_thread(process.communicate, timeout=3 * PATIENCE_S)
     playing.cancel()
     await asyncio.gather(playing, return_exceptions=True)
     assert process.returncode == 0, error
@@ -92,7 +93,7 @@ async def test_the_table_has_the_emulated_rates_and_the_pipeline_takes_it(tmp_pa
 def test_what_cannot_be_measured_is_one_line(tmp_path):
     config = write_config(tmp_path)
     with calibrate("-c", config, "-o", tmp_path / "no" / "such" / "table.yaml") as process:
-        _, error = process.communicate(timeout=60)
+        _, error = process.communicate(timeout=3 * PATIENCE_S)
     assert process.returncode == 1
     assert "there is no folder" in error
     assert len(error.strip().splitlines()) == 1

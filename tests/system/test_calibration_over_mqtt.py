@@ -22,6 +22,7 @@ from gateway.recording import open_recording
 from gateway.recording.solving import verify
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -51,7 +52,7 @@ async def served(mosquitto, folder):
     )
     serving = asyncio.create_task(service.run())
     try:
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(PATIENCE_S):
             while not service.requests.is_connected or not service.pipeline.skeleton_frames:
                 await asyncio.sleep(0.01)
         yield service, mqtt
@@ -61,7 +62,7 @@ async def served(mosquitto, folder):
         await asyncio.gather(serving, playing, return_exceptions=True)
 
 
-async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypatch):
+async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypatch, until):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.chdir(tmp_path)
     async with served(mosquitto, tmp_path) as (service, mqtt):
@@ -70,7 +71,7 @@ async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypat
                 await ask.perform("result", {})
             steps = (await ask.perform("begin", {"field": True}))["steps"]
             assert steps[0]["step"] == "n_pose"
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(PATIENCE_S):
                 while not all(one["heard"] for one in (await ask.perform("status", {}))["modules"]):
                     await asyncio.sleep(0.05)
             with pytest.raises(RequestError, match="there is no step 'dance'"):
@@ -79,7 +80,7 @@ async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypat
             with pytest.raises(RequestError, match="under way"):
                 await ask.perform("step", {"step": "squat"})
             assert len((await ask.perform("status", {}))["modules"]) == 7
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(PATIENCE_S):
                 while (await ask.perform("status", {}))["phase"] != "ready":
                     await asyncio.sleep(0.1)
             result = await ask.perform("result", {})
@@ -104,7 +105,7 @@ async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypat
                 await ask.perform("sideways", {})
             await ask.perform("full", {})
             await ask.perform("mounting", {})
-        await asyncio.sleep(0.8)
+        await until(lambda: service.pipeline.skeleton_frames > frames + 100)
     (path,) = (tmp_path / "recordings").glob("*.mcap")
     recording = open_recording(path)
     names = [event.name for event in recording.events()]

@@ -13,12 +13,13 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.patience import PATIENCE_S
 from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 
 
-def gateway(*arguments, timeout=60):
+def gateway(*arguments, timeout=3 * PATIENCE_S):
     """Exit code, standard output, standard error."""
     done = subprocess.run(
         [sys.executable, "-m", "gateway", *map(str, arguments)],
@@ -43,10 +44,10 @@ def running(*arguments):
             yield process
         finally:
             process.terminate()
-            process.wait(10)
+            process.wait(PATIENCE_S)
 
 
-def stderr_until(process, pattern, timeout_s=30.0):
+def stderr_until(process, pattern, timeout_s=2 * PATIENCE_S):
     """Lines of standard error up to the one that matches."""
     lines, deadline = [], time.monotonic() + timeout_s
     while time.monotonic() < deadline:
@@ -137,7 +138,7 @@ def test_absent_port_and_broker_are_said_once_and_awaited(tmp_path, unused_port)
         lines = stderr_until(process, "no MQTT broker at")
         time.sleep(1.0)
         process.send_signal(signal.SIGTERM)
-        _, rest = process.communicate(timeout=10)
+        _, rest = process.communicate(timeout=PATIENCE_S)
     said = "".join(lines) + rest
     assert process.returncode == 0
     assert said.count("/dev/ttyABSENT: no such port; ports present") == 1
@@ -175,7 +176,7 @@ def test_emulate_run_and_watch_work_together(tmp_path, mosquitto, unused_port, m
         url = json.loads(emulator.stdout.readline())["url"]
         with running("run", "-c", write_config(tmp_path, mosquitto.port, url)):
             code, out, err = gateway(
-                "watch", "--port", mosquitto.port, "--count", 20, "--json", "--timeout", 30
+                "watch", "--port", mosquitto.port, "--count", 20, "--json", "--timeout", 2 * PATIENCE_S
             )
     assert code == 0, err
     poses = [json.loads(line) for line in out.splitlines()]
@@ -213,7 +214,7 @@ def test_a_recording_is_played_as_if_modules_sent_it(tmp_path, mosquitto, record
         )
         with running("run", "-c", config):
             code, out, err = gateway(
-                "watch", "--port", mosquitto.port, "--count", 5, "--json", "--timeout", 30
+                "watch", "--port", mosquitto.port, "--count", 5, "--json", "--timeout", 2 * PATIENCE_S
             )
     assert code == 0, err
     assert len(json.loads(out.splitlines()[-1])["segments"]) == 5

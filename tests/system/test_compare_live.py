@@ -12,6 +12,7 @@ from gateway.cli.compare_live import Live, run_live
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.messages import BodyMessage, BodySegment, ComparisonMessage, PoseMessage
 from gateway.outputs.settings import MqttSettings
+from tests.patience import PATIENCE_S
 
 SEGMENTS = ("upper", "lower")
 HEADING_DEG, LAG_S, APART_DEG = 40.0, 7.5, 12.0
@@ -75,16 +76,25 @@ class Heard:
         self.ready, self.messages = asyncio.Event(), []
 
 
+async def until_said(capsys, words):
+    """Until the words were written for the user."""
+    written = ""
+    async with asyncio.timeout(PATIENCE_S):
+        while words not in written:
+            await asyncio.sleep(0.05)
+            written += capsys.readouterr().err
+
+
 async def test_two_gateways_are_compared_and_the_figures_published(mosquitto, capsys):
     settings, heard = MqttSettings(port=mosquitto.port), Heard()
     listening = asyncio.create_task(listen(settings, heard))
     await heard.ready.wait()
     wanted = Live("suit", "cameras", {}, None, 20.0, 1, True)
     comparing = asyncio.create_task(asyncio.to_thread(run_live, settings, wanted))
-    await asyncio.sleep(1.0)
+    await until_said(capsys, "waiting for poses of gateway 'suit'")
     await play(settings, "suit", 0.0, 0.0, 0.0)
     await play(settings, "cameras", HEADING_DEG, LAG_S, APART_DEG)
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE_S):
         assert await comparing == 0
         await listening
     (topic, payload) = heard.messages[0]
@@ -104,9 +114,8 @@ async def test_a_gateway_that_is_not_there_is_waited_for(mosquitto, capsys):
     settings = MqttSettings(port=mosquitto.port)
     wanted = Live("suit", "cameras", {}, None, 20.0, 1, True)
     comparing = asyncio.create_task(asyncio.to_thread(run_live, settings, wanted))
-    await asyncio.sleep(2.0)
-    assert "waiting for poses of gateway 'suit'" in capsys.readouterr().err
+    await until_said(capsys, "waiting for poses of gateway 'suit'")
     await play(settings, "suit", 0.0, 0.0, 0.0)
     await play(settings, "cameras", 0.0, 0.0, 0.0)
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE_S):
         assert await comparing == 0

@@ -16,6 +16,7 @@ from gateway.comparison import orientation_error
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.service import Service
 from gateway.settings import GatewaySettings
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -40,7 +41,7 @@ async def test_orientations_of_the_modules_become_poses(tmp_path, mosquitto, rec
     tasks = [asyncio.create_task(service.run()), asyncio.create_task(emulated.run())]
     poses = []
     try:
-        async with asyncio.timeout(30), PoseSubscriber(settings.mqtt, "lab") as received:
+        async with asyncio.timeout(2 * PATIENCE_S), PoseSubscriber(settings.mqtt, "lab") as received:
             async for pose in received:
                 poses.append(pose.pose)
                 if len(poses) == 200:

@@ -23,6 +23,7 @@ from gateway.cli.main import app
 from gateway.outputs.settings import MqttSettings
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
+from tests.patience import PATIENCE_S
 from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
@@ -107,13 +108,13 @@ async def test_list_shows_every_module_and_names_a_conflict_with_its_remedy(suit
         assert json.loads(output)["conflicts"][0]["module"] == 1
 
 
-async def test_a_busy_port_says_how_to_ask_the_gateway_that_holds_it(suit_on_port, tmp_path):
-    async with suit_on_port() as (_, modules):
+async def test_a_busy_port_says_how_to_ask_the_gateway_that_holds_it(suit_on_port, until):
+    async with suit_on_port() as (suit, modules):
         holder = await modules.start("watch")
-        await asyncio.sleep(2.5)
+        await until(lambda: suit.suit.counts.received_bytes > 0)  # it has the port, and asks
         code, output, errors = await modules.in_a_process("list")
         holder.send_signal(signal.SIGINT)
-        _, complaints = await asyncio.wait_for(holder.communicate(), 10)
+        _, complaints = await asyncio.wait_for(holder.communicate(), PATIENCE_S)
     assert (code, output) == (1, "")
     assert "is busy" in errors
     assert "--mqtt HOST:PORT" in errors
@@ -140,10 +141,10 @@ async def test_a_suit_that_is_not_said_or_not_there_is_one_line(where, message):
 
 async def test_identify_set_show_and_undo(suit_on_port):
     async with suit_on_port() as (suit, modules):
-        code, output, _ = await modules("identify", "2", "--seconds", "9")
+        code, output, _ = await modules("identify", "2", "--seconds", "30")
         assert (code, output) == (
             0,
-            f"module 2 (unique id {suit.unique_id(2).hex()}) blinks for 9 s\n",
+            f"module 2 (unique id {suit.unique_id(2).hex()}) blinks for 30 s\n",
         )
         assert suit.traffic.device(2).is_blinking(suit.soon_s())
 
@@ -220,7 +221,7 @@ async def test_assign_sets_swapped_and_doubled_modules_right(suit_on_port):
     async with suit_on_port(stored_ids={0: 1, 1: 0, 3: 2}) as (suit, modules):
         process = await modules.start("assign", "--allow-writes")
         fitter = Fitter(suit, process, wearers)
-        code = await asyncio.wait_for(fitter.work(), 60)
+        code = await asyncio.wait_for(fitter.work(), LONGEST_S)
         assert code == 0, await process.stderr.read()
         assert suit.ids() == {n: n for n in range(4)}
     text = "\n".join(fitter.lines)
@@ -235,7 +236,7 @@ async def test_assign_with_skip_undo_and_redo(suit_on_port):
         process = await modules.start("assign", "--allow-writes", "--yes")
         keys = [("link_2", "u"), ("link_3", "s"), ("link_4", "q")]
         fitter = Fitter(suit, process, wearers, keys)
-        code = await asyncio.wait_for(fitter.work(), 60)
+        code = await asyncio.wait_for(fitter.work(), LONGEST_S)
         assert code == 1  # two were skipped
         assert suit.ids() == {n: n for n in range(4)}
     text = "\n".join(fitter.lines)
@@ -266,20 +267,19 @@ async def test_a_segment_that_gives_no_sign_is_skipped_in_time(suit_on_port):
     assert "not assigned: link_1" in output
 
 
-async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_on_port, tmp_path):
+async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_on_port, tmp_path, until):
     target = tmp_path / "walk.mcap"
     partial = tmp_path / "walk.mcap.card.part"
     async with suit_on_port(has_relay=True) as (suit, modules):
         code, output, _ = await modules("card", "start")
         assert (code, output) == (0, "the card records\n")
-        await asyncio.sleep(2.5)
         relay = suit.traffic.device(RELAY)
+        await until(lambda: relay.card.entries()[0].size > 30_000)
         relay.happen(0.0, relay.stop)
-        await asyncio.sleep(0.2)
-        (entry,) = suit.traffic.device(RELAY).card.entries()
-        assert entry.size > 30_000
+        await until(lambda: relay.card.recording is None)
+        (entry,) = relay.card.entries()
         process = await modules.start("card", "download", "1", str(target))
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             while not partial.exists() or partial.stat().st_size < 5000:
                 await asyncio.sleep(0.005)
         process.kill()
@@ -305,7 +305,7 @@ async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_
         mqtt=MqttSettings(broker="embedded", port=0),
     )
     service = Service(settings, load_rig(RIG))
-    await asyncio.wait_for(service.run(), 60)
+    await asyncio.wait_for(service.run(), LONGEST_S)
     assert set(service.pipeline.stream.modules) == {0, 1, 2, 3}
     assert all(record.lost == 0 for record in service.pipeline.stream.modules.values())
     assert service.pipeline.skeleton_frames > 150
@@ -323,7 +323,7 @@ async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, mosq
     async with commanded_suit(RIG) as suit:
         service = Service(settings, load_rig(RIG), links=[suit.link])
         serving = asyncio.create_task(service.run())
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             while not service.requests.is_connected:
                 await asyncio.sleep(0.01)
         modules = Typed("--mqtt", f"127.0.0.1:{mosquitto.port}")
@@ -332,7 +332,7 @@ async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, mosq
         assert suit.unique_id(3).hex() in output
         process = await modules.start("assign", "--segment", "link_2", "--yes")
         fitter = Fitter(suit, process, {"link_2": 2})
-        assert await asyncio.wait_for(fitter.work(), 40) == 0
+        assert await asyncio.wait_for(fitter.work(), LONGEST_S) == 0
         assert suit.ids() == {0: 0, 1: 2, 2: 1, 3: 3}
         code, _, errors = await modules("set", "7", "label=x")
         assert code == 1

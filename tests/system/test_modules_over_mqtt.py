@@ -22,6 +22,7 @@ from gateway.outputs.request_messages import LARGEST_REQUEST, ResponseMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -50,7 +51,7 @@ def served(mosquitto, commanded_suit):
             service = Service(settings, load_rig("robot_arm_4"), links=[suit.link])
             serving = asyncio.create_task(service.run())
             try:
-                async with asyncio.timeout(20):
+                async with asyncio.timeout(PATIENCE_S):
                     while not service.requests.is_connected:
                         await asyncio.sleep(0.01)
                 yield suit, service, mqtt
@@ -71,7 +72,7 @@ class App:
         if not isinstance(payload, bytes):
             payload = orjson.dumps(payload)
         await self._client.publish(f"mocap/lab/bridge/request/{verb}", payload, qos=1, properties=properties)
-        async with asyncio.timeout(15):
+        async with asyncio.timeout(PATIENCE_S):
             async for message in self._client.messages:
                 wanted = topic_of_answer or f"mocap/lab/bridge/response/{verb}"
                 if message.topic.value == wanted:
@@ -174,7 +175,7 @@ async def test_a_flood_of_requests_is_answered_and_stalls_nothing(served):
                 await client.publish("mocap/lab/bridge/request/modules/identify", request, qos=1)
             before = service.pipeline.skeleton_frames
             answers = {}
-            async with asyncio.timeout(15):
+            async with asyncio.timeout(PATIENCE_S):
                 async for message in client.messages:
                     answer = ResponseMessage.model_validate_json(message.payload)
                     answers[answer.transaction] = answer

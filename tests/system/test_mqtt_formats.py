@@ -13,6 +13,7 @@ from gateway.outputs import BridgeInfo, ModuleInfo, MqttSettings
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import PoseFormat
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.system
 async def gather(client, n, of):
     """The first n messages whose topic holds ``of``."""
     found = []
-    async with asyncio.timeout(8):
+    async with asyncio.timeout(PATIENCE_S):
         async for message in client.messages:
             if of in message.topic.value:
                 found.append(message)

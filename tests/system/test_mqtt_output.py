@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import shutil
 import subprocess
@@ -17,12 +16,14 @@ import orjson
 import ormsgpack
 import pytest
 
+from devices.link import gateway_time_ns
 from gateway.outputs import BrokerUnreachableError, MqttSettings, PoseMap, PoseSubscriber, TlsSettings, topics
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.messages import PUBLICATIONS, ModuleAvailability, ModuleState
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.properties import MSGPACK
 from gateway.outputs.settings import PASSWORD_VARIABLE, PoseFormat
+from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
     from tests.conftest import Mosquitto, PoseSource
@@ -39,14 +40,16 @@ NEVER_HEARD = ModuleState(
 
 
 async def retained(settings: MqttSettings) -> dict[str, bytes]:
-    """Retained messages as a client that comes later sees them."""
+    """Retained messages as a client that comes later sees them, before what is published then."""
     found = {}
     async with broker_connection(settings, settings.port, "late-comer") as client:
         await client.subscribe("#", qos=1)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(0.15):
-                async for message in client.messages:
-                    found[message.topic.value] = message.payload
+        await client.publish("no/more", qos=1)
+        async with asyncio.timeout(PATIENCE_S):
+            async for message in client.messages:
+                if message.topic.value == "no/more":
+                    break
+                found[message.topic.value] = message.payload
     return found
 
 
@@ -81,7 +84,7 @@ async def test_every_message_is_what_its_model_says(
             output.keep("module/7/availability", ModuleAvailability(state="online"))
             output.keep("module/7/state", NEVER_HEARD)
             seen: dict[str, object] = {}
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(PATIENCE_S):
                 async for topic, payload in messages_of(reader):
                     if topic not in published:
                         assert topic.startswith("mocap/lab/segment/")
@@ -128,7 +131,7 @@ async def test_what_is_queued_is_published_before_the_stop(
             await until(lambda: output.is_connected)
             for sequence in range(50):
                 output.offer(pose_source.frame(sequence))
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(PATIENCE_S):
             received = [(await anext(aiter(poses))).pose.seq for _ in range(50)]
     assert received == list(range(50))
     assert (output.counters.published, output.counters.dropped) == (50, 0)
@@ -141,16 +144,22 @@ async def test_poses_arrive_soon_and_all_of_them(
     async with (
         MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output,
         PoseSubscriber(settings) as poses,
+        broker_connection(settings, mosquitto.port, "echo") as echo,
     ):
         await until(lambda: output.is_connected)
-        latencies = []
+        await echo.subscribe("echo")
+        latencies, echoes_s = [], []
         for sequence in range(60):
             output.offer(pose_source.frame(sequence))
-            received = await asyncio.wait_for(anext(aiter(poses)), 2)
+            received = await asyncio.wait_for(anext(aiter(poses)), PATIENCE_S)
             assert received.pose.seq == sequence
             latencies.append(received.latency_s)
+            sent_ns = gateway_time_ns()
+            await echo.publish("echo", received.payload)
+            await asyncio.wait_for(anext(aiter(echo.messages)), PATIENCE_S)
+            echoes_s.append((gateway_time_ns() - sent_ns) * 1e-9)
             await asyncio.sleep(0.01)
-    assert median(latencies) < 0.005
+    assert median(latencies) < 0.004 + 2 * median(echoes_s)
 
 
 async def test_two_gateways_do_not_disturb_each_other(
@@ -168,9 +177,9 @@ async def test_two_gateways_do_not_disturb_each_other(
                 two.offer(pose_source.frame(100 + sequence))
                 one.offer(pose_source.frame(sequence))
                 await asyncio.sleep(0.005)
-            seen = [await asyncio.wait_for(anext(aiter(both)), 2) for _ in range(40)]
+            seen = [await asyncio.wait_for(anext(aiter(both)), PATIENCE_S) for _ in range(40)]
             expected_of_one = [received.pose.seq for received in seen if received.gateway == "one"]
-            of_one = [await asyncio.wait_for(anext(aiter(only_one)), 2) for _ in range(20)]
+            of_one = [await asyncio.wait_for(anext(aiter(only_one)), PATIENCE_S) for _ in range(20)]
         await until(lambda: both.states == {"one": "online", "two": "offline"})
         assert only_one.states == {"one": "online"}
         assert [received.pose.seq for received in of_one] == expected_of_one == list(range(20))
@@ -213,7 +222,7 @@ async def test_tls(mosquitto: Mosquitto, pose_source: PoseSource, tmp_path: Path
     ):
         await until(lambda: output.is_connected)
         output.offer(pose_source.frame(5))
-        assert (await asyncio.wait_for(anext(aiter(poses)), 5)).pose.seq == 5
+        assert (await asyncio.wait_for(anext(aiter(poses)), PATIENCE_S)).pose.seq == 5
     for tls, words in (
         (TlsSettings(), "check tls.ca_file"),
         (TlsSettings(ca_file=tmp_path / "absent.pem"), "cannot read tls.ca_file .*absent.pem"),
@@ -233,6 +242,7 @@ async def test_refusal_names_the_user_and_never_the_password(
     words: str,
     protocol: str,
     until: Until,
+    attempts: list[float],
 ) -> None:
     mosquitto.configure("allow_anonymous false")
     mosquitto.restart()
@@ -241,7 +251,7 @@ async def test_refusal_names_the_user_and_never_the_password(
     settings = MqttSettings(port=mosquitto.port, username=username, protocol=protocol)
     async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
         await until(lambda: words in caplog.text)
-        await asyncio.sleep(0.3)  # a second attempt: no second line
+        await until(lambda: len(attempts) > 2)  # a second has failed: no second line
         assert not output.is_connected
     warnings = [record for record in caplog.records if record.levelno >= logging.WARNING]
     assert len(warnings) == 1

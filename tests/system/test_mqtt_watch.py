@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import errno
 import io
+import os
+import pty
+import select
 import signal
 import subprocess
 import sys
+import termios
+import time
 from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING
 
@@ -18,6 +25,7 @@ from gateway.cli.watch import Watch, watch_poses
 from gateway.outputs import MqttSettings
 from gateway.outputs.messages import PoseMessage
 from gateway.outputs.mqtt import MqttOutput
+from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
     from tests.conftest import Mosquitto, PoseSource
@@ -25,6 +33,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.system
 
 WATCH = [sys.executable, "-c", "import typer; from gateway.cli.watch import watch; typer.run(watch)"]
+HIDE_CURSOR, SHOW_CURSOR = b"\x1b[?25l", b"\x1b[?25h"
 
 
 @pytest.fixture
@@ -47,14 +56,31 @@ async def run(*options: str, port: int) -> tuple[int, str, str]:
     process = await asyncio.create_subprocess_exec(
         *WATCH, "--port", str(port), *options, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    output, errors = await asyncio.wait_for(process.communicate(), 10)
+    output, errors = await asyncio.wait_for(process.communicate(), PATIENCE_S)
     assert process.returncode is not None
     return process.returncode, output.decode(), errors.decode()
 
 
+def read_terminal(terminal: int, until: bytes | None = None) -> bytes:
+    """What is shown, up to the wanted words, or to the end of the program that shows it."""
+    shown, deadline = b"", time.monotonic() + PATIENCE_S
+    while until is None or until not in shown:
+        ready, _, _ = select.select([terminal], [], [], max(0.0, deadline - time.monotonic()))
+        if not ready:
+            pytest.fail(f"{until or 'the end'!r} has not come: {shown!r}")
+        try:
+            shown += os.read(terminal, 65536)
+        except OSError as closed:  # Linux's end of file on a terminal
+            if closed.errno != errno.EIO:
+                raise
+            assert until is None, shown
+            return shown
+    return shown
+
+
 async def test_once_prints_one_table(publishing: MqttSettings) -> None:
     text = io.StringIO()
-    code = await watch_poses(publishing, Watch(count=1, timeout=5), Console(file=text, width=100))
+    code = await watch_poses(publishing, Watch(count=1, timeout=PATIENCE_S), Console(file=text, width=100))
     assert code == 0
     assert "lab" in text.getvalue()
     assert "segment_0 (root)" in text.getvalue()
@@ -84,11 +110,29 @@ async def test_absent_broker_is_one_line(unused_port: int) -> None:
 
 
 async def test_live_table_ends_quietly_on_ctrl_c(publishing: MqttSettings) -> None:
+    """On a terminal, as a person sees it: Ctrl-C ends the table, however late it came, with nothing said."""
+    terminal, other_end = pty.openpty()
+    termios.tcsetwinsize(other_end, (50, 120))
     process = await asyncio.create_subprocess_exec(
-        *WATCH, "--port", str(publishing.port), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        *WATCH,
+        *("--port", str(publishing.port)),
+        stdin=other_end,
+        stdout=other_end,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"TERM": "xterm-256color"},
     )
-    await asyncio.sleep(1.2)
-    process.send_signal(signal.SIGINT)
-    output, errors = await asyncio.wait_for(process.communicate(), 5)
+    os.close(other_end)
+    try:
+        shown = await asyncio.to_thread(read_terminal, terminal, b" Hz")
+        process.send_signal(signal.SIGINT)
+        rest = asyncio.create_task(asyncio.to_thread(read_terminal, terminal))
+        _, errors = await asyncio.wait_for(process.communicate(), PATIENCE_S)
+        shown += await rest
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        os.close(terminal)
     assert (process.returncode, errors) == (0, b"")
-    assert b"Hz" in output
+    assert b"segment_0 (root)" in shown
+    assert b"Traceback" not in shown
+    assert shown.rindex(SHOW_CURSOR) > shown.rindex(HIDE_CURSOR)

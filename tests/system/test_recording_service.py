@@ -23,6 +23,7 @@ from gateway.recording.recovery import recover_in_place
 from gateway.recording.solving import verify
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -64,7 +65,7 @@ async def running(settings):
     service = Service(settings, load_rig(RIG))
     serving = asyncio.create_task(service.run())
     try:
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(2 * PATIENCE_S):
             while service.pipeline.skeleton_frames < 20 and not serving.done():
                 await asyncio.sleep(0.02)
         yield service
@@ -74,11 +75,11 @@ async def running(settings):
             await serving
 
 
-async def test_a_recording_from_the_start_replays_bit_for_bit(tmp_path, mosquitto):
+async def test_a_recording_from_the_start_replays_bit_for_bit(tmp_path, mosquitto, until):
     async with emulated(tmp_path, "--imperfections", "typical") as port:
         settings = settings_for(port, tmp_path / "kept", mosquitto.port, at_start=True)
         async with running(settings) as service:
-            await asyncio.sleep(3)
+            await until(lambda: service.pipeline.skeleton_frames > 280)
     status = service.recording.status()
     assert (status["state"], status["ended"], status["lost"]) == ("off", "stopped", {})
     recording = open_recording(status["file"])
@@ -94,10 +95,10 @@ async def test_a_recording_from_the_start_replays_bit_for_bit(tmp_path, mosquitt
     assert last["skeleton_frames"] == service.pipeline.skeleton_frames
 
 
-async def test_requests_start_and_stop_recordings(tmp_path, mosquitto):
+async def test_requests_start_and_stop_recordings(tmp_path, mosquitto, until):
     async with (
         emulated(tmp_path) as port,
-        running(settings_for(port, tmp_path / "kept", mosquitto.port)),
+        running(settings_for(port, tmp_path / "kept", mosquitto.port)) as service,
         aiomqtt.Client("127.0.0.1", mosquitto.port) as client,
     ):
         await client.subscribe("mocap/lab/bridge/response/recording/#")
@@ -114,14 +115,15 @@ async def test_requests_start_and_stop_recordings(tmp_path, mosquitto):
                     return answer
             raise AssertionError
 
-        async with asyncio.timeout(30):
-            await asyncio.sleep(0.3)
+        async with asyncio.timeout(2 * PATIENCE_S):
+            await until(lambda: service.requests.is_connected)
             assert (await ask("status"))["data"] == {"state": "off"}
             begun = await ask("start", name="walk")
             assert begun["status"] == "ok"
             assert re.search(r"\d{8}T\d{6}Z_walk\.mcap$", begun["data"]["file"])
             assert "already recording" in (await ask("start"))["error"]
-            await asyncio.sleep(0.5)
+            frames = service.pipeline.skeleton_frames
+            await until(lambda: service.pipeline.skeleton_frames > frames + 50)
             async for message in client.messages:
                 if message.topic.matches("mocap/lab/bridge/health"):
                     health = json.loads(message.payload)["statistics"]["recording"]
@@ -143,7 +145,7 @@ async def test_requests_start_and_stop_recordings(tmp_path, mosquitto):
     assert sum(1 for _ in recording.skeleton_frames()) > 20
 
 
-async def test_the_live_stream_goes_on_when_the_disk_is_full(tmp_path, mosquitto, monkeypatch, caplog):
+async def test_the_live_stream_goes_on_when_the_disk_is_full(tmp_path, mosquitto, monkeypatch, caplog, until):
     free = [10_000 * MB]
     monkeypatch.setattr(
         files.SessionFiles.__init__,
@@ -154,13 +156,10 @@ async def test_the_live_stream_goes_on_when_the_disk_is_full(tmp_path, mosquitto
         settings = settings_for(port, tmp_path / "kept", mosquitto.port, at_start=True, min_free_mb=500)
         async with running(settings) as service:
             free[0] = 100 * MB
-            async with asyncio.timeout(10):
-                while service.recording.is_recording:
-                    await asyncio.sleep(0.01)
+            await until(lambda: not service.recording.is_recording)
             before = service.pipeline.skeleton_frames, service.mqtt.counters.published
-            await asyncio.sleep(1)
-            assert service.pipeline.skeleton_frames > before[0] + 50
-            assert service.mqtt.counters.published > before[1] + 50
+            await until(lambda: service.pipeline.skeleton_frames > before[0] + 50)
+            await until(lambda: service.mqtt.counters.published > before[1] + 50)
             status = service.recording.status()
     assert "100 MB free, less than min_free_mb 500" in status["ended"]
     assert "recording has stopped" in caplog.text
@@ -180,7 +179,7 @@ async def start_recorder(tmp_path, settings, *options):
 
 async def written_beyond(folder, size, process):
     """Wait until a recording in the folder is so large; its path."""
-    async with asyncio.timeout(40):
+    async with asyncio.timeout(2 * PATIENCE_S):
         while True:
             for path in folder.glob("*.mcap"):
                 if path.stat().st_size > size:
@@ -195,7 +194,7 @@ async def test_record_ends_with_a_whole_file_on_ctrl_c(tmp_path, mosquitto):
         process = await start_recorder(tmp_path, settings_for(port, folder, mosquitto.port))
         path = await written_beyond(folder, 100_000, process)
         process.send_signal(signal.SIGINT)
-        output, _ = await asyncio.wait_for(process.communicate(), 20)
+        output, _ = await asyncio.wait_for(process.communicate(), PATIENCE_S)
     assert process.returncode == 0
     assert re.search(rb"_cli\.mcap: [\d.]+ s, [\d.]+ MB, \d+ chunks, \d+ poses", output)
     assert verify(open_recording(path)).is_identical

@@ -14,6 +14,7 @@ import pytest
 from gateway.modules.operations import RequestError
 from gateway.modules.remote import remote_suit
 from gateway.outputs.settings import MqttSettings
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -38,12 +39,12 @@ def gateway_process(mosquitto, tmp_path):
         yield process, config, MqttSettings(port=mosquitto.port)
     finally:
         process.send_signal(signal.SIGTERM)
-        process.wait(10)
+        process.wait(PATIENCE_S)
 
 
 async def ask(settings, verb, **data):
     """The data of the answer, once the gateway is there."""
-    deadline = time.monotonic() + 40
+    deadline = time.monotonic() + 2 * PATIENCE_S
     while True:
         try:
             async with remote_suit(settings, family="gateway") as gateway, asyncio.timeout(10):
@@ -74,7 +75,7 @@ async def test_info_health_and_reload(gateway_process, tmp_path):
 
     config.write_text(good.replace("rig: single", "rig: robot_arm_4"))
     assert await ask(settings, "reload") == {"reloaded": True}
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + PATIENCE_S
     while len((await ask(settings, "info"))["modules"]) == 1:
         assert time.monotonic() < deadline
         await asyncio.sleep(0.2)

@@ -14,6 +14,7 @@ import time
 import pytest
 
 from gateway.service_manager import notify, watchdog_interval_s
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -60,7 +61,7 @@ def running(folder, port):
         yield process, manager, config
     finally:
         process.kill()
-        process.wait(5)
+        process.wait(PATIENCE_S)
         manager.close()
 
 
@@ -68,7 +69,7 @@ def log_lines(folder):
     return [json.loads(line) for line in (folder / "log").read_text().splitlines()]
 
 
-def await_message(folder, wanted, timeout_s=30):
+def await_message(folder, wanted, timeout_s=2 * PATIENCE_S):
     deadline = time.monotonic() + timeout_s
     while not any(wanted in line["message"] for line in log_lines(folder)):
         assert time.monotonic() < deadline, log_lines(folder)
@@ -78,7 +79,7 @@ def await_message(folder, wanted, timeout_s=30):
 @pytest.mark.timeout(400)  # its first start may compile, on a machine that is busy
 def test_ready_watched_reloaded_and_stopped(mosquitto, tmp_path):
     with running(tmp_path, mosquitto.port) as (process, manager, config):
-        manager.await_telling("READY=1", timeout_s=300)
+        manager.await_telling("READY=1", timeout_s=10 * PATIENCE_S)
         manager.await_telling("WATCHDOG=1")
 
         config.write_text("links: []\n")
@@ -95,7 +96,7 @@ def test_ready_watched_reloaded_and_stopped(mosquitto, tmp_path):
         await_message(tmp_path, "stopped")
         assert time.monotonic() - begun < 5.0
         assert process.wait(60) == 0  # the interpreter's own end takes as long as the machine is busy
-        manager.await_telling("STOPPING=1", timeout_s=1)
+        manager.await_telling("STOPPING=1", timeout_s=PATIENCE_S)
     lines = log_lines(tmp_path)
     assert {"time", "level", "logger", "message"} <= set(lines[0])
 

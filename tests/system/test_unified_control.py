@@ -20,6 +20,7 @@ from gateway.cli.emulated_rig import dress, move
 from gateway.pipeline import Pipeline
 from gateway.service import Service
 from gateway.settings import GatewaySettings
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -76,7 +77,10 @@ class Capture:
         tasks = [asyncio.create_task(self.emulated.run()), asyncio.create_task(self.service.run())]
         try:
             await asyncio.sleep(seconds)
-            async with asyncio.timeout(5), aiomqtt.Client("127.0.0.1", self.settings.mqtt.port) as client:
+            async with (
+                asyncio.timeout(PATIENCE_S),
+                aiomqtt.Client("127.0.0.1", self.settings.mqtt.port) as client,
+            ):
                 await client.subscribe("mocap/lab/bridge/health")
                 async for message in client.messages:
                     return json.loads(message.payload)["statistics"]

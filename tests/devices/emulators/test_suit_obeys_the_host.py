@@ -36,6 +36,7 @@ from firmware_protocol import (
 )
 from firmware_protocol.commands import Verb, encode_arguments
 from firmware_protocol.device_settings import encode_value
+from tests.patience import PATIENCE_S, loop_lateness
 from tests.running_suit import running
 
 BYTES, CAN = Encoding(), Encoding(Framing.CAN)
@@ -74,7 +75,7 @@ class Conversation:
                 if isinstance(packet, Acknowledgement) and packet.transaction == command.transaction:
                     return packet, (gateway_time_ns() - asked_ns) * 1e-9
             self._news.clear()
-            await asyncio.wait_for(self._news.wait(), 3.0)
+            await asyncio.wait_for(self._news.wait(), PATIENCE_S)
 
 
 @contextlib.asynccontextmanager
@@ -103,7 +104,7 @@ def make(medium):
 
 
 @pytest.mark.parametrize("medium", ["pty", "tcp", "can", "slcan", "loopback"])
-async def test_a_host_changes_a_module_and_it_answers_promptly(arm4, medium):
+async def test_a_host_changes_a_module_and_it_answers_promptly(arm4, medium, until):
     transport, link, encoding = make(medium)
     traffic = traffic_of(arm4, encoding)
     suit = EmulatedSuit(traffic, transport)
@@ -111,21 +112,22 @@ async def test_a_host_changes_a_module_and_it_answers_promptly(arm4, medium):
         while medium != "loopback" and not transport.url:
             await asyncio.sleep(0.005)
         async with conversation(link or link_from_url(transport.url), encoding) as talk:
-            await asyncio.sleep(0.2)
+            await until(lambda: len(talk.packets) > 40)
             took_s = []
             hello = encode_arguments(Verb.HELLO, 1, 1)
-            for transaction in range(8):
-                answer, after_s = await talk.ask(Command(transaction, Verb.HELLO, arguments=hello), 2)
-                assert (answer.result, answer.unique_id) == (0, traffic.device(2).unique_id)
-                took_s.append(after_s)
+            async with loop_lateness() as machine:
+                for transaction in range(8):
+                    answer, after_s = await talk.ask(Command(transaction, Verb.HELLO, arguments=hello), 2)
+                    assert (answer.result, answer.unique_id) == (0, traffic.device(2).unique_id)
+                    took_s.append(after_s)
             rename = encode_arguments(Verb.WRITE_SETTING, 1, encode_value(1, 33))
             assert (await talk.ask(Command(100, Verb.WRITE_SETTING, arguments=rename), 2))[0].result == 0
             assert (await talk.ask(Command(101, Verb.COMMIT), 2))[0].result == 0
             n_before = len(talk.packets)
-            await asyncio.sleep(0.1)
+            await until(lambda: len(talk.packets) > n_before + 40)
             after = {p.module for p in talk.packets[n_before:] if isinstance(p.packet, InertialSample)}
             assert after == {0, 1, 3, 33}
-    assert sorted(took_s)[1] < 0.02  # but for a busy machine
+    assert sorted(took_s)[1] < 0.02 + 2 * machine.median_s
     assert not talk.decoder.dropped
     assert suit.counts.received_bytes > 200
 
@@ -144,13 +146,14 @@ async def test_a_loopback_reader_comes_and_goes(arm4):
 async def test_the_motion_is_in_real_time_and_on_time(arm4):
     memory = MemoryTransport()
     suit = EmulatedSuit(traffic_of(arm4, has_relay=True), memory, duration_s=1.0, linger_s=0.0)
-    await suit.run()
+    async with loop_lateness() as machine:
+        await suit.run()
     decoder, late_s = PacketDecoder(FrameDecoder()), []
     for at_ns, data in memory.chunks:
         late_s += [(at_ns - suit.instant_ns(p.module_time_us * 1e-6)) * 1e-9 for p in decoder.feed(data)]
     assert len(late_s) == 4 * 100 + 4 * 2
     assert min(late_s) >= 0.0
-    assert sorted(late_s)[len(late_s) // 2] < 0.01
+    assert sorted(late_s)[len(late_s) // 2] < 0.01 + 2 * machine.median_s
 
 
 async def test_at_full_speed_commands_come_between_the_steps(arm4):
@@ -160,7 +163,7 @@ async def test_at_full_speed_commands_come_between_the_steps(arm4):
         while len(memory.chunks) < 20:
             await asyncio.sleep(0)
         memory.receive(bytes_of(Command(1, Verb.STOP), BROADCAST))
-        await asyncio.wait_for(task, 20.0)
+        await asyncio.wait_for(task, PATIENCE_S)
     packets = PacketDecoder(FrameDecoder()).feed(b"".join(data for _, data in memory.chunks))
     assert sum(isinstance(p.packet, Acknowledgement) for p in packets) == 4
     last_s = max(p.module_time_us for p in packets if isinstance(p.packet, InertialSample)) * 1e-6
@@ -171,7 +174,8 @@ async def test_a_suit_that_only_speaks_hears_nothing(arm4):
     memory = MemoryTransport()
     suit = EmulatedSuit(traffic_of(arm4).transmissions(0.3), memory, linger_s=0.0)
     async with running(suit) as task:
-        await asyncio.sleep(0.1)
+        while not memory.chunks:
+            await asyncio.sleep(0)
         memory.receive(bytes_of(Command(1, Verb.STOP), BROADCAST))
         await task
     packets = PacketDecoder(FrameDecoder()).feed(b"".join(data for _, data in memory.chunks))

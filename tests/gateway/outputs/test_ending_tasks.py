@@ -3,6 +3,7 @@
 import asyncio
 
 from gateway.outputs.connection import end_tasks
+from tests.patience import PATIENCE_S
 
 
 async def test_a_task_that_loses_its_first_cancellation_is_cancelled_again():
@@ -20,7 +21,7 @@ async def test_a_task_that_loses_its_first_cancellation_is_cancelled_again():
 
     task = asyncio.create_task(reconnect_for_ever())
     await asyncio.sleep(0.01)
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         await end_tasks(task)
     assert task.cancelled()
     assert cancellations == 2

@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from gateway.outputs.connection import first_to_end
+from tests.patience import PATIENCE_S
 
 
 class Part:
@@ -29,21 +30,21 @@ class Part:
 
 async def test_a_part_that_fails_is_no_silent_death():
     """The task that keeps retained messages up to date once died of a slow broker, and nobody noticed."""
-    endless, failing = Part(60.0), Part(0.01, ConnectionError("no acknowledgement"))
+    endless, failing = Part(2 * PATIENCE_S), Part(0.01, ConnectionError("no acknowledgement"))
     with pytest.raises(ConnectionError, match="no acknowledgement"):
-        await asyncio.wait_for(first_to_end(endless.run(), failing.run()), 10.0)
+        await asyncio.wait_for(first_to_end(endless.run(), failing.run()), PATIENCE_S)
     assert endless.was_cancelled
 
 
 async def test_a_loss_ends_a_publication_that_waits_for_nothing():
     """A publication on a connection that was just lost once waited for its whole time-out of two seconds."""
-    waiting = Part(60.0)
-    await asyncio.wait_for(first_to_end(waiting.run(), Part(0.01).run()), 10.0)
+    waiting = Part(2 * PATIENCE_S)
+    await asyncio.wait_for(first_to_end(waiting.run(), Part(0.01).run()), PATIENCE_S)
     assert waiting.was_cancelled
 
 
 async def test_cancelling_ends_all_parts():
-    parts = Part(60.0), Part(60.0)
+    parts = Part(2 * PATIENCE_S), Part(2 * PATIENCE_S)
     running = asyncio.create_task(first_to_end(*(part.run() for part in parts)))
     await asyncio.sleep(0.01)
     running.cancel()

@@ -24,6 +24,7 @@ from gateway.recording.control import RecordingControl
 from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.recorder import Recorder, Sink
 from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+from tests.patience import PATIENCE_S
 
 MB = 10**6
 CONTENTS = Contents({"suit": Framing.BYTE_STREAM}, {}, "1", True)
@@ -47,18 +48,24 @@ def indices(path) -> list[int]:
     return [int.from_bytes(c.data[:4], "little") for c in open_recording(path).chunks()]
 
 
+def await_that(condition):
+    """What a thread of its own brings about."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
 def test_what_is_flushed_can_be_read_while_recording_goes_on(tmp_path):
     files = SessionFiles(settings_in(tmp_path), CONTENTS)
     kept = recorder_on(files)
     kept.chunk(chunk(0), Framing.BYTE_STREAM)
-    deadline = time.monotonic() + 5
-    while not kept.counts.written["chunks"] and time.monotonic() < deadline:
-        time.sleep(0.002)
+    await_that(lambda: kept.counts.written["chunks"] == 1)
     assert indices(files.path) == [0]
     assert RecordingFile(files.path).head.session["software"] == "1"
     kept.chunk(chunk(1), Framing.BYTE_STREAM)
     kept.end("stopped")
-    assert kept.join(5)
+    assert kept.join(PATIENCE_S)
     assert indices(files.path) == [0, 1]
     assert kept.counts.written["chunks"] == kept.counts.queued["chunks"] == 2
 
@@ -105,23 +112,25 @@ def test_parts_of_another_session_are_left_alone(tmp_path):
 
 
 def test_low_disk_warns_and_then_ends_the_recording_cleanly(tmp_path, caplog):
-    free = [10_000 * MB]
+    free, looks = [10_000 * MB], []
     files = SessionFiles(
-        settings_in(tmp_path, warn_free_mb=2000, min_free_mb=500), CONTENTS, free=lambda _: free[0]
+        settings_in(tmp_path, warn_free_mb=2000, min_free_mb=500),
+        CONTENTS,
+        free=lambda _: looks.append(free[0]) or free[0],
     )
     ended = []
     kept = recorder_on(files, on_end=ended.append)
     kept.chunk(chunk(0), Framing.BYTE_STREAM)
-    time.sleep(0.05)
+    await_that(lambda: len(looks) > 3)
     assert files.warning is None
     free[0] = 1500 * MB
-    time.sleep(0.05)
+    await_that(lambda: looks.count(1500 * MB) > 3)
     assert "1500 MB free" in files.warning
     assert caplog.text.count("recording stops at 500 MB") == 1
     kept.chunk(chunk(1), Framing.BYTE_STREAM)
-    time.sleep(0.05)
+    await_that(lambda: kept.counts.written["chunks"] == 2)
     free[0] = 499 * MB
-    assert kept.join(5)
+    assert kept.join(PATIENCE_S)
     assert "499 MB free, less than min_free_mb 500" in kept.ended
     assert ended == [kept.ended]
     kept.chunk(chunk(2), Framing.BYTE_STREAM)
@@ -164,7 +173,7 @@ def test_a_disk_full_to_the_brim_ends_the_recording_and_what_was_flushed_is_ther
             kept.chunk(chunk(fed, 2000), Framing.BYTE_STREAM)
             fed += 1
             time.sleep(0.0005)
-        assert kept.join(5)
+        assert kept.join(PATIENCE_S)
         assert "cannot be written any more (No space left on device)" in kept.ended
         written = kept.counts.written["chunks"]
         assert 100 < written < fed
@@ -201,17 +210,18 @@ async def test_a_slow_disk_holds_the_stream_up_and_nothing_is_lost(tmp_path, mon
     gate = threading.Event()
 
     def flush():
-        gate.wait(5)
+        gate.wait(PATIENCE_S)
         return files.flush()
 
     kept = Recorder(Sink(files.write, flush, files.close, files.abandon), 0.01)
-    asyncio.get_running_loop().call_later(0.3, gate.set)
     for index in range(500):
         if kept.is_behind:
+            if not gate.is_set():
+                asyncio.get_running_loop().call_later(0.2, gate.set)
             await kept.catch_up()
         kept.chunk(chunk(index), Framing.BYTE_STREAM)
     kept.end("stopped")
-    assert kept.join(5)
+    assert kept.join(PATIENCE_S)
     assert indices(files.path) == list(range(500))
     assert kept.counts.stalls >= 1
     assert kept.counts.stalled_s > 0.1
@@ -225,7 +235,7 @@ async def test_a_disk_that_hangs_ends_the_recording_and_lets_the_stream_go_on(tm
     gate = threading.Event()
 
     def flush():
-        gate.wait(20)
+        gate.wait(PATIENCE_S)
         return files.flush()
 
     kept = Recorder(Sink(files.write, flush, files.close, files.abandon), 0.01)
@@ -233,12 +243,12 @@ async def test_a_disk_that_hangs_ends_the_recording_and_lets_the_stream_go_on(tm
         kept.chunk(chunk(index), Framing.BYTE_STREAM)
     begun = time.monotonic()
     await kept.catch_up()
-    assert 0.1 <= time.monotonic() - begun < 1
+    assert 0.1 <= time.monotonic() - begun < PATIENCE_S / 2  # the disk hangs for longer
     assert not kept.is_behind  # nobody waits a second time
     kept.chunk(chunk(99), Framing.BYTE_STREAM)
     assert kept.counts.lost == {"chunks": 1}
     gate.set()
-    assert kept.join(5)
+    assert kept.join(PATIENCE_S)
     assert "the disk took nothing for 0.1 s" in kept.ended
     assert indices(files.path) == list(range(50))
 
@@ -250,7 +260,7 @@ def test_a_failure_inside_is_said_and_ends_it(caplog):
     with caplog.at_level(logging.ERROR):
         kept = Recorder(Sink(breaks, lambda: None, lambda: None, lambda: None), 0.01)
         kept.chunk(chunk(0), Framing.BYTE_STREAM)
-        assert kept.join(5)
+        assert kept.join(PATIENCE_S)
     assert "this should not have happened" in kept.ended
     assert kept.counts.lost["chunks"] == 1
 

@@ -10,6 +10,7 @@ import pytest
 from gateway.credentials import AccessToken
 from gateway.viewer import gate
 from gateway.viewer.gate import Door, Gate, Refused, Request
+from tests.patience import PATIENCE_S
 
 TOKEN = "abcdefghijklmnop-_09"
 SESSION = "a-session-of-this-very-test"
@@ -148,7 +149,7 @@ async def gated(token=None):
 async def ask(port, text):
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(text.encode())
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(PATIENCE_S):
         answer = await reader.read()
     writer.close()
     return answer.decode()
@@ -180,6 +181,7 @@ async def test_requests_too_long_too_slow_and_too_many(monkeypatch):
     async with gated(AccessToken(TOKEN)) as port:
         assert (await ask(port, "GET /" + "x" * gate.LARGEST_HEAD)).startswith("HTTP/1.1 431")
         assert await ask(port, "GET / HTTP/1.1\r\n") == ""
+        monkeypatch.setattr(gate, "PATIENCE_S", 10 * PATIENCE_S)
         slow = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
         await asyncio.sleep(0.05)
         assert (await ask(port, "GET / HTTP/1.1\r\n\r\n")).startswith("HTTP/1.1 503")
