@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
+from types import FrameType
 from typing import Any
 
 
@@ -28,7 +31,34 @@ def told_when_compiling(tell: Callable[[str], object]) -> Iterator[None]:
             """The end of one kernel, of many."""
 
     watch = Watch()
-    with event.install_listener("numba:compile", watch):
+    with event.install_listener("numba:compile", watch), _interruptible():
         yield
     if watch.begun_s is not None:
         tell(f"compiled ({time.monotonic() - watch.begun_s:.0f} s)")
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C ends the work. Within a callback of the compiler an exception is lost, and what it was called
+    for is then found missing: that ``RuntimeError`` is the interruption. Does nothing outside the main thread.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        if callable(before):
+            before(number, frame)
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    except RuntimeError:
+        if came:
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        signal.signal(signal.SIGINT, before)

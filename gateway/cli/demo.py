@@ -103,7 +103,7 @@ def demo(
     signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     console = Console()
     suit = load_rig(rig)
-    truth = Truth(suit)
+    truth, is_interrupted = Truth(suit), True
     with tempfile.TemporaryDirectory(prefix="mocap-demo-") as folder, contextlib.suppress(KeyboardInterrupt):
         settings = GatewaySettings(
             gateway=GATEWAY,
@@ -121,7 +121,11 @@ def demo(
             beside.enter_context(_live_page(settings, _free_port(page_port) if page else None, console))
             running = _run(service, settings, truth, imperfections, None if keep else seconds, beside)
             asyncio.run(running)
-    _print_errors(truth, console)
+        is_interrupted = False
+    if is_interrupted and not truth.n_poses:
+        console.print("ended before the first pose came", style="dim")
+    else:
+        _print_errors(truth, console)
 
 
 def _startable(console: Console) -> str:

@@ -1,6 +1,10 @@
 """Whoever waits for the compiler is told, and nobody else."""
 
+import contextlib
+import signal
+
 import numba
+import pytest
 
 from gateway.cli.compiling import told_when_compiling
 
@@ -18,3 +22,17 @@ def test_compiling_is_told_once_and_calling_again_is_not():
     with told_when_compiling(said.append):
         assert doubled(4.0) == 8.0
     assert said == []
+
+
+def test_ctrl_c_that_the_compiler_lost_ends_the_work_all_the_same():
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), told_when_compiling(lambda _: None):
+        with contextlib.suppress(KeyboardInterrupt):  # as within a callback
+            signal.raise_signal(signal.SIGINT)
+        raise RuntimeError("no compiled object yet")
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_other_errors_are_told_as_they_are():
+    with pytest.raises(RuntimeError, match="other"), told_when_compiling(lambda _: None):
+        raise RuntimeError("other")
