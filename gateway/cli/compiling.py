@@ -39,8 +39,8 @@ def told_when_compiling(tell: Callable[[str], object]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
-    """Ctrl-C ends the work. Within a callback of the compiler an exception is lost, and what it was called
-    for is then found missing: that ``RuntimeError`` is the interruption. Does nothing outside the main thread.
+    """Ctrl-C ends the work, in the main thread. Within a callback of the compiler the exception is lost, and
+    what the callback was for is then found missing: that ``RuntimeError`` is the interruption.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

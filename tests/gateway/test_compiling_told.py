@@ -26,10 +26,15 @@ def test_compiling_is_told_once_and_calling_again_is_not():
 
 def test_ctrl_c_that_the_compiler_lost_ends_the_work_all_the_same():
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), told_when_compiling(lambda _: None):
-        with contextlib.suppress(KeyboardInterrupt):  # as within a callback
-            signal.raise_signal(signal.SIGINT)
-        raise RuntimeError("no compiled object yet")
+
+    def compile_interrupted() -> None:
+        with told_when_compiling(lambda _: None):
+            with contextlib.suppress(KeyboardInterrupt):  # as within a callback
+                signal.raise_signal(signal.SIGINT)
+            raise RuntimeError("no compiled object yet")
+
+    with pytest.raises(KeyboardInterrupt):
+        compile_interrupted()
     assert signal.getsignal(signal.SIGINT) is before
 
 
