@@ -40,7 +40,10 @@ _CREATED = (
     "for name in {}: create_reconstructor(name, load_rig('suit_17'), 0.01)\n"
 )
 KERNELS = (
-    (_CREATED.format(["independent"]), "from gateway.reconstruction.optical.warm_up import warm_up; warm_up()"),
+    (
+        _CREATED.format(["independent"]),
+        "from gateway.reconstruction.optical.warm_up import warm_up; warm_up()",
+    ),
     (
         "from gateway.reconstruction.readiness import make_ready; make_ready('joint')",
         _CREATED.format(["articulated", "gyro_free"]),
