@@ -70,4 +70,5 @@ def main() -> None:
         arguments.json.write_text(json.dumps(reports if len(reports) > 1 else reports[0], indent=2))
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -40,26 +40,31 @@ _CREATED = (
     "for name in {}: create_reconstructor(name, load_rig('suit_17'), 0.01)\n"
 )
 KERNELS = (
-    _CREATED.format(["independent"])
-    + "from gateway.reconstruction.readiness import make_ready; make_ready('joint')",
-    "from gateway.reconstruction.optical.warm_up import warm_up; warm_up()\n"
-    + _CREATED.format(["articulated", "gyro_free"]),
+    (
+        _CREATED.format(["independent"]),
+        "from gateway.reconstruction.optical.warm_up import warm_up; warm_up()",
+    ),
+    (
+        "from gateway.reconstruction.readiness import make_ready; make_ready('joint')",
+        _CREATED.format(["articulated", "gyro_free"]),
+    ),
 )
-"""What takes longest to compile, unless it lies on the disk: a minute each. What all methods have in common
-comes first in one, and is there when the other gets to it."""
+"""What takes longest to compile, unless it lies on the disk: twice two lots, half a minute to a minute each.
+What all methods have in common comes in the first two, and is there for the others."""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Before several workers start, these kernels are compiled once, side by side; else each worker would
-    compile them all for itself. A run without workers compiles what its tests need."""
+    """Before several workers start, these kernels are compiled once, two lots side by side; else each worker
+    would compile them all for itself. A run without workers compiles what its tests need."""
     if not getattr(session.config.option, "numprocesses", None) or is_ready("joint"):
         return
     there = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-    compiling = [subprocess.Popen([sys.executable, "-c", code], env=there) for code in KERNELS]
-    codes = [process.wait() for process in compiling]
-    if any(codes):
-        pytest.exit("kernels could not be compiled: see above", returncode=1)
+    for lots in KERNELS:
+        compiling = [subprocess.Popen([sys.executable, "-c", code], env=there) for code in lots]
+        codes = [process.wait() for process in compiling]
+        if any(codes):
+            pytest.exit("kernels could not be compiled: see above", returncode=1)
 
 
 @pytest.fixture(scope="session", autouse=True)

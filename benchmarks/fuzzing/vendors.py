@@ -91,6 +91,9 @@ def _marked(trial: MarkerTrial) -> None:
 def _sound(found: Recording) -> None:
     assert np.isfinite(found.sampling_rate_hz), found.sampling_rate_hz
     assert found.sampling_rate_hz > 0, found.sampling_rate_hz
-    for track in (*found.modules, *found.fused, *found.local):
-        assert np.isfinite(track.times).all(), "an instant that is none"
-        assert (np.diff(track.times) > 0).all(), "instants that do not grow"
+    times = [track.times for track in found.modules]
+    times += [track.times for track in found.fused]
+    times += [track.times for track in found.local]
+    for each in times:
+        assert np.isfinite(each).all(), "an instant that is none"
+        assert (np.diff(each) > 0).all(), "instants that do not grow"

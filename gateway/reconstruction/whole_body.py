@@ -309,5 +309,5 @@ def _contacts(suit: WornSuit, root: RootSettings) -> Contacts | None:
         arm=np.array(suit.lever_arms[reference], np.float64),
         gravity=np.array(suit.gravity, np.float64),
         has_floor=root.has_floor,
-        floor=root.floor,
+        floor=float(root.floor),  # of a whole number, the kernel is compiled once more
     )

@@ -89,7 +89,7 @@ class RootMotion:
 
     def _take(self, quantity: Quantity, reading: LocalReading) -> None:
         self._last_ns = reading.time_ns
-        value = np.asarray(reading.value, np.float64)
+        value = np.array(reading.value, np.float64)  # of a read-only one, kernels are compiled once more
         if self._differentiator is None:
             self._accelerations.append(_Instant(reading.time_ns, value))
         else:

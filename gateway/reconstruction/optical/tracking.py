@@ -73,6 +73,7 @@ def start_pose(model: BodyModel, observed: FloatArray, neutral: FloatArray) -> P
     """
     if np.isfinite(observed).all(axis=1).sum() < 3:
         return None
+    observed = np.ascontiguousarray(observed)  # of another layout, the kernels are compiled once more
     straight = np.tile(neutral, (len(model.parents), 1, 1))
     poses = [_settled(model, observed, R) for R in (straight, _middle_posture(model, neutral))]
     return _untwisted(model, observed, min(poses, key=lambda pose: _price(model, observed, pose)))
@@ -86,6 +87,7 @@ def laid_anew(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose | None
 
     observed: (M, 3) m, under the names that they came with.
     """
+    observed = np.ascontiguousarray(observed)
     seen = np.isfinite(observed).all(axis=1)
     n = len(model.parents)
     own_seen = np.bincount(model.segments[seen], minlength=n)

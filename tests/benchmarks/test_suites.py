@@ -1,0 +1,78 @@
+"""Every suite of benchmarks is there, and does its smallest case: suites run seldom, what they measure changes."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import math
+import shutil
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from benchmarks import figures
+from benchmarks.__main__ import PAGE, SUITES
+
+SMALL: dict[str, dict[str, Any]] = {
+    "batch": {"SECONDS": 2.0, "SESSIONS": 2},
+    "calibration": {"HEADINGS_DEG": (0,)},
+    "faults": {
+        "CYCLES": 3,
+        "FAULTS": (
+            {"kind": "reset", "lasts": 0.3, "module": 2},
+            {"kind": "unplug", "lasts": 1.0},
+        ),
+        "SEVERAL": {},
+        "BUS_FAULTS": (),
+        "SURROUNDINGS": (),
+        "PROCESS_FAULTS": (),
+    },
+    "held": {"METHODS": ("independent",), "MODULES": (17,), "RATES_HZ": (100,), "SECONDS": 4.0, "TRIES": 1},
+    "joints": {"SECONDS": 12.0},
+    "latency": {"SECONDS": 5.0, "SETTLING_TICKS": 20, "LOADS": ((17, 100.0),)},
+    "outputs": {"SECONDS": 0.5, "REPEATS": 1, "FLOOD": 200, "FROZEN_S": 1.0},
+    "overload": {"MODULES": (17,), "RATES_HZ": (100,), "SECONDS": 0.5, "LONG_SECONDS": 2.0},
+    "record": {"REPLAYED_S": 3.0, "REPEATS": 1},
+    "sensors": {"SYNTHETIC": 3},
+    "speed": {"REPEATS": 1, "GROWTH_FRAMES": 20},
+}
+"""What makes a suite's constants those of a small case. Suites that are not here have none but their own."""
+ARGUMENTS: dict[str, dict[str, Any]] = {"record": {"seconds": 6.0, "kills": 1}}
+NEED_BROKER = {"faults", "held", "latency", "outputs", "record"}
+
+
+def suite(name: str) -> ModuleType:
+    """Skips, with what is not installed."""
+    try:
+        return importlib.import_module(f"benchmarks.{name}")
+    except ModuleNotFoundError as missing:
+        if str(missing.name).partition(".")[0] in {"benchmarks", "devices", "firmware_protocol", "gateway"}:
+            raise
+        pytest.skip(f"{name}: {missing.name} is not installed")
+
+
+@pytest.mark.parametrize("name", SUITES)
+def test_every_suite_runs_without_arguments_and_has_its_place_in_the_page(name: str) -> None:
+    run = inspect.signature(suite(name).run)
+    assert all(each.default is not inspect.Parameter.empty for each in run.parameters.values())
+    assert run.return_annotation == figures.Report.__name__
+    page = PAGE.read_text()
+    assert f"<!-- begin {name} " in page
+    assert f"<!-- end {name} " in page
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("name", SMALL)
+def test_a_small_case_gives_figures(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if name in NEED_BROKER and shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin") is None:
+        pytest.skip("mosquitto is not installed")
+    module = suite(name)
+    for constant, value in SMALL[name].items():
+        assert hasattr(module, constant)
+        monkeypatch.setattr(module, constant, value)
+    report = module.run(**ARGUMENTS.get(name, {}))
+    assert report.suite == name
+    assert report.figures
+    assert any(math.isfinite(figure.value) for figure in report.figures)
