@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from devices.marker_files.naming import without_prefixes
 from devices.marker_files.trial import METRES, FloatArray, MarkerTrial
 from devices.vendor_formats.sheets import FormatError
 
@@ -27,7 +28,7 @@ def read_trc(path: Path) -> MarkerTrial:
     if len(lines) < _HEAD_LINES:
         raise FormatError(f"{path}: cut off: {len(lines)} lines, of which a header alone takes {_HEAD_LINES}")
     head = _head(lines, path)
-    labels = tuple(name for name in (part.strip() for part in lines[3].split("\t")[_LEADING:]) if name)
+    labels = without_prefixes([name for name in (x.strip() for x in lines[3].split("\t")[_LEADING:]) if name])
     rows = [
         _row(line, number, 3 * len(labels), path)
         for number, line in enumerate(lines[_HEAD_LINES:], _HEAD_LINES + 1)
