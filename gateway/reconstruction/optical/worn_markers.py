@@ -16,6 +16,8 @@ from gateway.settings_files import shipped_folder
 
 _ENOUGH = 6
 """Markers of a set that trials must have for the set to be taken unasked."""
+_SMALLEST_M, _LARGEST_M = 0.02, 20.0
+"""Between them lies the size of whatever wears markers."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
         seen = _seen(trial, marker_set.labels)
         if not seen:
             raise GatewayError(_stranger(marker_set, own))
+        _refuse_wrong_unit(trial, marker_set.labels)
         names |= {
             label: first for label, first in zip(trial.labels, own.labels, strict=True)
             if label in seen and label not in names
@@ -116,6 +119,19 @@ def _seen(trial: MarkerTrial, labels: Sequence[str]) -> set[str]:
 def _stranger(marker_set: MarkerSet, trial: MarkerTrial) -> str:
     name, known = marker_set.file.name, _some_labels(trial)
     return f"{trial.name}: none of the markers of '{name}' is in it; it has {known}"
+
+
+def _refuse_wrong_unit(trial: MarkerTrial, labels: Sequence[str]) -> None:
+    places = trial.columns(tuple(labels))
+    places = places[:, np.isfinite(places).all(axis=(0, 2))]
+    if places.shape[1] < _ENOUGH:
+        return
+    extent = float(np.median(np.ptp(places, axis=1).max(axis=1)))
+    if not _SMALLEST_M < extent < _LARGEST_M:
+        raise GatewayError(
+            f"{trial.name}: its markers reach over {extent:.4g} m, in a unit of {trial.metres_per_unit:g} m: "
+            "correct the unit in the file (POINT:UNITS, or Units)"
+        )
 
 
 def _some_labels(trial: MarkerTrial) -> str:

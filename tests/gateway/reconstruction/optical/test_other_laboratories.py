@@ -21,8 +21,8 @@ from gateway.reconstruction.optical.worn_markers import fitting_set, worn_part
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (DATA / "c3d_pycgm").is_dir(), reason="recordings are not here")
 LEGS = [
-    "LASI", "RASI", "LPSI", "RPSI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE", "RTHI", "RKNE", "RTIB", "RANK",
-    "RHEE", "RTOE",
+    "LASI", "RASI", "LPSI", "RPSI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE", "RTHI", "RKNE", "RTIB",
+    "RANK", "RHEE", "RTOE",
 ]  # fmt: skip
 CAST = {
     "ASIS": "IAS", "Thigh.Upper": "TH1", "Thigh.Front": "TH2", "Thigh.Rear": "TH3", "Knee.Lat": "FLE",
