@@ -16,6 +16,7 @@ from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
+from gateway.reconstruction.optical.worn_markers import worn_part
 
 SEED = 3
 SECONDS = 12.0
@@ -25,7 +26,8 @@ _NEAR_GIMBAL = np.radians(15.0)
 
 def simulated_rows() -> tuple[list[Figure], tuple[list[str], list[list[str]]]]:
     """Figures, and a table of all joints."""
-    marker_set = load_marker_set("plug_in_gait")
+    whole = load_marker_set("plug_in_gait")
+    marker_set = worn_part(whole, {*whole.labels} - {"SACR"})
     generator = np.random.default_rng(SEED)
     body = scaled(marker_set.body, Subject(height_m=1.68))
     places, segments = placed_markers(marker_set, body, generator)

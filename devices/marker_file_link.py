@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from pathlib import Path
 
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
 from devices.marker_files import MarkerTrial, read_markers
+from devices.marker_files.naming import spelt
 from devices.marker_messages import encode_markers
 from devices.vendor_formats.sheets import FormatError
 
@@ -29,7 +30,15 @@ class MarkerFileLink:
 
     framing = Framing.MARKERS
 
-    def __init__(self, path: str | Path, *, speed: float | None = 1.0, name: str | None = None) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        speed: float | None = 1.0,
+        name: str | None = None,
+        labels: Sequence[str] = (),
+    ) -> None:
+        """labels: as markers are to be called that the file spells otherwise."""
         self.path = Path(path)
         self.name = name or self.path.stem
         self.position = 0
@@ -39,12 +48,13 @@ class MarkerFileLink:
         self.hold: Callable[[], Awaitable[None]] | None = None
         """Awaited before every frame: for whoever must not be overrun, or is not there yet."""
         self._speed = speed
+        self._labels = labels
         self._trial: MarkerTrial | None = None
         self._closing = asyncio.Event()
 
     async def open(self) -> None:
         try:
-            self._trial = read_markers(self.path)
+            self._trial = spelt(read_markers(self.path), self._labels)
         except FormatError as error:
             raise LinkError(str(error)) from error
         self.size, self.position = self._trial.n_frames, 0

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from devices.marker_files.c3d_parameters import BLOCK, MIPS, Parameter, floats, read_parameters
+from devices.marker_files.naming import without_prefixes
 from devices.marker_files.trial import METRES, FloatArray, MarkerTrial
 from devices.vendor_formats.sheets import FormatError
 
@@ -102,7 +103,7 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
     n_frames = last - first + 1
     if last == 0xFFFF or n_frames <= 0:  # more frames than the header can tell
         n_frames = int(_number(parameters, "POINT:FRAMES", n_frames))
-        n_frames = int(_number(parameters, "POINT:LONG_FRAMES", n_frames))
+        n_frames = int(_number(parameters, "POINT:LONG_FRAMES", _long_count(parameters) or n_frames))
     n_points = int(_number(parameters, "POINT:USED", float(words[1])))
     start = int(_number(parameters, "POINT:DATA_START", float(words[8])))
     if n_points <= 0 or n_frames <= 0:
@@ -110,6 +111,17 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
     if scale == 0 or not np.isfinite(scale) or start < 1:
         raise FormatError(f"{path}: POINT:SCALE {scale:g}, POINT:DATA_START {start}: the file is damaged")
     return C3DLayout(n_points, int(words[2]), n_frames, scale, (start - 1) * BLOCK, processor)
+
+
+def _long_count(parameters: dict[str, Parameter]) -> int:
+    """Frames by the numbers of first and last, 32 bits in two words, as Vicon writes them; else 0."""
+    first, last = (
+        parameters[name].numbers() if name in parameters else np.zeros(0)
+        for name in ("TRIAL:ACTUAL_START_FIELD", "TRIAL:ACTUAL_END_FIELD")
+    )
+    if len(first) != 2 or len(last) != 2:
+        return 0
+    return max(0, int(last[0] + 65536 * last[1]) - int(first[0] + 65536 * first[1]) + 1)
 
 
 def _rows(content: bytes, layout: C3DLayout, path: Path) -> FloatArray:
@@ -162,8 +174,7 @@ def _labels(parameters: dict[str, Parameter], n_points: int) -> tuple[str, ...]:
         if parameter is None:
             break
         labels += parameter.texts()
-    plain = [label.rpartition(":")[2].strip() for label in labels[:n_points]]
-    return tuple(plain + [""] * (n_points - len(plain)))
+    return without_prefixes([*labels[:n_points], *[""] * (n_points - len(labels))])
 
 
 def _scalars(parameters: dict[str, Parameter]) -> dict[str, float]:

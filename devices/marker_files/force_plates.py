@@ -1,8 +1,9 @@
 """Force plates of a C3D file: what the floor gave, in the axes of the file.
 
 After the C3D file format user guide (Motion Lab Systems, 2021), chapters "Analog data" and "Force plates".
-Types 1 to 4 are read. Whatever way a plate's channels count (the person's push or the floor's answer), the
-result is what the floor does to the person, since a plate can only push.
+Types 1 to 4 are read. Whatever way a plate's channels count (the person's push or the floor's answer) and
+whichever way round its corners are listed (its z down, as the guide has it, or up), the result is what the
+floor does to the person, since a plate can only push upwards.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
 """By type of plate."""
 _LEAST_FORCE_N = 10.0
 """Below it a centre of pressure is noise."""
+_LEAST_SURFACE_M2 = 1e-4
+"""Four times a plate's."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,10 @@ def _plate(file: C3DFile, index: int, count: int, analog: FloatArray) -> ForcePl
     where = f"{file.path}: force plate {index + 1}"
     kind = int(_table(file, "TYPE", (count,), where)[index])
     if kind not in CHANNELS:
-        raise FormatError(f"{where} is of type {kind}: types {', '.join(map(str, CHANNELS))} are read")
+        raise FormatError(
+            f"{where} is of type {kind}: types {', '.join(map(str, CHANNELS))} are read (`analyse --forces "
+            "none` does without plates)"
+        )
     per_unit = metres_per_unit(file.parameters, file.path)
     corners = _table(file, "CORNERS", (count, 4, 3), where)[index] * per_unit
     origin = _table(file, "ORIGIN", (count, 3), where)[index] * per_unit
@@ -111,8 +117,9 @@ def _plate(file: C3DFile, index: int, count: int, analog: FloatArray) -> ForcePl
     if kind == 4:
         matrix = _table(file, "CAL_MATRIX", (count, 6, 6), where)[index].T  # columns are stored first
         signals = signals @ matrix.T
-    force, moment = _at_surface(kind, signals, origin, per_unit)
-    return _on_person(corners, force, moment)
+    axes = _axes(corners, where)
+    down = -_points_up(axes[:, 2])
+    return _on_person(corners, axes, down, *_at_surface(kind, signals, origin, per_unit, down))
 
 
 def _without_offset(file: C3DFile, signals: FloatArray) -> FloatArray:
@@ -127,9 +134,12 @@ def _without_offset(file: C3DFile, signals: FloatArray) -> FloatArray:
 
 
 def _at_surface(
-    kind: int, signals: FloatArray, origin: FloatArray, per_unit: float
+    kind: int, signals: FloatArray, origin: FloatArray, per_unit: float, down: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Force (N, 3) N and moment (N, 3) N m about the middle of the surface, in the plate's axes."""
+    """Force (N, 3) N and moment (N, 3) N m about the middle of the surface, in the plate's axes.
+
+    down: 1 where the plate's z points down, -1 where it points up.
+    """
     zero = np.zeros(len(signals))
     if kind == 1:  # force, where it goes through the surface, free moment
         force, torsion = signals[:, :3], signals[:, 5] * per_unit
@@ -142,23 +152,39 @@ def _at_surface(
         moment = np.stack(
             [b * (z1 + z2 - z3 - z4), a * (-z1 + z2 + z3 - z4), b * (-x12 + x34) + a * (y14 - y23)], axis=1
         )
-        arm = np.array([0.0, 0.0, -abs(depth)])
+        arm = np.array([0.0, 0.0, -down * abs(depth)])
     else:
         force, moment = signals[:, :3], signals[:, 3:6] * per_unit
-        # the surface lies over the sensors, and the plate's z points down: some files tell it upside down
-        arm = origin if origin[2] <= 0 else -origin
+        # the surface lies over the sensors: some files tell it upside down
+        arm = origin if down * origin[2] <= 0 else -origin
     return force, moment - np.cross(arm, force)
 
 
-def _on_person(corners: FloatArray, force: FloatArray, moment: FloatArray) -> ForcePlate:
-    """From the plate's axes (x and y along its sides, z down) into those of the file."""
+def _axes(corners: FloatArray, where: str) -> FloatArray:
+    """(3, 3) of the plate: x and y along its sides, z across. Raises ``FormatError`` for corners that make no
+    surface."""
     x = corners[0] + corners[3] - corners[1] - corners[2]
     y = corners[0] + corners[1] - corners[2] - corners[3]
     z = np.cross(x, y)
+    if not np.linalg.norm(z) > _LEAST_SURFACE_M2:
+        told = "; ".join(" ".join(f"{value:g}" for value in corner) for corner in corners)
+        raise FormatError(f"{where}: FORCE_PLATFORM:CORNERS make no rectangle ({told} m): correct the file")
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-    axes = np.stack([x, np.cross(z, x), z], axis=1)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _points_up(z: FloatArray) -> float:
+    """1 for an axis that points along that axis of the file which it is nearest to, -1 against it: up is
+    always positive."""
+    return 1.0 if z[np.argmax(np.abs(z))] > 0 else -1.0
+
+
+def _on_person(
+    corners: FloatArray, axes: FloatArray, down: float, force: FloatArray, moment: FloatArray
+) -> ForcePlate:
+    """From the plate's axes into those of the file, with the sign that pushes upwards."""
     pushed = force[:, 2] if len(force) else np.zeros(1)
-    sign = -1.0 if pushed[np.argmax(np.abs(pushed))] > 0 else 1.0  # up, against z
+    sign = -1.0 if down * pushed[np.argmax(np.abs(pushed))] > 0 else 1.0
     return ForcePlate(corners, sign * force @ axes.T, sign * moment @ axes.T)
 
 

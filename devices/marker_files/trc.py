@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from devices.marker_files.naming import without_prefixes
 from devices.marker_files.trial import METRES, FloatArray, MarkerTrial
-from devices.vendor_formats.sheets import FormatError
+from devices.vendor_formats.sheets import FormatError, read_lines
 
 _HEAD_LINES = 5
 _LEADING = 2  # frame number, time
@@ -18,19 +19,23 @@ def read_trc(path: Path) -> MarkerTrial:
 
     Empty fields, and three zeros, are a marker that was not seen.
     """
-    try:
-        lines = path.read_text(encoding="latin-1").splitlines()
-    except OSError as error:
-        raise FormatError(f"{path} cannot be read: {error.strerror}") from error
-    if not lines or not lines[0].lstrip("\ufeff").startswith("PathFileType"):
+    lines = read_lines(path)
+    if not lines[0].startswith("PathFileType"):
         raise FormatError(f"{path}: line 1: not a TRC file: it begins with 'PathFileType'")
     if len(lines) < _HEAD_LINES:
         raise FormatError(f"{path}: cut off: {len(lines)} lines, of which a header alone takes {_HEAD_LINES}")
+    if "\t" not in lines[3]:
+        raise FormatError(
+            f"{path}: line 4: no tab between the markers' names: TRC columns are parted by tabs"
+        )
     head = _head(lines, path)
-    labels = tuple(name for name in (part.strip() for part in lines[3].split("\t")[_LEADING:]) if name)
+    begin = (
+        _HEAD_LINES - 1 if lines[_HEAD_LINES - 1][:1].isdigit() else _HEAD_LINES
+    )  # some leave out X1, Y1, …
+    labels = without_prefixes([name for name in (x.strip() for x in lines[3].split("\t")[_LEADING:]) if name])
     rows = [
         _row(line, number, 3 * len(labels), path)
-        for number, line in enumerate(lines[_HEAD_LINES:], _HEAD_LINES + 1)
+        for number, line in enumerate(lines[begin:], begin + 1)
         if line.strip()
     ]
     expected = int(_positive(head, "NumFrames", path))
@@ -56,7 +61,7 @@ def _head(lines: list[str], path: Path) -> dict[str, str]:
 
 def _positive(head: dict[str, str], name: str, path: Path) -> float:
     try:
-        value = float(head[name])
+        value = _number(head[name])
     except ValueError:
         value = 0.0
     if not 0 < value < 1e9:
@@ -80,6 +85,11 @@ def _row(line: str, number: int, n_values: int, path: Path) -> list[float]:
     if len(fields) != n_values:
         raise FormatError(f"{path}: line {number}: {len(fields)} coordinates where {n_values} are wanted")
     try:
-        return [float(field) if field.strip() else np.nan for field in fields]
+        return [_number(field) if field.strip() else np.nan for field in fields]
     except ValueError as error:
         raise FormatError(f"{path}: line {number}: {error}") from error
+
+
+def _number(field: str) -> float:
+    """With a decimal point, or a comma as many countries have it. Raises ``ValueError``."""
+    return float(field.replace(",", "."))

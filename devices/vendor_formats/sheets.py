@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,6 +106,8 @@ def read_lines(path: Path) -> list[str]:
         raise FormatError(f"{path} cannot be read: {error.strerror}") from error
     if not data.strip():
         raise FormatError(f"{path} is empty")
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):  # as some spreadsheets write text
+        return data.decode("utf-16", errors="replace").splitlines()
     zero = data.find(0)
     if zero >= 0:
         raise FormatError(

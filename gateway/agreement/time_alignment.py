@@ -27,6 +27,7 @@ OVERLAP_SHARE = 0.3
 WINDOW_S = 20.0
 FEWEST_WINDOWS = 4
 WINDOW_SEARCH_S = 0.25
+_LARGEST_PERCENT = 98.0
 _LEAST_SPEED = 0.02  # rad/s RMS: below it nothing has moved
 
 
@@ -58,6 +59,7 @@ def align_time(first: Tracks, second: Tracks, largest_lag_s: float | None = None
         if not np.nanmax(np.append(speed, 0.0)) > _LEAST_SPEED:
             raise GatewayError(f"nothing moves in the {which}: clocks cannot be aligned by motion")
     (start_a, a), (start_b, b) = speeds
+    a, b = _without_excess(a, b)
     lags, score = _correlation(a, b)
     lag_s = lags / RATE_HZ + start_b - start_a
     allowed = np.isfinite(score)
@@ -87,6 +89,22 @@ def _angular_speeds(tracks: Tracks) -> tuple[float, FloatArray]:
             )
             speed[both, s] = (rotation[both].inv() * rotation[both + 1]).magnitude() * RATE_HZ
     return float(time_s[0]) + 0.5 / RATE_HZ, _smoothed(speed)
+
+
+def _without_excess(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Angular speeds (T, S) of both, none beyond what the quieter one of a segment has, and as much again.
+
+    A segment that one of the two does not know well (a hand with one marker) may turn about in it at any
+    speed, and would have all the say.
+    """
+    a, b = a.copy(), b.copy()
+    for one, other in zip(a.T, b.T, strict=True):
+        known = [values[np.isfinite(values)] for values in (one, other)]
+        if all(len(values) for values in known):
+            most = 2.0 * min(float(np.percentile(values, _LARGEST_PERCENT)) for values in known)
+            np.minimum(one, most, out=one)
+            np.minimum(other, most, out=other)
+    return a, b
 
 
 def _smoothed(speed: FloatArray) -> FloatArray:

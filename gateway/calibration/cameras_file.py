@@ -30,6 +30,7 @@ from gateway.frames import FloatArray
 from gateway.settings_files import load_settings
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+_NEAREST_M, _FARTHEST_M = 0.02, 500.0
 AXES: tuple[Axis, ...] = ("x", "y", "z", "-x", "-y", "-z")
 
 
@@ -60,7 +61,19 @@ def load_cameras(path: Path, up: Axis | None = None, unit: str = "m") -> tuple[C
     for name in names:
         if names.count(name) > 1:
             raise SettingsError(f"{path}: two cameras are named '{name}'")
+    _refuse_wrong_unit(cameras, path)
     return upright(cameras, up or "z")
+
+
+def _refuse_wrong_unit(cameras: Sequence[Camera], path: Path) -> None:
+    """Cameras that look at one person stand neither kilometres nor millimetres apart."""
+    places = np.array([camera.position for camera in cameras])
+    apart = float(np.linalg.norm(np.ptp(places, axis=0)))
+    if len(cameras) > 1 and not _NEAREST_M < apart < _FARTHEST_M:
+        raise SettingsError(
+            f"{path}: its cameras stand within {apart:.3g} m: the lengths are of another unit (--unit mm or "
+            "--unit cm when importing; a .yaml file has metres)"
+        )
 
 
 def axis_of(text: str) -> Axis:

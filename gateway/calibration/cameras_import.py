@@ -113,27 +113,39 @@ def _fields_of(element: Element, where: str) -> Callable[[str], Callable[[str], 
 
 
 def _read_toml(path: Path, metres: float) -> tuple[Camera, ...]:
-    """A table a camera; anipose's ``metadata`` and Pose2Sim's are passed over."""
+    """A table a camera, by itself or below ``cameras``; ``metadata`` of anipose and Pose2Sim are passed over,
+    and cameras that Caliscope was told to ignore."""
     try:
         content = tomllib.loads(_text(path))
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from error
+    below = content.get("cameras")
+    if isinstance(below, dict):
+        content = {f"cam_{key}" if key.isdigit() else key: table for key, table in below.items()}
     tables = {key: table for key, table in content.items() if isinstance(table, dict) and "matrix" in table}
-    return tuple(_toml_camera(key, table, metres, f"{path}: [{key}]") for key, table in tables.items())
+    return tuple(
+        _toml_camera(key, table, metres, f"{path}: [{key}]")
+        for key, table in tables.items()
+        if not table.get("ignore")
+    )
 
 
 def _toml_camera(key: str, table: Mapping[str, Any], metres: float, where: str) -> Camera:
     if table.get("fisheye"):
         raise SettingsError(f"{where} is a fisheye camera: undistort its pictures first")
     width, height = _numbers(table, "size", (2,), where)
-    rotation = _numbers(table, "rotation", (3,), where)
+    turn = _numbers(table, "rotation", None, where)
+    if turn.size not in (3, 9):
+        raise SettingsError(
+            f"{where}: 'rotation' has {turn.size} numbers: a rotation vector or a matrix is wanted"
+        )
     return Camera(
         name=str(table.get("name", key)),
         width=int(width),
         height=int(height),
         matrix=_numbers(table, "matrix", (3, 3), where),
         distortion=five_coefficients(_numbers(table, "distortions", None, where), where),
-        rotation=from_rotation_vector(rotation),
+        rotation=turn.reshape(3, 3) if turn.size == 9 else from_rotation_vector(turn),
         translation=metres * _numbers(table, "translation", (3,), where),
     )
 

@@ -160,7 +160,7 @@ def rows(found: Agreement) -> list[tuple[str, ...]]:
             figures.segment,
             str(figures.frames),
             *(
-                f"{value:.2f}"
+                "–" if np.isnan(value) else f"{value:.2f}"
                 for value in (
                     figures.as_defined_rms_deg,
                     figures.axes_apart_deg,
@@ -172,7 +172,7 @@ def rows(found: Agreement) -> list[tuple[str, ...]]:
                     figures.joint_rms_deg,
                 )
             ),
-            f"{1e3 * figures.position_rms_m:.1f}",
+            "–" if np.isnan(figures.position_rms_m) else f"{1e3 * figures.position_rms_m:.1f}",
         )
         for figures in found.segments
     ]

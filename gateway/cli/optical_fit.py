@@ -20,6 +20,7 @@ from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
 from gateway.reconstruction.optical.landmarks import MOST_ANGLE
 from gateway.reconstruction.optical.marker_set import load_marker_set
+from gateway.reconstruction.optical.worn_markers import fitting_set
 from gateway.recording.suit_files import body_of
 
 
@@ -28,8 +29,15 @@ def fit(
         list[Path], typer.Argument(help="Calibration trials, C3D or TRC: a static one first, then motion.")
     ],
     marker_set: Annotated[
-        str, typer.Option("--set", metavar="SET", help="Marker set: a shipped one, or a file.")
-    ] = "plug_in_gait",
+        str | None,
+        typer.Option(
+            "--set", metavar="SET", help="Marker set: a shipped one, or a file; without: the one that fits."
+        ),
+    ] = None,
+    person: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Whose markers, where files hold several people's (NAME:LASI)."),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The subject file; default: after the first trial.")
     ] = None,
@@ -72,15 +80,17 @@ def fit(
         raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
     if functional and rules_only:
         raise GatewayError("--functional and --rules-only contradict each other: leave one out")
-    chosen = load_marker_set(marker_set)
     options = FitOptions(
         vertical=_axis(up),
         lengths=dict(map(_measurement, measure or [])),
         angles=dict(map(_angle, angle or [])),
         neutral=None if neutral is None else seconds_of("--neutral", neutral),
         centres="motion" if functional else "rules" if rules_only else "both",
+        person=person,
     )
+    known = None if marker_set is None else load_marker_set(marker_set)
     trials = _read(files, not as_json)
+    chosen = known or fitting_set(trials, person)
     with progress_bar("fitting the body", is_shown=not as_json) as tell:
         found = fit_body(chosen, trials, options, tell)
     outcome = _outcome(found, files, target)
@@ -151,6 +161,7 @@ def _outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
         "assumed": list(found.assumed),
         "up": found.markers.vertical,
         "angles_deg": {name: round(math.degrees(a), 2) for name, a in found.angles.items() if a},
+        "left_out": list(found.left_out),
         "lengths_mm": {
             name: round(1e3 * float(np.linalg.norm(tip)), 1)
             for name, tip in zip(names, found.skeleton.tips, strict=True)
@@ -175,12 +186,14 @@ def _print(found: Fit, outcome: dict[str, object]) -> None:
         table.add_row(name, f"{lengths[name]:.0f}", f"{moved[name]:.0f}", " ".join(worn) or "–")
     Console().print(table)
     typer.echo(
-        f"{outcome['file']}: {outcome['markers']} markers, {outcome['frames']} frames, "
+        f"{outcome['file']}: {outcome['markers']} markers of {found.marker_set}, {outcome['frames']} frames, "
         f"rest {outcome['rmse_mm']} mm RMS, {found.markers.vertical} up"
     )
     for name, angle in found.angles.items():
         if angle:
             typer.echo(f"{name}: {math.degrees(angle):.1f}° (--angle {name}=0 takes the wand as it stands)")
+    if found.left_out:
+        typer.echo(f"note: no markers on {', '.join(found.left_out)}: the body goes without them", err=True)
     for name in found.assumed:
         typer.echo(
             f"note: {name} is told by no file: {found.lengths[name]} m taken (--measure {name}=…)", err=True

@@ -57,7 +57,8 @@ def solve(
     subject: Subject,
     method: Method = "default",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The recording; default: after the trial, .mcap.")
+        Path | None,
+        typer.Option("--output", "-o", help="The recording; default: after trial and method, .mcap."),
     ] = None,
     to: Annotated[
         list[str] | None, typer.Option(metavar="FORMAT", help=f"Export too: {', '.join(FORMATS)}.")
@@ -75,10 +76,12 @@ def solve(
     for name in to or []:
         if name not in FORMATS:
             raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
-    target = output or file.with_suffix(".mcap")
-    if target.exists() and force:
-        target.unlink()
+    suffix = "" if write is write_solved_trial else f"_{method}"
+    target = output or file.with_name(f"{file.stem}{suffix}.mcap")
+    if target.exists() and not force:
+        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
     trial = read_markers(file)
+    target.unlink(missing_ok=True)
     if write is write_solved_trial:
         make_ready(OPTICAL)
     with progress_bar("solving", is_shown=not as_json) as tell:
@@ -132,7 +135,9 @@ def play(
     if embedded:
         changes.update(broker="embedded", host="127.0.0.1")
     settings = settings.model_copy(update={"mqtt": settings.mqtt.model_copy(update=changes)})
-    link = MarkerFileLink(file, speed=pace, name="markers")
+    link = MarkerFileLink(
+        file, speed=pace, name="markers", labels=suit.markers.labels if suit.markers else ()
+    )
     service = Service(settings, suit, [link])
     link.hold = Brake(service, is_paced=pace is not None).hold
     typer.echo(f"playing to {settings.mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.recordings import LocalTrack
-from gateway.body.joints import WORLD
+from gateway.body.part import reduced
 from gateway.body.rig import load_body
-from gateway.body.skeleton import Interpolation, LocalDevice, Skeleton, WornSuit, field_vector
+from gateway.body.skeleton import LocalDevice, WornSuit, field_vector
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import quaternion
@@ -63,38 +63,6 @@ def dressed(worn: Worn, body: str | None = None, *, whole: bool = False, mvn_axe
     )
 
 
-def reduced(skeleton: Skeleton, worn: list[int]) -> Skeleton:
-    """The body without what lies beyond the worn segments: they, and all between them."""
-    chains = [_ancestors(skeleton, segment) for segment in worn]
-    shared = set(chains[0]).intersection(*chains[1:])
-    root = max(shared)  # parents stand before their children
-    keep = sorted({segment for chain in chains for segment in chain if segment >= root})
-    position = {segment: i for i, segment in enumerate(keep)}
-    offsets = skeleton.offsets[keep].copy()
-    offsets[0] = 0.0
-    joints = tuple(
-        replace(joint, proximal=position.get(joint.proximal, WORLD), distal=position[joint.distal])
-        for joint in skeleton.joints
-        if joint.distal in position and (joint.proximal in position or joint.proximal == WORLD)
-    )
-    between = tuple(
-        Interpolation(position[each.segment], position[each.first], position[each.second], each.fraction)
-        for each in skeleton.interpolations
-        if {each.segment, each.first, each.second} <= position.keys()
-    )
-    return replace(
-        skeleton,
-        name=skeleton.name if len(keep) == skeleton.n_segments else f"{skeleton.name}_part",
-        segment_names=tuple(skeleton.segment_names[segment] for segment in keep),
-        parents=np.array([position.get(int(skeleton.parents[s]), -1) for s in keep], dtype=np.int64),
-        offsets=offsets,
-        tips=skeleton.tips[keep],
-        joints=joints,
-        contacts=tuple((position[s], point) for s, point in skeleton.contacts if s in position),
-        interpolations=between,
-    )
-
-
 def aligned(
     suit: WornSuit, seen: SkeletonArrays, start_s: float, end_s: float, forward: str | None
 ) -> WornSuit:
@@ -137,10 +105,3 @@ def _heading(q_ws: Rotation, forward: str | None) -> Rotation:
     if np.hypot(east, north) < 0.3:
         raise GatewayError(f"--forward {forward}: that axis of the module points up or down, not forward")
     return Rotation.from_euler("z", np.arctan2(north, east))
-
-
-def _ancestors(skeleton: Skeleton, segment: int) -> list[int]:
-    chain = [segment]
-    while (parent := int(skeleton.parents[chain[-1]])) >= 0:
-        chain.append(parent)
-    return chain

@@ -16,6 +16,7 @@ from devices import recording_format as fmt
 from devices.link import Chunk, Framing
 from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
+from devices.marker_files.naming import spelt
 from devices.recording_writer import RecordingWriter
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import WornSuit
@@ -102,7 +103,7 @@ def write_solved_trial(
 ) -> SolvedTrial:
     """Every frame through the pipeline into ``target``. Raises ``RecordingError`` when that exists,
     OSError as ``open`` does, ``GatewayError`` when the trial has none of the subject's markers."""
-    markers = _markers_of(suit, subject, trial, source)
+    markers, trial = _called(suit, subject, trial, source)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     pipeline = Pipeline.from_settings(settings, suit)
     pipeline.add_link(LINK, Framing.MARKERS)
@@ -139,7 +140,7 @@ def write_published_trial(
 ) -> SolvedTrial:
     """The same recording with poses by the published method, which goes through the whole trial several
     times; its suit has the virtual markers as that method found them. Raises as ``write_solved_trial``."""
-    markers = _markers_of(suit, subject, trial, source)
+    markers, trial = _called(suit, subject, trial, source)
     began = time.process_time()
     observed = to_world(trial.columns(markers.labels), markers.vertical)
     solved = published_trial(suit.skeleton, markers, observed, trial.rate_hz, progress)
@@ -166,7 +167,7 @@ def write_both_ways_trial(
     progress: Progress | None = None,
 ) -> SolvedTrial:
     """The same recording with poses that know what comes after a gap. Raises as ``write_solved_trial``."""
-    markers = _markers_of(suit, subject, trial, source)
+    markers, trial = _called(suit, subject, trial, source)
     chunks = list(trial_chunks(trial, _BEGUN_NS, LINK))
     receiver = MarkerFrames(markers)
     observed = [frame for chunk in chunks for frame in receiver.receive(chunk)]
@@ -185,17 +186,20 @@ def write_both_ways_trial(
     )  # fmt: skip
 
 
-def _markers_of(suit: WornSuit, subject: str, trial: MarkerTrial, source: Path) -> BodyMarkers:
-    """Of the subject, some of which the trial has."""
+def _called(
+    suit: WornSuit, subject: str, trial: MarkerTrial, source: Path
+) -> tuple[BodyMarkers, MarkerTrial]:
+    """The subject's markers, and the trial that has some of them, called as the subject has them."""
     markers = suit.markers
     if markers is None:
         raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")
-    if not set(markers.labels) & set(trial.labels):
+    called = spelt(trial, markers.labels)
+    if not set(markers.labels) & set(called.labels):
         raise GatewayError(
             f"{source} has none of the markers of {subject} ({', '.join(markers.labels[:6])}, …); it has "
-            + ", ".join(label for label in trial.labels[:6] if label)
+            + (", ".join([label for label in trial.labels if label][:6]) or "no named ones")
         )
-    return markers
+    return markers, called
 
 
 @contextlib.contextmanager

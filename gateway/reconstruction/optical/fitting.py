@@ -45,6 +45,7 @@ from gateway.reconstruction.optical.rule_body import (
     straightened,
 )
 from gateway.reconstruction.optical.tracking import NEAR, start_pose
+from gateway.reconstruction.optical.worn_markers import dressed_in
 
 Progress = Callable[[int, int], None]
 
@@ -78,6 +79,8 @@ class FitOptions:
     centres: Literal["rules", "both", "motion"] = "both"
     """Where joints are: where rules have them on average; moved by the motion as far as each rule's trust
     lets it; or where the motion has them, whatever rules say."""
+    person: str | None = None
+    """Whose markers, where files hold those of several people: what stands before the labels."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,8 @@ class Fit:
     """m, of the frames it was fitted to."""
     moved: FloatArray
     """(S,) m: how far the motion moved every joint from where rules had it."""
+    left_out: tuple[str, ...] = ()
+    """Segments of the marker set's body that carry no marker of these trials."""
 
 
 def fit_body(
@@ -105,8 +110,14 @@ def fit_body(
     options: FitOptions | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """The body that explains the trials. Raises ``GatewayError`` where they do not tell enough."""
+    """The body that explains the trials, as much of it as carries markers; these are called as in the files.
+
+    Raises ``GatewayError`` where the trials do not tell enough, ``FormatError`` where it is open whose
+    markers are meant.
+    """
     options = options or FitOptions()
+    dressed = dressed_in(marker_set, trials, options.person)
+    marker_set, trials = dressed.marker_set, dressed.trials
     measured = measurements(marker_set, list(trials), options.lengths, options.angles)
     vertical = options.vertical or vertical_axis(marker_set, trials[0])
     sightings = [sighted(marker_set, trial, vertical, measured) for trial in trials]
@@ -140,10 +151,11 @@ def fit_body(
     final = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
     if progress is not None:
         progress(2, 2)
+    own_labels = tuple(dressed.file_labels[label] for label in markers.labels)
     sized = resized(marker_set, final.offsets, tips)
     return Fit(
         skeleton=replace(sized, joints=shown_joints(sized, final, done.poses)),
-        markers=replace(markers, positions=final.positions, sigmas=final.sigmas),
+        markers=replace(markers, labels=own_labels, positions=final.positions, sigmas=final.sigmas),
         marker_set=marker_set.file.name,
         lengths=measured.lengths,
         angles=measured.angles,
@@ -151,6 +163,7 @@ def fit_body(
         frames=len(observed),
         rmse=done.rmse,
         moved=moved,
+        left_out=dressed.left_out,
     )
 
 
@@ -176,12 +189,6 @@ def _anchored_in_neutral(
 def sighted(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Sighting:
     """A trial's markers in the world, and what rules make of them."""
     markers = to_world(trial.columns(marker_set.labels), vertical)
-    if not np.isfinite(markers).any():
-        raise GatewayError(
-            f"{trial.name}: none of the markers of '{marker_set.file.name}' is in it; it has "
-            + ", ".join(label for label in trial.labels[:12] if label)
-            + (", …" if len(trial.labels) > 12 else "")
-        )
     return Sighting(trial.name, markers, landmarks_of(marker_set, trial, vertical, measured).places())
 
 

@@ -49,16 +49,12 @@ def to_world(positions: FloatArray, vertical: str) -> FloatArray:
 
 
 def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
-    """The axis of the file along which high markers lie above low ones.
+    """The axis of the file along which high markers lie above low ones; the root's markers stand for those of
+    an end of the body that carries none.
 
     Raises ``GatewayError`` where the markers that would tell are not there, or lie the other way round.
     """
-    low, high = (
-        np.nanmean(trial.columns(tuple(labels)).reshape(-1, 3), axis=0)
-        if np.isfinite(trial.columns(tuple(labels))).any()
-        else np.full(3, np.nan)
-        for labels in marker_set.file.vertical
-    )
+    low, high = (_middle(marker_set, trial, labels) for labels in marker_set.file.vertical)
     if not np.isfinite(high - low).all():
         feet, top = (" or ".join(labels) for labels in marker_set.file.vertical)
         raise GatewayError(
@@ -70,6 +66,17 @@ def vertical_axis(marker_set: MarkerSet, trial: MarkerTrial) -> str:
             f"{trial.name}: the body is upside down along {'xyz'[axis]}: tell the axis with --up"
         )
     return "xyz"[axis]
+
+
+def _middle(marker_set: MarkerSet, trial: MarkerTrial, labels: list[str]) -> FloatArray:
+    """(3,) m, mean place of markers; of the root's where none of these is seen; NaN without those too."""
+    root = marker_set.file.markers.get(marker_set.body.segment_names[0], [])
+    for some in (labels, root):
+        places = trial.columns(tuple(some)).reshape(-1, 3)
+        if np.isfinite(places).any():
+            mean: FloatArray = np.nanmean(places, axis=0)
+            return mean
+    return np.full(3, np.nan)
 
 
 @dataclass(frozen=True)

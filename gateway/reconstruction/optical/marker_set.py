@@ -218,6 +218,10 @@ class MarkerSetFile(_Strict):
     measurements: dict[str, Measurement] = {}
     angles: dict[str, Angle] = {}
     markers: dict[str, list[str]] = Field(description="segment to the markers on it")
+    aliases: dict[str, list[str]] = Field(
+        default={},
+        description="marker to further names that laboratories give it; case and dots count nowhere",
+    )
     points: dict[str, PointRule | list[PointRule]] = Field(
         default={},
         description="in order; of several rules the first whose markers and measurements are there",
@@ -243,6 +247,11 @@ class MarkerSet(_Strict):
     def carriers(self) -> dict[str, str]:
         """Marker to the segment it sits on."""
         return {label: segment for segment, labels in self.file.markers.items() for label in labels}
+
+    @property
+    def other_names(self) -> dict[str, str]:
+        """Further names of markers, each with the label of this set."""
+        return {name: label for label, names in self.file.aliases.items() for name in names}
 
     def rules(self, point: str) -> list[PointRule]:
         """The rules of a point, in order of preference."""
@@ -286,6 +295,7 @@ def _check_segments(marker_set: MarkerSet) -> None:
     repeated = sorted({label for label in marker_set.labels if marker_set.labels.count(label) > 1})
     if repeated:
         raise SettingsError(f"{path}: marker '{repeated[0]}' sits on two segments")
+    _refuse_unknown(path, "aliases", file.aliases, {*marker_set.labels})
     if file.segments[known[0]].axes is None:
         raise SettingsError(f"{path}: segments.{known[0]} is the root: it needs 'axes'")
 

@@ -21,6 +21,13 @@ def unit(vectors: FloatArray) -> FloatArray:
     return scaled
 
 
+def _mean_length(vectors: FloatArray) -> float:
+    """Of those that are known; NaN where none is."""
+    lengths = np.linalg.norm(vectors, axis=-1)
+    known = np.isfinite(lengths)
+    return float(lengths[known].mean()) if known.any() else np.nan
+
+
 def midpoint(points: Sequence[FloatArray]) -> FloatArray:
     """The mean of points: of two, the middle between them."""
     mean: FloatArray = np.mean(np.stack(points), axis=0)
@@ -118,7 +125,7 @@ def davis_hip(
     """
     left, right = asis
     if measured is None:
-        width = float(np.nanmean(np.linalg.norm(left - right, axis=-1)))
+        width = _mean_length(left - right)
         measured = width, 0.1288 * legs[0] - 0.04856
     theta, beta = 0.5, 0.314  # rad, of 25 hip studies
     c = 0.115 * 0.5 * (legs[0] + legs[1]) - 0.0153
@@ -134,8 +141,8 @@ def harrington_hip(asis: tuple[FloatArray, FloatArray], sacrum: FloatArray, side
     the equations of one predictor each (mm): −0.24 PD − 9.9; −0.30 PW − 10.9; 0.33 PW + 7.3.
     """
     left, right = asis
-    depth = float(np.nanmean(np.linalg.norm(midpoint(asis) - sacrum, axis=-1)))
-    width = float(np.nanmean(np.linalg.norm(right - left, axis=-1)))
+    depth = _mean_length(midpoint(asis) - sacrum)
+    width = _mean_length(right - left)
     ahead, aside, up = -0.24 * depth - 0.0099, 0.33 * width + 0.0073, -0.30 * width - 0.0109
     return _in_pelvis(asis, sacrum, side, ahead, aside, up)
 
@@ -165,7 +172,7 @@ def scaled_offset(
     origin: FloatArray, axes: FloatArray, fractions: Sequence[float], ends: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
     """A point at fractions of a length, along a segment's axes (F, 3, 3): regressions on a body's width."""
-    length = np.nanmean(np.linalg.norm(ends[1] - ends[0], axis=-1))
+    length = _mean_length(ends[1] - ends[0])
     point: FloatArray = origin + length * (axes @ np.asarray(fractions, dtype=np.float64))
     return point
 

@@ -5,7 +5,7 @@ The result of steps 2 to 5 of CN1766831A, with whatever joint-centre rules the m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.landmarks import SegmentPlaces
-from gateway.reconstruction.optical.marker_set import MarkerSet
+from gateway.reconstruction.optical.marker_set import MARKER_RADIUS, MarkerSet, names_in
 
 FIRST_SIGMA = 0.005
 """How far a marker strays from its place until the fit knows better, m."""
@@ -174,8 +174,22 @@ def _refuse_unseen(marker_set: MarkerSet, axes: FloatArray) -> None:
         rule = entries[name].axes
         assert rule is not None
         needed = dict.fromkeys([*rule.primary[1:], *rule.secondary[1:]])
+        absent = [label for label in _markers_under(marker_set, needed) if label not in marker_set.labels]
         raise GatewayError(
             f"marker set '{marker_set.file.name}': no frame tells how {', '.join(never)} lie: {name} needs "
-            f"{', '.join(needed)} and what these rest on (see {marker_set.path.name}): take another trial, "
-            "or another marker set"
+            f"{', '.join(needed)} and what these rest on (see {marker_set.path.name})"
+            + (f", and the trials lack {', '.join(absent)}" if absent else "")
+            + ": take another trial, or another marker set"
         )
+
+
+def _markers_under(marker_set: MarkerSet, names: Iterable[str]) -> list[str]:
+    """The markers that points rest on, worn or not."""
+    points, found, open_names = marker_set.file.points, dict.fromkeys(names), list(names)
+    for name in open_names:
+        for rule in marker_set.rules(name) if name in points else []:
+            below = [each for each in names_in(getattr(rule, rule.kind)) if each not in found]
+            found |= dict.fromkeys(below)
+            open_names += below
+    lengths = {"left", "right", MARKER_RADIUS, *marker_set.file.measurements, *marker_set.file.angles}
+    return [name for name in found if name not in {*points, *lengths, *marker_set.body.segment_names}]

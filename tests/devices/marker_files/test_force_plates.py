@@ -113,7 +113,7 @@ def test_an_origin_told_upside_down_is_taken_as_below(tmp_path):
 
 def test_an_unknown_type_is_named(tmp_path):
     signals, origin, _ = signals_of(2)
-    with pytest.raises(FormatError, match=r"force plate 1 is of type 7: types 1, 2, 3, 4"):
+    with pytest.raises(FormatError, match=r"plate 1 is of type 7: types 1, 2, 3, 4 are read .*--forces none"):
         read_force_plates(c3d_of(tmp_path, 7, signals, origin))
 
 

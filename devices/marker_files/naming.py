@@ -1,0 +1,84 @@
+"""One marker, many spellings: ``LASI``, ``lasi``, ``Bob:LASI``, ``Bob_LASI``, ``L.ASIS`` and ``L_ASIS``."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+from devices.marker_files.trial import MarkerTrial
+from devices.vendor_formats.sheets import FormatError
+
+_PREFIX = re.compile(r"([^:_.\s-]+)[:_.\s-]+(.+)")
+_NOT_SPELT = re.compile(r"[\W_]+")
+_ONE_MORE = 3
+"""A prefix is a person's name if so many more markers are known without it."""
+
+
+def plain(label: str) -> str:
+    """A label without case and punctuation."""
+    return _NOT_SPELT.sub("", label).casefold()
+
+
+def spelt(
+    trial: MarkerTrial,
+    wanted: Iterable[str],
+    others: Mapping[str, str] | None = None,
+    person: str | None = None,
+) -> MarkerTrial:
+    """The trial with its markers called as ``wanted``, where its file spells them otherwise.
+
+    others: further names, each with the label wanted. person: whose markers, by the prefix that they have in
+    the file. Labels that are no spelling of a wanted one stay. Raises ``FormatError`` when the markers of
+    several people fit, or nobody is called ``person``.
+    """
+    own = tuple(wanted)
+    meant = {plain(name): label for name, label in (others or {}).items()}
+    meant |= {plain(label.rpartition(":")[2]): label for label in own} | {
+        plain(label): label for label in own
+    }
+    taken = set(own) & set(trial.labels) if person is None else set()
+    found = {label: label for label in taken}
+    prefix = _prefix_of(trial, meant, taken, person)
+    for label in trial.labels:
+        name = meant.get(plain(_without(label, prefix)))
+        if label and label not in found and name is not None and name not in taken:
+            found[label] = name
+            taken.add(name)
+    return replace(trial, labels=tuple(found.get(label, label) for label in trial.labels))
+
+
+def _prefix_of(
+    trial: MarkerTrial, meant: Mapping[str, str], taken: set[str], person: str | None
+) -> str | None:
+    """What stands before the labels in the file; None where nothing does."""
+    split = [match for match in map(_PREFIX.fullmatch, trial.labels) if match is not None]
+    if person is not None:
+        everyone = dict.fromkeys(match[1] for match in split)
+        if person not in everyone:
+            known = f"there are {', '.join(everyone)}" if everyone else "none has a person's name before it"
+            raise FormatError(f"{trial.name}: no markers begin with '{person}': {known}")
+        return person
+    prefixes = Counter(match[1] for match in split if plain(match[2]) in meant)
+    without = len(taken) + sum(plain(label) in meant for label in trial.labels if label not in taken)
+    people = [prefix for prefix, count in prefixes.items() if count >= max(without, 1) and count >= _ONE_MORE]
+    if len(people) > 1:
+        raise FormatError(
+            f"{trial.name}: markers of {' and '.join(people)}: tell whose are meant with --person {people[0]}"
+        )
+    return people[0] if people else None
+
+
+def _without(label: str, prefix: str | None) -> str:
+    match = _PREFIX.fullmatch(label) if prefix is not None else None
+    return match[2] if match is not None and match[1] == prefix else label
+
+
+def without_prefixes(labels: Sequence[str]) -> tuple[str, ...]:
+    """Labels without the name of a subject and a colon before them, unless two would then be the same."""
+    bare = [label.rpartition(":")[2].strip() for label in labels]
+    named = {label.strip(): name for label, name in zip(labels, bare, strict=True) if name and name[0] != "*"}
+    if len(set(named.values())) < len(named):
+        return tuple(label.strip() for label in labels)
+    return tuple(bare)

@@ -1,0 +1,139 @@
+"""What of a marker set a person wears: which set it is, under which names, on which part of the body."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from devices.marker_files import MarkerTrial
+from devices.marker_files.naming import spelt
+from gateway.body.part import reduced
+from gateway.errors import GatewayError
+from gateway.reconstruction.optical.marker_set import MarkerSet, PointRule, load_marker_set, names_in
+from gateway.settings_files import shipped_folder
+
+_ENOUGH = 6
+"""Markers of a set that trials must have for the set to be taken unasked."""
+_SMALLEST_M, _LARGEST_M = 0.02, 20.0
+"""Between them lies the size of whatever wears markers."""
+
+
+@dataclass(frozen=True)
+class Dressed:
+    """Trials in the words of the part of a marker set that is in them."""
+
+    marker_set: MarkerSet
+    trials: tuple[MarkerTrial, ...]
+    file_labels: dict[str, str]
+    """Marker of the set to its name in the files."""
+    left_out: tuple[str, ...]
+    """Segments of the set's body that carry none of the markers."""
+
+
+def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str | None = None) -> Dressed:
+    """Trials with their markers called as in the set, and the set without what is in none of them.
+
+    person: as in ``spelt``. Raises ``FormatError`` as that does, ``GatewayError`` for a trial without any
+    marker of the set.
+    """
+    called = [spelt(trial, marker_set.labels, marker_set.other_names, person) for trial in trials]
+    names: dict[str, str] = {}
+    for trial, own in zip(called, trials, strict=True):
+        seen = _seen(trial, marker_set.labels)
+        if not seen:
+            raise GatewayError(_stranger(marker_set, own))
+        _refuse_wrong_unit(trial, marker_set.labels)
+        names |= {
+            label: first for label, first in zip(trial.labels, own.labels, strict=True)
+            if label in seen and label not in names
+        }  # fmt: skip
+    worn = worn_part(marker_set, names)
+    left_out = tuple(name for name in marker_set.body.segment_names if name not in worn.body.segment_names)
+    return Dressed(worn, tuple(called), names, left_out)
+
+
+def worn_part(marker_set: MarkerSet, labels: Collection[str]) -> MarkerSet:
+    """The set with these markers only, and its body without the limbs that carry none of them.
+
+    Segments to which the set itself gives no marker stay where they follow one that stays.
+    """
+    file, body = marker_set.file, marker_set.body
+    markers = {segment: [label for label in own if label in labels] for segment, own in file.markers.items()}
+    carrying = [s for s, name in enumerate(body.segment_names) if markers.get(name)]
+    part = reduced(body, [0, *carrying])
+    following = [
+        s for s, name in enumerate(body.segment_names)
+        if not file.markers.get(name) and body.segment_names[body.parents[s]] in part.segment_names
+    ]  # fmt: skip
+    part = reduced(body, [0, *carrying, *following])
+    kept = part.segment_names
+    changes = {
+        "markers": {segment: own for segment, own in markers.items() if own and segment in kept},
+        "segments": {segment: rule for segment, rule in file.segments.items() if segment in kept},
+        "points": {point: _first_worn(marker_set, point, labels) for point in file.points},
+    }
+    return marker_set.model_copy(update={"file": file.model_copy(update=changes), "body": part})
+
+
+def _first_worn(marker_set: MarkerSet, point: str, labels: Collection[str]) -> list[PointRule]:
+    """Of the rules of a point those that rest on the markers of the first whose markers are worn.
+
+    A landmark that one trial alone shows (a medial marker in the static trial) so holds for all: another rule
+    would put the joint elsewhere in the others.
+    """
+    rules = marker_set.rules(point)
+    rests = [set(names_in(getattr(rule, rule.kind))) & {*marker_set.labels} for rule in rules]
+    worn = next((own for own in rests if own <= {*labels}), rests[0])
+    return [rule for rule, own in zip(rules, rests, strict=True) if own == worn]
+
+
+def fitting_set(trials: Sequence[MarkerTrial], person: str | None = None) -> MarkerSet:
+    """The shipped marker set of which the trials have most markers; of equals the smallest.
+
+    Raises ``GatewayError`` that names the shipped ones where the trials have hardly a marker of any.
+    """
+    names = sorted(path.stem for path in (shipped_folder() / "marker_sets").glob("*.yaml"))
+    best, most = None, (0, 0)
+    for marker_set in map(load_marker_set, names):
+        known = set()
+        for trial in trials:
+            called = spelt(trial, marker_set.labels, marker_set.other_names, person)
+            known |= _seen(called, marker_set.labels)
+        if (score := (len(known), -len(marker_set.labels))) > most:
+            best, most = marker_set, score
+    if best is None or most[0] < _ENOUGH:
+        raise GatewayError(
+            f"{trials[0].name}: its markers are those of no shipped set ({', '.join(names)}): it has "
+            f"{_some_labels(trials[0])}; describe them in a file and name it with --set"
+        )
+    return best
+
+
+def _seen(trial: MarkerTrial, labels: Sequence[str]) -> set[str]:
+    is_seen = np.isfinite(trial.columns(tuple(labels))).all(axis=2).any(axis=0)
+    return {label for label, seen in zip(labels, is_seen.tolist(), strict=True) if seen}
+
+
+def _stranger(marker_set: MarkerSet, trial: MarkerTrial) -> str:
+    name, known = marker_set.file.name, _some_labels(trial)
+    return f"{trial.name}: none of the markers of '{name}' is in it; it has {known}"
+
+
+def _refuse_wrong_unit(trial: MarkerTrial, labels: Sequence[str]) -> None:
+    places = trial.columns(tuple(labels))
+    places = places[:, np.isfinite(places).all(axis=(0, 2))]
+    if places.shape[1] < _ENOUGH:
+        return
+    extent = float(np.median(np.ptp(places, axis=1).max(axis=1)))
+    if not _SMALLEST_M < extent < _LARGEST_M:
+        raise GatewayError(
+            f"{trial.name}: its markers reach over {extent:.4g} m, in a unit of {trial.metres_per_unit:g} m: "
+            "correct the unit in the file (POINT:UNITS, or Units)"
+        )
+
+
+def _some_labels(trial: MarkerTrial) -> str:
+    named = [label for label in trial.labels if label and not label.startswith("*")]
+    return ", ".join(named[:12]) + (", …" if len(named) > 12 else "") or "no named markers"

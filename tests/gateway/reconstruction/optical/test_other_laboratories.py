@@ -1,0 +1,206 @@
+"""One trial as other laboratories would have recorded it: names, people, axes, fewer markers, other sets."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.marker_files import MarkerTrial, read_markers
+from devices.marker_files.naming import spelt, without_prefixes
+from devices.vendor_formats import FormatError
+from gateway.errors import GatewayError
+from gateway.reconstruction.optical.fitting import FitOptions, fit_body
+from gateway.reconstruction.optical.marker_set import load_marker_set
+from gateway.reconstruction.optical.worn_markers import fitting_set, worn_part
+
+DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[5] / "shared" / "data"))
+needs_data = pytest.mark.skipif(not (DATA / "c3d_pycgm").is_dir(), reason="recordings are not here")
+LEGS = [
+    "LASI", "RASI", "LPSI", "RPSI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE", "RTHI", "RKNE", "RTIB",
+    "RANK", "RHEE", "RTOE",
+]  # fmt: skip
+CAST = {
+    "ASIS": "IAS", "Thigh.Upper": "TH1", "Thigh.Front": "TH2", "Thigh.Rear": "TH3", "Knee.Lat": "FLE",
+    "Knee.Med": "FME", "Shank.Upper": "SK1", "Shank.Front": "SK2", "Shank.Rear": "SK3", "Ankle.Lat": "FAL",
+    "Ankle.Med": "TAM", "Heel": "FCC", "Toe.Med": "FM1", "Toe.Tip": "FM2", "Toe.Lat": "FM5",
+}  # fmt: skip
+HAYES = {
+    "ASIS": "ASIS", "Thigh.Front": "Thigh", "Knee.Lat": "Knee", "Knee.Med": "Knee.Medial", "Heel": "Heel",
+    "Shank.Front": "Shank", "Ankle.Lat": "Ankle", "Ankle.Med": "Ankle.Medial", "Toe.Tip": "Toe",
+}  # fmt: skip
+
+
+def called(trials: list[MarkerTrial], name: Callable[[str], str]) -> list[MarkerTrial]:
+    return [replace(trial, labels=tuple(map(name, trial.labels))) for trial in trials]
+
+
+@pytest.fixture(scope="module")
+def gait() -> list[MarkerTrial]:
+    """Pelvis and legs of a static trial and a walk, every twelfth frame."""
+    trials = [read_markers(DATA / "c3d_pycgm" / f"{name}_trial.c3d") for name in ("Static", "Movement")]
+    thinned = [replace(trial, positions=trial.positions[::12]) for trial in trials]
+    return called(thinned, lambda label: label if label in LEGS else "")
+
+
+@pytest.fixture(scope="module")
+def opensim() -> list[MarkerTrial]:
+    names = ("subject01_static", "marker_trajectories")
+    trials = [read_markers(DATA / "trc_opensim" / f"{name}.trc") for name in names]
+    return [replace(trial, positions=trial.positions[::9]) for trial in trials]
+
+
+def lengths(trials: list[MarkerTrial], options: FitOptions | None = None) -> dict[str, float]:
+    """Of thighs and shanks, m, by the set that fits."""
+    options = options or FitOptions()
+    found = fit_body(fitting_set(trials, options.person), trials, options).skeleton
+    return {
+        name: float(np.linalg.norm(tip))
+        for name, tip in zip(found.segment_names, found.tips, strict=True)
+        if "thigh" in name or "shank" in name
+    }
+
+
+def beside_another(trials: list[MarkerTrial]) -> list[MarkerTrial]:
+    """Bob, and Eve two metres beside him, who moves alike."""
+    both = called(trials, lambda label: f"Bob:{label}" if label else "")
+    eve = called(trials, lambda label: f"Eve:{label}" if label else "")
+    return [
+        replace(one, labels=one.labels + two.labels, positions=np.hstack([one.positions, 2 + two.positions]))
+        for one, two in zip(both, eve, strict=True)
+    ]
+
+
+def with_one_sacral_marker(trials: list[MarkerTrial]) -> list[MarkerTrial]:
+    middles = [trial.columns(("LPSI", "RPSI")).mean(axis=1, keepdims=True) for trial in trials]
+    rest = called(trials, lambda label: "" if label in ("LPSI", "RPSI") else label)
+    return [
+        replace(trial, labels=(*trial.labels, "Sacrum"), positions=np.hstack([trial.positions, middle]))
+        for trial, middle in zip(rest, middles, strict=True)
+    ]
+
+
+VARIANTS: dict[str, Callable[[list[MarkerTrial]], list[MarkerTrial]]] = {
+    "small letters": lambda trials: called(trials, str.lower),
+    "a prefix with underscore": lambda trials: called(trials, lambda label: f"Bob_{label}" if label else ""),
+    "y up": lambda trials: [replace(t, positions=t.positions[:, :, [1, 2, 0]]) for t in trials],
+    "one sacral marker": with_one_sacral_marker,
+}
+
+
+@needs_data
+def test_spelling_axes_and_people_change_nothing(gait: list[MarkerTrial]) -> None:
+    expected = lengths(gait)
+    assert len(expected) == 4
+    for name, change in VARIANTS.items():
+        assert lengths(change(gait)) == pytest.approx(expected, abs=0.003), name
+    assert lengths(beside_another(gait), FitOptions(person="Eve")) == pytest.approx(expected, abs=1e-4)
+
+
+@needs_data
+def test_the_fit_tells_what_it_leaves_out_and_keeps_the_files_names(gait: list[MarkerTrial]) -> None:
+    trials = called(gait, lambda label: f"S1_{label}" if label else "")
+    found = fit_body(load_marker_set("plug_in_gait"), trials)
+    assert len(found.left_out) == 10
+    assert {"thorax", "head", "left_hand"} <= set(found.left_out)
+    assert set(found.markers.labels) == {f"S1_{label}" for label in LEGS}
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("person", "message"),
+    [(None, "markers of Bob and Eve: tell whose are meant with --person Bob"), ("Mia", "there are Bob, Eve")],
+)
+def test_several_people_are_asked_about(gait, person: str | None, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        fitting_set(beside_another(gait), person)
+
+
+@needs_data
+@pytest.mark.parametrize(("set_name", "names"), [("ior_cast", CAST), ("helen_hayes", HAYES)])
+def test_other_sets_on_the_same_walk_find_the_same_legs(
+    opensim, set_name: str, names: dict[str, str]
+) -> None:
+    """The walk has no medial markers: those of the static trial hold for both."""
+    separator = "_" if names is CAST else "."
+    trials = called(
+        opensim,
+        lambda label: (
+            f"{label[0]}{separator}{names[label[2:]]}"
+            if label[2:] in names
+            else label
+            if set_name == "helen_hayes" and label == "V.Sacral"
+            else ""
+        ),
+    )
+    if names is CAST:
+        trials = [
+            replace(
+                trial,
+                labels=(*trial.labels, "LPSI", "RPSI"),
+                positions=np.hstack([trial.positions, iliac_spines_behind(own)]),
+            )
+            for trial, own in zip(trials, opensim, strict=True)
+        ]
+    assert fitting_set(trials).file.name == set_name
+    expected = {
+        f"{side}_shank": float(np.linalg.norm(np.diff(joints(opensim[0], side[0].upper()), axis=0)))
+        for side in ("left", "right")
+    }
+    found = lengths(trials)
+    assert {name: found[name] for name in expected} == pytest.approx(expected, abs=0.004)
+
+
+def iliac_spines_behind(trial: MarkerTrial) -> np.ndarray:
+    """(F, 2, 3) m: 4 cm to the left and right of the sacral marker."""
+    across = np.diff(trial.columns(("L.ASIS", "R.ASIS")), axis=1)
+    across *= 0.04 / np.linalg.norm(across, axis=2, keepdims=True)
+    sacrum = trial.columns(("V.Sacral",))
+    return np.hstack([sacrum - across, sacrum + across])
+
+
+def joints(trial: MarkerTrial, side: str) -> np.ndarray:
+    """(2, 3) m: the middles of knee and ankle, standing."""
+    return np.array(
+        [
+            np.nanmean(trial.columns((f"{side}.{joint}.Lat", f"{side}.{joint}.Med")), axis=(0, 1))
+            for joint in ("Knee", "Ankle")
+        ]
+    )
+
+
+@needs_data
+def test_a_set_that_is_not_known_is_refused_with_what_there_is(gait: list[MarkerTrial]) -> None:
+    strange = called(gait, lambda label: f"M{LEGS.index(label)}" if label in LEGS else "*3")
+    with pytest.raises(GatewayError, match=r"no shipped set \(helen_hayes, .*it has M\d+, .*--set"):
+        fitting_set(strange)
+    lacking = called(gait, lambda label: "" if label in ("LPSI", "RPSI") else label)
+    with pytest.raises(GatewayError, match=r"pelvis needs LASI, .*the trials lack LPSI, RPSI: "):
+        fit_body(load_marker_set("plug_in_gait"), lacking)
+
+
+def test_every_shipped_set_tells_its_markers_apart() -> None:
+    for name in ("plug_in_gait", "opensim_41", "helen_hayes", "ior_cast"):
+        marker_set = load_marker_set(name)
+        meant = {**marker_set.other_names, **{label: label for label in marker_set.labels}}
+        for spelling, label in meant.items():
+            trial = MarkerTrial("t", (spelling.lower(),), 100.0, np.zeros((1, 1, 3)))
+            found = spelt(trial, marker_set.labels, marker_set.other_names)
+            assert found.labels == (label,), (name, spelling)
+
+
+def test_a_limb_without_markers_goes_with_all_beyond_it() -> None:
+    whole = load_marker_set("plug_in_gait")
+    part = worn_part(whole, [*LEGS, "C7", "T10", "CLAV", "STRN", "LSHO"])
+    assert part.body.segment_names[:3] == ("pelvis", "thorax", "left_shoulder_girdle")
+    assert "left_upper_arm" not in part.body.segment_names
+    assert worn_part(whole, whole.labels).body.segment_names == whole.body.segment_names
+
+
+def test_prefixes_stay_where_two_people_would_have_the_same_names() -> None:
+    assert without_prefixes(["Bob:LASI", "Bob:RASI", "*4", ""]) == ("LASI", "RASI", "*4", "")
+    assert without_prefixes(["Bob:LASI", "Eve:LASI", "", ""]) == ("Bob:LASI", "Eve:LASI", "", "")
