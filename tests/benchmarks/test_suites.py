@@ -1,4 +1,4 @@
-"""Every suite of benchmarks is there, and does its smallest case: suites run seldom, what they measure changes."""
+"""Every suite of benchmarks is there, and does its smallest case: it runs seldom, and the gateway changes."""
 
 from __future__ import annotations
 
