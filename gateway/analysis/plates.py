@@ -66,8 +66,10 @@ def measured_floor(
         turned = _in_world(plate, vertical)
         smooth = [low_pass(values, plates.rate_hz, cutoff_hz)[at] for values in turned[:2]]
         for begin, end, first, last in _steps(turned[0][at, 2], motion.time_s):
-            c = _foot_of(turned[2][at[begin:end]], middles[begin:end])
-            if c is not None:
+            c, away = _nearest_foot(turned[2][at[begin:end]], middles[begin:end])
+            if not away < _FARTHEST_FOOT_M:
+                notes.append(_nobodys(number, motion.time_s[begin], motion.time_s[end - 1], away))
+            else:
                 force[first:last, c] += smooth[0][first:last]
                 moment[first:last, c] += smooth[1][first:last]
                 source[begin:end, c] = Source.MEASURED
@@ -80,6 +82,13 @@ def measured_floor(
                         f"{motion.time_s[end - 1]:.2f} s: its force is larger than measured."
                     )
     return FloorForces(on, force, moment, source, height_m, tuple(notes))
+
+
+def _nobodys(number: int, begin_s: float, end_s: float, away_m: float) -> str:
+    return (
+        f"What loads plate {number} at {begin_s:.2f}–{end_s:.2f} s is {away_m:.2f} m from the next sole and "
+        "counts as nobody's: a cane, a cart, another person, or a plate that is not where the file has it."
+    )
 
 
 def _zeroed(plate: ForcePlate, rate_hz: float) -> ForcePlate:
@@ -125,9 +134,9 @@ def _is_beside(sole: FloatArray, corners: FloatArray) -> bool:
     return float((outside & down).any(axis=1).mean()) > _LONG_SHARE
 
 
-def _foot_of(pressure: FloatArray, middles: FloatArray) -> int | None:
-    """Index of the foot whose sole is nearest to the pressure over a step; None where none is near."""
+def _nearest_foot(pressure: FloatArray, middles: FloatArray) -> tuple[int, float]:
+    """Index of the foot whose sole is nearest to the pressure over a step, and how far it is, m."""
     away = np.linalg.norm(pressure[:, None, :2] - middles[..., :2], axis=-1)
     mean = np.nanmean(away, axis=0)
     nearest = int(np.argmin(mean))
-    return nearest if mean[nearest] < _FARTHEST_FOOT_M else None
+    return nearest, float(mean[nearest])

@@ -35,6 +35,7 @@ from gateway.recording.optical import write_solved_trial
 from gateway.report.drawing import require_matplotlib
 
 MASS_PARAMETERS = ("BODYMASS", "WEIGHT")
+_NO_MASS = "{file} does not tell what the person weighs: tell it with --mass KG"
 """Where C3D files tell a person's mass, kg."""
 
 
@@ -92,13 +93,15 @@ def analyse_file(
     require_matplotlib()
     if file.is_dir():
         raise GatewayError(f"{file} is a folder: name a recording, or a trial of markers, in it")
+    if mass is not None and inertia is not None:
+        raise GatewayError("--mass and --inertia both tell what the body weighs: leave one of them out")
+    if mass is None and inertia is None and subject is None and file.suffix.lower() not in MARKER_SUFFIXES:
+        raise GatewayError(_NO_MASS.format(file=file))
     folder = output or file.with_name(f"{file.stem}_analysis")
     if folder.exists() and not force:
         raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell_read:
         arrays, suit, told_kg = _motion(file, subject, tell_read)
-    if mass is not None and inertia is not None:
-        raise GatewayError("--mass and --inertia both tell what the body weighs: leave one of them out")
     weighed = _inertia(arrays.skeleton, mass or told_kg, sex, inertia, file)
     measured = _measured(file, forces, suit)
     with progress_bar("torques", is_shown=not as_json) as tell:
@@ -171,7 +174,7 @@ def _inertia(
     if table is not None:
         return load_inertia(table, skeleton)
     if kg is None:
-        raise GatewayError(f"{file} does not tell what the person weighs: tell it with --mass KG")
+        raise GatewayError(_NO_MASS.format(file=file))
     return body_inertia(skeleton, kg, None if sex is None else sex.value)
 
 

@@ -112,8 +112,8 @@ def fitting_set(trials: Sequence[MarkerTrial], person: str | None = None) -> Mar
 
 
 def _seen(trial: MarkerTrial, labels: Sequence[str]) -> set[str]:
-    is_seen = np.isfinite(trial.columns(tuple(labels))).all(axis=2).any(axis=0)
-    return {label for label, seen in zip(labels, is_seen.tolist(), strict=True) if seen}
+    places = trial.columns(tuple(labels))
+    return {label for m, label in enumerate(labels) if np.isfinite(places[:, m]).all(axis=1).any()}
 
 
 def _stranger(marker_set: MarkerSet, trial: MarkerTrial) -> str:

@@ -111,6 +111,26 @@ def test_an_origin_told_upside_down_is_taken_as_below(tmp_path):
     assert np.array_equal(right.moment, wrong.moment)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_corners_listed_the_other_way_round_mean_a_plate_whose_z_points_up(tmp_path, sign):
+    """Of either sign: what the person does, or what the floor answers."""
+    corners = np.array([[600, 400, 0], [0, 400, 0], [0, 0, 0], [600, 0, 0]])
+    origin = np.array([1.0, -2.0, 40.0])
+    moment = np.cross(AT - CORNERS.mean(axis=0) / 1000, FORCE) + np.array([0, 0, TORSION])
+    loads = sign * np.concatenate([FORCE, 1e3 * moment + np.cross(origin, FORCE)])
+    told = parameter("CORNERS", 3, 4, (3, 4, 1), np.asarray(corners, "<f4").tobytes())
+    (plate,) = read_force_plates(c3d_of(tmp_path, 2, loads, origin, told)).plates
+    assert plate.force[2] == pytest.approx(FORCE, rel=1e-4)
+    assert plate.centre_of_pressure()[2] == pytest.approx(AT, abs=1e-5)
+
+
+def test_corners_that_make_no_surface_are_told(tmp_path):
+    signals, origin, _ = signals_of(2)
+    told = parameter("CORNERS", 3, 4, (3, 4, 1), np.zeros(12, "<f4").tobytes())
+    with pytest.raises(FormatError, match=r"plate 1: FORCE_PLATFORM:CORNERS make no rectangle \(0 0 0; "):
+        read_force_plates(c3d_of(tmp_path, 2, signals, origin, told))
+
+
 def test_an_unknown_type_is_named(tmp_path):
     signals, origin, _ = signals_of(2)
     with pytest.raises(FormatError, match=r"plate 1 is of type 7: types 1, 2, 3, 4 are read .*--forces none"):

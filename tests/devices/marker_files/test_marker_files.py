@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,30 @@ def test_trc_gaps_units_and_errors(tmp_path: Path) -> None:
         path.write_text("\n".join(edit))
         with pytest.raises(FormatError, match=message):
             read_markers(path)
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("change", "encoding"),
+    [
+        (lambda lines: [*lines[:5], *[line.replace(".", ",") for line in lines[5:]]], "utf-8"),
+        (lambda lines: lines, "utf-16"),
+        (lambda lines: lines, "utf-8-sig"),
+        (lambda lines: [*lines[:4], *lines[5:]], "utf-8"),
+        (lambda lines: [*lines[:5], "", *lines[5:]], "utf-8"),
+        (lambda lines: [line + "\r" for line in lines], "utf-8"),
+        (lambda lines: [*lines[:3], re.sub(r"\t([LR])\.", r"\tBob:\1.", lines[3]), *lines[4:]], "utf-8"),
+        (lambda lines: [*lines[:3], re.sub(r"\t+", r"\t", lines[3]), *lines[4:]], "utf-8"),
+    ],
+    ids=["comma", "utf-16", "mark", "no X1 Y1", "blank line", "crlf", "prefix", "one tab"],
+)
+def test_a_trc_as_other_programs_write_it(tmp_path: Path, change, encoding: str) -> None:
+    source = DATA / "trc_opensim" / "marker_trajectories.trc"
+    path = tmp_path / "t.trc"
+    path.write_text("\n".join(change(source.read_text().splitlines())), encoding=encoding, newline="\n")
+    expected, found = read_markers(source), read_markers(path)
+    assert found.labels == expected.labels
+    np.testing.assert_array_equal(found.positions, expected.positions)
 
 
 def test_an_unknown_suffix_names_the_known() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -66,6 +68,20 @@ def test_finds_lag_heading_and_axes(lag_s):
         assert figures.position_rms_m < 2e-3
     assert np.isnan(found.segments[0].joint_rms_deg)
     assert found.segments[1].joint_rms_deg < 0.2
+
+
+def test_a_segment_that_spins_in_one_of_them_does_not_tell_the_lag():
+    """As a hand with one marker may: about any axis, at any speed."""
+    first, second = first_and_second(1.2345)
+    q = second.q_wb.copy()
+    rates = np.random.default_rng(2).normal(0.0, 0.6, (len(q), 3))
+    turning = Rotation.identity()
+    for f, rate in enumerate(rates):
+        turning = turning * Rotation.from_rotvec(rate)
+        q[f, 2] = turning.as_quat(scalar_first=True)
+    found = align_time(first, replace(second, q_wb=q))
+    assert found.lag_s == pytest.approx(1.2345, abs=2e-3)
+    assert found.correlation > 0.7
 
 
 def test_noise_is_stated_as_it_is():

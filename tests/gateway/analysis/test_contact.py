@@ -111,7 +111,10 @@ def test_a_plate_belongs_to_the_foot_over_it(foot, across):
 def test_a_load_far_from_all_feet_is_nobodys():
     motion, free = standing()
     plates = ForcePlates(1000.0, (plate_under((1.5, 0.0), [0.0, 0.0, 400.0]),))
-    assert not measured_floor(plates, "z", motion, free, None).source.any()
+    floor = measured_floor(plates, "z", motion, free, None)
+    assert not floor.source.any()
+    assert "plate 1 at 0.10" in floor.notes[0]
+    assert "m from the next sole and counts as nobody's" in floor.notes[0]
 
 
 def test_what_an_empty_plate_shows_is_taken_off():

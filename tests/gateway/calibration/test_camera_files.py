@@ -90,6 +90,27 @@ def test_toml_in_millimetres(tmp_path):
     assert camera.rotation @ [1, 0, 0] == pytest.approx([0, 1, 0])
 
 
+def test_toml_below_cameras_with_a_matrix_and_one_to_be_ignored(tmp_path):
+    """As Caliscope writes it."""
+    table = TOML[: TOML.index("[metadata]")].replace('name = "left"\n', "")
+    table = table.replace(
+        "[0.0, 0.0, 1.5707963267948966]", "[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]"
+    )
+    ignored = '[cameras.1]\nignore = true\nmatrix = "null"\n'
+    text = table.replace("[cam_01]", "[cameras.0]") + ignored
+    (camera,) = load_cameras(written(tmp_path, "camera_array.toml", text))
+    assert camera.name == "cam_0"
+    assert camera.rotation @ [1, 0, 0] == pytest.approx([0, 1, 0])
+
+
+def test_cameras_kilometres_apart_are_of_another_unit(tmp_path):
+    second = TOML[: TOML.index("[metadata]")].replace("[cam_01]", "[cam_02]").replace("left", "right")
+    path = written(tmp_path, "c.toml", second.replace("4000.0", "-2000.0") + TOML)
+    assert len(load_cameras(path, unit="mm")) == 2
+    with pytest.raises(SettingsError, match=r"cameras stand within 6e\+03 m: .*--unit mm"):
+        load_cameras(path)
+
+
 def test_opencv_one_camera_a_file(tmp_path):
     cv2 = pytest.importorskip("cv2")
     path = tmp_path / "side.yml"
