@@ -78,8 +78,8 @@ class Capture:
         try:
             async with loop_lateness() as self.machine:
                 await asyncio.sleep(seconds)
-            async with asyncio.timeout(PATIENCE_S):
-                while len(self.frames) <= 250:
+            async with asyncio.timeout(2 * PATIENCE_S):
+                while len(self.frames) <= 250 or min(self.answered()) < 250:
                     await asyncio.sleep(0.05)
             async with (
                 asyncio.timeout(PATIENCE_S),
@@ -92,6 +92,10 @@ class Capture:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+
+    def answered(self):
+        """By module: how many triggers it answered."""
+        return self.service.pipeline.statistics()["triggers"]["answered"].values() or [0]
 
     def replay(self):
         """Of a new pipeline fed the same: frames, inertial readings, and when each was really taken.
