@@ -69,7 +69,10 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _children_find_the_packages() -> None:
-    """Child processes import this working tree, installed or not."""
+    """Child processes import this working tree, installed or not, and can be interrupted: what a script runs
+    in the background ignores that, and so would they."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     inherited = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = str(REPOSITORY) + (f"{os.pathsep}{inherited}" if inherited else "")
 

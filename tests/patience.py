@@ -9,7 +9,7 @@ import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 """For what should come at once. It ends a test whose condition never holds, and is no measure of speed."""
 
 _PAUSE_S = 0.005

@@ -14,6 +14,7 @@ client.on("error", (error) => {
   process.exit(1);
 });
 client.on("message", (topic, payload, packet) => {
+  if (left === 0) return; // what came together with the last one
   const pose = JSON.parse(payload);
   const type = packet.properties?.contentType ?? "no content type";
   console.log(topic, type, pose.seq, pose.root, JSON.stringify(pose.segments[pose.root]));

@@ -65,7 +65,7 @@ class RunningGateway:
             while link.state is not LinkState.UP:
                 await asyncio.sleep(0.01)
 
-    async def until_quiet(self, quiet_s: float = 0.5, first_s: float = PATIENCE_S) -> None:
+    async def until_quiet(self, quiet_s: float = 2.0, first_s: float = PATIENCE_S) -> None:
         """Until poses have come and stopped coming."""
         async with asyncio.timeout(first_s):
             while not self.received:

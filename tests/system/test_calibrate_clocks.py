@@ -53,7 +53,7 @@ async def test_the_table_has_the_emulated_rates_and_the_pipeline_takes_it(tmp_pa
     config = write_config(tmp_path)
     suit, traffic = emulated_traffic()
     emulated = EmulatedSuit(
-        traffic.transmissions(40.0), PtyTransport(tmp_path / "suit"), start_ns=gateway_time_ns()
+        traffic.transmissions(3600.0), PtyTransport(tmp_path / "suit"), start_ns=gateway_time_ns()
     )
     playing = asyncio.create_task(emulated.run())
     # a hitch of this machine by 1 ms is 100 ppm of such a minute

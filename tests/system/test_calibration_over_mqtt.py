@@ -35,14 +35,11 @@ async def served(mosquitto, folder):
     settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field, sampling_rate_hz=50)
     traffic = SuitTraffic(calibration_motion(body, 5, 1.0), settings)
     emulated = EmulatedSuit(traffic, PtyTransport(folder / "suit"))
-    playing = asyncio.create_task(emulated.run())
-    while not emulated.transport.url:
-        await asyncio.sleep(0.01)
     mqtt = MqttSettings(port=mosquitto.port)
     service = Service(
         GatewaySettings(
             gateway="lab",
-            links=[LinkSettings(name="suit", url=emulated.transport.url)],
+            links=[LinkSettings(name="suit", url=str(folder / "suit"))],
             rig="suit_lower_7",
             reconstructor="independent",
             mqtt=mqtt,
@@ -50,16 +47,19 @@ async def served(mosquitto, folder):
         ),
         suit,
     )
-    serving = asyncio.create_task(service.run())
+    tasks = [asyncio.create_task(service.run())]
     try:
         async with asyncio.timeout(PATIENCE_S):
-            while not service.requests.is_connected or not service.pipeline.skeleton_frames:
+            while not service.requests.is_connected:
+                await asyncio.sleep(0.01)
+            tasks.append(asyncio.create_task(emulated.run()))  # the person does not stand still for ever
+            while not service.pipeline.skeleton_frames:
                 await asyncio.sleep(0.01)
         yield service, mqtt
     finally:
-        for task in (serving, playing):
+        for task in tasks:
             task.cancel()
-        await asyncio.gather(serving, playing, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypatch, until):

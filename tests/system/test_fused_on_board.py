@@ -23,6 +23,10 @@ pytestmark = pytest.mark.system
 RIG = "robot_arm_4"
 
 
+def is_whole(pose):
+    return all(pose.segments.values())
+
+
 @pytest.mark.parametrize(("reconstructor", "limit_deg"), [("fused", 1.5), ("fused_neutral", 4.0)])
 async def test_orientations_of_the_modules_become_poses(tmp_path, mosquitto, reconstructor, limit_deg):
     """fused_neutral: references face anywhere; the arm is not quite neutral when it is first heard."""
@@ -44,14 +48,13 @@ async def test_orientations_of_the_modules_become_poses(tmp_path, mosquitto, rec
         async with asyncio.timeout(2 * PATIENCE_S), PoseSubscriber(settings.mqtt, "lab") as received:
             async for pose in received:
                 poses.append(pose.pose)
-                if len(poses) == 200:
+                if sum(map(is_whole, poses[50:])) == 150:
                     break
     finally:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-    whole = [pose for pose in poses[50:] if all(pose.segments.values())]
-    assert len(whole) > 140
+    whole = list(filter(is_whole, poses[50:]))
     times_s = np.array([emulated.motion_time_s(pose.t_ns) for pose in whole])
     q_wb = np.array([[pose.segments[name] for name in suit.skeleton.segment_names] for pose in whole])
     total, _, _ = orientation_error(q_wb, motion.state(times_s).q_wb)

@@ -111,7 +111,7 @@ async def test_list_shows_every_module_and_names_a_conflict_with_its_remedy(suit
 async def test_a_busy_port_says_how_to_ask_the_gateway_that_holds_it(suit_on_port, until):
     async with suit_on_port() as (suit, modules):
         holder = await modules.start("watch")
-        await until(lambda: suit.suit.counts.received_bytes > 0)  # it has the port, and asks
+        await until(lambda: suit.suit.counts.received_bytes > 0, LONGEST_S)  # it has the port, and asks
         code, output, errors = await modules.in_a_process("list")
         holder.send_signal(signal.SIGINT)
         _, complaints = await asyncio.wait_for(holder.communicate(), PATIENCE_S)

@@ -22,7 +22,7 @@ from gateway.outputs.request_messages import LARGEST_REQUEST, ResponseMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
-from tests.patience import PATIENCE_S
+from tests.patience import PATIENCE_S, loop_lateness
 
 pytestmark = pytest.mark.system
 
@@ -88,24 +88,37 @@ async def app(mqtt, version=aiomqtt.ProtocolVersion.V311):
         yield App(client)
 
 
-async def test_a_list_is_answered_with_its_transaction_while_poses_go_on(served):
-    async with served(has_relay=True) as (suit, service, mqtt), app(mqtt) as asking:
-        await asyncio.sleep(1)
-        poses_before, time_before = service.mqtt.counters.published, asyncio.get_running_loop().time()
-        response, _ = await asking.ask("modules/list", {"listen_s": 2, "transaction": "t-1"})
-        poses = service.mqtt.counters.published - poses_before
-        rate = poses / (asyncio.get_running_loop().time() - time_before)
+async def poses_per_s(service, during):
+    """How many poses are published while something is awaited."""
+    poses, begun_s = service.mqtt.counters.published, asyncio.get_running_loop().time()
+    await during
+    return (service.mqtt.counters.published - poses) / (asyncio.get_running_loop().time() - begun_s)
+
+
+async def test_a_list_is_answered_with_its_transaction_while_poses_go_on(served, until):
+    async with (
+        served(has_relay=True) as (suit, service, mqtt),
+        app(mqtt) as asking,
+        loop_lateness() as machine,
+    ):
+        await until(lambda: service.pipeline.skeleton_frames > 50)
+        alone = await poses_per_s(service, asyncio.sleep(1))
+        asked = asyncio.create_task(asking.ask("modules/list", {"listen_s": 2, "transaction": "t-1"}))
+        meanwhile = await poses_per_s(service, asked)
+        response, _ = asked.result()
     assert (response.status, response.error, response.transaction) == ("ok", None, "t-1")
     modules = {module["module"]: module for module in response.data["modules"]}
     assert set(modules) == {0, 1, 2, 3, RELAY}
     assert modules[2]["segment"] == "link_3"
     assert modules[2]["unique_id"] == suit.unique_id(2).hex()
-    assert modules[2]["rate_hz"] == pytest.approx(100, rel=0.1)
+    late = 100 * machine.worst_s  # in so much of a second
+    assert modules[2]["rate_hz"] == pytest.approx(100, abs=10 + late)
     assert modules[2]["firmware"] == "1.0.0"
     assert 0 < modules[2]["battery_percent"] <= 100
     assert response.data["conflicts"] == []
     assert response.data["allows_writes"] is False
-    assert rate == pytest.approx(100, rel=0.15)
+    assert alone == pytest.approx(100, abs=15 + late)
+    assert meanwhile == pytest.approx(100, abs=15 + late)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +196,8 @@ async def test_a_flood_of_requests_is_answered_and_stalls_nothing(served):
                         break
             assert service.pipeline.skeleton_frames > before
         refused = [answer for answer in answers.values() if answer.status == "error"]
-        assert all("too many requests" in answer.error for answer in refused)
+        told = [answer.error for answer in refused if "too many requests" not in answer.error]
+        assert all("answer" in error for error in told)  # of the module itself, on a busy machine
         assert len(refused) < 30
 
 

@@ -11,6 +11,7 @@ import time
 import urllib.error
 import urllib.request
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import orjson
@@ -25,10 +26,13 @@ from gateway.outputs.connection import broker_connection
 from gateway.outputs.messages import BridgeHealth, BridgeInfo, ModuleState, PoseMessage
 from gateway.service import Service
 from gateway.settings import GatewaySettings
+from tests.patience import PATIENCE_S, loop_lateness
 
 pytestmark = pytest.mark.system
 
 HOUR_NS = 3600 * 10**9
+SILENT_AFTER_S = 2.0
+"""Longer than a busy machine keeps a gateway from reading."""
 
 
 class Listener:
@@ -54,8 +58,8 @@ async def gateway_of(suit, broker_port, **settings):
         links=[{"name": "suit", "url": "loopback"}],
         rig="robot_arm_4",
         reconstructor="independent",
-        mqtt={"port": broker_port, "health_interval": 0.1},
-        modules={"state_interval_s": 0.5, "silent_after_s": 0.5},
+        mqtt={"port": broker_port, "health_interval": 0.1, "queue_length": 1000},
+        modules={"state_interval_s": 0.5, "silent_after_s": SILENT_AFTER_S},
         **settings,
     )
     service = Service(gateway_settings, load_rig("robot_arm_4"), [suit.link])
@@ -69,22 +73,27 @@ async def gateway_of(suit, broker_port, **settings):
         finally:
             serving.cancel()
             await asyncio.gather(serving, return_exceptions=True)
-            await asyncio.sleep(0.1)
+            with contextlib.suppress(TimeoutError):  # a broker that is away relays no farewell
+                async with asyncio.timeout(PATIENCE_S):
+                    while listener.newest("bridge/state") != {"state": "offline"} and not listening.done():
+                        await asyncio.sleep(0.01)
             listening.cancel()
+            await asyncio.gather(listening, return_exceptions=True)
+
+
+def get(port, path, accept=""):
+    """Status, content type and body of a real GET."""
+    request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers={"Accept": accept})
+    try:
+        with urllib.request.urlopen(request, timeout=PATIENCE_S) as response:
+            return response.status, response.headers["Content-Type"], response.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.headers["Content-Type"], error.read()
 
 
 async def fetch(port, path, accept=""):
-    """Status, content type and body of a real GET."""
-
-    def get():
-        request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers={"Accept": accept})
-        try:
-            with urllib.request.urlopen(request, timeout=5) as response:
-                return response.status, response.headers["Content-Type"], response.read()
-        except urllib.error.HTTPError as error:
-            return error.code, error.headers["Content-Type"], error.read()
-
-    return await asyncio.to_thread(get)
+    """The same, while the event loop goes on."""
+    return await asyncio.to_thread(get, port, path, accept)
 
 
 async def test_modules_are_told_of_fall_silent_come_back_and_end_offline(commanded_suit, mosquitto, until):
@@ -92,7 +101,7 @@ async def test_modules_are_told_of_fall_silent_come_back_and_end_offline(command
         async with gateway_of(suit, mosquitto.port) as (_, listener, _serving):
             await until(lambda: listener.newest("module/3/availability") == {"state": "online"})
             await until(lambda: (listener.newest("module/1/state") or {}).get("rate_hz"))
-            suit.traffic.cut_power(1, suit.soon_s(), off_s=1.5)
+            suit.traffic.cut_power(1, suit.soon_s(), off_s=2 * SILENT_AFTER_S)
             await until(lambda: listener.newest("module/1/availability") == {"state": "offline"})
             await until(lambda: listener.newest("module/1/state")["availability"] == "offline")
             state = ModuleState.model_validate(listener.newest("module/1/state"))
@@ -101,9 +110,9 @@ async def test_modules_are_told_of_fall_silent_come_back_and_end_offline(command
             await until(lambda: listener.newest("module/1/availability") == {"state": "online"})
             await until(lambda: listener.newest("module/1/state")["resets"] == 1)
             assert listener.newest("module/1/state")["silent_since_ns"] is None
+            await until(lambda: abs((listener.newest("module/2/state")["rate_hz"] or 0) - 100) < 15)
             state = ModuleState.model_validate(listener.newest("module/2/state"))
             assert (state.segment, state.lost, state.duplicates) == ("link_3", 0, 0)
-            assert state.rate_hz == pytest.approx(100, abs=15)
             assert state.clock.bound_us is not None
             # told at its start, so by the module that has just started again
             assert listener.newest("module/1/state")["unique_id"] == suit.unique_id(1).hex()
@@ -153,7 +162,8 @@ async def test_a_host_clock_set_by_an_hour_moves_the_anchor_and_no_pose(
     assert health.offset_ns == info.offset_ns
     assert info.last_step_t_ns == info.t_ns > before.t_ns
     spacing_ns = np.diff([PoseMessage.model_validate_json(pose).t_ns for pose in poses])
-    assert set(spacing_ns.tolist()) == {10_000_000}
+    assert set((spacing_ns % 10_000_000).tolist()) == {0}
+    assert 0 < spacing_ns.min() <= spacing_ns.max() < HOUR_NS / 60
     assert "UTC was set by +3600.00" in caplog.text
 
 
@@ -161,8 +171,10 @@ async def test_metrics_of_links_modules_poses_outputs_and_process(commanded_suit
     async with (
         commanded_suit() as suit,
         gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, listener, _),
+        loop_lateness() as machine,
     ):
-        await until(lambda: (listener.newest("module/3/state") or {}).get("rate_hz"))
+        await until(lambda: abs(((listener.newest("module/3/state") or {}).get("rate_hz") or 0) - 100) < 15)
+        await until(lambda: service.mqtt.counters.published > 100)
         status, content_type, text = await fetch(service.observer.metrics.port, "/metrics")
         assert (status, content_type.split(";")[0]) == (200, "text/plain")
         samples = {
@@ -174,7 +186,8 @@ async def test_metrics_of_links_modules_poses_outputs_and_process(commanded_suit
         assert samples["mocap_module_online", "3", "link_4"] == 1
         assert samples["mocap_module_received_total", "3", "link_4"] > 80
         assert samples["mocap_module_lost", "3", "link_4"] == 0
-        assert samples["mocap_module_rate_hz", "3", "link_4"] == pytest.approx(100, abs=15)
+        late = 100 * machine.worst_s  # in so much of a second
+        assert samples["mocap_module_rate_hz", "3", "link_4"] == pytest.approx(100, abs=15 + late)
         assert abs(samples["mocap_module_clock_offset_seconds", "3", "link_4"]) > 1
         assert samples["mocap_output_poses_total", "mqtt", "published"] > 50
         assert samples["mocap_output_connected", "mqtt"] == 1
@@ -182,7 +195,7 @@ async def test_metrics_of_links_modules_poses_outputs_and_process(commanded_suit
         assert samples["process_cpu_seconds_total",] > 0
         assert samples["mocap_utc_steps_total",] == 0
         frames = samples["mocap_skeleton_frames_total",]
-        await asyncio.sleep(0.2)
+        await until(lambda: service.pipeline.skeleton_frames > frames)
         accept = "application/openmetrics-text; version=1.0.0"
         status, content_type, text = await fetch(service.observer.metrics.port, "/metrics", accept)
         assert content_type.startswith("application/openmetrics-text")
@@ -219,10 +232,9 @@ async def test_an_event_loop_that_is_stuck_is_unhealthy(commanded_suit, mosquitt
         gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),
     ):
         await until(lambda: service.mqtt.is_connected)
-        asking = asyncio.create_task(fetch(service.observer.metrics.port, "/healthz"))
-        await asyncio.sleep(0)
-        time.sleep(1.0)  # noqa: ASYNC251 - the stuck loop
-        status, _, body = await asking
+        with ThreadPoolExecutor() as other:  # which is waited for by the loop itself: it is stuck until then
+            asking = other.submit(get, service.observer.metrics.port, "/healthz")
+            status, _, body = asking.result(PATIENCE_S)
         assert (status, orjson.loads(body)["status"]) == (503, "stuck")
 
 

@@ -20,7 +20,7 @@ from gateway.cli.emulated_rig import dress, move
 from gateway.pipeline import Pipeline
 from gateway.service import Service
 from gateway.settings import GatewaySettings
-from tests.patience import PATIENCE_S
+from tests.patience import PATIENCE_S, loop_lateness
 
 pytestmark = pytest.mark.system
 
@@ -76,7 +76,11 @@ class Capture:
         """The last health message over MQTT."""
         tasks = [asyncio.create_task(self.emulated.run()), asyncio.create_task(self.service.run())]
         try:
-            await asyncio.sleep(seconds)
+            async with loop_lateness() as self.machine:
+                await asyncio.sleep(seconds)
+            async with asyncio.timeout(2 * PATIENCE_S):
+                while len(self.frames) <= 250 or min(self.answered()) < 250:
+                    await asyncio.sleep(0.05)
             async with (
                 asyncio.timeout(PATIENCE_S),
                 aiomqtt.Client("127.0.0.1", self.settings.mqtt.port) as client,
@@ -88,6 +92,10 @@ class Capture:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+
+    def answered(self):
+        """By module: how many triggers it answered."""
+        return self.service.pipeline.statistics()["triggers"]["answered"].values() or [0]
 
     def replay(self):
         """Of a new pipeline fed the same: frames, inertial readings, and when each was really taken.
@@ -144,6 +152,7 @@ async def test_samples_belong_to_the_triggers(tmp_path, mosquitto, medium, caplo
         assert late_ns > 0  # never before the trigger left
         late_us.setdefault(reading.time_ns, []).append(late_ns * 1e-3)
     apart_us = [max(of_one) - min(of_one) for of_one in late_us.values() if len(of_one) == 3]
-    assert len(apart_us) > 200
-    assert np.median([late for of_one in late_us.values() for late in of_one]) < 15_000
+    assert len(apart_us) > 50
+    late = [late for of_one in late_us.values() for late in of_one]
+    assert np.median(late) < 15_000 + 2e6 * capture.machine.median_s
     assert np.quantile(apart_us, 0.99) < 200  # all modules sampled at once, but for their interrupts
