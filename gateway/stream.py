@@ -121,6 +121,10 @@ class Stream:
         self._batching[name], self._relays[name] = LinkBatching(), RelayBatching()
         self._losses[name] = LinkLosses()
 
+    def hears(self, link: str) -> bool:
+        """Whether the link was announced here: one that brings markers or heat maps is not."""
+        return link in self._decoders
+
     def notice(self, link: str, cause: Cause) -> None:
         """Something was lost on a link since its last chunk: tells what missing packets fell victim to."""
         if link in self._losses:

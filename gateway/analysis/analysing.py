@@ -62,7 +62,8 @@ class Analysis:
 
     @property
     def weight_n(self) -> float:
-        return 9.81 * float(self.inertia.mass.sum())
+        """Of the whole person, also where the body is a part of one."""
+        return 9.81 * self.inertia.body_kg
 
 
 def analyse(

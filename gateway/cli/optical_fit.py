@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.subject_file import subject_content, write_subject
@@ -178,7 +178,7 @@ def _print(found: Fit, outcome: dict[str, object]) -> None:
     lengths, moved = outcome["lengths_mm"], outcome["moved_mm"]
     assert isinstance(lengths, dict)
     assert isinstance(moved, dict)
-    table = Table("segment", "length mm", "joint moved by motion mm", "markers")
+    table = Table(Column("segment", no_wrap=True), "length mm", "joint moved by motion mm", "markers")
     for s, name in enumerate(found.skeleton.segment_names):
         worn = [
             label for label, on in zip(found.markers.labels, found.markers.segments, strict=True) if on == s

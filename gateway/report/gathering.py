@@ -91,7 +91,7 @@ class _Modules:
         self._before: dict[int, tuple[int, int]] = {}
 
     def take(self, item: Chunk | SentChunk) -> None:
-        if self._stream is None:
+        if self._stream is None or not self._stream.hears(item.link):
             return
         if isinstance(item, SentChunk):
             self._stream.sent(item)

@@ -22,6 +22,7 @@ from gateway.reconstruction.optical import kernels
 from gateway.recording import open_recording
 from gateway.recording.optical import SolvedTrial, write_both_ways_trial, write_published_trial
 from gateway.recording.solving import verify
+from gateway.report import gather, write_report
 
 N_FRAMES, RATE_HZ, HIDDEN = 10, 50.0, 9
 
@@ -91,6 +92,15 @@ def test_its_recording_cannot_be_verified_and_says_so(solved):
     assert recording.meta.suit.markers is not None
     with pytest.raises(RecordingError, match="offline method 'published'"):
         verify(recording)
+
+
+def test_its_page_tells_poses_and_no_modules(solved, tmp_path):
+    pytest.importorskip("matplotlib")
+    found = gather(open_recording(solved[1].path))
+    assert found.n_poses == N_FRAMES
+    assert not found.modules
+    write_report(found, tmp_path / "walk.html")
+    assert "Joint angles" in (tmp_path / "walk.html").read_text()
 
 
 def test_a_trial_bridged_both_ways_is_recorded_as_such(tmp_path: Path):
