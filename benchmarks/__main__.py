@@ -11,6 +11,7 @@ from benchmarks.figures import Report, write_docs
 
 SUITES = (
     "accuracy",
+    "gyro_free",
     "speed",
     "latency",
     "outputs",

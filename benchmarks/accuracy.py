@@ -18,7 +18,6 @@ import numpy as np
 
 from benchmarks.accuracy_simulation import add_convergence, add_fast_arm
 from benchmarks.figures import Figure, Report, table
-from benchmarks.gyro_free import add_gyro_free
 from benchmarks.offline import imu_frames, orientations
 from benchmarks.optical_reference import WINDOW_S, gyrometer_disagreement, in_time
 from benchmarks.peers import NO_FIELD, SMOOTHED, solved
@@ -92,7 +91,6 @@ def run() -> Report:
     add_convergence(report)
     add_fast_arm(report)
     _add_recordings(report)
-    add_gyro_free(report, DATA / "broad")
     return report
 
 

@@ -48,6 +48,8 @@ RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {
     "fused_neutral": partial(FusedReconstructor, starts_neutral=True),
     "gyro_free": RateFreeReconstructor,
     "gyro_free_delayed": DelayedRateFreeReconstructor,
+    "gyro_free_delayed_100ms": partial(DelayedRateFreeReconstructor, delay_s=0.1),
+    "gyro_free_delayed_200ms": partial(DelayedRateFreeReconstructor, delay_s=0.2),
     "independent": IndependentReconstructor,
     "joint": JointReconstructor,
     "outward": OutwardReconstructor,

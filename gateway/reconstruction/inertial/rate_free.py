@@ -17,7 +17,10 @@ from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity, SkeletonFrame, Status, StatusArray
 from gateway.geometry import quaternion, rotation_matrix
+from gateway.reconstruction.inertial import field_lag
 from gateway.reconstruction.inertial import rate_free_filter as one
+from gateway.reconstruction.inertial import rate_free_points as points
+from gateway.reconstruction.inertial.held_arguments import hold
 from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
 from gateway.reconstruction.inertial.rate_free_filter import MotionNoise, Rows, SegmentState
 from gateway.reconstruction.inertial.rate_free_smoother import empty_log, note, smoothed
@@ -78,9 +81,13 @@ class RateFreeReconstructor:
     def reset(self) -> None:
         """Forget everything but the parameters."""
         n = self._n
+        self._noise = hold(self._settings.noise)
         self._states = [one.empty_state() for _ in range(n)]
-        self._rows = [one.empty_rows() for _ in range(n)]
+        self._held = [hold(state) for state in self._states]
+        self._rows = [hold(one.empty_rows()) for _ in range(n)]
         self._logs = [empty_log(self._length) for _ in range(n)] if self._length > 1 else []
+        self._held_logs = [hold(log) for log in self._logs]
+        self._lag = field_lag.lag_finder(self._interval_s)
         self._last_ns = np.full(n, -1, np.int64)
         self._held_ns = np.full(n, np.iinfo(np.int64).min // 2)
         self._waiting: deque[SkeletonFrame] = deque()
@@ -108,20 +115,21 @@ class RateFreeReconstructor:
             return self._begin(s, f, m, frame.time_ns, int(observed.status[s]))
         if since_s <= 0.0:
             return int(observed.status[s])
-        state, rows, noise = self._states[s], self._rows[s], self._settings.noise
+        state, rows, noise = self._held[s], self._rows[s], self._noise
+        if s == self._root:
+            field_lag.see_module(self._lag, frame.time_ns * 1e-9, f, m)
         F = one.predict(state, noise, f, self._suit.gravity, since_s)
         one.watch(state, noise, f, m, since_s)
         x = np.zeros(one.N)
-        rows.n_rows[0] = 0
         is_at_rest = one.add_rest(state, rows, noise, x, since_s)
-        is_disturbed = state.off_norm[0] > noise.norm_tolerance
+        is_disturbed = self._states[s].off_norm[0] > self._settings.noise.norm_tolerance
         if np.isfinite(m).all() and not (is_at_rest and is_disturbed):
-            one.add_field(state, rows, noise, x, m, self._north)
+            one.add_field(state, rows, noise, x, m, self._north, field_lag.lag_s(self._lag))
         self._hold(s, state, rows, x, frame, since_s)
         one.correct(state, x)
         self._last_ns[s] = frame.time_ns
         if self._logs:
-            note(self._logs[s], state, F, rows)
+            note(self._held_logs[s], state, F, rows)
         return int(observed.status[s])
 
     def _begin(self, s: int, f: FloatArray, m: FloatArray, time_ns: int, status: int) -> int:
@@ -129,7 +137,7 @@ class RateFreeReconstructor:
         R = rotation_matrix.from_two_vectors(f, m, -self._suit.gravity, h)
         if not np.isfinite(R).all():
             return Status.MISSING
-        one.begin(self._states[s], self._settings.noise, R, f, m, h)
+        one.begin(self._held[s], self._noise, R, f, m, h)
         self._last_ns[s] = time_ns
         if self._logs:
             self._logs[s].head[1] = 0
@@ -143,9 +151,9 @@ class RateFreeReconstructor:
         huber = self._settings.noise.huber
         if before >= 0 and self._last_ns[before] == frame.time_ns:
             out = self._travel.link[s] - self._U[before]
-            place, covariance = one.point(self._states[before], out)
+            place, covariance = points.point(self._held[before], out)
             sigma = np.sqrt(JOINT_INFLATION * np.diag(covariance) + JOINT_SIGMA_M**2)
-            self._catch(s, state, place, -self._U[s], frame.time_ns)
+            self._catch(s, place, -self._U[s], frame.time_ns)
             one.add_position(state, rows, x, place, -self._U[s], sigma, 0.0, huber)
         for device in self._suit.local_devices:
             if device.segment == s:
@@ -161,7 +169,7 @@ class RateFreeReconstructor:
     ) -> None:
         arm, huber = device.position - self._suit.lever_arms[s], self._settings.noise.huber
         if device.quantity is Quantity.FIXED_POINT:
-            self._catch(s, state, np.zeros(3), arm, frame.time_ns)
+            self._catch(s, np.zeros(3), arm, frame.time_ns)
             one.add_position(state, rows, x, np.zeros(3), arm, np.full(3, FIXED_POINT_SIGMA_M), 0.0, huber)
             return
         for reading in frame.local:
@@ -181,22 +189,41 @@ class RateFreeReconstructor:
         value = np.array(reading.value, np.float64)
         if not np.isfinite(value).all():
             return
-        sigma = np.maximum(np.nan_to_num(np.array(reading.sigma, np.float64)), LEAST_SIGMA)
+        sigma = np.fmax(np.array(reading.sigma, np.float64), LEAST_SIGMA)
         huber = self._settings.noise.huber
         if reading.quantity is Quantity.POSITION:
             age_s = min(max((time_ns - reading.time_ns) * 1e-9, 0.0), self._settings.longest_hold_s)
-            self._catch(s, state, value, arm, time_ns)
+            self._catch(s, value, arm, time_ns)
+            if s == self._root:
+                self._learn_lag(s, reading, value, arm, float(sigma.mean()))
             one.add_position(state, rows, x, value, arm, sigma, age_s, huber)
         elif reading.quantity is Quantity.VELOCITY:
             one.add_velocity(state, rows, x, value, arm, sigma, huber)
         else:
             one.add_acceleration(state, rows, x, value, arm, sigma, self._suit.gravity, huber)
             # an acceleration holds the orientation; place and speed have nothing to hold them
-            state.values[one.VELOCITY : one.ARM] = 0.0
+            self._states[s].values[one.VELOCITY : one.ARM] = 0.0
         self._held_ns[s] = time_ns
 
-    def _catch(self, s: int, state: SegmentState, place: FloatArray, arm: FloatArray, time_ns: int) -> None:
+    def _learn_lag(
+        self, s: int, reading: LocalReading, value: FloatArray, arm: FloatArray, sigma: float
+    ) -> None:
+        """Where the module of s was tells by how much its magnetometer is late; all are taken to be alike."""
+        state = self._states[s]
+        strength, up = state.values[one.STRENGTH : one.DISTURBANCE]
+        field_lag.see_place(
+            self._lag,
+            reading.time_ns * 1e-9,
+            value - rotation_matrix.rotate(state.R, arm),
+            state.values[one.VELOCITY : one.PLACE],
+            sigma,
+            -self._suit.gravity,
+            self._north * strength + np.array([0.0, 0.0, up]),
+        )
+
+    def _catch(self, s: int, place: FloatArray, arm: FloatArray, time_ns: int) -> None:
         """A segment that had no hold is put where it now is known to be."""
+        state = self._states[s]
         if (time_ns - self._held_ns[s]) * 1e-9 > self._settings.longest_hold_s:
             block = slice(one.VELOCITY, one.ARM)
             state.values[one.PLACE : one.ARM] = place - rotation_matrix.rotate(state.R, arm)
@@ -210,14 +237,10 @@ class RateFreeReconstructor:
         q_wb, rate, acceleration = np.full((n, 4), np.nan), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
         sigma = np.full(n, np.nan)
         for s in np.flatnonzero(status <= Status.PREDICTED):
-            state = self._states[s]
-            w, spin = state.values[one.RATE : one.SPIN], state.values[one.SPIN : one.VELOCITY]
-            q_wb[s] = quaternion.from_matrix(state.R)
-            rate[s] = state.R.T @ w
-            sigma[s] = np.sqrt(np.trace(state.P[:3, :3]))
-            arm = -state.R @ self._suit.lever_arms[s]
-            at_module = state.R @ state.before + self._suit.gravity
-            acceleration[s] = at_module + np.cross(spin, arm) + np.cross(w, np.cross(w, arm))
+            q_wb[s] = quaternion.from_matrix(self._states[s].R)
+            rate[s], acceleration[s], sigma[s] = points.at_joint(
+                self._held[s], self._suit.lever_arms[s], self._suit.gravity
+            )
         parents, offsets = self._suit.skeleton.parents, self._suit.skeleton.offsets
         return SkeletonFrame(
             sequence=observation.sequence,
@@ -252,7 +275,7 @@ class RateFreeReconstructor:
         q_wb, rate = frame.q_wb.copy(), frame.angular_rate.copy()
         for s, log in enumerate(self._logs):
             if log.head[1] == self._length and np.isfinite(q_wb[s, 0]):
-                R, w = smoothed(log)
+                R, w = smoothed(self._held_logs[s])
                 q_wb[s], rate[s] = quaternion.from_matrix(R), R.T @ w
         return replace(frame, sequence=newest.sequence, q_wb=q_wb, angular_rate=rate)
 
@@ -273,9 +296,7 @@ class RateFreeReconstructor:
 
 
 class DelayedRateFreeReconstructor(RateFreeReconstructor):
-    """``gyro_free_delayed``: the same, half a second late and much nearer the truth."""
+    """``gyro_free_delayed``: the same, later (delay_s) and much nearer the truth."""
 
-    DELAY_S = 0.5
-
-    def __init__(self, suit: WornSuit, nominal_interval_s: float) -> None:
-        super().__init__(suit, nominal_interval_s, RateFreeSettings(delay_s=self.DELAY_S))
+    def __init__(self, suit: WornSuit, nominal_interval_s: float, delay_s: float = 0.5) -> None:
+        super().__init__(suit, nominal_interval_s, RateFreeSettings(delay_s=delay_s))

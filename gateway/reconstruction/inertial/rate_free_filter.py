@@ -28,7 +28,6 @@ N = 23
 RATE, SPIN, VELOCITY, PLACE, ARM, STRENGTH, DISTURBANCE = 3, 6, 9, 12, 15, 18, 20
 MOST_ROWS = 32
 """Rows that one instant may have; what comes beyond is left out."""
-LARGEST_STEP_S = 0.1
 
 
 class MotionNoise(NamedTuple):
@@ -42,7 +41,7 @@ class MotionNoise(NamedTuple):
     """rad/s²: ω̇ of a segment whose specific force stands still …"""
     spin_per_force: float = 3.0
     """… rad/s² more for each m/s² by which it varies …"""
-    largest_spin: float = 25.0
+    largest_spin: float = 60.0
     """… and no more than that."""
     accelerometer: float = 0.05
     """m/s²/√Hz, scale and alignment included."""
@@ -59,8 +58,6 @@ class MotionNoise(NamedTuple):
     """… so many times as noise, and …"""
     norm_memory_s: float = 1.0
     """… for so long after."""
-    field_delay_s: float = 0.0
-    """By how much the magnetometer is later than the accelerometer."""
     arm: float = 0.005
     """m: how well places on the segment are known."""
     huber: float = 4.0
@@ -240,10 +237,17 @@ def add_vector(
 
 @compiled
 def add_field(
-    state: SegmentState, rows: Rows, noise: MotionNoise, x: FloatArray, m: FloatArray, north: FloatArray
+    state: SegmentState,
+    rows: Rows,
+    noise: MotionNoise,
+    x: FloatArray,
+    m: FloatArray,
+    north: FloatArray,
+    delay: float,
 ) -> None:
-    """The field m (3,) µT, segment axes; north (3,) the horizontal direction of the undisturbed one."""
-    v, w, delay = state.values, state.values[RATE:SPIN], noise.field_delay_s
+    """The field m (3,) µT, segment axes, as it was ``delay`` s ago; north (3,) the horizontal direction of
+    the undisturbed one."""
+    v, w = state.values, state.values[RATE:SPIN]
     back = rotation_matrix.from_rotation_vector(w * -delay + v[SPIN:VELOCITY] * (0.5 * delay * delay))
     seen = rotation_matrix.rotate(back, rotation_matrix.rotate(state.R, m))
     known = north * v[STRENGTH] + v[DISTURBANCE:N]
@@ -331,7 +335,9 @@ def add_acceleration(
 
 @compiled
 def add_rest(state: SegmentState, rows: Rows, noise: MotionNoise, x: FloatArray, dt: float) -> bool:
-    """Where force and field (or a disturbed field) have stood still for a while, nothing turns."""
+    """The first rows of an instant: where force and field (or a disturbed field) have stood still for a
+    while, nothing turns."""
+    rows.n_rows[0] = 0.0
     quiet = state.quiet
     is_still = quiet[6] < 0.15**2 and (quiet[7] < 1.0 or state.off_norm[0] > noise.norm_tolerance)
     quiet[8] = quiet[8] + dt if is_still else 0.0
@@ -353,32 +359,3 @@ def correct(state: SegmentState, x: FloatArray) -> None:
         for j in range(i):
             mean = 0.5 * (state.P[i, j] + state.P[j, i])
             state.P[i, j], state.P[j, i] = mean, mean
-
-
-@compiled
-def point(state: SegmentState, arm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where a point at ``arm`` (3,) from the module is, world, and the covariance (3, 3) of that."""
-    r = rotation_matrix.rotate(state.R, arm)
-    J, K = np.zeros((3, 6)), skew(r)
-    C = np.zeros((6, 6))
-    for i in range(3):
-        J[i, 3 + i] = 1.0
-        for j in range(3):
-            J[i, j] = -K[i, j]
-            C[i, j], C[i, 3 + j] = state.P[i, j], state.P[i, PLACE + j]
-            C[3 + i, j], C[3 + i, 3 + j] = state.P[PLACE + i, j], state.P[PLACE + i, PLACE + j]
-    covariance = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            for a in range(6):
-                covariance[i, j] += J[i, a] * dot_row(C, a, J, j)
-    return state.values[PLACE:ARM] + r, covariance
-
-
-@compiled
-def dot_row(C: FloatArray, a: int, J: FloatArray, j: int) -> float:
-    """Row a of C (6, 6) times row j of J (3, 6)."""
-    total = 0.0
-    for b in range(6):
-        total += C[a, b] * J[j, b]
-    return total

@@ -59,10 +59,20 @@ def test_the_orientation_is_found_and_better_half_a_second_later(moving_body):
     assert delayed < 0.65 * causal
 
 
+def test_a_late_magnetometer_costs_little_once_its_lag_is_known(moving_body):
+    suit, motion, frames = moving_body
+    late = [replace(f, magnetic_field=g.magnetic_field) for f, g in zip(frames[2:], frames, strict=False)]
+    in_time, behind = (errors_deg(solve("gyro_free", suit, some), motion, 6.0)[0] for some in (frames, late))
+    print(f"in time {in_time:.2f}°, field 20 ms late {behind:.2f}°")
+    assert behind < in_time + 1.0
+
+
 def test_the_delayed_frames_are_of_the_instant_they_claim(moving_body):
     suit, _, frames = moving_body
     given = solve("gyro_free_delayed", suit, frames[:80])
     assert [f.time_ns for f in given] == [f.time_ns - 500_000_000 for f in frames[:80]]
+    by_name = solve("gyro_free_delayed_100ms", suit, frames[:20])
+    assert [f.time_ns for f in by_name] == [f.time_ns - 100_000_000 for f in frames[:20]]
     assert {int(f.status[0]) for f in given[:50]} == {Status.WARMING_UP}
     assert given[60].status[0] == Status.MEASURED
 
