@@ -59,8 +59,7 @@ def _add_broad(report: Report, folder: Path) -> None:
         "### BROAD: RMSE, degrees\n\nPosition as local device, gyrometers hidden, movement phases only, "
         "nothing aligned. `gyro_free` is causal; the others are late by what their names say, "
         "`gyro_free_delayed` by half a second; `per sample, unaided`: accelerometer and magnetometer alone "
-        "(TRIAD).\n\n"
-        + table(["trial", "method", "total", "tilt"], rows)
+        "(TRIAD).\n\n" + table(["trial", "method", "total", "tilt"], rows)
     )
     for method, name, target in FIGURES:
         note = f"{method}, BROAD with position ML, no gyrometers, mean of {len(errors[method])} trials"
