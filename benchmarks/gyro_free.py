@@ -24,7 +24,7 @@ from gateway.reconstruction import create_reconstructor
 UNAIDED = "per sample, unaided"
 FIGURES = (
     ("gyro_free", "broad_gyrofree_causal_deg", ""),
-    ("gyro_free_delayed_100ms", "broad_gyrofree_100ms_deg", ""),
+    ("gyro_free_delayed_100ms", "broad_gyrofree_100ms_deg", "<=5"),
     ("gyro_free_delayed_200ms", "broad_gyrofree_200ms_deg", "<=5"),
     ("gyro_free_delayed", "broad_gyrofree_deg", "<=5"),
     (UNAIDED, "broad_gyrofree_unaided_deg", ""),
