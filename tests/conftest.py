@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -33,6 +34,9 @@ from gateway.outputs import BridgeInfo
 from gateway.reconstruction.readiness import is_ready
 from tests.contract_watch import ContractWatch, assert_kept
 from tests.patience import PATIENCE_S
+
+hypothesis.settings.register_profile("busy machine", deadline=None)  # an example may wait its turn for long
+hypothesis.settings.load_profile("busy machine")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 _CREATED = (
