@@ -27,11 +27,9 @@ def turned_back(state: FilterState, noise: Noise) -> FilterState:
     headings are kept; the rows' averages begin anew. The clock stands at 0, where the last frame lies: it has
     been taken, and turning by its rate once more would be off by a whole interval.
 
-    Headings and gyrometers' biases are as sure as the forward filter is of them at its end: what lies near
-    the end shows no heading anew, and found there by the field alone it would differ from that of the way
-    forward by a constant, between which and the other the smoothed heading would wander. Inclinations are
-    as unsure as at a beginning: the way back finds them anew within a second, and an error of the end is not
-    carried along. So is what the field is off by: it differs from place to place, and the end is one place.
+    Recordings end in mid-motion as often as at rest: a backward filter that knew nothing would first of all
+    take that motion's acceleration for a tilt. But it is as unsure as a beginning: what the forward filter
+    knows would count twice where the two are put together, and an error at its end would be carried back.
     """
     back = initial_state(len(state.is_started), len(state.device_age_s))
     sign = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
@@ -42,7 +40,8 @@ def turned_back(state: FilterState, noise: Noise) -> FilterState:
     back.rest[:, :3] *= -1.0
     back.P[...] = state.P * np.outer(sign, sign)
     back.C[...] = state.C * np.outer(sign, sign)
-    back.P[:, range(2), range(2)] += noise.start_tilt**2
+    forgotten = np.array([noise.start_tilt] * 2 + [noise.start_heading] + [noise.bias] * 3) ** 2
+    back.P[:, range(6), range(6)] += forgotten
     back.field_offset[:, 1] = noise.heading**2
     return back
 

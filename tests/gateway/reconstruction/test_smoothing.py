@@ -78,19 +78,6 @@ def test_turning_a_state_back_twice_keeps_what_it_knows():
         np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
 
 
-def test_the_way_back_keeps_headings_and_biases_and_begins_unsure_of_inclinations_and_the_field():
-    state, noise = initial_state(3, 0), Noise()
-    factor = np.random.default_rng(2).normal(0.0, 0.01, (3, 6, 6))
-    state.P[...] = factor @ np.swapaxes(factor, 1, 2)
-    state.field_offset[:] = 0.03, 1e-4
-    back = turned_back(state, noise)
-    unsure = np.zeros((6, 6))
-    unsure[[0, 1], [0, 1]] = noise.start_tilt**2
-    turned = np.diag([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
-    np.testing.assert_allclose(back.P, turned @ state.P @ turned + unsure, atol=1e-15)
-    np.testing.assert_array_equal(back.field_offset, np.tile([0.03, noise.heading**2], (3, 1)))
-
-
 def test_the_last_frame_is_not_taken_twice():
     state = initial_state(2, 1)
     state.time_ns[:] = 7_000_000_000, 1_000_000_000
