@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fault_bench import Bench
-from benchmarks.soak_reference import LATEST_S, SETTLED_S, record_type
+from benchmarks.soak_reference import LATEST_S, record_type
 from devices.emulators.fault_plan import FaultPlan
 from devices.link import gateway_time_ns
 from gateway.frames import SkeletonFrame
@@ -30,7 +30,6 @@ class SoakWatch:
         track.with_suffix(".json").write_text(
             json.dumps({"plan": plan.model_dump(mode="json"), "start_ns": start_ns})
         )
-        self._start_ns = start_ns
         self._file = track.open("wb")
         self._record = np.zeros(1, dtype=record_type(len(bench.service.pipeline.suit.skeleton.segment_names)))
         self._latencies = np.zeros(len(_EDGES_MS) + 1, dtype=np.int64)
@@ -43,9 +42,8 @@ class SoakWatch:
     def _note(self, frame: SkeletonFrame) -> None:
         latency_s = (gateway_time_ns() - frame.time_ns) * 1e-9
         self._latencies[np.searchsorted(_EDGES_MS, 1e3 * latency_s)] += 1
-        if frame.time_ns - self._start_ns > SETTLED_S * 1e9:
-            self._poses += 1
-            self._poses_of_late_suit += self._suit.counts.lateness_s > LATEST_S
+        self._poses += 1
+        self._poses_of_late_suit += self._suit.counts.lateness_s > LATEST_S
         self._record["late_s"] = max(latency_s, self._suit.counts.lateness_s)
         self._record["time_ns"], self._record["status"] = frame.time_ns, frame.status
         self._record["q_wb"], self._record["angular_rate"] = frame.q_wb, frame.angular_rate
@@ -53,7 +51,7 @@ class SoakWatch:
 
     @property
     def busy_share(self) -> float:
-        """Of the time compared in which the emulated suit itself was late: the machine had no time for it."""
+        """Of the time in which the emulated suit itself was late: the machine had no time for it."""
         return self._poses_of_late_suit / max(1, self._poses)
 
     def latency_ms(self) -> dict[str, float]:
