@@ -9,8 +9,8 @@ from typing import Protocol
 from devices.command_client import host_bytes
 from devices.emulators.delivery import Transmission
 from devices.link import Chunk, Framing, SentChunk
-from firmware_protocol import BROADCAST, SyncRequest, wire_frame
 from gateway.settings import ClockSettings
+from gateway.synchronisation import UNEVENNESS, question
 
 STEP_S = 0.01
 
@@ -29,20 +29,16 @@ def asked(
     """What comes from it, for ever. note: told of every question; start_ns: gateway time of motion time 0."""
     draw = random.Random(seed)
     interval_s = 1.0 / ClockSettings().sync_rate_hz
-    step, due_s = 0, interval_s
+    step, due_s, count = 0, interval_s, 0
     while True:
         now_s = step * STEP_S
         if now_s >= due_s:
-            due_s += interval_s * draw.uniform(0.9, 1.1)
-            data = _question(start_ns + round(now_s * 1e9))
+            due_s += interval_s * draw.uniform(*UNEVENNESS)
+            now_ns = start_ns + round(now_s * 1e9)
+            data = host_bytes(question(count, now_ns), Framing.BYTE_STREAM)
+            count += 1
             suit.receive(data, now_s)
-            note(SentChunk(data, start_ns + round(now_s * 1e9), link))
+            note(SentChunk(data, now_ns, link))
         step += 1
         for sent in suit.advance(step * STEP_S):
             yield Chunk(sent.data, start_ns + round(sent.time_s * 1e9), link)
-
-
-def _question(now_ns: int) -> bytes:
-    token, now_us = now_ns // 10_000_000 % 2**16, now_ns // 1000
-    request = SyncRequest(token=token, host_time_us=now_us)
-    return host_bytes(wire_frame(request, BROADCAST, token, now_us % 2**32), Framing.BYTE_STREAM)

@@ -11,10 +11,19 @@ import random
 from collections.abc import Callable, Sequence
 
 from devices.link import Link, gateway_time_ns
-from firmware_protocol import BROADCAST, SyncRequest, wire_frame
+from firmware_protocol import BROADCAST, SyncRequest, WireFrame, wire_frame
 from gateway.host_sender import HostSender
 
+UNEVENNESS = 0.9, 1.1
+"""Parts of the interval that questions are apart: in step with nothing, so that answers wait now longer, now
+shorter for a relay's tick or a slot of USB."""
 _TOKENS = 1 << 16
+
+
+def question(asked: int, now_ns: int) -> WireFrame:
+    """What time do you have? To all modules; asked: how many questions went before; now_ns: gateway time."""
+    token, now_us = asked % _TOKENS, now_ns // 1000
+    return wire_frame(SyncRequest(token=token, host_time_us=now_us), BROADCAST, token, now_us % 2**32)
 
 
 class Synchroniser:
@@ -37,8 +46,7 @@ class Synchroniser:
     async def run(self) -> None:
         """Ask for ever."""
         while True:
-            # In step with nothing: answers wait now longer, now shorter for a relay's tick or a slot of USB.
-            await asyncio.sleep(self._interval_s * random.uniform(0.9, 1.1))
+            await asyncio.sleep(self._interval_s * random.uniform(*UNEVENNESS))
             await self.ask_all()
 
     async def ask_all(self) -> None:
@@ -48,8 +56,6 @@ class Synchroniser:
 
     async def _ask(self, link: Link) -> None:
         """One request to all modules on a link; a link that is away is left alone until it is back."""
-        token = self._asked % _TOKENS
+        frame = question(self._asked, self._clock_ns())
         self._asked += 1
-        now_us = self._clock_ns() // 1000
-        request = SyncRequest(token=token, host_time_us=now_us)
-        await self._sender.send(link, wire_frame(request, BROADCAST, token, now_us % 2**32))
+        await self._sender.send(link, frame)
