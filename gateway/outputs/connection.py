@@ -11,6 +11,7 @@ import logging
 import os
 import secrets
 import socket
+import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -178,28 +179,46 @@ def _notice_early_hang_up(client: aiomqtt.Client) -> None:
 
 
 def _watch_open_sockets_only(client: aiomqtt.Client) -> None:
-    """Have the loop watch a full socket only if it is still open when the loop gets to it.
+    """Have the loop watch a new or a full socket only if it is still open when the loop gets to it.
 
-    aiomqtt hands the loop the socket's number. A broker that dies closes the socket in between: the number
-    is nobody's by then, or a serial port's that has just been opened.
+    aiomqtt hands the loop the socket's number. A broker that dies, or a connection given up while it is
+    being made, closes the socket in between: the number is nobody's by then, or a serial port's that has
+    just been opened.
     """
     loop = client._loop
 
-    def write() -> None:
+    def attempted(step: Callable[[], object]) -> None:
         try:
-            client._client.loop_write()
+            step()
         except Exception as error:  # as aiomqtt does: whatever it is, the connection is lost
             if not client._disconnected.done():
                 client._disconnected.set_exception(error)
 
-    def watch(sock: SocketLike) -> None:
+    def watch_reading(sock: SocketLike) -> None:
         if sock.fileno() >= 0:
-            loop.add_writer(sock.fileno(), write)
+            loop.add_reader(sock.fileno(), attempted, partial(_read_all, client))
+            client._misc_task = loop.create_task(client._misc_loop())
 
-    def asked_to_watch(_client: object, _data: object, sock: SocketLike) -> None:
-        loop.call_soon_threadsafe(watch, sock)
+    def watch_writing(sock: SocketLike) -> None:
+        if sock.fileno() >= 0:
+            loop.add_writer(sock.fileno(), attempted, client._client.loop_write)
 
-    client._client.on_socket_register_write = asked_to_watch
+    def asked(watch: Callable[[SocketLike], None]) -> Callable[[object, object, SocketLike], None]:
+        def in_the_loop(_client: object, _data: object, sock: SocketLike) -> None:
+            loop.call_soon_threadsafe(watch, sock)
+
+        return in_the_loop
+
+    client._client.on_socket_open = asked(watch_reading)
+    client._client.on_socket_register_write = asked(watch_writing)
+
+
+def _read_all(client: aiomqtt.Client) -> None:
+    """Read what has come; bytes that TLS has decoded already would not wake the loop again."""
+    paho = client._client
+    paho.loop_read()
+    while isinstance(paho._sock, ssl.SSLSocket) and paho._sock.pending() > 0:
+        paho.loop_read()
 
 
 def _wishes(settings: MqttSettings) -> Properties | None:
@@ -223,7 +242,11 @@ def _tls_parameters(tls: TlsSettings) -> aiomqtt.TLSParameters:
 
 
 def _hang_up(client: aiomqtt.Client) -> None:
-    """Close the socket, if it is still open, and end the client's timer."""
+    """Close the socket, if it is still open, and end the client's timer.
+
+    One that a thread opens later (the attempt was given up) is not watched, and closed with the client.
+    """
+    client._client.on_socket_open = None
     client._client._sock_close()  # aiomqtt offers only a disconnection that waits for the broker
     if client._disconnected.done() and not client._disconnected.cancelled():
         client._disconnected.exception()  # seen: or asyncio complains of it at some later time
