@@ -13,6 +13,7 @@ import pytest
 from devices.marker_files import MarkerTrial, read_markers
 from devices.marker_files.naming import spelt, without_prefixes
 from devices.vendor_formats import FormatError
+from gateway.cli.optical_fit import uneven_sides
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set
@@ -153,6 +154,23 @@ def test_other_sets_on_the_same_walk_find_the_same_legs(
     }
     found = lengths(trials)
     assert {name: found[name] for name in expected} == pytest.approx(expected, abs=0.004)
+
+
+@needs_data
+def test_legs_without_any_medial_marker_are_alike_on_both_sides() -> None:
+    """A straight leg shows no axis of its knee: what was taken for it turned feet into 186 and 260 mm."""
+    trial = read_markers(DATA / "trc_opensim" / "markers_walk.trc")
+    trial = replace(trial, positions=trial.positions[::9])
+    found = fit_body(fitting_set([trial]), [trial]).skeleton
+    tips = dict(zip(found.segment_names, 1e3 * np.linalg.norm(found.tips, axis=1), strict=True))
+    assert 195 < tips["left_foot"] < tips["right_foot"] < 235
+    assert uneven_sides(tips) == []
+
+
+def test_sides_that_differ_are_told() -> None:
+    lengths_mm = {"pelvis": 119.0, "left_foot": 186.0, "right_foot": 260.0, "left_hand": 90.0}
+    assert uneven_sides(lengths_mm) == [("left_foot", "right_foot")]
+    assert uneven_sides(lengths_mm | {"left_foot": 228.0, "right_foot": 205.0}) == []
 
 
 def iliac_spines_behind(trial: MarkerTrial) -> np.ndarray:
