@@ -13,11 +13,14 @@ import pytest
 from devices.marker_files import MarkerTrial, read_markers
 from devices.marker_files.naming import spelt, without_prefixes
 from devices.vendor_formats import FormatError
+from gateway.body.markers import BodyMarkers
+from gateway.body.rig import WorldSettings, load_body, worn_without_modules
 from gateway.cli.optical_fit import uneven_sides
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.worn_markers import fitting_set, worn_part
+from gateway.recording.optical import write_solved_trial
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (DATA / "c3d_pycgm").is_dir(), reason="recordings are not here")
@@ -222,3 +225,15 @@ def test_a_limb_without_markers_goes_with_all_beyond_it() -> None:
 def test_prefixes_stay_where_two_people_would_have_the_same_names() -> None:
     assert without_prefixes(["Bob:LASI", "Bob:RASI", "*4", ""]) == ("LASI", "RASI", "*4", "")
     assert without_prefixes(["Bob:LASI", "Eve:LASI", "", ""]) == ("Bob:LASI", "Eve:LASI", "", "")
+
+
+def test_a_trial_with_two_of_the_subjects_markers_is_refused(tmp_path: Path) -> None:
+    """As the toes of one set are called like those of another: nothing came of it, and nothing was said."""
+    body = load_body("lower_body_7")
+    labels = ("LHEE", "LTOE", "RHEE", "RTOE")
+    markers = BodyMarkers(labels, np.array([3, 3, 6, 6]), np.zeros((4, 3)), np.full(4, 0.004), "z")
+    trial = MarkerTrial("t", ("L.Toe", "R.Toe", "HEAD"), 100.0, np.zeros((5, 3, 3)))
+    suit, target = worn_without_modules(body, markers, WorldSettings()), tmp_path / "t.mcap"
+    with pytest.raises(GatewayError, match=r"t\.c3d has only LTOE, RTOE of the markers of me\.yaml .*HEAD"):
+        write_solved_trial(trial, tmp_path / "t.c3d", suit, "me.yaml", target)
+    assert not target.exists()
