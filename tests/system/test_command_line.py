@@ -186,8 +186,8 @@ def test_emulate_run_and_watch_work_together(tmp_path, mosquitto, unused_port, m
 
 
 def test_the_demo_prints_poses_and_their_error(unused_port):
-    """In real time: what a machine that is too busy loses of it, it may try to do better. Where it never is idle
-    enough, and the demo says so each time, nothing is shown."""
+    """In real time: what a machine that is too busy loses of it, it may try to do better. Where it never is
+    idle enough, and the demo says so each time, nothing is shown."""
     errors = []
     for _ in range(3):
         code, out, err = gateway("demo", "--seconds", 8, "--port", unused_port)
