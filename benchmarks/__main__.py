@@ -25,6 +25,7 @@ SUITES = (
     "calibration",
     "faults",
     "body_faults",
+    "gaps",
     "sun",
     "soak",
     "fuzz",

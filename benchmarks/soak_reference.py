@@ -6,9 +6,9 @@ instant since its module's samples last were anything but measured (``status``) 
 last fault of that module or of its sensors. When samples come is an input as well, from which clocks are
 estimated: where a burst or a busy machine makes them late, it is not what the fault-free run had.
 
-What the estimator remembers is an input too: so angles are told by how long the segment has been intact. A
-filter that had to begin anew has a heading that is off by tens of degrees, and corrects it with a time
-constant of 9 s (VQF, ``tauMag``): after 20 s a tenth is left.
+What the estimator remembers is an input too: so angles are told by how long the segment has been intact.
+After a gap a module settles for 3 s, and what is left of its heading's error fades within 9 s (VQF,
+``tauMag``).
 """
 
 from __future__ import annotations
