@@ -190,7 +190,8 @@ class ModuleFilter:
         state["accLpState"] = [part * share for part in level for share in (1.0 - b[0], b[2] - a[1])]
         state["lastAccLp"] = level.tolist()
         state["accQuat"], state["delta"] = self._q_wi.tolist(), 0.0
-        state["kMagInit"] = self._interval_s / settling.SETTLED_S  # one of so many samples, as in its start
+        if self.has_field:  # as VQF begins: the next sample is one of so many
+            state["kMagInit"] = self._interval_s / settling.SETTLED_S
         vqf.state = state
         vqf.setMotionBiasEstEnabled(True)
         self._before = None
