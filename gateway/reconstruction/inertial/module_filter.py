@@ -23,6 +23,9 @@ from gateway.reconstruction.inertial.settling import Before, Since, settle
 
 LONGEST_BRIDGE_S = 0.1
 """As long as the assembler bridges by default. What the module did is known then; nothing has to settle."""
+BIAS_PAUSE_S = 10.0
+"""After settling VQF's inclination still moves to what its low-pass finds, for three of its time constants:
+it would take this for a bias of the gyrometers, and after many gaps believe in one."""
 LONGEST_GAP_S = 0.2
 """After a longer one the last orientation is a mere guess, and saturated gyrometers tell not even that."""
 _LONGEST_GAP_NS = round(LONGEST_GAP_S * 1e9)
@@ -78,6 +81,8 @@ class ModuleFilter:
         self._vqf.resetState()
         self._before: Before | None = None
         """While it settles."""
+        self._pause_s = 0.0
+        """Until motion may tell the bias again, after that."""
         self._since = settling.nothing_since()
         self._q_wi, self._sigma = np.array([1.0, 0.0, 0.0, 0.0]), 0.0
         self._kept: _Kept | None = None
@@ -113,7 +118,7 @@ class ModuleFilter:
         better one comes. A repeated one is believed for no longer than a gap that is bridged."""
         if self._kept is None:
             since = Since(*(sums.copy() for sums in self._since))
-            self._kept = _Kept(self._vqf.state, self._before, since, self._q_wi, self._sigma)
+            self._kept = _Kept(self._vqf.state, self._before, self._pause_s, since, self._q_wi, self._sigma)
         self._was_blind |= is_blind
         if not is_blind:
             self._heard_ns = time_ns
@@ -133,6 +138,8 @@ class ModuleFilter:
                 self.has_field = True
                 self._habits.seconds[self._segment] = 0.0  # the mean orientation was in another world
         if self._before is None:
+            if self._pause_s > 0.0:
+                self._pass_pause()
             return
         q_is = self._vqf.getQuat3D()
         f, x = _NONE if f is None else f, _NONE if x is None else x
@@ -140,13 +147,19 @@ class ModuleFilter:
         if self._since.seconds[0] >= settling.SETTLED_S:
             self._hand_over()
 
+    def _pass_pause(self) -> None:
+        """A sample's worth of it."""
+        self._pause_s -= self._interval_s
+        if self._pause_s <= 0.0:
+            self._vqf.setMotionBiasEstEnabled(True)
+
     def _catch_up(self, last: Sample, sample: Sample, since_s: float) -> None:
         """Over the gap between two sound samples, taking back what doubtful ones did meanwhile."""
         if self._was_blind and since_s <= LONGEST_GAP_S:
             return  # the end of the range is the best guess
         if self._kept is not None:
-            self._vqf.setMotionBiasEstEnabled(self._kept.before is None)
-            self._vqf.state, self._before, self._since, self._q_wi, self._sigma = self._kept
+            self._vqf.setMotionBiasEstEnabled(self._kept.before is None and self._kept.pause_s <= 0.0)
+            self._vqf.state, self._before, self._pause_s, self._since, self._q_wi, self._sigma = self._kept
         n_missed = round(since_s / self._interval_s) - 1
         if since_s <= LONGEST_BRIDGE_S:
             for k in range(1, n_missed + 1):
@@ -172,13 +185,14 @@ class ModuleFilter:
         self._since = settling.nothing_since()
 
     def _forget_averages(self, state: dict[str, object], gap_s: float) -> None:
-        """Of the time before the gap; the bias is kept, and less certain."""
+        """Of the time before the gap. The bias is kept, less certain, as far as anything was learnt of it."""
         for name in _AVERAGES:
             state[name] = [float("nan")] * len(state[name])  # type: ignore[arg-type]
         largest, step = self._vqf.coeffs["biasP0"], self._vqf.coeffs["biasV"] * gap_s / self._interval_s
         covariance = np.array(state["biasP"])
         covariance[::4] = np.minimum(covariance[::4] + step, largest)
-        state |= {"biasP": covariance.tolist(), "restT": 0.0, "restDetected": False}
+        bias = np.array(state["bias"]) * (1.0 - (covariance[::4] / largest) ** 2)
+        state |= {"bias": bias.tolist(), "biasP": covariance.tolist(), "restT": 0.0, "restDetected": False}
         self._vqf.state = state
         self._vqf.setMotionBiasEstEnabled(False)  # VQF's own inclination is not to be believed meanwhile
 
@@ -193,8 +207,8 @@ class ModuleFilter:
         if self.has_field:  # as VQF begins: the next sample is one of so many
             state["kMagInit"] = self._interval_s / settling.SETTLED_S
         vqf.state = state
-        vqf.setMotionBiasEstEnabled(True)
         self._before = None
+        self._pause_s = BIAS_PAUSE_S
 
 
 class _Kept(NamedTuple):
@@ -202,6 +216,7 @@ class _Kept(NamedTuple):
 
     state: dict[str, object]
     before: Before | None
+    pause_s: float
     since: Since
     q_wi: FloatArray
     sigma: float
