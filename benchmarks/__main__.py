@@ -12,6 +12,7 @@ from benchmarks.figures import Report, write_docs
 SUITES = (
     "accuracy",
     "gyro_free",
+    "beginnings",
     "speed",
     "latency",
     "outputs",

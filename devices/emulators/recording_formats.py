@@ -6,6 +6,7 @@ scaled so that each module's mean norm is ``NOMINAL_FIELD_UT``.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +33,7 @@ rigid segments and in each quarter of the trial. The data's description says abo
 
 _OPTICAL_SIGMA_M = 0.001
 _FLIPPED_RATE = 12.0  # rad/s, beyond what the pendulum does: its optical reference has flipped
+_LONGEST_FLIP_S = 0.5
 _SHORTEST_INTERVAL_S = 0.001  # time stamps are in ms and some are given twice
 _BROAD_INTERVAL_S = 0.0035
 
@@ -107,14 +109,16 @@ def read_repoimu_pendulum(folder: Path) -> Recording:
 
     The logger repeated what had not changed: rows without a new angular rate are dropped, and the
     accelerometer and the magnetometer, which changed more rarely still, are interpolated between their
-    own changes. Reference rows with a flip of the optical markers are NaN. The source's world has X up.
+    own changes. Reference rows in which the optical markers have flipped are NaN. The source's world and
+    segments have X down: a swing in one plane is the same with X up, but with it all three references lean
+    out of that plane to the other side than the gyrometers turn.
     """
     paths = sorted(folder.glob("*_Segment_[123].csv"))
     if len(paths) != 3:
         raise FileNotFoundError(f"{len(paths)} segments of a pendulum in {folder}; three are needed")
     pairs = [_read_repoimu(path, n, f"segment_{n}") for n, path in enumerate(paths, start=1)]
     modules = tuple(module for module, _ in pairs)
-    references = tuple(_x_up_to_z_up(_without_flips(reference)) for _, reference in pairs)
+    references = tuple(_x_down_to_z_up(_without_flips(reference)) for _, reference in pairs)
     return Recording("repoimu_pendulum", 50.0, modules, references)
 
 
@@ -169,22 +173,29 @@ def _between_changes(times: FloatArray, values: FloatArray, at: FloatArray) -> F
 
 
 def _without_flips(track: ReferenceTrack) -> ReferenceTrack:
-    """Rows next to a turn faster than the pendulum can be, replaced by NaN."""
+    """Rows next to a turn faster than the pendulum can be, and those between two such turns: NaN.
+
+    Markers that have been taken for one another are soon told apart again, with a second flip.
+    """
     rotation = Rotation.from_quat(track.q_wb, scalar_first=True)
     turn = (rotation[:-1].inv() * rotation[1:]).magnitude()
     is_flip = turn > _FLIPPED_RATE * np.maximum(np.diff(track.times), _SHORTEST_INTERVAL_S)
+    flips = np.flatnonzero(is_flip)
     q_wb = track.q_wb.copy()
-    q_wb[:-1][is_flip] = np.nan
-    q_wb[1:][is_flip] = np.nan
+    q_wb[np.concatenate([flips, flips + 1])] = np.nan
+    for away, back in itertools.pairwise(flips):
+        if track.times[back] - track.times[away] < _LONGEST_FLIP_S:
+            q_wb[away : back + 1] = np.nan
     return replace(track, q_wb=q_wb)
 
 
-def _x_up_to_z_up(track: ReferenceTrack) -> ReferenceTrack:
-    """The reference in a world with Z up, from one with X up."""
+def _x_down_to_z_up(track: ReferenceTrack) -> ReferenceTrack:
+    """The reference in a world with Z up and of segment axes with X up, from X down in both."""
     known = np.isfinite(track.q_wb).all(axis=1)
-    turn = Rotation.from_euler("y", -90, degrees=True)
+    half_turn = Rotation.from_euler("z", 180, degrees=True)
+    to_z = Rotation.from_euler("y", -90, degrees=True) * half_turn
     q_wb = np.full_like(track.q_wb, np.nan)
-    turned = turn * Rotation.from_quat(track.q_wb[known], scalar_first=True)
+    turned = to_z * Rotation.from_quat(track.q_wb[known], scalar_first=True) * half_turn
     q_wb[known] = turned.as_quat(scalar_first=True)
     return replace(track, q_wb=q_wb)
 

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from simulated_body import angular_error_deg, arm, imu_frames, instants, simulate
 
+from benchmarks.accuracy import METAL_TABLE_S
+from benchmarks.beginnings import Part, totals
 from benchmarks.fast_arm import IDEAL, Switches, carried_arm, carried_motion, fast_arm, fast_motion, sampled
 from benchmarks.offline import imu_frames as recorded_frames
 from benchmarks.offline import orientations
+from benchmarks.optical_reference import in_time
 from benchmarks.peers import SMOOTHED, solved
 from benchmarks.scoring import score
 from benchmarks.simulation import errors_deg
@@ -186,3 +189,18 @@ def test_a_real_chain_is_better_than_vqf_once_it_has_moved(kind, ratio):
         frames = [reconstructor.update(frame) for frame in observed]
         means.append(score(*orientations(frames, 0.0), recording, from_s=5.0).total.mean())
     assert means[0] < ratio * means[1]
+
+
+@pytest.mark.skipif(not RING.is_dir(), reason=f"no recordings in {RING}")
+@pytest.mark.parametrize(
+    ("kind", "part", "ratio"),
+    [
+        ("rigid", Part("mid-motion", 0.5), 0.5),
+        ("nonrigid", Part("mid-motion", 0.5), 1.3),
+        ("rigid", Part("shaken", 0.2, shakes=1.5), 1.2),
+    ],
+)
+def test_a_start_in_mid_motion_and_vibration_are_borne(kind, part, ratio):
+    recording, _ = in_time(read_ring_chain5(RING, kind), METAL_TABLE_S)
+    vqf, ours = totals(recording, recorded_frames(recording, load_rig("chain_5")), part)
+    assert ours < ratio * vqf

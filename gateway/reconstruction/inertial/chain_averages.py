@@ -16,6 +16,7 @@ from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
+from gateway.reconstruction.inertial.vibration import watch_vibration
 
 SETTLED = 3.0
 """Time constants after which a row counts: over less, it is mostly the noise of rates."""
@@ -61,6 +62,7 @@ def average(
             rate[s, 2] - state.bias[s, 2],
         )
         is_fresh = state.fresh_s[s] == 0.0
+        watch_vibration(state, s, f, is_fresh, dt)
         filled = _filled(state.fresh_s[s] + dt, noise.smoothing_s)
         per_s, force_gain = gain / dt / filled, gain / filled
         mean_gain = max(long_gain, dt / (state.fresh_s[s] + dt))

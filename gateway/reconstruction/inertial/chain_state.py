@@ -67,6 +67,8 @@ class Noise(NamedTuple):
     """Concentration (von Mises) from which an open heading is taken as shown."""
     heading_coherence: float = 0.6
     """Least agreement of the two sides' horizontal accelerations for that."""
+    heading_time_s: float = 1.0
+    """For how long it must have been gathered: what one swing tells is off to one side."""
     rest_rate: float = 0.035
     """rad/s: less change of the rate than this, for ``REST_S``, is rest."""
     dead_rate: float = 2.0
@@ -124,7 +126,7 @@ class FilterState(NamedTuple):
     field_seen: FloatArray  # (n, 6) field's mean norm µT and dip rad, mean square of their changes, seconds;
     # and mean changes of norm (relative) and dip, rad
     field_offset: FloatArray  # (n, 2) heading by which the field is off throughout, rad; its variance
-    heading: FloatArray  # (n, 3) cosine and sine sums of an open heading, and their possible length
+    heading: FloatArray  # (n, 4) cosine and sine sums of an open heading, their possible length; seconds
     rest: FloatArray  # (n, 10) average rate, force, their variances, seconds at rest, and see ``rest_rows``
     device_shift: FloatArray  # (d, 3) found error of a fixed point's arm, m
     device_covariance: FloatArray  # (d, 6, 6) its covariance and that of the accelerometer's error
@@ -134,6 +136,7 @@ class FilterState(NamedTuple):
     history: FloatArray  # (d, N_HISTORY, 7) time, R f, R r or R (ω × r) towards the device
     unaided_square: FloatArray  # (n,) mean square acceleration over the unaided window while aided, (m/s²)²
     sun: FloatArray  # (n, 3) cosine and sine sums of the headings that the sun showed, their length; seconds
+    vibration: FloatArray  # (n, 14) mean square, samples, and the last four of each axis, see ``vibration``
     misfit: FloatArray  # (n,) of the joint to the parent: mean square of its residual over what is expected
 
 
@@ -148,10 +151,10 @@ def initial_state(n: int, d: int) -> FilterState:
         z(n, 3, 3), z(n, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6),
         z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
         z(n, 6), z(n, 6, 6), z(n), np.full(n, np.inf),
-        z(n), z(n, 6), z(n, 2), z(n, 3), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf),
+        z(n), z(n, 6), z(n, 2), z(n, 4), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf),
         z(d, N_READINGS, 5), np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, 7), -np.inf),
-        z(n), z(n, 3), z(n),
+        z(n), z(n, 3), z(n, 14), z(n),
     )  # fmt: skip
 
 

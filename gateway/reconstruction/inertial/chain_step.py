@@ -25,6 +25,7 @@ from gateway.reconstruction.inertial.chain_prediction import (
 from gateway.reconstruction.inertial.chain_scratch import Scratch
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
 from gateway.reconstruction.inertial.heading_start import (
+    bending,
     compass_turn,
     gather_heading,
     is_apart,
@@ -190,7 +191,7 @@ def _device_rows(
             interval = min(state.device_age_s[d], span)
             state.device_age_s[d] = 0.0
             # overlapping windows share their readings, and frames with their errors
-            variance += noise.specific_force**2 + (noise.lever_arm * motion[s]) ** 2
+            variance += noise.specific_force**2 + (noise.lever_arm * motion[s]) ** 2 + state.vibration[s, 0]
             variance *= max(1.0, span / interval)
             if body.device_kind[d] == AIR_VELOCITY:
                 # both sides turn with the segment: all that the row shows is where down is
@@ -336,6 +337,8 @@ def _joint_row(
             for j in range(3):
                 u[i] -= K[s, i, j] * body.beyond[s, j]
         variance += (body.slack[s] * moved) ** 2 * noise.row_memory_s / dt
+    variance += state.vibration[s, 0] + state.vibration[p, 0]
+    variance += bending(state, s, u, dt) + bending(state, p, u_p, dt)
     is_lost = state.is_open[s] == 1
     if not is_lost and state.is_open[p] == 1 and is_apart(body, state, s):
         # the parent has begun anew beside a segment that has not: this shows the parent's heading

@@ -13,6 +13,7 @@ import math
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import dot
 from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
 
 FORGET_S = 20.0
@@ -42,6 +43,19 @@ def tilt_spread(state: FilterState, s: int, interval_s: float) -> float:
 
 
 @compiled
+def bending(state: FilterState, s: int, u: FloatArray, interval_s: float) -> float:
+    """Variance ((m/s²)²) of a row every ``interval_s`` by what the linearisation leaves out; u (3,) of s.
+
+    A tilt δ moves u by ``δ × u + ½ δ × (δ × u)``. Where inclinations are as uncertain as at a start in motion
+    the second term is larger than the noise, and as lasting as the tilt: taken for linear, a few rows would
+    make a wrong inclination certain.
+    """
+    tilt = 0.5 * (state.P[s, 0, 0] + state.P[s, 1, 1])
+    variance: float = 2.0 * tilt * tilt * dot(u, u) * max(1.0, TILT_MEMORY_S / interval_s)
+    return variance
+
+
+@compiled
 def gather_heading(
     state: FilterState, s: int, u: FloatArray, y: FloatArray, variance: float, interval_s: float
 ) -> None:
@@ -52,6 +66,7 @@ def gather_heading(
     heading[1] = heading[1] * decay + (y[1] * u[0] - y[0] * u[1]) / variance
     length = math.hypot(u[0], u[1]) * math.hypot(y[0], y[1])
     heading[2] = heading[2] * decay + length / variance
+    heading[3] += interval_s
 
 
 @compiled
@@ -62,8 +77,9 @@ def shown_heading(state: FilterState, noise: Noise, s: int) -> tuple[float, floa
         prior = DENSE / noise.start_heading**2
     along, across = state.heading[s, 0] + prior, state.heading[s, 1]
     concentration = math.hypot(along, across)
-    possible = state.heading[s, 2] + prior
-    if concentration < noise.heading_evidence or concentration < noise.heading_coherence * possible:
+    if state.heading[s, 3] < noise.heading_time_s or concentration < noise.heading_evidence:
+        return 0.0, 0.0
+    if concentration < noise.heading_coherence * (state.heading[s, 2] + prior):
         return 0.0, 0.0
     return DENSE / concentration, math.atan2(across, along)
 

@@ -17,7 +17,7 @@ from gateway.reconstruction.inertial.chain_state import FilterState, Noise, init
 KEPT = (
     "R", "is_started", "is_open", "silent_s", "force_bias", "arm", "arm_covariance", "compass_s",
     "field_seen", "field_offset", "sun", "unaided_square", "device_shift", "device_covariance",
-    "device_age_s", "rest", "misfit",
+    "device_age_s", "rest", "misfit", "vibration",
 )  # fmt: skip
 """Of the state, what is the same seen backward."""
 
