@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -208,6 +209,8 @@ def _port(parts: SplitResult) -> int:
 
 
 def _unknown_scheme(url: str, scheme: str) -> str:
+    if not scheme and url.startswith(("./", "../", "~/")):
+        return f"'{url}': write the whole path: {os.path.abspath(os.path.expanduser(url))}"
     if not scheme:
         examples = ", ".join(known.example for known in _SCHEMES.values())
         return f"'{url}' is neither a path (/dev/ttyUSB0) nor a URL; write one like: {examples}"

@@ -73,6 +73,8 @@ def _text_of(path: Path) -> str:
 def load_settings(path: Path, model: type[Model]) -> Model:
     """A YAML file as ``model``. Raises ``SettingsError`` with one line for each thing wrong."""
     content = load_yaml(path)
+    if content is None:
+        raise SettingsError(f"{path}: is empty: 'key: value' lines are wanted")
     if not isinstance(content, dict):
         raise SettingsError(
             f"{path}: holds {type(content).__name__}, not named settings ('key: value' lines)"
@@ -120,22 +122,24 @@ def _is_union_tag(part: object) -> bool:
 
 def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """The keys allowed at a place inside ``model``."""
-    current: type[BaseModel] | None = model
+    current: list[type[BaseModel]] = [model]
     for part in location:
-        if current is None or isinstance(part, int) or _is_union_tag(part):
+        if isinstance(part, int) or _is_union_tag(part):
             continue
-        field = current.model_fields.get(part)
-        current = _model_within(field.annotation) if field else None
-    if current is None:
-        return []
-    return [field.alias or name for name, field in current.model_fields.items()]
+        fields = [one.model_fields[part] for one in current if part in one.model_fields]
+        if fields:
+            current = _models_within(fields[0].annotation)
+        else:  # which of a union it is, by the word that tells them apart
+            current = [one for one in current if _is_told_by(one, part)]
+    return [field.alias or name for one in current[:1] for name, field in one.model_fields.items()]
 
 
-def _model_within(annotation: Any) -> type[BaseModel] | None:
-    """The first pydantic model inside an annotation such as ``list[Model] | None``."""
+def _is_told_by(model: type[BaseModel], word: str) -> bool:
+    return any(word in typing.get_args(field.annotation) for field in model.model_fields.values())
+
+
+def _models_within(annotation: Any) -> list[type[BaseModel]]:
+    """The pydantic models inside an annotation such as ``list[Model] | None``."""
     if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
-        return annotation if issubclass(annotation, BaseModel) else None
-    for inner in typing.get_args(annotation):
-        if (found := _model_within(inner)) is not None:
-            return found
-    return None
+        return [annotation] if issubclass(annotation, BaseModel) else []
+    return [found for inner in typing.get_args(annotation) for found in _models_within(inner)]

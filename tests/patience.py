@@ -26,6 +26,12 @@ class Lateness:
         return max(self.late_s)
 
     @property
+    def share(self) -> float:
+        """Of the time that it went on later than asked, 0 … 1: so much of it others had the machine."""
+        late_s = sum(self.late_s)
+        return late_s / (late_s + _PAUSE_S * len(self.late_s))
+
+    @property
     def median_s(self) -> float:
         return statistics.median(self.late_s)
 

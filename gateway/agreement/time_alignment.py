@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import correlate
 from scipy.spatial.transform import Rotation
@@ -28,6 +29,9 @@ WINDOW_S = 20.0
 FEWEST_WINDOWS = 4
 WINDOW_SEARCH_S = 0.25
 _LARGEST_PERCENT = 98.0
+_CLOSEST = 0.99
+"""A correlation beyond it gives a segment no more say."""
+_REFINED_S = 0.1
 _LEAST_SPEED = 0.02  # rad/s RMS: below it nothing has moved
 
 
@@ -68,7 +72,8 @@ def align_time(first: Tracks, second: Tracks, largest_lag_s: float | None = None
     if not allowed.any():
         raise GatewayError("the two have too little time in common to be aligned")
     best = int(np.argmax(np.where(allowed, score, -np.inf)))
-    lag = float(lag_s[best] + _vertex(score, best) / RATE_HZ)
+    a, b = _by_agreement(a, b, int(lags[best]))
+    lag = float(lag_s[0] + _refined(_correlation(a, b)[1], allowed, best) / RATE_HZ)
     middle, drift = _drift(start_a, a, start_b, b, lag)
     if drift is None:
         return TimeAlignment(lag, 0.0, middle, float(score[best]))
@@ -105,6 +110,39 @@ def _without_excess(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArra
             np.minimum(one, most, out=one)
             np.minimum(other, most, out=other)
     return a, b
+
+
+def _by_agreement(a: FloatArray, b: FloatArray, shift: int) -> tuple[FloatArray, FloatArray]:
+    """Angular speeds (T, S) of both, each segment scaled to have a say by how well the two agree on it where
+    b is ``shift`` samples later: r² / (1 − r²), as its own lag is known.
+
+    A few segments that one of the two hardly knows would otherwise move the lag of all by milliseconds.
+    """
+    begin, end = max(0, -shift), min(len(a), len(b) - shift)
+    x, y = a[begin:end], b[begin + shift : end + shift]
+    says, spreads = np.zeros(a.shape[1]), np.ones((2, a.shape[1]))
+    for s in range(a.shape[1]):
+        known = np.isfinite(x[:, s]) & np.isfinite(y[:, s])
+        if known.any():
+            spreads[:, s] = np.std(x[known, s]), np.std(y[known, s])
+            covariance = np.mean((x[known, s] - x[known, s].mean()) * (y[known, s] - y[known, s].mean()))
+            r = covariance / max(float(np.prod(spreads[:, s])), 1e-12)
+            says[s] = r * r / (1.0 - min(r, _CLOSEST) ** 2) if r > 0.0 else 0.0
+    if not says.any():
+        return a, b
+    scales = np.sqrt(says) / np.maximum(spreads, 1e-9)
+    return a * scales[0], b * scales[1]
+
+
+def _refined(score: FloatArray, allowed: NDArray[np.bool_], best: int) -> float:
+    """Index of the highest top near ``best``, between samples."""
+    reach = round(_REFINED_S * RATE_HZ)
+    near = np.abs(np.arange(len(score)) - best) <= reach
+    usable = near & allowed & np.isfinite(score)
+    if not usable.any():
+        return float(best)
+    top = int(np.argmax(np.where(usable, score, -np.inf)))
+    return top + _vertex(score, top)
 
 
 def _smoothed(speed: FloatArray) -> FloatArray:

@@ -93,6 +93,8 @@ def analyse_file(
     require_matplotlib()
     if file.is_dir():
         raise GatewayError(f"{file} is a folder: name a recording, or a trial of markers, in it")
+    if not file.exists():
+        raise GatewayError(f"{file} cannot be read: no such file")
     if mass is not None and inertia is not None:
         raise GatewayError("--mass and --inertia both tell what the body weighs: leave one of them out")
     if mass is None and inertia is None and subject is None and file.suffix.lower() not in MARKER_SUFFIXES:

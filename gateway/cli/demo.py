@@ -21,17 +21,14 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from devices.emulators.motions import BodyMotion
+from devices.emulators.imperfections import PRESETS
 from devices.extras import how_to_add
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import WornSuit
 from gateway.cli.compiling import told_when_compiling
-from gateway.cli.emulated_rig import dress, move
+from gateway.cli.demo_truth import SEED, SETTLING_S, Truth
 from gateway.cli.pose_table import PoseView
-from gateway.comparison import orientation_error, rmse_deg
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray
 from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction import FUSED, readiness
@@ -40,40 +37,6 @@ from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
 from gateway.stream import ClockMode
 
 GATEWAY = "demo"
-SETTLING_S = 3.0
-"""Left out of the error: filters start anywhere."""
-SEED = 1
-
-
-class Truth:
-    """The emulated body's motion, and what was received of it."""
-
-    def __init__(self, suit: WornSuit) -> None:
-        self.segment_names = suit.skeleton.segment_names
-        self.start_ns = 0
-        self._motion: BodyMotion = move(dress(suit), suit.skeleton.name, SEED)
-        self._times_s: list[float] = []
-        self._q_wb: list[list[list[float]]] = []
-
-    def add(self, received: ReceivedPose) -> None:
-        """Keep a pose."""
-        undefined = [float("nan")] * 4
-        segments = received.pose.segments
-        self._times_s.append((received.pose.t_ns - self.start_ns) * 1e-9)
-        self._q_wb.append([list(segments[name] or undefined) for name in self.segment_names])
-
-    @property
-    def n_poses(self) -> int:
-        return len(self._times_s)
-
-    def errors_deg(self) -> FloatArray:
-        """RMSE by segment: total, inclination, heading, (n_segments, 3), after settling."""
-        times = np.array(self._times_s)
-        settled = times > SETTLING_S
-        if not settled.any():
-            return np.full((len(self.segment_names), 3), np.nan)
-        errors = orientation_error(np.array(self._q_wb)[settled], self._motion.state(times[settled]).q_wb)
-        return np.stack([rmse_deg(part) for part in errors], axis=-1)
 
 
 def demo(
@@ -126,6 +89,8 @@ def demo(
         console.print("ended before the first pose came", style="dim")
     else:
         _print_errors(truth, console)
+        if note := truth.busy_note(service.pipeline.stream, PRESETS[imperfections].loss):
+            console.print(note, style="yellow", highlight=False)
 
 
 def _startable(console: Console) -> str:

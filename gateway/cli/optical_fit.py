@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,9 @@ from gateway.reconstruction.optical.landmarks import MOST_ANGLE
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.worn_markers import fitting_set
 from gateway.recording.suit_files import body_of
+
+MOST_UNEVEN = 1.15
+"""Longer over shorter, of the two segments of one name: beyond it a marker may sit elsewhere."""
 
 
 def fit(
@@ -151,6 +155,10 @@ def _angle(text: str) -> tuple[str, float]:
 
 def _outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
     names = found.skeleton.segment_names
+    lengths_mm = {
+        name: round(1e3 * float(np.linalg.norm(tip)), 1)
+        for name, tip in zip(names, found.skeleton.tips, strict=True)
+    }
     return {
         "file": str(target),
         "marker_set": found.marker_set,
@@ -162,10 +170,8 @@ def _outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
         "up": found.markers.vertical,
         "angles_deg": {name: round(math.degrees(a), 2) for name, a in found.angles.items() if a},
         "left_out": list(found.left_out),
-        "lengths_mm": {
-            name: round(1e3 * float(np.linalg.norm(tip)), 1)
-            for name, tip in zip(names, found.skeleton.tips, strict=True)
-        },
+        "lengths_mm": lengths_mm,
+        "uneven": uneven_sides(lengths_mm),
         "moved_mm": {name: round(1e3 * float(d), 1) for name, d in zip(names, found.moved, strict=True)},
         "sigma_mm": {
             label: round(1e3 * float(s), 1)
@@ -174,16 +180,31 @@ def _outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
     }
 
 
+def uneven_sides(lengths_mm: Mapping[str, float]) -> list[tuple[str, str]]:
+    """Segments of the left and of the right, the longer more than ``MOST_UNEVEN`` times the shorter."""
+    pairs = [(name, name.replace("left_", "right_", 1)) for name in lengths_mm if name.startswith("left_")]
+    return [
+        (left, right)
+        for left, right in pairs
+        if right in lengths_mm
+        and max(lengths_mm[left], lengths_mm[right]) > MOST_UNEVEN * min(lengths_mm[left], lengths_mm[right])
+    ]
+
+
+def _worn(found: Fit, name: str) -> str:
+    """Labels of the markers on a segment."""
+    segment = found.skeleton.segment_names.index(name)
+    on = zip(found.markers.labels, found.markers.segments, strict=True)
+    return " ".join(label for label, where in on if where == segment)
+
+
 def _print(found: Fit, outcome: dict[str, object]) -> None:
     lengths, moved = outcome["lengths_mm"], outcome["moved_mm"]
     assert isinstance(lengths, dict)
     assert isinstance(moved, dict)
     table = Table(Column("segment", no_wrap=True), "length mm", "joint moved by motion mm", "markers")
-    for s, name in enumerate(found.skeleton.segment_names):
-        worn = [
-            label for label, on in zip(found.markers.labels, found.markers.segments, strict=True) if on == s
-        ]
-        table.add_row(name, f"{lengths[name]:.0f}", f"{moved[name]:.0f}", " ".join(worn) or "–")
+    for name in found.skeleton.segment_names:
+        table.add_row(name, f"{lengths[name]:.0f}", f"{moved[name]:.0f}", _worn(found, name) or "–")
     Console().print(table)
     typer.echo(
         f"{outcome['file']}: {outcome['markers']} markers of {found.marker_set}, {outcome['frames']} frames, "
@@ -194,6 +215,12 @@ def _print(found: Fit, outcome: dict[str, object]) -> None:
             typer.echo(f"{name}: {math.degrees(angle):.1f}° (--angle {name}=0 takes the wand as it stands)")
     if found.left_out:
         typer.echo(f"note: no markers on {', '.join(found.left_out)}: the body goes without them", err=True)
+    for left, right in uneven_sides(lengths):
+        typer.echo(
+            f"note: {left} is {lengths[left]:.0f} mm long, {right} {lengths[right]:.0f} mm: do markers of "
+            f"one name sit at the same place on both sides ({_worn(found, left)}; {_worn(found, right)})?",
+            err=True,
+        )
     for name in found.assumed:
         typer.echo(
             f"note: {name} is told by no file: {found.lengths[name]} m taken (--measure {name}=…)", err=True

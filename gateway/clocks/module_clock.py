@@ -78,10 +78,10 @@ class SharedClock:
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
         # from packet to packet: data may be played faster than they were taken, and nothing is estimated
-        newest_us = self._counter.newest_us or 0
-        expected_us = newest_us + (arrived_ns - self._arrived_ns) // MICROSECOND_NS
+        newest_us = self._counter.newest_us
+        expected_us = (newest_us or 0) + (arrived_ns - self._arrived_ns) // MICROSECOND_NS
         full_us = self._counter.full_us(module_time_us, expected_us, arrived_ns)
-        if self._counter.newest_us != newest_us:
+        if full_us is None or self._counter.newest_us != newest_us:
             self._arrived_ns = arrived_ns
         if full_us is None:
             full_us = module_time_us

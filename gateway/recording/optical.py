@@ -38,6 +38,8 @@ LINK = "markers"
 _CHUNKS_A_TELLING = 64
 _BEGUN_NS = 10**9
 """Gateway time that a trial begins at."""
+_FEWEST_MARKERS = 3
+"""Fewer show no pose of anything. Names that two marker sets share by chance are as few."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def write_solved_trial(
     progress: Progress | None = None,
 ) -> SolvedTrial:
     """Every frame through the pipeline into ``target``. Raises ``RecordingError`` when that exists,
-    OSError as ``open`` does, ``GatewayError`` when the trial has none of the subject's markers."""
+    OSError as ``open`` does, ``GatewayError`` when the trial has hardly any of the subject's markers."""
     markers, trial = _called(suit, subject, trial, source)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     pipeline = Pipeline.from_settings(settings, suit)
@@ -194,9 +196,11 @@ def _called(
     if markers is None:
         raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")
     called = spelt(trial, markers.labels)
-    if not set(markers.labels) & set(called.labels):
+    shared = sorted(set(markers.labels) & set(called.labels))
+    if len(shared) < _FEWEST_MARKERS:
         raise GatewayError(
-            f"{source} has none of the markers of {subject} ({', '.join(markers.labels[:6])}, …); it has "
+            f"{source} has {'only ' + ', '.join(shared) if shared else 'none'} of the markers of {subject} "
+            f"({', '.join(markers.labels[:6])}, …); it has "
             + (", ".join([label for label in trial.labels if label][:6]) or "no named ones")
         )
     return markers, called

@@ -45,6 +45,8 @@ WRONG = [
     ("http://host:1", "unknown scheme 'http'; known: serial, rfc2217, tcp"),
     ("can0", "'can0' is neither a path .* nor a URL; .* can://socketcan/can0"),
     ("", "neither a path"),
+    ("./suit", r"'\./suit': write the whole path: /.*/suit"),
+    ("../suit", r"write the whole path: /(.*/)?suit"),
     ("/dev/ttyUSB0?bauds=9600", "unknown parameter 'bauds'; did you mean 'baud'"),
     ("/dev/ttyUSB0?baud=fast", "baud=fast: a whole number above 0 is needed"),
     ("/dev/ttyUSB0?baud=0", "baud=0: a whole number above 0 is needed"),

@@ -7,10 +7,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from devices.emulators.fault_plan import FaultPlan
 from gateway import yaml_text
 from gateway.errors import SettingsError
 from gateway.settings import load_gateway_settings
-from gateway.settings_files import load_yaml
+from gateway.settings_files import load_settings, load_yaml
 
 LAUGHS = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12)
@@ -91,3 +92,18 @@ def test_errors_do_not_repeat_a_whole_file(tmp_path):
     with pytest.raises(SettingsError, match="more like these") as caught:
         load_gateway_settings(path)
     assert len(str(caught.value)) < 20_000
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "is empty: 'key: value' lines are wanted"),
+        ("faults: [{kind: loss, at: 1, shore: 0.2}]", r"'faults\.0\.loss\.shore' \(did you mean 'share'"),
+        ("faults: [{kind: reset, at: 1, zz: 2}]", r"'faults\.0\.reset\.zz' \(known: at, .*module"),
+    ],
+)
+def test_a_list_of_several_kinds_tells_what_its_kind_knows(text, told, tmp_path):
+    path = tmp_path / "faults.yaml"
+    path.write_text(text)
+    with pytest.raises(SettingsError, match=told):
+        load_settings(path, FaultPlan)

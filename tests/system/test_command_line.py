@@ -186,7 +186,8 @@ def test_emulate_run_and_watch_work_together(tmp_path, mosquitto, unused_port, m
 
 
 def test_the_demo_prints_poses_and_their_error(unused_port):
-    """In real time: what a machine that is too busy loses of it, it may try to do better."""
+    """In real time: what a machine that is too busy loses of it, it may try to do better. Where it never is
+    idle enough, and the demo says so each time, nothing is shown."""
     errors = []
     for _ in range(3):
         code, out, err = gateway("demo", "--seconds", 8, "--port", unused_port)
@@ -196,8 +197,11 @@ def test_the_demo_prints_poses_and_their_error(unused_port):
         total, inclination, _ = map(float, means)
         if inclination < 3.0 and total < 6.0:
             return
-        errors.append((total, inclination))
-    pytest.fail(f"wrong by so many degrees, of these by inclination: {errors}")
+        errors.append((total, inclination, "this machine was too busy" in out))
+    told = f"wrong by so many degrees, of these by inclination, told that too busy: {errors}"
+    if all(is_told for _, _, is_told in errors):
+        pytest.skip(told)
+    pytest.fail(told)
 
 
 def test_a_recording_is_played_as_if_modules_sent_it(tmp_path, mosquitto, recording_set, unused_port):

@@ -72,8 +72,13 @@ async def answered(client, answers, transaction):
             for _ in range(20):
                 await asyncio.sleep(0.02)
                 for _, answer in answers:
-                    if answer["transaction"] == transaction:
+                    if answer["transaction"] == transaction and not is_crowded_out(answer):
                         return answer
+
+
+def is_crowded_out(answer):
+    """Whether a request was refused for those that wait already: to be asked again."""
+    return answer["status"] == "error" and "too many requests are waiting" in answer["error"]
 
 
 GARBAGE = {
@@ -136,7 +141,7 @@ async def test_a_flood_is_bounded_counted_and_over_when_it_is_over(mosquitto, pr
         assert len(told) + responder.dropped <= n + 200  # honest ones that were asked again are among them
         assert len(told) <= MOST_AT_ONCE + 100 * PATIENCE_S
         for answer in told:
-            assert answer["status"] == "ok" or "too many requests are waiting" in answer["error"]
+            assert answer["status"] == "ok" or is_crowded_out(answer)
         assert len(done) <= len(told) + 50
     assert sum("requests come faster than" in record.message for record in caplog.records) <= 4
 

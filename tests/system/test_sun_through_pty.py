@@ -38,18 +38,21 @@ async def test_a_subscriber_gets_headings_by_the_sun(gateway_on, tmp_path):
     settings = SuitSettings(gravity=suit.gravity, sensors=("specific_force", "angular_rate"))
     lit = SuitSettings(**{**vars(settings), "sunlight": sunlight(suit, gateway_time_ns())})
     port = tmp_path / "suit"
-    emulated = EmulatedSuit(SuitTraffic(motion, lit), PtyTransport(port), duration_s=SECONDS)
+    # As fast as it is read: in real time a busy machine has it drop what nobody reads.
+    emulated = EmulatedSuit(SuitTraffic(motion, lit), PtyTransport(port), speed=None, duration_s=SECONDS)
     async with gateway_on(str(port), str(rig), "independent") as running:
         await emulated.run()
         await running.until_quiet()
         told = running.service.pipeline.statistics()["light"]
+        clock = running.service.pipeline.stream.modules[0].clock.figures()
     poses = [received.pose for received in running.received]
-    times_s = np.array([emulated.motion_time_s(pose.t_ns) for pose in poses])
+    # These modules count motion time, and one clock: when the first of them arrived does not matter.
+    times_s = np.array([pose.t_ns - clock.offset_ns for pose in poses]) * 1e-9
     kept = times_s > SETTLED_S
     names = suit.skeleton.segment_names
     q_wb = np.array([[pose.segments[name] for name in names] for pose in poses])[kept]
     heading = rmse_deg(orientation_error(q_wb, motion.state(times_s[kept]).q_wb).heading)
     print(f"\nheading {heading}, {told}")
     assert kept.sum() > 500
-    assert heading.max() < 5.0
+    assert heading.max() < 1.5
     assert all(module["sun"] > 1000 for module in told["modules"].values())

@@ -84,6 +84,16 @@ def test_a_segment_that_spins_in_one_of_them_does_not_tell_the_lag():
     assert found.correlation > 0.7
 
 
+def test_a_segment_that_is_hardly_known_does_not_move_the_lag():
+    """It moves most, half as it really does and late, half by itself: a hand that carries one marker."""
+    first, second = first_and_second(0.0)
+    true, stray = Rotation.from_quat(second.q_wb[:, 2], scalar_first=True).as_rotvec(), second.time_s[:, None]
+    vectors = np.roll(true, 4, axis=0) + np.sin(stray * [7.1, 8.3, 9.7]) * 0.3
+    q = second.q_wb.copy()
+    q[:, 2] = Rotation.from_rotvec(vectors).as_quat(scalar_first=True)
+    assert align_time(first, replace(second, q_wb=q)).lag_s == pytest.approx(0.0, abs=1.5e-3)
+
+
 def test_noise_is_stated_as_it_is():
     found = agreement(*first_and_second(noise_deg=1.0))
     for figures in found.segments:

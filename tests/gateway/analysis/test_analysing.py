@@ -172,6 +172,7 @@ def test_derivatives_of_an_unnormalised_curve_are_those_of_its_rotation():
     ("arguments", "told"),
     [
         (["none.mcap", "--mass", "70"], "none.mcap cannot be read"),
+        (["none.mcap"], "none.mcap cannot be read"),
         (["walk.mcap"], "walk.mcap does not tell what the person weighs: tell it with --mass"),
         (["trial.c3d"], "name the person with --subject"),
         (["walk.mcap", "--subject", "me.yaml"], "--subject goes with trials of markers"),
@@ -179,6 +180,8 @@ def test_derivatives_of_an_unnormalised_curve_are_those_of_its_rotation():
 )
 def test_what_cannot_be_analysed_is_told(arguments, told, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    for name in ("walk.mcap", "trial.c3d"):
+        (tmp_path / name).touch()
     done = CliRunner().invoke(app, ["analyse", *arguments])
     assert done.exit_code == 1
     assert told in str(done.exception)

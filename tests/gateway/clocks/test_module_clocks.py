@@ -69,3 +69,14 @@ def test_shared_clock_wraps():
     clock = SharedClock(SharedOffset())
     start = clock.gateway_time(2**32 - 1000, 0)
     assert clock.gateway_time(1000, 3_000_000) - start == 2_000_000
+
+
+@pytest.mark.parametrize("arrived_s", [0, 1000, 1_795_324_000, 1_795_326_000, 1_795_328_000])
+def test_a_shared_clock_may_begin_at_nought(arrived_s):
+    """Whatever the time of day: half of each 72 minutes, poses were decades ahead."""
+    clock, arrived_ns = SharedClock(SharedOffset()), arrived_s * 10**9
+    assert clock.gateway_time(0, arrived_ns) == arrived_ns
+    for stamp_us in range(10_000, 100_000, 10_000):
+        at_ns = arrived_ns + stamp_us * 1000
+        assert clock.gateway_time(stamp_us, at_ns) == at_ns
+    assert clock.restarts == 0

@@ -13,10 +13,14 @@ import pytest
 from devices.marker_files import MarkerTrial, read_markers
 from devices.marker_files.naming import spelt, without_prefixes
 from devices.vendor_formats import FormatError
+from gateway.body.markers import BodyMarkers
+from gateway.body.rig import WorldSettings, load_body, worn_without_modules
+from gateway.cli.optical_fit import uneven_sides
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.worn_markers import fitting_set, worn_part
+from gateway.recording.optical import write_solved_trial
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (DATA / "c3d_pycgm").is_dir(), reason="recordings are not here")
@@ -155,6 +159,23 @@ def test_other_sets_on_the_same_walk_find_the_same_legs(
     assert {name: found[name] for name in expected} == pytest.approx(expected, abs=0.004)
 
 
+@needs_data
+def test_legs_without_any_medial_marker_are_alike_on_both_sides() -> None:
+    """A straight leg shows no axis of its knee: what was taken for it turned feet into 186 and 260 mm."""
+    trial = read_markers(DATA / "trc_opensim" / "markers_walk.trc")
+    trial = replace(trial, positions=trial.positions[::9])
+    found = fit_body(fitting_set([trial]), [trial]).skeleton
+    tips = dict(zip(found.segment_names, 1e3 * np.linalg.norm(found.tips, axis=1), strict=True))
+    assert 195 < tips["left_foot"] < tips["right_foot"] < 235
+    assert uneven_sides(tips) == []
+
+
+def test_sides_that_differ_are_told() -> None:
+    lengths_mm = {"pelvis": 119.0, "left_foot": 186.0, "right_foot": 260.0, "left_hand": 90.0}
+    assert uneven_sides(lengths_mm) == [("left_foot", "right_foot")]
+    assert uneven_sides(lengths_mm | {"left_foot": 228.0, "right_foot": 205.0}) == []
+
+
 def iliac_spines_behind(trial: MarkerTrial) -> np.ndarray:
     """(F, 2, 3) m: 4 cm to the left and right of the sacral marker."""
     across = np.diff(trial.columns(("L.ASIS", "R.ASIS")), axis=1)
@@ -204,3 +225,15 @@ def test_a_limb_without_markers_goes_with_all_beyond_it() -> None:
 def test_prefixes_stay_where_two_people_would_have_the_same_names() -> None:
     assert without_prefixes(["Bob:LASI", "Bob:RASI", "*4", ""]) == ("LASI", "RASI", "*4", "")
     assert without_prefixes(["Bob:LASI", "Eve:LASI", "", ""]) == ("Bob:LASI", "Eve:LASI", "", "")
+
+
+def test_a_trial_with_two_of_the_subjects_markers_is_refused(tmp_path: Path) -> None:
+    """As the toes of one set are called like those of another: nothing came of it, and nothing was said."""
+    body = load_body("lower_body_7")
+    labels = ("LHEE", "LTOE", "RHEE", "RTOE")
+    markers = BodyMarkers(labels, np.array([3, 3, 6, 6]), np.zeros((4, 3)), np.full(4, 0.004), "z")
+    trial = MarkerTrial("t", ("L.Toe", "R.Toe", "HEAD"), 100.0, np.zeros((5, 3, 3)))
+    suit, target = worn_without_modules(body, markers, WorldSettings()), tmp_path / "t.mcap"
+    with pytest.raises(GatewayError, match=r"t\.c3d has only LTOE, RTOE of the markers of me\.yaml .*HEAD"):
+        write_solved_trial(trial, tmp_path / "t.c3d", suit, "me.yaml", target)
+    assert not target.exists()
