@@ -57,7 +57,7 @@ def run() -> Report:
             rows.append([name, f"{gap_s:g}", str(len(errors)), *cells])
             if gap_s == 1.0:
                 note = f"{name}: RMS 3 s after a gap of 1 s, from the run without gaps"
-                report.figures.append(Figure(f"gap_{name.split(",")[0]}_deg", typical[2], "°", "", note))
+                report.figures.append(Figure(f"gap_{name.partition(',')[0]}_deg", typical[2], "°", "", note))
     heads = ["source", "gap, s", "gaps × modules", *(f"after {after:g} s" for after in AFTER_S)]
     report.tables = [
         "### From the run without gaps, degrees: RMS / 95 %\n\nUp to 0.1 s a gap is bridged, beyond that the "
