@@ -26,6 +26,7 @@ SUITES = (
     "calibration",
     "faults",
     "body_faults",
+    "gaps",
     "sun",
     "soak",
     "fuzz",

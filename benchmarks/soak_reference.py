@@ -6,9 +6,9 @@ instant since its module's samples last were anything but measured (``status``) 
 last fault of that module or of its sensors. When samples come is an input as well, from which clocks are
 estimated: where a burst or a busy machine makes them late, it is not what the fault-free run had.
 
-What the estimator remembers is an input too: so angles are told by how long the segment has been intact. A
-filter that had to begin anew has a heading that is off by tens of degrees, and corrects it with a time
-constant of 9 s (VQF, ``tauMag``): after 20 s a tenth is left.
+What the estimator remembers is an input too: so angles are told by how long the segment has been intact.
+After a gap a module settles for 3 s, and what is left of its heading's error fades within 9 s (VQF,
+``tauMag``).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from benchmarks.emulated_stream import suit_17
 from benchmarks.fault_bench import METHOD
 from devices.emulators import IDEAL, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import Fault, FaultPlan
+from devices.emulators.fault_windows import FaultWindows
 from devices.link import Framing
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, SkeletonFrame, Status
@@ -69,7 +70,9 @@ class Comparison:
         """start_ns: gateway time of motion time 0."""
         self._sensed = np.flatnonzero(worn.module_of_segment >= 0)
         module_of = [worn.module_ids[worn.module_of_segment[segment]] for segment in self._sensed]
-        self._faults = [_windows(plan, module) for module in module_of]
+        of_module = {row: _faults_of(plan, module) for row, module in enumerate(module_of)}
+        self._faults = {row: FaultWindows(some, AFTER_FAULT_S) for row, some in of_module.items() if some}
+        """By row of ``_sensed``, where there are any."""
         self._start_ns = start_ns
         self._disturbed_s = np.full(len(self._sensed), SETTLED_S)
         self._last_ns = 0
@@ -89,8 +92,8 @@ class Comparison:
         now_s = (time_ns - self._start_ns) * 1e-9
         is_disturbed = status[self._sensed] != Status.MEASURED
         is_disturbed |= time_ns - self._last_ns > _LARGEST_STEP_NS or late_s > LATEST_S
-        for row, windows in enumerate(self._faults):
-            is_disturbed[row] |= any(fault.is_on(now_s) or _is_fresh(fault, now_s) for fault in windows)
+        for row, windows in self._faults.items():
+            is_disturbed[row] |= windows.near(now_s)
         self._last_ns = time_ns
         self._disturbed_s[is_disturbed] = max(now_s, SETTLED_S)
         intact_s = now_s - self._disturbed_s
@@ -124,17 +127,13 @@ def _percentile(counts: NDArray[np.int64], percent: float) -> float:
     return round((int(np.argmax(reached)) + 1) * _STEP, 2)
 
 
-def _windows(plan: FaultPlan, module: int) -> list[Fault]:
+def _faults_of(plan: FaultPlan, module: int) -> list[Fault]:
     """Faults of a module or its sensors, also where another one takes its id."""
     return [
         fault
         for fault in plan.faults
         if module in (getattr(fault, "module", None), getattr(fault, "takes", None))
     ]
-
-
-def _is_fresh(fault: Fault, now_s: float) -> bool:
-    return fault.at <= now_s <= fault.at + fault.lasts + AFTER_FAULT_S
 
 
 class FaultFree:

@@ -14,6 +14,7 @@ from benchmarks.fault_bench import METHOD
 from benchmarks.soak_reference import Comparison, FaultFree, Orientations
 from devices.emulators import IDEAL, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import FaultPlan, Unplug
+from devices.emulators.fault_windows import FaultWindows
 from devices.emulators.faulty_suit import FaultySuit
 from devices.link import Chunk, Framing, SentChunk
 from gateway.pipeline import Pipeline
@@ -40,10 +41,10 @@ def _chunks(plan: FaultPlan, seconds: float, note: Callable[[SentChunk], None]) 
     """What comes through the cable, while it is plugged in. note: told of every question."""
     _, motion = suit_17()
     suit = FaultySuit(SuitTraffic(motion, SuitSettings(has_relay=True), IDEAL, seed=1), plan)
-    pulls = plan.windows(Unplug)
+    pulls = FaultWindows(plan.windows(Unplug))
     for chunk in asked(suit, note, START_NS, LINK):
         at_s = (chunk.arrived_ns - START_NS) * 1e-9
         if at_s > seconds:
             return
-        if not any(pull.is_on(at_s) for pull in pulls):
+        if not pulls.on(at_s):
             yield chunk

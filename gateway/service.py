@@ -24,7 +24,7 @@ from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.host_sender import HostSender
 from gateway.losses import Cause
-from gateway.memory import bound_memory
+from gateway.memory import bound_memory, give_back
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
@@ -165,6 +165,7 @@ class Service:
             companions = [
                 asyncio.create_task(kept_running("the report", self._report), name="report"),
                 asyncio.create_task(kept_running("the load", self._watch_load), name="load"),
+                asyncio.create_task(kept_running("giving memory back", give_back), name="memory"),
             ]
             if self._synchroniser is not None:
                 companions.append(

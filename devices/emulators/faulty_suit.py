@@ -7,14 +7,16 @@ cable = asyncio.create_task(pull_cable(plan, suit))
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import Counter
 from dataclasses import replace
 
 from devices.emulators.delivery import Transmission
 from devices.emulators.emulated_device import EmulatedDevice
 from devices.emulators.emulated_suit import EmulatedSuit
-from devices.emulators.fault_plan import ClockJump, Fault, FaultPlan, IdConflict, Reset, Unplug
-from devices.emulators.link_faults import LinkFaults, hears_nothing
+from devices.emulators.fault_plan import ClockJump, FaultPlan, IdConflict, Reset, Stall, Unplug
+from devices.emulators.fault_windows import FaultWindows
+from devices.emulators.link_faults import LinkFaults
 from devices.emulators.sensor_faults import SensorFaults
 from devices.emulators.suit_traffic import SuitTraffic
 from devices.link import gateway_time_ns
@@ -33,7 +35,11 @@ class FaultySuit:
         self.sensors = SensorFaults(plan)
         traffic.on_sent = self.sensors.spoil
         self._happened: Counter[str] = Counter()
-        self._module_faults = [f for f in plan.faults if isinstance(f, Reset | ClockJump | IdConflict)]
+        self._module_faults = FaultWindows(
+            fault for fault in plan.faults if isinstance(fault, Reset | ClockJump | IdConflict)
+        )
+        self._deafening = FaultWindows(plan.windows(Stall, Unplug))
+        """What the host says then does not arrive."""
         for fault in plan.faults:
             if (module := getattr(fault, "module", None)) is not None:
                 traffic.device(module)
@@ -51,14 +57,13 @@ class FaultySuit:
 
     def receive(self, data: bytes, at_s: float) -> None:
         """As ``SuitTraffic.receive``."""
-        if not hears_nothing(self.plan, at_s):
+        if not self._deafening.on(at_s):
             self.traffic.receive(data, at_s)
 
     def advance(self, to_s: float) -> list[Transmission]:
         """As ``SuitTraffic.advance``."""
-        for fault in self._module_faults:
-            for start_s in fault.starts(self._now_s, to_s):
-                self._begin(fault, start_s)
+        for start_s, fault in self._module_faults.starting(self._now_s, to_s):
+            self._begin(fault, start_s)
         self._now_s = to_s
         return self.link.pass_on(self.traffic.advance(to_s), to_s)
 
@@ -91,15 +96,16 @@ def _call(device: EmulatedDevice, module: int) -> None:
 
 async def pull_cable(plan: FaultPlan, suit: EmulatedSuit) -> None:
     """Pull and plug in the cable of a running suit as the plan says; ends after the last time."""
-    pulls: list[Fault] = plan.windows(Unplug)
+    pulls = plan.windows(Unplug)
+    windows = FaultWindows(pulls)
+    last_s = max((math.inf if pull.every else pull.at for pull in pulls), default=-1.0)
     looked_s = 0.0
-    while any(fault.every is not None or fault.at >= looked_s for fault in pulls):
+    while looked_s <= last_s:
         now_s = 0.0 if suit.start_ns is None else suit.motion_time_s(gateway_time_ns())
-        for fault in pulls:
-            for start_s in fault.starts(looked_s, max(now_s, looked_s)):
-                await suit.transport.close()
-                away_s = start_s + fault.lasts - suit.motion_time_s(gateway_time_ns())
-                await asyncio.sleep(max(0.0, away_s))
-                await suit.transport.open()
+        for start_s, pull in windows.starting(looked_s, max(now_s, looked_s)):
+            await suit.transport.close()
+            away_s = start_s + pull.lasts - suit.motion_time_s(gateway_time_ns())
+            await asyncio.sleep(max(0.0, away_s))
+            await suit.transport.open()
         looked_s = max(now_s, looked_s)
         await asyncio.sleep(_LOOK_S)

@@ -21,8 +21,8 @@ from devices.emulators.fault_plan import (
     Reordering,
     SlowDrip,
     Stall,
-    Unplug,
 )
+from devices.emulators.fault_windows import FaultWindows
 from devices.link import Framing
 from firmware_protocol import CanFrame, pack_can_records, unpack_can_records
 
@@ -38,8 +38,10 @@ class LinkFaults:
     def __init__(self, plan: FaultPlan, framing: Framing) -> None:
         self.counts: Counter[str] = Counter()
         """Transmissions that befell something, by kind of fault; ``noise`` in bytes."""
-        self._faults = [fault for fault in plan.faults if isinstance(fault, _OnLink)]
-        self._noise = [fault for fault in plan.faults if isinstance(fault, Noise)]
+        self._faults = FaultWindows(fault for fault in plan.faults if isinstance(fault, _OnLink))
+        noise = [fault for fault in plan.faults if isinstance(fault, Noise)]
+        self._noise = FaultWindows(noise)
+        self._has_noise = bool(noise)
         self._framing = framing
         self._rng = np.random.default_rng([plan.seed, _PURPOSE])
         self._noise_rng = np.random.default_rng([plan.seed, _PURPOSE, 1])
@@ -52,7 +54,7 @@ class LinkFaults:
         """What arrives before ``to_s``, of this and of what was held back."""
         for transmission in sent:
             self._take(transmission)
-        while self._noise and self._noise_due_s < to_s:
+        while self._has_noise and self._noise_due_s < to_s:
             self._babble(self._noise_due_s)
             self._noise_due_s += _NOISE_STEP_S
         return self._arrived(to_s)
@@ -65,9 +67,8 @@ class LinkFaults:
 
     def _take(self, sent: Transmission) -> None:
         arrivals = [sent]
-        for fault in self._faults:
-            if fault.is_on(sent.time_s):
-                arrivals = [after for one in arrivals for after in self._befall(fault, one)]
+        for fault in self._faults.on(sent.time_s):
+            arrivals = [after for one in arrivals for after in self._befall(fault, one)]
         for one in arrivals:
             self._put(one)
 
@@ -134,15 +135,14 @@ class LinkFaults:
         return bytes(changed)
 
     def _babble(self, at_s: float) -> None:
-        for fault in self._noise:
-            if fault.is_on(at_s):
-                data = self._noise_rng.bytes(max(1, round(fault.bytes_per_s * _NOISE_STEP_S)))
-                self.counts["noise"] += len(data)
-                if self._framing is Framing.CAN:
-                    data = pack_can_records(
-                        CanFrame(_FOREIGN_IDENTIFIER, data[i : i + 8], False) for i in range(0, len(data), 8)
-                    )
-                self._put(Transmission(at_s, data))
+        for fault in self._noise.on(at_s):
+            data = self._noise_rng.bytes(max(1, round(fault.bytes_per_s * _NOISE_STEP_S)))
+            self.counts["noise"] += len(data)
+            if self._framing is Framing.CAN:
+                data = pack_can_records(
+                    CanFrame(_FOREIGN_IDENTIFIER, data[i : i + 8], False) for i in range(0, len(data), 8)
+                )
+            self._put(Transmission(at_s, data))
 
     def _put(self, sent: Transmission) -> None:
         heapq.heappush(self._under_way, (sent.time_s, self._order, sent.data))
@@ -154,8 +154,3 @@ class LinkFaults:
             time_s, _, data = heapq.heappop(self._under_way)
             arrived.append(Transmission(time_s, data))
         return arrived
-
-
-def hears_nothing(plan: FaultPlan, at_s: float) -> bool:
-    """Whether what the host says then does not arrive."""
-    return any(fault.is_on(at_s) for fault in plan.windows(Stall, Unplug))

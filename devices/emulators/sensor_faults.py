@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import math
 import struct
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import replace
 from typing import Any
 
 from devices.emulators.fault_plan import FaultPlan, Magnet, NotFinite, Saturated, Stuck
+from devices.emulators.fault_windows import FaultWindows
 from devices.emulators.sender import Timed
 from firmware_protocol import (
     InertialSample,
     InertialSampleFine,
     LocalMeasurement,
+    Vector3,
     WireFrame,
     decode_body,
     encode_packet,
 )
 
+_OfSensor = Stuck | Saturated | Magnet | NotFinite
 _BEYOND = 1e6
 """More than any range, whatever the unit: sent as the end of the range, and marked clipped."""
 
@@ -29,22 +32,25 @@ class SensorFaults:
     def __init__(self, plan: FaultPlan) -> None:
         self.counts: Counter[str] = Counter()
         """Samples changed, by kind of fault."""
-        self._faults = [
-            fault for fault in plan.faults if isinstance(fault, Stuck | Saturated | Magnet | NotFinite)
-        ]
-        self._held: dict[int, Any] = {}  # what a stuck sensor says, by place of the fault
+        faults: dict[int, list[_OfSensor]] = defaultdict(list)
+        for fault in plan.faults:
+            if isinstance(fault, _OfSensor):
+                faults[fault.module].append(fault)
+        self._faults = {device: FaultWindows(of_device) for device, of_device in faults.items()}
+        self._held: dict[int, tuple[int, Vector3]] = {}
+        """By identity of the fault: which time it is that it came, and what the stuck sensor says."""
 
     def spoil(self, device: int, sent: list[Timed]) -> list[Timed]:
         """The wire frames of a device, some of them changed."""
-        for place, fault in enumerate(self._faults):
-            if fault.module == device:
-                sent = [self._spoil_one(place, fault, timed) for timed in sent]
-        return sent
+        windows = self._faults.get(device)
+        return sent if windows is None else [self._spoil_one(windows, timed) for timed in sent]
 
-    def _spoil_one(self, place: int, fault: Stuck | Saturated | Magnet | NotFinite, timed: Timed) -> Timed:
-        if not fault.is_on(timed.time_s):
-            self._held.pop(place, None)
-            return timed
+    def _spoil_one(self, windows: FaultWindows[_OfSensor], timed: Timed) -> Timed:
+        for fault in windows.on(timed.time_s):
+            timed = self._befall(fault, timed)
+        return timed
+
+    def _befall(self, fault: _OfSensor, timed: Timed) -> Timed:
         packet = decode_body(timed.frame.kind, timed.frame.body)
         if isinstance(fault, NotFinite):
             return self._not_finite(timed) if isinstance(packet, LocalMeasurement) else timed
@@ -60,10 +66,17 @@ class SensorFaults:
         elif isinstance(fault, Saturated):
             value = tuple(math.copysign(_BEYOND, axis) for axis in value)
         else:
-            value = self._held.setdefault(place, value)
+            value = self._held_value(fault, timed.time_s, value)
         self.counts[fault.kind] += 1
         changes: dict[str, Any] = {sensor: value}
         return _with_body(timed, encode_packet(replace(packet, **changes)))
+
+    def _held_value(self, fault: Stuck, at_s: float, value: Vector3) -> Vector3:
+        """What the sensor said when the fault began, this time."""
+        time = 0 if fault.every is None else int((at_s - fault.at) // fault.every)
+        if self._held.get(id(fault), (-1, value))[0] != time:
+            self._held[id(fault)] = time, value
+        return self._held[id(fault)][1]
 
     def _not_finite(self, timed: Timed) -> Timed:
         self.counts["not_finite"] += 1

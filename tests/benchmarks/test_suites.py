@@ -28,6 +28,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "SURROUNDINGS": (),
         "PROCESS_FAULTS": (),
     },
+    "gaps": {"GAPS_S": (1.0,), "WALK_S": 50.0},
     "held": {"METHODS": ("independent",), "MODULES": (17,), "RATES_HZ": (100,), "SECONDS": 4.0, "TRIES": 1},
     "joints": {"SECONDS": 12.0},
     "latency": {"SECONDS": 5.0, "SETTLING_TICKS": 20, "LOADS": ((17, 100.0),)},

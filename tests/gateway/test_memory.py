@@ -8,9 +8,11 @@ import subprocess
 import sys
 import threading
 
+import psutil
 import pytest
 
-from gateway.memory import POOL_THREADS, bound_memory
+from gateway import memory
+from gateway.memory import POOL_THREADS, bound_memory, give_back
 
 
 def pool_threads() -> set[threading.Thread]:
@@ -60,3 +62,35 @@ def test_blocks_of_megabytes_stay_out_of_the_heap():
     """Where they go back to the system when they are free, whatever was allocated before."""
     done = subprocess.run([sys.executable, "-c", LARGE_BLOCK], capture_output=True, text=True, check=True)
     assert int(done.stdout) >= 4 << 20
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="this C library cannot be asked")
+async def test_what_is_free_below_a_block_that_stays_goes_back_to_the_system(monkeypatch):
+    """It used to stay with the process: megabytes an hour."""
+    monkeypatch.setattr(memory, "GIVE_BACK_S", 0.01)
+    c = ctypes.CDLL(None)
+    c.malloc.restype, c.malloc.argtypes, c.free.argtypes = (
+        ctypes.c_void_p,
+        [ctypes.c_size_t],
+        [ctypes.c_void_p],
+    )
+    size = 64 << 10  # too small for pages of its own
+    burst = [c.malloc(size) for _ in range(512)]
+    for block in burst:
+        ctypes.memset(block, 1, size)
+    stays = burst.pop()
+    for block in burst:
+        c.free(block)
+    before = resident_bytes()
+    giving = asyncio.create_task(give_back())
+    for _ in range(1000):
+        if resident_bytes() < before - (24 << 20):
+            break
+        await asyncio.sleep(0.01)
+    giving.cancel()
+    c.free(stays)
+    assert resident_bytes() < before - (24 << 20)
+
+
+def resident_bytes():
+    return psutil.Process().memory_info().rss

@@ -2,17 +2,16 @@
 
 The filter is VQF (Laidig & Seel, Information Fusion 91, 2023) with its default parameters: 9-axis once a
 module has given a magnetic field, 6-axis (heading arbitrary) until then. Its world is level with y towards
-magnetic north; the declination of the suit's field turns it to the geographic ENU.
+magnetic north; the declination of the suit's field turns it to the geographic ENU. What it does after gaps is
+ours: ``module_filter``.
 """
 
 from __future__ import annotations
 
 import math
-from types import EllipsisType
 
 import numpy as np
 from numpy.typing import NDArray
-from vqf import VQF
 
 from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import WornSuit
@@ -21,6 +20,8 @@ from gateway.geometry import derivatives, quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import norm
 from gateway.reconstruction.inertial.chain_state import Noise
+from gateway.reconstruction.inertial.habits import clear, no_habits, note
+from gateway.reconstruction.inertial.module_filter import ModuleFilter, Sample
 from gateway.reconstruction.inertial.observations import SegmentObserver, clipped_of, with_sun_as_field
 
 HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
@@ -28,18 +29,15 @@ UNAIDED = Status.UNAIDED.value
 RANGES = Noise()
 """Where sensors are saturated that do not say so themselves, the same as for ``joint``."""
 
-LONGEST_GAP_S = 0.2
-"""A filter step stands for one nominal interval: after a longer gap the turn during it is not bridged."""
-
 
 class IndependentReconstructor:
     """One VQF a module.
 
-    A module without values for an instant keeps its last orientation: HELD, and PREDICTED once
-    ``LONGEST_GAP_S`` has passed. How far it has turned by then nobody knows, so its filter begins anew when
-    it is back. Likewise after its gyrometers have been saturated for so long; for less, the end of their
-    range is the best guess. While its accelerometer is saturated, a segment turns by its gyrometers alone
-    (UNAIDED).
+    A module without values for an instant keeps its last orientation: HELD, and PREDICTED after a longer
+    gap (``module_filter.LONGEST_GAP_S``). One whose last values are repeated turns on by them for a tenth of
+    a second. Once it is back, that is taken back, and the gap bridged or settled (``ModuleFilter``).
+    Likewise after its gyrometers have been saturated for that long; for less, the end of their range is the
+    best guess. While its accelerometer is saturated, a segment turns by its gyrometers alone (UNAIDED).
     A segment without module follows its parent rigidly, axes parallel as in the calibration pose
     (PREDICTED). MISSING: nothing yet, or a module without accelerometer or gyrometers.
 
@@ -59,7 +57,11 @@ class IndependentReconstructor:
         self._observer = SegmentObserver(suit)
         self._observed = [int(s) for s in np.flatnonzero(suit.module_of_segment >= 0)]
         self._rows = [int(suit.module_of_segment[s]) for s in self._observed]
-        self._filters = [VQF(nominal_interval_s) for _ in self._observed]
+        g = float(np.linalg.norm(self._gravity))
+        self._habits = no_habits(skeleton.n_segments)
+        self._filters = [ModuleFilter(nominal_interval_s, g, self._habits, s) for s in self._observed]
+        self._interval_s, self._g = float(nominal_interval_s), g
+        self._places = np.array(self._observed, np.int64), np.array(self._rows, np.int64)
         self._q_sb = _inverse_alignment(suit)
         self._q_world = _facing(np.asarray(suit.magnetic_field))
         n = len(suit.module_ids)
@@ -72,12 +74,12 @@ class IndependentReconstructor:
     def reset(self) -> None:
         """Forget everything but the parameters."""
         n = self._suit.skeleton.n_segments
-        for vqf in self._filters:
-            vqf.resetState()
+        for module in self._filters:
+            module.reset()
+        clear(self._habits)
         self._q_vqf = np.full((n, 4), np.nan)  # sensor to the filter's world
         self._has_field = np.zeros(n, np.bool_)
         self._rate = np.full((n, 3), np.nan)
-        self._heard_ns = np.zeros(n, np.int64)
         self._time_ns = 0
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
@@ -103,7 +105,9 @@ class IndependentReconstructor:
             self._gravity,
         )
         self._rate, self._time_ns = observed.angular_rate, observation.time_ns
-        status[(status == HELD) & self._is_silent(..., observation.time_ns)] = PREDICTED
+        for segment, module in zip(self._observed, self._filters, strict=True):
+            if status[segment] == HELD and module.is_silent(observation.time_ns):
+                status[segment] = PREDICTED
         return SkeletonFrame(
             sequence=observation.sequence,
             time_ns=observation.time_ns,
@@ -116,10 +120,6 @@ class IndependentReconstructor:
             root=int(np.flatnonzero(self._parents < 0)[0]),
         )
 
-    def _is_silent(self, segments: int | EllipsisType, time_ns: int) -> NDArray[np.bool_]:
-        """Whether the last values of segments are too old to go on from."""
-        return np.asarray(time_ns - self._heard_ns[segments] > LONGEST_GAP_S * 1e9)
-
     def _step_filters(self, observation: ImuFrame) -> StatusArray:
         """Feeds every module's filter; the status by segment, PREDICTED where there is no module."""
         status = np.full(len(self._parents), PREDICTED, np.uint8)
@@ -129,29 +129,27 @@ class IndependentReconstructor:
         clipped = clipped_of(observation)
         is_unaided = _beyond(f, RANGES.largest_force) | ((clipped & Clipped.SPECIFIC_FORCE) > 0)
         is_blind = _beyond(w, RANGES.largest_rate) | ((clipped & Clipped.ANGULAR_RATE) > 0)
-        for segment, row, vqf in zip(self._observed, self._rows, self._filters, strict=True):
-            is_silent = self._is_silent(segment, observation.time_ns)
-            if not is_inertial[row] or (is_blind[row] and is_silent):
-                status[segment] = MISSING if np.isnan(self._q_vqf[segment, 0]) else HELD
+        is_sound = [False] * len(status)
+        told = (v.tolist() for v in (is_inertial, is_blind, is_unaided, has_field, observation.status))
+        modules = zip(self._observed, self._rows, self._filters, strict=True)
+        told_of = list(zip(*told, strict=True))
+        for segment, row, module in modules:
+            inertial, blind, unaided, field, came_as = told_of[row]
+            if not inertial or (blind and module.is_silent(observation.time_ns)):
+                status[segment] = HELD if module.is_known else MISSING
                 continue
-            if is_silent:
-                vqf.resetState()
-            if not is_blind[row]:
-                self._heard_ns[segment] = observation.time_ns
-            self._has_field[segment] = bool(self._has_field[segment] or has_field[row])
-            _step(vqf, w[row], None if is_unaided[row] else f[row], x[row] if has_field[row] else None)
-            self._q_vqf[segment] = vqf.getQuat9D() if self._has_field[segment] else vqf.getQuat6D()
-            status[segment] = UNAIDED if is_unaided[row] else observation.status[row]
+            sample = Sample(None if unaided else f[row], w[row], x[row] if field else None)
+            if blind or came_as == HELD:
+                module.take_doubtful(sample, observation.time_ns, blind)
+            else:
+                module.take(sample, observation.time_ns)
+                is_sound[segment] = True
+            self._q_vqf[segment] = module.orientation
+            self._has_field[segment] = module.has_field
+            status[segment] = UNAIDED if unaided else came_as
+        places, sound = self._places, np.array(is_sound)
+        note(self._habits, *places, sound, self._q_vqf, f, w, x, self._g, self._interval_s)
         return status
-
-
-def _step(vqf: VQF, w: FloatArray, f: FloatArray | None, x: FloatArray | None) -> None:
-    """One sample; None where a sensor has nothing to say."""
-    vqf.updateGyr(w)
-    if f is not None:
-        vqf.updateAcc(f)
-    if x is not None:
-        vqf.updateMag(x)
 
 
 def _beyond(values: FloatArray, largest: float) -> NDArray[np.bool_]:
