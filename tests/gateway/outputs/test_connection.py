@@ -8,7 +8,7 @@ import time
 import pytest
 
 from gateway.outputs import MqttSettings
-from gateway.outputs.connection import broker_connection
+from gateway.outputs.connection import broker_connection, end_tasks
 
 
 async def test_an_attempt_given_up_while_it_connects_leaves_no_word_and_no_socket(
@@ -34,4 +34,30 @@ async def test_an_attempt_given_up_while_it_connects_leaves_no_word_and_no_socke
             suit_side.settimeout(10)
             while suit_side.recv(4096):
                 pass  # the greeting, then the end: the socket is closed
+    assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
+
+
+@pytest.mark.parametrize("first", ["answered", "given up"])
+@pytest.mark.parametrize("answer", [b"", b"\x20\x02\x00\x05", b"\x20\x02\x00\x00"], ids=["none", "no", "yes"])
+async def test_an_attempt_that_is_answered_while_it_is_given_up_leaves_no_word(
+    caplog: pytest.LogCaptureFixture, answer: bytes, first: str
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as broker:
+        broker.settimeout(10)
+        port = broker.getsockname()[1]
+
+        async def attempt() -> None:
+            async with broker_connection(MqttSettings(port=port, protocol="3.1.1"), port, "given-up"):
+                await asyncio.Event().wait()
+
+        connecting = asyncio.create_task(attempt())
+        broker_side, _ = await asyncio.to_thread(broker.accept)
+        assert (await asyncio.to_thread(broker_side.recv, 4096))[:1] == b"\x10"
+        if first == "given up":
+            connecting.cancel()  # Python 3.11 passes it on a turn of the loop later, 3.12 at once
+        broker_side.sendall(answer)
+        broker_side.close()
+        if first == "answered":
+            await asyncio.sleep(0)  # the loop reads the answer right after this test's next words
+        await end_tasks(connecting)
     assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
