@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from devices.link import Chunk, Framing
-from devices.recording_writer import RecordingWriter, session_record
+from devices.recording_writer import DerivedRecordingWriter, session_record
 from firmware_protocol import FrameDecoder, WireFrame, encode_frame
 
 LINK = "card"
@@ -61,11 +61,10 @@ def convert_card_file(
     """
     duration_us = max((elapsed_us for elapsed_us, _ in _arrivals(source, FrameDecoder())), default=0)
     base_ns = end_ns - duration_us * 1000 if start_ns is None else start_ns
-    target.unlink(missing_ok=True)
     chunks = 0
     decoder = FrameDecoder()
     session = session_record({LINK: Framing.BYTE_STREAM}, begun_ns=str(base_ns), name=target.stem)
-    with RecordingWriter(target, session, {}, base_ns) as recording:
+    with DerivedRecordingWriter(target, session, {}, base_ns, replaces=True) as recording:
         for elapsed_us, frame in _arrivals(source, decoder):
             chunk = Chunk(encode_frame(frame), base_ns + elapsed_us * 1000, LINK)
             recording.add_chunk(chunk, Framing.BYTE_STREAM)

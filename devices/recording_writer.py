@@ -122,6 +122,44 @@ class RecordingWriter:
         )
 
 
+class DerivedRecordingWriter(RecordingWriter):
+    """A recording made of something that is kept: it appears under its name once it is whole.
+
+    Until then it is ``.NAME.unfinished`` beside it. One that was begun and not ended (an error, a killed
+    process) is in nobody's way: the first is taken away again, the second by the next of that name.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        session: Mapping[str, str],
+        attachments: Mapping[str, bytes],
+        created_ns: int,
+        *,
+        replaces: bool = False,
+    ) -> None:
+        """As of a ``RecordingWriter``. replaces: it may take the place of a file that is there."""
+        self._target = Path(path)
+        if not replaces and self._target.exists():
+            raise RecordingError(f"{path} exists already: choose another name")
+        unfinished = self._target.with_name(f".{self._target.name}.unfinished")
+        unfinished.unlink(missing_ok=True)
+        super().__init__(unfinished, session, attachments, created_ns)
+
+    def finish(self) -> None:
+        """Write the index, close, and give the file its name."""
+        super().finish()
+        self.path.replace(self._target)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        try:
+            super().__exit__(kind, error, traceback)
+        finally:
+            self.path.unlink(missing_ok=True)
+
+
 class _ChunkIndices:
     """The index of a file while it is written, in a file without a name beside it.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from devices import recording_format as fmt
 from devices.emulators.recordings import Recording, play
 from devices.link import Chunk, Framing
-from devices.recording_writer import RecordingWriter
+from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
 from gateway.body.skeleton import WornSuit
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import Pipeline
@@ -95,7 +95,7 @@ def write_imported(
     pipeline = _pipeline(settings, suit)
     chunks = poses = 0
     counted_ns = begun_ns
-    with RecordingWriter(target, session, attachments_of(settings, suit), begun_ns) as writer:
+    with DerivedRecordingWriter(target, session, attachments_of(settings, suit), begun_ns) as writer:
         writer.add(fmt.EVENTS, begun_ns, origin_event(recording.name, sources, begun_ns, **more))
         for chunk in chunks_of(recording):
             writer.add_chunk(chunk, Framing.BYTE_STREAM)

@@ -17,7 +17,7 @@ from devices.link import Chunk, Framing
 from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
 from devices.marker_files.naming import spelt
-from devices.recording_writer import RecordingWriter
+from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
@@ -212,7 +212,7 @@ def _writer(
 ) -> Iterator[RecordingWriter]:
     session = imported_session({LINK: Framing.MARKERS}, target, "optical", _BEGUN_NS, solved_by=solved_by)
     kind = source.suffix.lstrip(".").lower()
-    with RecordingWriter(target, session, attachments, _BEGUN_NS) as writer:
+    with DerivedRecordingWriter(target, session, attachments, _BEGUN_NS) as writer:
         writer.add(fmt.EVENTS, _BEGUN_NS, origin_event(kind, [source], _BEGUN_NS))
         yield writer
 

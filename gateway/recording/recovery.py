@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from mcap.records import Channel, Message
 
 from devices import recording_format as fmt
 from devices.recording_file import RecordingError, RecordingFile
-from devices.recording_writer import RecordingWriter
+from devices.recording_writer import DerivedRecordingWriter
 
 _MESSAGES_A_FLUSH = 256
 
@@ -31,30 +30,35 @@ def recover(source: Path, target: Path, progress: Callable[[int, int], None] | N
 
     Raises ``RecordingError`` when ``source`` is no recording, ``target`` exists or cannot be written.
     """
-    file = RecordingFile(source)
-    try:
-        messages = _copy(file, target, progress)
-    except OSError as error:
-        target.unlink(missing_ok=True)
-        raise RecordingError(f"{target} cannot be written: {error.strerror}") from error
-    return Recovered(target, messages, file.defect)
+    return _recovered(source, target, progress, replaces=False)
 
 
 def recover_in_place(source: Path, progress: Callable[[int, int], None] | None = None) -> Recovered:
     """As ``recover``, in the place of ``source``, which stays as it is until the new file is whole."""
-    beside = source.with_name(source.name + ".recovering")
-    beside.unlink(missing_ok=True)
-    done = recover(source, beside, progress)
-    os.replace(beside, source)
-    return Recovered(source, done.messages, done.defect)
+    return _recovered(source, source, progress, replaces=True)
 
 
-def _copy(file: RecordingFile, target: Path, progress: Callable[[int, int], None] | None) -> int:
+def _recovered(
+    source: Path, target: Path, progress: Callable[[int, int], None] | None, *, replaces: bool
+) -> Recovered:
+    file = RecordingFile(source)
+    try:
+        messages = _copy(file, target, progress, replaces=replaces)
+    except OSError as error:
+        raise RecordingError(f"{target} cannot be written: {error.strerror}") from error
+    return Recovered(target, messages, file.defect)
+
+
+def _copy(
+    file: RecordingFile, target: Path, progress: Callable[[int, int], None] | None, *, replaces: bool
+) -> int:
     channels: dict[int, Channel] = {}
     messages = 0
     head = file.head
     created_ns = int(head.session.get("begun_ns", 0))
-    with RecordingWriter(target, head.session, head.attachments, created_ns) as writer:
+    with DerivedRecordingWriter(
+        target, head.session, head.attachments, created_ns, replaces=replaces
+    ) as writer:
         for record in file.records():
             if isinstance(record, Channel):
                 channels[record.id] = record

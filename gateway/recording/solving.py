@@ -18,7 +18,7 @@ import gateway
 from devices import recording_format as fmt
 from devices.link import Chunk, SentChunk
 from devices.recording_file import RecordedMessage, RecordingError
-from devices.recording_writer import RecordingWriter, session_record
+from devices.recording_writer import DerivedRecordingWriter, session_record
 from gateway.body.skeleton import WornSuit
 from gateway.comparison import orientation_error
 from gateway.errors import GatewayError
@@ -170,7 +170,7 @@ def write_solved(
     )
     with (
         _poses_by_message(recording, source, progress) as (poses_of, tell),
-        RecordingWriter(target, session, attachments, meta.begun_ns) as writer,
+        DerivedRecordingWriter(target, session, attachments, meta.begun_ns) as writer,
     ):
         for count, message in enumerate(_told(recording, tell)):
             if message.topic not in (fmt.SKELETON, fmt.MARKERS):

@@ -15,7 +15,7 @@ import numpy as np
 from devices import recording_format as fmt
 from devices.cameras.heat_map_messages import retimed
 from devices.link import Chunk, Framing
-from devices.recording_writer import RecordingWriter
+from devices.recording_writer import DerivedRecordingWriter
 from gateway.body.camera import Camera
 from gateway.body.camera_entries import entry_of
 from gateway.body.rig import WorldSettings, worn_without_modules
@@ -140,7 +140,9 @@ def write_solved_video(
     poses: list[VideoPose] = []
     frames, spent = 0, 0.0
     chunks = video_chunks(messages, rate_hz)
-    with RecordingWriter(target, _session(target), attachments_of(settings, suit), _BEGUN_NS) as writer:
+    with DerivedRecordingWriter(
+        target, _session(target), attachments_of(settings, suit), _BEGUN_NS
+    ) as writer:
         for index, chunk in enumerate(chunks):
             began = time.process_time()
             made = pipeline.feed(chunk)
@@ -188,7 +190,7 @@ def write_offline_video(
     spent = time.process_time() - began
     chunks = video_chunks(messages, rate_hz)[: len(messages)]
     attachments = attachments_of(video_settings(subject, rate_hz), suit)
-    with RecordingWriter(target, _session(target, OFFLINE), attachments, _BEGUN_NS) as writer:
+    with DerivedRecordingWriter(target, _session(target, OFFLINE), attachments, _BEGUN_NS) as writer:
         for chunk, frame in zip(chunks, frames, strict=True):
             writer.add_chunk(chunk, Framing.HEAT_MAPS)
             timed = replace(frame, time_ns=chunk.arrived_ns)
