@@ -183,7 +183,8 @@ def _take(body: ChainBody, state: FilterState, noise: Noise, before_s: float, re
             for i in range(5, 8):
                 if not math.isnan(reading[i]):
                     sigma = max(sigma, min(reading[i], np.finfo(np.float64).max))
-            take_reading(state, noise, int(reading[0]), reading[1], value, sigma)
+            kind = body.device_kind[int(reading[0])]
+            take_reading(state, noise, int(reading[0]), kind, reading[1], value, sigma)
 
 
 @compiled

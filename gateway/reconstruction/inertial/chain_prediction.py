@@ -11,6 +11,7 @@ from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, is_finite, norm
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
+from gateway.reconstruction.inertial.corrections import gyrometer_doubt
 from gateway.reconstruction.inertial.observations import SegmentObservations
 from gateway.reconstruction.inertial.tree_filter import propagate, propagate_own
 
@@ -55,9 +56,12 @@ def predict(
                 state.silent_s[s] += dt
             else:
                 state.silent_s[s] = 0.0
+            change = 0.0
             for i in range(3):
-                state.slope[s, i] = (rate[s, i] - state.rate[s, i]) / dt
-                state.rate[s, i] = rate[s, i]
+                step = rate[s, i] - state.rate[s, i]
+                change += step**2
+                state.slope[s, i], state.rate[s, i] = step / dt, rate[s, i]
+            density += gyrometer_doubt(state, s, change, dt)
         else:
             for i in range(3):
                 w[i] = (state.rate[s, i] - state.bias[s, i]) * math.exp(-dt / LONGEST_COAST_S)
@@ -140,7 +144,9 @@ def start(
     for i in range(3):
         state.bias[s, i], state.rate[s, i], state.slope[s, i] = 0.0, w[i], np.nan
     state.P[s], state.C[s] = 0.0, 0.0
-    tilt = noise.start_tilt**2 + _start_acceleration(body, f, w) / dot(body.gravity, body.gravity)
+    moved = start_acceleration(body.gravity, f, w)
+    tilt = noise.start_tilt**2 + moved / dot(body.gravity, body.gravity)
+    state.starting_square[s] = noise.starting_share * moved
     for i in range(3):
         state.P[s, i, i] = min(tilt, OPEN_SIGMA**2)
         state.P[s, 3 + i, 3 + i] = noise.bias**2
@@ -149,7 +155,7 @@ def start(
     state.arm_covariance[s] = 0.0
     for i in range(6):
         state.arm_covariance[s, i, i] = noise.lever_arm_offset**2
-    state.learnt_s[s] = np.inf
+    state.learnt_s[s], state.corrections[s] = np.inf, 0.0
     state.field_offset[s, 0], state.field_offset[s, 1] = 0.0, noise.heading**2
     state.is_started[s], state.is_open[s] = 1, body.opens[s]
     state.fresh_s[s], state.silent_s[s], state.compass_s[s] = 0.0, 0.0, 0.0
@@ -159,11 +165,11 @@ def start(
 
 
 @compiled
-def _start_acceleration(body: ChainBody, f: FloatArray, w: FloatArray) -> float:
+def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray) -> float:
     """(m/s²)², square of what a module may accelerate by, as its first sample shows: as much as it feels more
     or less than gravity, and as it turns at the end of ``START_ARM``."""
     turning = dot(w, w) * START_ARM
-    square: float = (norm(f) - norm(body.gravity)) ** 2 + turning * turning
+    square: float = (norm(f) - norm(gravity)) ** 2 + turning * turning
     return square
 
 
@@ -187,21 +193,9 @@ def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray, E: Flo
             if body.device_kind[d] == AIR_VELOCITY:
                 for j in range(state.n_readings[d, 0]):
                     rotation_matrix.turn(E[s], state.readings[d, j, 1:4])
-            for j in range(state.history.shape[1]):
-                if state.history[d, j, 0] > -np.inf:
-                    rotation_matrix.turn(E[s], state.history[d, j, 1:4])
-                    rotation_matrix.turn(E[s], state.history[d, j, 4:7])
+            rotation_matrix.turn_columns(E[s], state.device_turn[d])
 
 
 @compiled
 def _is_turn(v: FloatArray) -> bool:
     return bool(v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0)
-
-
-@compiled
-def velocity_into(v: FloatArray, R: FloatArray, w: FloatArray, arm: FloatArray) -> None:
-    """v ← R (ω × r), (3,) world, m/s: of a point at ``arm`` relative to the module."""
-    v[0] = w[1] * arm[2] - w[2] * arm[1]
-    v[1] = w[2] * arm[0] - w[0] * arm[2]
-    v[2] = w[0] * arm[1] - w[1] * arm[0]
-    rotation_matrix.turn(R, v)

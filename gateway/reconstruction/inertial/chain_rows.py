@@ -37,6 +37,8 @@ FIRST_LOOK_S = 0.5
 """A heading that nothing else can show is taken from the field within that time."""
 AIDED_TILT = 0.15
 """rad: an inclination less sure than that tells no mean acceleration."""
+UNSETTLED_TILT = 0.5
+"""rad: an inclination less sure than that is helped by gravity, wherever it hangs."""
 AIDED_RISE_S, AIDED_FALL_S = 2.0, 30.0
 """How fast larger and smaller mean accelerations are believed."""
 MISFIT_S = 5.0
@@ -289,10 +291,29 @@ def unaided_row(
     """Mean acceleration over a window is small, where nothing tells what it is: no smaller than it was while
     that was known, and over a shorter time as much larger as speeds are the same. It stays for the window on
     either side. sharing: segments that move together and have such a row each."""
-    lasted_s = min(max(state.fresh_s[s], dt), noise.unaided_window_s)  # of the mean: short after a gap
-    square = max((noise.unaided_speed / lasted_s) ** 2, 2.0 * state.unaided_square[s])
+    square = max(_mean_square(state, noise, s, dt), 2.0 * state.unaided_square[s])
     variance = square * noise.unaided_window_s / dt * sharing
     known_row(evidence, state, noise, s, state.long_force[s], at_rest, variance, False)
+
+
+@compiled
+def starting_row(
+    evidence: Evidence, state: FilterState, noise: Noise, s: int, at_rest: FloatArray, dt: float
+) -> None:
+    """The same of a segment whose chain is held up, as long as its inclination is hardly known: after a start
+    in mid-motion. Joints show it only then, one after the other from where the chain is held."""
+    if state.P[s, 0, 0] + state.P[s, 1, 1] > UNSETTLED_TILT**2:
+        variance = _mean_square(state, noise, s, dt) * noise.unaided_window_s / dt
+        known_row(evidence, state, noise, s, state.long_force[s], at_rest, variance, False)
+
+
+@compiled
+def _mean_square(state: FilterState, noise: Noise, s: int, dt: float) -> float:
+    """(m/s²)² of a mean acceleration: over a shorter time, as after a gap, as much larger as speeds are the
+    same, and for some time as large as a start in motion has let expect."""
+    lasted_s = min(max(state.fresh_s[s], dt), noise.unaided_window_s)
+    square: float = max((noise.unaided_speed / lasted_s) ** 2, state.starting_square[s])
+    return square
 
 
 @compiled

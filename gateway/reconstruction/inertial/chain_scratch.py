@@ -8,6 +8,7 @@ import numpy as np
 
 from gateway.frames import FloatArray, IntArray
 from gateway.reconstruction.inertial.lever_arms import Learning, learning
+from gateway.reconstruction.inertial.local_rows import LocalPair, local_pair_of
 from gateway.reconstruction.inertial.observations import SegmentObservations, no_observations
 from gateway.reconstruction.inertial.tree_filter import Evidence, Workspace, no_evidence, workspace
 
@@ -31,6 +32,7 @@ class Scratch(NamedTuple):
     U_beyond: FloatArray  # (n, 3) and, of a bridged one, at the joint beyond; see ``chain_bridges``
     U_parent: FloatArray  # (n, 3) there as its parent sees it
     learning: Learning
+    pair: LocalPair
     evidence: Evidence
     tree: Workspace
 
@@ -43,6 +45,6 @@ def scratch(n: int) -> Scratch:
 
     return Scratch(
         no_observations(n), np.full((n + 1, 4), np.nan), z(), z(3, 3), z(3, 3), z(), z(3), z(3, 3), z(), z(),
-        np.zeros(n, np.int64), z(), z(3), z(3), z(3), learning(), no_evidence(n),
+        np.zeros(n, np.int64), z(), z(3), z(3), z(3), learning(), local_pair_of(), no_evidence(n),
         workspace(n),
     )  # fmt: skip

@@ -14,6 +14,8 @@ N_READINGS = 12
 """Readings of a local device that a derivative is fitted to, at most."""
 N_HISTORY = 96
 """Frames remembered of the segment that carries a local device."""
+N_OF_FRAME = 16
+"""Numbers remembered of each."""
 OPEN_SIGMA = 1.6
 """rad: a heading of which nothing is known."""
 
@@ -29,7 +31,7 @@ class Noise(NamedTuple):
     lever_arm_offset: float = 0.02
     """m: how far a lever arm was measured wrong; what of it shows in the motion is found out."""
     force_bias: float = 0.05
-    """m/s²: constant error of an accelerometer after its calibration; found where a fixed point shows it."""
+    """m/s²: constant error of an accelerometer after its calibration; found where a known point shows it."""
     row_memory_s: float = 0.1
     """For how long a row stays off to the same side: denser rows say no more in all."""
     huber: float = 2.0
@@ -61,8 +63,14 @@ class Noise(NamedTuple):
     """m/s: how fast a body moves whose acceleration nothing tells; one that was aided may have shown more."""
     unaided_window_s: float = 1.0
     """Over it the mean acceleration is that speed over the window."""
+    starting_share: float = 0.1
+    """Of the square of what a first sample shows of acceleration: how much of it lasts over that window."""
+    starting_memory_s: float = 2.0
+    """For how long that is expected."""
     local_window_s: float = 0.2
-    """Span of readings of a local device that an acceleration is fitted to: bandwidth about 5 Hz."""
+    """Least span of readings of a local device that an acceleration is fitted to: bandwidth about 5 Hz."""
+    local_acceleration: float = 0.2
+    """m/s²: the span is so long that the readings' noise leaves no more than that, where it can be."""
     heading_evidence: float = 20.0
     """Concentration (von Mises) from which an open heading is taken as shown."""
     heading_coherence: float = 0.6
@@ -109,7 +117,7 @@ class FilterState(NamedTuple):
     fresh_s: FloatArray  # (n,) since the averages were begun
     R: FloatArray  # (n, 3, 3)
     bias: FloatArray  # (n, 3)
-    force_bias: FloatArray  # (n, 3) found error of the accelerometer, m/s², of segments held by a fixed point
+    force_bias: FloatArray  # (n, 3) found error of the accelerometer, m/s², of segments with a local device
     P: FloatArray  # (n, 6, 6)
     C: FloatArray  # (n, 6, 6)
     rate: FloatArray  # (n, 3) last measured, bias included
@@ -128,15 +136,22 @@ class FilterState(NamedTuple):
     field_offset: FloatArray  # (n, 2) heading by which the field is off throughout, rad; its variance
     heading: FloatArray  # (n, 4) cosine and sine sums of an open heading, their possible length; seconds
     rest: FloatArray  # (n, 10) average rate, force, their variances, seconds at rest, and see ``rest_rows``
-    device_shift: FloatArray  # (d, 3) found error of a fixed point's arm, m
+    device_shift: FloatArray  # (d, 3) found error of a device's arm, m
     device_covariance: FloatArray  # (d, 6, 6) its covariance and that of the accelerometer's error
     device_age_s: FloatArray  # (d,) since the device last told something
+    device_fit: (
+        FloatArray  # (d, 2) span of its readings that a fit takes, s; what the last one left, (m/s²)² s
+    )
     readings: FloatArray  # (d, N_READINGS, 5) seconds of frame time, value, standard deviation
     n_readings: IntArray  # (d, 2) how many; 1 while the last one waits for its frames
-    history: FloatArray  # (d, N_HISTORY, 7) time, R f, R r or R (ω × r) towards the device
+    history: FloatArray  # (d, N_HISTORY, N_OF_FRAME) time, R f, the columns of R, ω: of the device's segment,
+    device_turn: FloatArray  # (d, 3, 3) of these into the world: all corrections since the first of them
     unaided_square: FloatArray  # (n,) mean square acceleration over the unaided window while aided, (m/s²)²
+    starting_square: FloatArray  # (n,) the same as a start in motion lets expect, less and less with time
     sun: FloatArray  # (n, 3) cosine and sine sums of the headings that the sun showed, their length; seconds
     vibration: FloatArray  # (n, 14) mean square, samples, and the last four of each axis, see ``vibration``
+    corrections: FloatArray  # (n, 9) horizontal sums of this block and of the one before, seconds; means of
+    # their product and square; doubts of the gyrometer, of rows
     misfit: FloatArray  # (n,) of the joint to the parent: mean square of its residual over what is expected
 
 
@@ -151,10 +166,10 @@ def initial_state(n: int, d: int) -> FilterState:
         z(n, 3, 3), z(n, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6),
         z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
         z(n, 6), z(n, 6, 6), z(n), np.full(n, np.inf),
-        z(n), z(n, 6), z(n, 2), z(n, 4), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf),
+        z(n), z(n, 6), z(n, 2), z(n, 4), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf), z(d, 2),
         z(d, N_READINGS, 5), np.zeros((d, 2), np.int64),
-        np.full((d, N_HISTORY, 7), -np.inf),
-        z(n), z(n, 3), z(n, 14), z(n),
+        np.full((d, N_HISTORY, N_OF_FRAME), -np.inf), np.tile(np.eye(3), (d, 1, 1)),
+        z(n), z(n), z(n, 3), z(n, 14), z(n, 9), z(n),
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
+from gateway.frames import FloatArray, IntArray, Status, StatusArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial import chain_rows
 from gateway.reconstruction.inertial.chain_averages import (
@@ -24,6 +24,8 @@ from gateway.reconstruction.inertial.chain_prediction import (
 )
 from gateway.reconstruction.inertial.chain_scratch import Scratch
 from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
+from gateway.reconstruction.inertial.corrections import note_correction, row_doubt
+from gateway.reconstruction.inertial.device_rows import device_rows, is_heard
 from gateway.reconstruction.inertial.heading_start import (
     bending,
     compass_turn,
@@ -32,27 +34,25 @@ from gateway.reconstruction.inertial.heading_start import (
     reopen_headings,
     shown_heading,
     tilt_spread,
+    turn_beyond,
     turn_evidence,
 )
-from gateway.reconstruction.inertial.lever_arms import Learning, learn_device_arm, learn_joint_arms
-from gateway.reconstruction.inertial.local_rows import local_pair, note_frame
+from gateway.reconstruction.inertial.lever_arms import learn_joint_arms
 from gateway.reconstruction.inertial.rest_rows import note_rolling, rest_rows
 from gateway.reconstruction.inertial.sun_rows import follow_sun
 from gateway.reconstruction.inertial.tree_filter import (
     Evidence,
     add_edge,
-    add_own,
     clear,
     update_outward,
     update_tree,
 )
 
-AIR_VELOCITY = Quantity.AIR_VELOCITY.value
 INTERPOLATED, UNAIDED = Status.INTERPOLATED.value, Status.UNAIDED.value
+LEAST_SQUARE = 1e-9
+"""(m/s²)²: nothing, but no number so small that processors are slow with it."""
 STARTING_S = 2.0
 """So long a device may take to say its first."""
-AIDED_S = 0.5
-"""A local device that has been silent for longer no longer holds up its chain."""
 
 
 @compiled
@@ -89,7 +89,7 @@ def step(
         _follow_field(evidence, body, state, noise, is_valid, field, dt, turns)
     if sees_sun:
         follow_sun(evidence, body, state, noise, is_valid, scratch.sun, dt, turns)
-    _device_rows(body, state, noise, scratch, fixed, dt, time_s)
+    device_rows(body, state, noise, scratch, fixed, dt, time_s)
     rest_rows(evidence, body, state, noise, is_valid, force, resting, scratch.rolling, dt, scratch.anchored)
     _joint_rows(body, state, noise, scratch, is_joint, dt)
     rest_gain = 1.0 - math.exp(-dt / REST_WINDOW_S)
@@ -103,6 +103,8 @@ def step(
         update_outward(body.parents, state.P, evidence, scratch.tree)
     turn_segments(body, state, scratch.tree.x, scratch.rotations)
     for s in range(len(is_valid)):
+        if is_valid[s] == 2.0 and scratch.anchored[scratch.chain[s]] > 0.0 and state.is_open[s] == 0:
+            note_correction(state, s, scratch.tree.x[s, 0], scratch.tree.x[s, 1], dt)
         for i in range(3):
             state.bias[s, i] += scratch.tree.x[s, 3 + i]
             if is_valid[s] == 2.0:
@@ -164,49 +166,6 @@ def _follow_field(
 
 
 @compiled
-def _device_rows(
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    scratch: Scratch,
-    fixed: IntArray,
-    dt: float,
-    time_s: float,
-) -> None:
-    """Rows of all local devices; marks the segments that one of them holds up."""
-    evidence, turns, motion, anchored = scratch.evidence, scratch.turns, scratch.motion, scratch.anchored
-    for d in range(len(fixed)):
-        s = body.device_segment[d]
-        state.device_age_s[d] += dt
-        if scratch.is_valid[s] < 2.0:
-            continue
-        if fixed[d]:
-            anchored[s] = 1.0  # also while its row waits for the averages
-            if state.fresh_s[s] > SETTLED * noise.smoothing_s:
-                _fixed_row(evidence, body, state, noise, scratch.learning, d, s, scratch.K[s], motion[s], dt)
-            continue
-        note_frame(body, state, noise, scratch.observed, d, time_s)
-        is_new, u, y, variance, span = local_pair(body, state, noise, d, time_s)
-        if is_new:
-            interval = min(state.device_age_s[d], span)
-            state.device_age_s[d] = 0.0
-            # overlapping windows share their readings, and frames with their errors
-            variance += noise.specific_force**2 + (noise.lever_arm * motion[s]) ** 2 + state.vibration[s, 0]
-            variance *= max(1.0, span / interval)
-            if body.device_kind[d] == AIR_VELOCITY:
-                # both sides turn with the segment: all that the row shows is where down is
-                u, y = u - y - body.gravity, body.at_rest
-            if body.parents[s] < 0 and state.is_open[s]:
-                gather_heading(state, s, u, y, variance + tilt_spread(state, s, interval), interval)
-                _open_root(evidence, body, state, noise, s, turns)
-            chain_rows.known_row(
-                evidence, state, noise, s, u, y, variance, state.is_open[s] == 1 or turns[s, 2] != 0.0
-            )
-        if state.device_age_s[d] < AIDED_S:
-            anchored[s] = 1.0
-
-
-@compiled
 def mark_unaided(
     body: ChainBody, state: FilterState, scratch: Scratch, fixed: IntArray, time_s: float, status: StatusArray
 ) -> None:
@@ -218,63 +177,11 @@ def mark_unaided(
             chain[s] = chain[body.parents[s]]
     for d in range(len(fixed)):
         c, age_s = chain[body.device_segment[d]], state.device_age_s[d]
-        is_heard = age_s < AIDED_S or (age_s == np.inf and time_s < STARTING_S)
-        held_up[c] = max(held_up[c], 2.0 if is_heard or fixed[d] else 1.0)
+        is_aiding = fixed[d] or is_heard(state, d) or (age_s == np.inf and time_s < STARTING_S)
+        held_up[c] = max(held_up[c], 2.0 if is_aiding else 1.0)
     for s in range(n):
         if held_up[chain[s]] == 1.0 and status[s] <= INTERPOLATED:
             status[s] = UNAIDED
-
-
-@compiled
-def _fixed_row(
-    evidence: Evidence,
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    learning: Learning,
-    d: int,
-    s: int,
-    K: FloatArray,
-    motion: float,
-    dt: float,
-) -> None:
-    """A point of segment s that does not move."""
-    if state.device_covariance[d, 0, 0] == 0.0:
-        for i in range(3):
-            state.device_covariance[d, i, i] = noise.lever_arm_offset**2
-            state.device_covariance[d, 3 + i, 3 + i] = noise.force_bias**2
-    u = np.empty(3)
-    felt_into(u, state.force[s], K, body.device_arm[d], state.device_shift[d], 0)
-    variance = chain_rows.row_variance(noise, motion, dt)
-    at_once = variance * dt / noise.row_memory_s
-    variance += learn_device_arm(state, noise, learning, d, s, u, body.at_rest, K, variance, at_once, dt)
-    chain_rows.known_row(evidence, state, noise, s, u, body.at_rest, variance, False)
-
-
-@compiled
-def _open_root(
-    evidence: Evidence, body: ChainBody, state: FilterState, noise: Noise, s: int, turns: FloatArray
-) -> None:
-    """Once shown, the heading against the world: turns the whole tree."""
-    variance, angle = shown_heading(state, noise, s)
-    if variance > 0.0:
-        state.is_open[s] = 0
-        row = np.zeros(3)
-        row[2] = 1.0
-        add_own(evidence, s, row, 0.0, variance)
-        _turn_beyond(body, state, s, angle, turns)
-
-
-@compiled
-def _turn_beyond(body: ChainBody, state: FilterState, s: int, angle: float, turns: FloatArray) -> None:
-    """Segment s and all beyond it, up to those that have kept their own headings while it was lost."""
-    beyond = np.zeros(len(body.parents))
-    beyond[s] = 1.0
-    for c in range(s, len(body.parents)):
-        if body.parents[c] >= 0 and beyond[body.parents[c]] > 0.0:
-            beyond[c] = 1.0 if state.is_open[c] == 1 or not is_apart(body, state, c) else 0.0
-        if beyond[c] > 0.0:
-            turns[c, 2] += angle
 
 
 @compiled
@@ -304,10 +211,15 @@ def _joint_rows(
 
 @compiled
 def _unaided_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, dt: float) -> None:
-    """All segments of a chain that nothing holds up share one: that averages their accelerometers' errors."""
+    """All segments of a chain that nothing holds up share one: that averages their accelerometers' errors.
+
+    Where one is held up, its segments have a weak one of their own until their inclinations are settled.
+    """
     is_valid, chain, sharing = scratch.is_valid, scratch.chain, scratch.sharing
+    decay = math.exp(-dt / noise.starting_memory_s)
     for s in range(len(chain)):
         sharing[s] = 0.0
+        state.starting_square[s] = max(state.starting_square[s] * decay, LEAST_SQUARE)
     for s in range(len(chain)):
         if is_valid[s] == 2.0:
             sharing[chain[s]] += 1.0
@@ -316,6 +228,7 @@ def _unaided_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Sc
             continue
         if scratch.anchored[chain[s]] > 0.0:
             chain_rows.note_aided(state, noise, s, body.at_rest, dt)
+            chain_rows.starting_row(scratch.evidence, state, noise, s, body.at_rest, dt)
         else:
             chain_rows.unaided_row(scratch.evidence, state, noise, s, body.at_rest, sharing[chain[s]], dt)
 
@@ -352,7 +265,7 @@ def _joint_row(
         if shown > 0.0:
             state.is_open[s] = 0
             _settle(evidence, s, shown)
-            _turn_beyond(body, state, s, angle, turns)
+            turn_beyond(body, state, s, angle, turns)
             return
     elif turns[s, 2] != 0.0 or turns[p, 2] != 0.0:
         return  # this instant's averages are those before the turn
@@ -360,6 +273,8 @@ def _joint_row(
         at_once = variance * dt / noise.row_memory_s
         added = learn_joint_arms(state, noise, scratch.learning, s, p, u, u_p, K[s], K[p], at_once, dt)
         variance += added * noise.row_memory_s / dt
+    if not is_lost:
+        variance *= row_doubt(state, s, p)
     chain_rows.joint_row(evidence, state, noise, s, p, u, u_p, variance, dt, is_lost)
 
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot
@@ -133,3 +135,15 @@ def turn_evidence(state: FilterState, s: int, angle: float) -> None:
     cosine, sine = math.cos(angle), math.sin(angle)
     x, y = heading[0], heading[1]
     heading[0], heading[1] = x * cosine + y * sine, y * cosine - x * sine
+
+
+@compiled
+def turn_beyond(body: ChainBody, state: FilterState, s: int, angle: float, turns: FloatArray) -> None:
+    """Segment s and all beyond it, up to those that have kept their own headings while it was lost."""
+    beyond = np.zeros(len(body.parents))
+    beyond[s] = 1.0
+    for c in range(s, len(body.parents)):
+        if body.parents[c] >= 0 and beyond[body.parents[c]] > 0.0:
+            beyond[c] = 1.0 if state.is_open[c] == 1 or not is_apart(body, state, c) else 0.0
+        if beyond[c] > 0.0:
+            turns[c, 2] += angle

@@ -115,7 +115,7 @@ class ChainReconstructor:
     def turned_back(self) -> ChainReconstructor:
         """The same estimator, to go backward from where this one is; see ``time_reversal``."""
         back = type(self)(self._suit, self._nominal_interval_s, self._settings)
-        back._use(turned_back(self._state, self._settings.noise))
+        back._use(turned_back(self._state, self._settings.noise, self._body.gravity))
         return back
 
     def _use(self, state: FilterState) -> None:

@@ -3,10 +3,11 @@
 The two sides of a joint's row are ``force + K r`` with the swing ``K = R ([ω̇]× + [ω]×²)``. Arms that are off
 by ``e`` leave ``u − u_p = … − K e + K_p e_p``: linear in e with coefficients that the motion changes all the
 time, so orientation and arms can be told apart. Each joint has a small Kalman filter of its own for its
-six components; the orientation error enters it as noise that stays for ``ORIENTATION_MEMORY_S``, and what the
+six components; the orientation error enters it as noise that stays for a while, and what the
 arms are still uncertain of enters the orientation's rows. Directions that never show stay as measured.
-Where a fixed point holds a segment, the constant error ``b`` of its accelerometer shows too, as ``R b``
-through the low-pass; between two modules it does not show well enough to be of use.
+Where a segment has a local device, the place of that on it is found in the same way, and the constant error
+``b`` of the accelerometer shows too, as ``R b`` averaged as the row is; between two modules it does not show
+well enough to be of use.
 A joint's rows are correlated over the low-pass, so what they say of constants is asked every ``LEARN_S``.
 """
 
@@ -21,9 +22,12 @@ from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial.blocks import times_vector_into
 from gateway.reconstruction.inertial.chain_state import FilterState, Noise
+from gateway.reconstruction.inertial.local_rows import LocalPair
 from gateway.reconstruction.inertial.tree_filter import Three
 
-ORIENTATION_MEMORY_S = 1.0
+POINT_MEMORY_S = 1.0
+"""For which an orientation error stays where a point of the body is known: a constant error of the
+accelerometer looks much the same. Between two modules it stays no longer than other errors of a row."""
 LEARN_S = 0.025
 """How often a joint is asked, at most: half the low-pass' time constant, a quarter of what rows share."""
 PHASES = 3
@@ -112,8 +116,9 @@ def learn_joint_arms(
     )
     residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
     variance = at_once * noise.row_memory_s / interval_s
+    memory = noise.row_memory_s / interval_s
     state.arm_variance[s] = learn_rows(
-        state.arm_covariance[s], work, residual, off, variance, at_once, noise.huber, interval_s
+        state.arm_covariance[s], work, residual, off, variance, at_once, noise.huber, memory
     )
     change = work.change
     for i in range(6):
@@ -125,7 +130,7 @@ def learn_joint_arms(
 
 
 @compiled
-def learn_device_arm(
+def learn_fixed_point(
     state: FilterState,
     noise: Noise,
     work: Learning,
@@ -138,25 +143,77 @@ def learn_device_arm(
     at_once: float,
     dt: float,
 ) -> float:
-    """The same of fixed point d of segment s, at which u must be the known y; and ``state.force_bias[s]``."""
-    off = spread(y[0], y[1], y[2], own_covariance(state, s))
-    rows, change = work.rows, work.change
+    """Corrects ``state.device_shift[d]`` of a fixed point of segment s, at which u must be the known y, and
+    ``state.force_bias[s]``; u (3,) in place. Returns what their uncertainty adds to the row, (m/s²)²."""
     for i in range(3):
         for j in range(3):
-            rows[i, j] = -K[i, j]
-            # R through the low-pass, whose derivative went through it as the swing
-            rows[i, 3 + j] = state.R[s, i, j] - noise.smoothing_s * state.swing[s, i, j]
-    residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
-    added = learn_rows(state.device_covariance[d], work, residual, off, variance, at_once, noise.huber, dt)
+            work.rows[i, j] = -K[i, j]
+            work.rows[i, 3 + j] = _averaged_turn(state, noise, s, i, j)
+    return _learn_point(state, noise, work, d, s, u, y, variance, at_once, dt)
+
+
+@compiled
+def learn_device(
+    state: FilterState,
+    noise: Noise,
+    work: Learning,
+    d: int,
+    s: int,
+    pair: LocalPair,
+    variance: float,
+    at_once: float,
+    dt: float,
+) -> float:
+    """The same of a device that tells how its point moves; corrects ``pair.u``."""
+    for i in range(3):
+        for j in range(3):
+            work.rows[i, j], work.rows[i, 3 + j] = -pair.arm[i, j], pair.turn[i, j]
+    added = _learn_point(state, noise, work, d, s, pair.u, pair.y, variance, at_once, dt)
+    history, change = state.history[d], work.change
+    for k in range(len(history)):
+        if history[k, 0] == -np.inf:
+            continue
+        for i in range(3):
+            for j in range(3):
+                history[k, 1 + i] -= history[k, 4 + 3 * j + i] * change[3 + j]
+    return added
+
+
+@compiled
+def _averaged_turn(state: FilterState, noise: Noise, s: int, i: int, j: int) -> float:
+    """An element of R through the low-pass, whose derivative went through it as the swing."""
+    return float(state.R[s, i, j] - noise.smoothing_s * state.swing[s, i, j])
+
+
+@compiled
+def _learn_point(
+    state: FilterState,
+    noise: Noise,
+    work: Learning,
+    d: int,
+    s: int,
+    u: FloatArray,
+    y: FloatArray,
+    variance: float,
+    at_once: float,
+    dt: float,
+) -> float:
+    """By ``work.rows``: columns of the arm, of the accelerometer's error."""
+    off = spread(y[0], y[1], y[2], own_covariance(state, s))
+    residual, change = (u[0] - y[0], u[1] - y[1], u[2] - y[2]), work.change
+    memory = max(1.0, POINT_MEMORY_S / dt)
+    added = learn_rows(
+        state.device_covariance[d], work, residual, off, variance, at_once, noise.huber, memory
+    )
     for i in range(3):
         state.device_shift[d, i] += change[i]
         state.force_bias[s, i] += change[3 + i]
         for j in range(6):
-            u[i] -= rows[i, j] * change[j]
-        for j in range(3, 6):  # the averages as if the accelerometer's error had always been known so
-            state.force[s, i] -= rows[i, j] * change[j]
-            state.last_force[s, i] -= state.R[s, i, j - 3] * change[j]
-    return added * noise.row_memory_s / dt
+            u[i] -= work.rows[i, j] * change[j]
+        for j in range(3):  # the averages as if the accelerometer's error had always been known so
+            state.force[s, i] -= _averaged_turn(state, noise, s, i, j) * change[3 + j]
+            state.last_force[s, i] -= state.R[s, i, j] * change[3 + j]
+    return added
 
 
 @compiled
@@ -168,16 +225,15 @@ def learn_rows(
     variance: float,
     at_once: float,
     huber: float,
-    dt: float,
+    memory: float,
 ) -> float:
     """``work.change`` ← three scalar updates by ``work.rows`` and their residuals; P (6, 6) changes in place.
-    Returns the mean variance that P meant for a component beforehand.
+    Returns the mean variance that P meant for a component beforehand. memory: rows for which ``off`` stays.
 
     P itself is changed once, by all three: a row's gain is that by the first P less its shares in the gains
     of the rows before it.
     """
     rows, gains, scaled, found, added = work.rows, work.gains, work.scaled, work.found, 0.0
-    memory = max(1.0, ORIENTATION_MEMORY_S / dt)
     for i in range(3):
         times_vector_into(gains[i], P, rows[i])
         added += _dot(rows[i], gains[i])

@@ -11,18 +11,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.frames import ImuFrame, LocalReading, Quantity
+from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity
+from gateway.reconstruction.inertial.chain_prediction import start_acceleration
 from gateway.reconstruction.inertial.chain_state import FilterState, Noise, initial_state
 
 KEPT = (
     "R", "is_started", "is_open", "silent_s", "force_bias", "arm", "arm_covariance", "compass_s",
     "field_seen", "field_offset", "sun", "unaided_square", "device_shift", "device_covariance",
-    "device_age_s", "rest", "misfit", "vibration",
+    "device_age_s", "rest", "misfit", "vibration", "corrections",
 )  # fmt: skip
 """Of the state, what is the same seen backward."""
 
 
-def turned_back(state: FilterState, noise: Noise) -> FilterState:
+def turned_back(state: FilterState, noise: Noise, gravity: FloatArray) -> FilterState:
     """The state to go backward with from where ``state`` is: orientations, biases, lever arms and shown
     headings are kept; the rows' averages begin anew. The clock stands at 0, where the last frame lies: it has
     been taken, and turning by its rate once more would be off by a whole interval.
@@ -30,6 +31,7 @@ def turned_back(state: FilterState, noise: Noise) -> FilterState:
     Recordings end in mid-motion as often as at rest: a backward filter that knew nothing would first of all
     take that motion's acceleration for a tilt. But it is as unsure as a beginning: what the forward filter
     knows would count twice where the two are put together, and an error at its end would be carried back.
+    gravity: (3,) m/s².
     """
     back = initial_state(len(state.is_started), len(state.device_age_s))
     sign = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
@@ -43,6 +45,8 @@ def turned_back(state: FilterState, noise: Noise) -> FilterState:
     forgotten = np.array([noise.start_tilt] * 2 + [noise.start_heading] + [noise.bias] * 3) ** 2
     back.P[:, range(6), range(6)] += forgotten
     back.field_offset[:, 1] = noise.heading**2
+    for s, (force, rate) in enumerate(zip(state.last_force, state.rate, strict=True)):
+        back.starting_square[s] = noise.starting_share * start_acceleration(gravity, force, rate)
     return back
 
 

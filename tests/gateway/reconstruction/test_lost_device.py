@@ -70,7 +70,8 @@ def test_a_lost_device_is_told_and_taken_up_again_without_a_jump(moved):
     found = solved(suit, with_readings(moved, Quantity.POSITION, range(lost, back)))
     is_unaided = np.array([(frame.status == Status.UNAIDED).all() for frame in found])
     assert not is_unaided[:lost].any()
-    assert np.flatnonzero(is_unaided)[0] - lost == pytest.approx(50, abs=3)
+    # after half a second; of such coarse readings every fifth is taken
+    assert np.flatnonzero(is_unaided)[0] - lost == pytest.approx(50, abs=5)
     assert np.flatnonzero(is_unaided)[-1] - back < 20
     q_wb = np.stack([frame.q_wb for frame in found])
     assert np.isfinite(q_wb).all()
@@ -122,3 +123,24 @@ def test_tubes_tell_inclination(moved):
     assert errors[0] < 1.0
     assert errors[0] < 0.6 * errors[1]
     assert (tubes[-1].status == Status.MEASURED).all()
+
+
+@pytest.mark.parametrize("quantity", [Quantity.POSITION, Quantity.VELOCITY])
+def test_where_a_device_sits_is_found(quantity, moved):
+    """Measured 4 cm wrong; its readings are good to a millimetre, or a millimetre a second."""
+    rig, error = worn(quantity), np.array([0.03, -0.02, 0.015])
+    wrong = replace(rig.local_devices[0], position=POINT - error)
+    frames = [
+        replace(frame, local=tuple(replace(r, sigma=np.full(3, 0.001)) for r in frame.local))
+        for frame in with_readings(moved, quantity)
+    ]
+    body = create_reconstructor("joint", replace(rig, local_devices=(wrong,)), 0.01)
+    found = update_many(body, frames)
+    left = body.finder.state()["device_shift"][0] - error
+    assert np.linalg.norm(left) < 0.25 * np.linalg.norm(error)
+    right = update_many(create_reconstructor("joint", rig, 0.01), frames)
+    errors = [
+        np.degrees(orientation_error(np.stack([f.q_wb for f in q]), moved[0].q_wb).total[600:]).mean()
+        for q in (found, right)
+    ]
+    assert errors[0] < 1.5 * errors[1] + 0.1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.fast_arm import fast_arm
-from gateway.reconstruction.inertial import chain_step
+from gateway.reconstruction.inertial import chain_step, device_rows
 from gateway.reconstruction.inertial.chain_averages import average
 from gateway.reconstruction.inertial.chain_rows import unaided_row
 from gateway.reconstruction.inertial.chain_scratch import scratch as scratch_of
@@ -39,9 +39,9 @@ def test_a_chain_is_held_up_also_while_its_rows_wait_for_their_averages(fresh_s,
     state.fresh_s[:] = fresh_s
     rows = []
     monkeypatch.setattr(chain_step, "_joint_row", lambda *a: rows.append(a))
-    monkeypatch.setattr(chain_step, "_fixed_row", lambda *a: rows.append(a))
+    monkeypatch.setattr(device_rows, "_fixed_row", lambda *a: rows.append(a))
     monkeypatch.setattr(chain_step, "_unaided_rows", lambda *a: None)
-    chain_step._device_rows.__wrapped__(BODY, state, Noise(), scratch, np.ones(1, np.int64), DT, 1.0)
+    device_rows.device_rows.__wrapped__(BODY, state, Noise(), scratch, np.ones(1, np.int64), DT, 1.0)
     chain_step._joint_rows.__wrapped__(BODY, state, Noise(), scratch, True, DT)
     assert scratch.chain.tolist() == [0] * N
     assert scratch.anchored[0] == 1.0

@@ -19,6 +19,9 @@ RATE_HZ = 100
 SLOW = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
 def quaternions(*rotation_vectors):
     return Rotation.from_rotvec(rotation_vectors).as_quat(scalar_first=True, canonical=True)
 
@@ -73,7 +76,7 @@ def test_turning_a_state_back_twice_keeps_what_it_knows():
     state, rng = initial_state(3, 1), np.random.default_rng(1)
     for name in ("bias", "force_bias", "arm", "C", "field_seen", "device_shift"):
         getattr(state, name)[...] = rng.normal(size=getattr(state, name).shape)
-    again = turned_back(turned_back(state, Noise()), Noise())
+    again = turned_back(turned_back(state, Noise(), GRAVITY), Noise(), GRAVITY)
     for name in ("bias", "force_bias", "arm", "C", "field_seen", "device_shift"):
         np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
 
@@ -82,10 +85,20 @@ def test_the_last_frame_is_not_taken_twice():
     state = initial_state(2, 1)
     state.time_ns[:] = 7_000_000_000, 1_000_000_000
     state.rest[:] = np.arange(10.0)
-    back = turned_back(state, Noise())
+    back = turned_back(state, Noise(), GRAVITY)
     (last, _), _ = seen_backward([frame(10), frame(20)], 20, [])
     assert last.time_ns == 0 == back.time_ns[0]
     np.testing.assert_array_equal(back.rest[0], [-0.0, -1.0, -2.0, *range(3, 10)])
+
+
+def test_the_way_back_knows_that_it_begins_in_motion():
+    state = initial_state(2, 0)
+    state.last_force[0] = 0.0, 0.0, 9.81  # at rest
+    state.last_force[1] = 6.0, 0.0, 12.0
+    state.rate[1] = 0.0, 5.0, 0.0
+    back = turned_back(state, Noise(), GRAVITY)
+    assert back.starting_square[0] == 0.0
+    assert back.starting_square[1] > 1.0
 
 
 def test_a_method_that_cannot_go_backward_says_so(tmp_path):

@@ -1,0 +1,76 @@
+"""Position devices as coarse as radio beacons: they may tell little, but lead nothing astray."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.fast_arm import sampled
+from benchmarks.random_chains import RandomChain, drawn
+from gateway.body.skeleton import WornSuit
+from gateway.comparison import orientation_error
+from gateway.frames import Quantity
+from gateway.reconstruction.inertial.chain_state import N_READINGS, Noise, initial_state
+from gateway.reconstruction.inertial.joint import JointReconstructor
+from gateway.reconstruction.inertial.local_rows import (
+    LONGEST_WINDOW_S,
+    WINDOW_CHANGE,
+    derivative_weights,
+    take_reading,
+)
+from gateway.reconstruction.reconstructor import update_many
+
+NOISE = Noise()
+
+
+@pytest.mark.parametrize(("sigma_m", "every_s"), [(0.1, 0.1), (0.02, 0.03), (0.3, 0.2)])
+@pytest.mark.parametrize("seed", [7048, 7003])
+def test_a_coarse_device_is_no_worse_than_none(seed: int, sigma_m: float, every_s: float) -> None:
+    """Fitted over a fifth of a second, 10 cm at 10 Hz said nothing, but took the place of what is known
+    without a device: errors of 17°."""
+    chain = drawn(seed)
+    assert chain.held_by == "position device"
+    chain = chain._replace(
+        switches=replace(chain.switches, device_sigma_m=sigma_m, device_every_s=every_s), rate_hz=100.0
+    )
+    with_device = _mean_error_deg(chain, chain.suit)
+    without = _mean_error_deg(chain, replace(chain.suit, local_devices=()))
+    assert with_device < max(1.2 * without, 1.0)
+
+
+def _mean_error_deg(chain: RandomChain, suit: WornSuit) -> float:
+    observed = sampled(chain.suit, chain.motion, chain.switches, chain.seed, chain.rate_hz)
+    poses = update_many(JointReconstructor(suit, 1.0 / chain.rate_hz), observed)
+    settled = [pose for pose in poses if pose.time_ns > 4e9]
+    truth = chain.motion.state(np.array([pose.time_ns for pose in settled]) * 1e-9).q_wb
+    error = orientation_error(np.stack([pose.q_wb for pose in settled]), truth)
+    return float(np.degrees(np.sqrt(np.mean(error.total**2))))
+
+
+@pytest.mark.parametrize(
+    ("kind", "sigma"), [(Quantity.POSITION, 0.01), (Quantity.POSITION, 0.05), (Quantity.VELOCITY, 0.2)]
+)
+def test_the_window_leaves_what_is_asked_of_the_readings_noise(kind: Quantity, sigma: float) -> None:
+    window_s = _window_s(kind, [sigma])
+    times = np.linspace(0.0, window_s, N_READINGS)
+    order = 2 if kind is Quantity.POSITION else 1
+    left = sigma * float(np.sqrt(np.sum(derivative_weights(times, order) ** 2)))
+    assert left == pytest.approx(NOISE.local_acceleration, rel=0.2)  # √720 and √12 are those of many readings
+
+
+def test_windows_have_a_least_and_a_longest_and_do_not_flutter() -> None:
+    assert _window_s(Quantity.POSITION, [0.0]) == NOISE.local_window_s
+    assert _window_s(Quantity.ACCELERATION, [5.0]) == NOISE.local_window_s
+    assert _window_s(Quantity.AIR_VELOCITY, [5.0]) == NOISE.local_window_s
+    assert _window_s(Quantity.POSITION, [50.0]) == LONGEST_WINDOW_S
+    little_more = 0.05 * 0.9 * WINDOW_CHANGE**2
+    assert _window_s(Quantity.POSITION, [0.05, little_more]) == _window_s(Quantity.POSITION, [0.05])
+    assert _window_s(Quantity.POSITION, [0.05, 0.2]) == _window_s(Quantity.POSITION, [0.2])
+
+
+def _window_s(kind: Quantity, sigmas: list[float]) -> float:
+    """Of a device that has given readings that certain."""
+    state = initial_state(1, 1)
+    for k, sigma in enumerate(sigmas):
+        take_reading(state, NOISE, 0, int(kind), float(k), np.zeros(3), sigma)
+    return float(state.device_fit[0, 0])
