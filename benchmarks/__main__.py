@@ -13,6 +13,7 @@ SUITES = (
     "accuracy",
     "gyro_free",
     "beginnings",
+    "chains",
     "speed",
     "latency",
     "outputs",

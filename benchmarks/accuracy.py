@@ -23,6 +23,7 @@ from benchmarks.optical_reference import WINDOW_S, gyrometer_disagreement, in_ti
 from benchmarks.peers import NO_FIELD, SMOOTHED, solved
 from benchmarks.scoring import Score, score
 from devices.emulators.recording_formats import (
+    RING_OPTICAL_LAG_S,
     read_broad,
     read_repoimu_pendulum,
     read_repoimu_tstick,
@@ -34,6 +35,9 @@ from gateway.body.rig import load_rig
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[2] / "shared" / "data"))
 PEER, OURS = "independent", "joint"
 HALF_LATER = "independent, ½ sample later"
+DESCRIBED = ", lag as described"
+DESCRIBED_LAG_S = 0.020
+"""Of the optical system of ``ring_chain5`` by the data's description; its rates show less."""
 FLOOR = f"gyrometers alone, {WINDOW_S:g} s at a time"
 METHODS = (PEER, "imufusion", "articulated", "outward", NO_FIELD, OURS, SMOOTHED)
 OF_ONE_SEGMENT = (PEER, "imufusion", "articulated", OURS, SMOOTHED)
@@ -145,6 +149,10 @@ def _ratios(scores: dict[tuple[str, str], list[Score]]) -> Iterator[Figure]:
             note = "`joint` without magnetometers over `joint` with them, mean total error"
             ratio = float(without.mean() / ours.mean())
             yield Figure(f"{group}_magnetometer_free_ratio", ratio, "", "<=1.2", note)
+    if ("ring_rigid", PEER) in scores:
+        peer, ours = (scores["ring_rigid", m + DESCRIBED][0].tilt.mean() for m in (PEER, OURS))
+        note = f"{COMPARED}, mean tilt error, with an optical lag of 20 ms in place of 16 ms"
+        yield Figure("ring_rigid_tilt_ratio_vqf_lag_as_described", float(ours / peer), "", "", note)
     if ("pendulum", PEER) in scores:
         peer, ours = (scores["pendulum", m][0].total[:2].mean() for m in (PEER, OURS))
         note = f"{COMPARED}, mean total error of segments 1 and 2: the third one's reference is the worst"
@@ -183,6 +191,9 @@ def _solve(recording: Recording, trial: Trial) -> Iterator[tuple[str, Score]]:
         times_s, q_wb = orientations(frames, first_s)
         sigma = np.stack([frame.sigma for frame in frames])
         yield method, score(times_s, q_wb, recording, trial.from_s, sigma)
+        if trial.figure == "ring_rigid" and method in (PEER, OURS):
+            late_s = times_s + DESCRIBED_LAG_S - RING_OPTICAL_LAG_S
+            yield method + DESCRIBED, score(late_s, q_wb, recording, trial.from_s)
         if method == PEER:
             later_s = times_s + 0.5 / recording.sampling_rate_hz
             yield HALF_LATER, score(later_s, q_wb, recording, trial.from_s)

@@ -22,9 +22,8 @@ from benchmarks.fast_arm import (
 from benchmarks.figures import Figure, Report, table
 from benchmarks.peers import NO_FIELD, SMOOTHED, solved
 from benchmarks.scoring import coverage_percent
-from benchmarks.simulation import PLACEMENTS, arm, errors_deg, ideal_frames
+from benchmarks.simulation import ALREADY_MOVING, PLACEMENTS, arm, errors_deg, ideal_frames
 from devices.emulators.motions import BodyMotion, robot_arm_motion
-from devices.emulators.waves import Fade
 from gateway.body.skeleton import WornSuit
 from gateway.cli.emulated_rig import dress
 from gateway.comparison import orientation_error, rmse_deg
@@ -34,7 +33,6 @@ from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 RATES_HZ = (100.0, 200.0, 400.0, 800.0, 1600.0)
 SEEDS = (1, 2, 3)
 SETTLING_S = 4.0
-ALREADY_MOVING = Fade(rest_s=-10.0, ramp_s=1.0)
 SWITCHED = {
     "noise, bias, lever arms 1 cm off": Switches(),
     "nothing wrong": IDEAL,

@@ -46,6 +46,12 @@ class Switches:
     """Scale errors of 0.2 % an axis."""
     lever_arm_m: float = 0.01
     """Each component of where a module really sits."""
+    device_m: float = 0.0
+    """The same of a position device."""
+    device_sigma_m: float = POSITION_SIGMA_M
+    """Noise of its readings, which it claims."""
+    device_every_s: float = 0.0
+    """Its readings come that far apart; 0: with every frame."""
     has_wobble: bool = False
     """Soft tissue: the module swings on its segment, about 2° and 4 mm RMS."""
     clock_residue_s: float = 0.0
@@ -113,8 +119,11 @@ def felt(observed: list[ImuFrame]) -> FloatArray:
 def sampled(
     suit: WornSuit, motion: BodyMotion, switches: Switches, seed: int, rate_hz: float = RATE_HZ
 ) -> list[ImuFrame]:
-    """All frames, sensor axes; where a local device tells the base's position, its readings as well."""
-    n, rng = len(LENGTHS_M), np.random.default_rng([seed, 7])
+    """All frames of a chain, sensor axes; where a local device tells a position, its readings as well.
+
+    suit: any whose modules are those of its segments, in their order and with their axes.
+    """
+    n, rng = suit.skeleton.n_segments, np.random.default_rng([seed, 7])
     times = np.arange(round(SECONDS * rate_hz)) / rate_hz
     at = times[:, None] + switches.clock_residue_s * rng.standard_normal(n)
     state = motion.module_state(np.arange(n), at)
@@ -129,14 +138,33 @@ def sampled(
     if switches.has_wobble:
         values = _wobbling(values, rng, 1.0 / rate_hz)
     frames = _frames(times, _measured(values, switches, rng, 1.0 / rate_hz))
-    if suit.local_devices[0].quantity is not Quantity.POSITION:
-        return frames
-    base = motion.state(times).joint_position[:, 0] + POSITION_SIGMA_M * rng.standard_normal((len(times), 3))
-    sigma = np.full(3, POSITION_SIGMA_M)
-    return [
-        replace(f, local=(LocalReading(POSITION_DEVICE, f.time_ns, Quantity.POSITION, place, sigma),))
-        for f, place in zip(frames, base, strict=True)
-    ]
+    for device in suit.local_devices:
+        if device.quantity is Quantity.POSITION:
+            frames = _with_positions(frames, device, motion, times, switches, rng)
+    return frames
+
+
+def _with_positions(
+    frames: list[ImuFrame],
+    device: LocalDevice,
+    motion: BodyMotion,
+    times: FloatArray,
+    switches: Switches,
+    rng: np.random.Generator,
+) -> list[ImuFrame]:
+    """The frames with a position device's readings."""
+    state, sigma_m = motion.state(times), switches.device_sigma_m
+    place = device.position + switches.device_m * rng.standard_normal(3)
+    told = state.joint_position[:, device.segment] + state.R_wb[:, device.segment] @ place
+    told += sigma_m * rng.standard_normal(told.shape)
+    sigma, next_s, result = np.full(3, sigma_m), 0.0, []
+    for frame, time_s, at in zip(frames, times, told, strict=True):
+        local: tuple[LocalReading, ...] = ()
+        if time_s >= next_s:
+            next_s += switches.device_every_s
+            local = (LocalReading(POSITION_DEVICE, frame.time_ns, Quantity.POSITION, at, sigma),)
+        result.append(replace(frame, local=local))
+    return result
 
 
 def _bent_field(positions: FloatArray, field: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from devices.emulators.ideal_sensors import sense
 from devices.emulators.imperfections import Imperfections
 from devices.emulators.motions import BodyMotion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.emulators.waves import Fade
 from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
@@ -36,7 +37,8 @@ SENSORS = Imperfections(
 """Consumer sensors with lever arms that are 1 cm off."""
 DIP_DEG = 25.0
 """Of the simulated field where the method itself is tried, not its weakness in steep fields."""
-
+ALREADY_MOVING = Fade(rest_s=-10.0, ramp_s=1.0)
+"""For motions without a rest before them."""
 
 PLACEMENTS = {
     "on the joints": (0.0, 0.0, 0.0),

@@ -17,6 +17,7 @@ from benchmarks.__main__ import PAGE, SUITES
 SMALL: dict[str, dict[str, Any]] = {
     "batch": {"SECONDS": 2.0, "SESSIONS": 2},
     "calibration": {"HEADINGS_DEG": (0,)},
+    "chains": {"CHAINS": 3},
     "faults": {
         "CYCLES": 3,
         "FAULTS": (
