@@ -20,7 +20,7 @@ import psutil
 
 from benchmarks.emulated_bus import EmulatedBus
 from benchmarks.emulated_stream import suit_17
-from benchmarks.local_broker import mosquitto_program
+from benchmarks.local_broker import free_port, mosquitto_program
 from devices.emulators import IDEAL, EmulatedSuit, Encoding, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit, pull_cable
@@ -259,9 +259,7 @@ class Broker:
     """mosquitto on a free port, which stays the same when it is killed and started again."""
 
     def __init__(self) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = int(probe.getsockname()[1])
+        self.port = free_port()
         self._folder = tempfile.TemporaryDirectory()
         self._config = Path(self._folder.name) / "mosquitto.conf"
         self._process: subprocess.Popen[bytes] | None = None

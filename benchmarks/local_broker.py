@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import random
 import shutil
 import socket
 import subprocess
@@ -12,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 _START_S = 5.0
+_PORTS = range(10_000, 32_000)
+"""Below those that systems give to connections: in the seconds until somebody listens, none takes it."""
 
 
 def mosquitto_program() -> str:
@@ -23,10 +26,17 @@ def mosquitto_program() -> str:
 
 
 def free_port() -> int:
-    """A port of the loopback interface that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port of the loopback interface that nobody has, for TCP and UDP."""
+    for port in iter(lambda: random.SystemRandom().choice(_PORTS), None):
+        with (
+            contextlib.suppress(OSError),
+            socket.socket() as stream,
+            socket.socket(type=socket.SOCK_DGRAM) as datagram,
+        ):
+            stream.bind(("127.0.0.1", port))
+            datagram.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError  # the choice has no end
 
 
 @contextlib.contextmanager

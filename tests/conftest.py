@@ -20,6 +20,7 @@ import hypothesis
 import numpy as np
 import pytest
 
+from benchmarks.local_broker import free_port
 from devices.emulators import EmulatedSuit, Imperfections, SuitSettings, SuitTraffic
 from devices.emulators.imperfections import IDEAL
 from devices.emulators.transports import Transport
@@ -79,14 +80,6 @@ def _children_find_the_packages() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     inherited = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = str(REPOSITORY) + (f"{os.pathsep}{inherited}" if inherited else "")
-
-
-def free_port() -> int:
-    """A TCP port that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 class Mosquitto:

@@ -345,7 +345,9 @@ def test_a_running_gateway_is_asked(examined, mosquitto, tmp_path):
         options = {"url": port, "rig": "robot_arm_4", "mqtt": {"port": mosquitto.port}, "metrics": metrics}
         assert examined(**options)["metrics"].verdict is Verdict.GOOD  # writes the configuration too
         command = [sys.executable, "-m", "gateway", "run", "-c", str(tmp_path / "gateway.yaml")]
-        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        log = tmp_path / "gateway.log"
+        with log.open("wb") as stderr:
+            process = subprocess.Popen(command, stderr=stderr)
         try:
             deadline = time.monotonic() + 2 * PATIENCE_S
             while True:
@@ -353,7 +355,9 @@ def test_a_running_gateway_is_asked(examined, mosquitto, tmp_path):
                 # states of modules are retained one by one, as they are heard
                 if "clocks" in findings and "with 5 modules" in findings["gateway"].found:
                     break
-                assert time.monotonic() < deadline, findings
+                said = "\n".join([*map(str, findings.values()), log.read_text()])
+                assert process.poll() is None, said
+                assert time.monotonic() < deadline, said
                 time.sleep(0.3)
         finally:
             process.terminate()

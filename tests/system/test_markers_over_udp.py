@@ -24,6 +24,7 @@ from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
+from tests.conftest import free_port
 from tests.marked_person import places_of, subject_file, y_up
 
 pytestmark = pytest.mark.system
@@ -77,9 +78,7 @@ async def gateway_of(settings: GatewaySettings, received: list[ReceivedPose]):
 
 async def test_datagrams_of_markers_become_the_senders_pose(mosquitto, tmp_path):
     path, body, markers = subject_file(tmp_path, "y")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     config = tmp_path / "gateway.yaml"
     config.write_text(
         f"gateway: lab\nrig: {path}\n"
