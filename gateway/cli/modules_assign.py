@@ -150,25 +150,24 @@ class _Fitting:
                 return "done"
 
     async def _next_sign(self) -> dict[str, Any] | str | None:
-        """The module that moved, or a key, or None when the time is over."""
+        """The module that moved, or a key, or None when the time is over.
+
+        A key that was typed while the module of the segment before was looked for counts too.
+        """
         loop = asyncio.get_running_loop()
         end = None if self._timeout is None else loop.time() + self._timeout
-        typing = asyncio.ensure_future(self._lines.next())
         continues = False
-        try:
-            while end is None or loop.time() < end:
-                # In short looks: a gateway asked over MQTT does nothing else meanwhile.
-                found = await self._perform("motion", {"seconds": _LOOK_S, "continues": continues})
-                continues = True
-                if found["module"] is not None:
-                    return found
-                if typing.done() and (key := typing.result()) is not None:
-                    if key in {"s", "r", "u", "q"}:
-                        return key
-                    self._console.print(f"  {_KEYS}")
-                    typing = asyncio.ensure_future(self._lines.next())
-        finally:
-            typing.cancel()
+        while end is None or loop.time() < end:
+            key = self._lines.typed()
+            if key in {"s", "r", "u", "q"}:
+                return key
+            if key is not None:
+                self._console.print(f"  {_KEYS}")
+            # In short looks: a gateway asked over MQTT does nothing else meanwhile.
+            found = await self._perform("motion", {"seconds": _LOOK_S, "continues": continues})
+            continues = True
+            if found["module"] is not None:
+                return found
         return None
 
     async def _agrees(self) -> bool:

@@ -26,6 +26,14 @@ class TypedLines:
         self.has_ended = line is None
         return line
 
+    def typed(self) -> str | None:
+        """The next line if there is one already; None: nothing has been typed, or no more."""
+        if self._lines.empty():
+            return None
+        line = self._lines.get_nowait()
+        self.has_ended = line is None
+        return line
+
     def _read(self) -> None:
         for line in sys.stdin:
             self._put(line.strip().lower())
