@@ -43,7 +43,6 @@ async def page_of(settings, unused_port, chromium):
         assert stranger.status == 401
         await page.goto(f"http://127.0.0.1:{unused_port}/?token={TOKEN}")
         assert TOKEN not in page.url
-        outside.clear()
         yield page, outside
         await browser.close()
     showing.cancel()
