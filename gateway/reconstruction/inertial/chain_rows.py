@@ -32,6 +32,10 @@ FIELD_MEMORY_S = 20.0
 FIELD_CHANGE_S = 3.0
 FIELD_CHANGE = 0.14
 """Of norm (relative) and dip (rad), before any has been seen."""
+FIELD_SMOOTHING_S = 0.05
+"""What differs from sample to sample is the magnetometer's noise, and no change of place."""
+FIELD_PROOF_RAD = 5.0
+"""Turned by so much a module has shown whether the field is as it should be."""
 LEAST_HORIZONTAL = 0.1
 FIRST_LOOK_S = 0.5
 """A heading that nothing else can show is taken from the field within that time."""
@@ -181,21 +185,26 @@ class ExpectedField(NamedTuple):
     norm: float  # µT
     dip: float  # rad, above the horizontal
     horizontal: float  # square of the part of it that shows a heading
+    by_tilt: float  # rad², of the heading it shows, by how accelerometers tilt the module
     gain: float  # of a low-pass of ``FIELD_MEMORY_S``
     change_gain: float  # and of ``FIELD_CHANGE_S``
+    smoothing_gain: float  # and of ``FIELD_SMOOTHING_S``
 
 
 @compiled
-def expected_field(body: ChainBody, dt: float) -> ExpectedField:
+def expected_field(body: ChainBody, noise: Noise, dt: float) -> ExpectedField:
     """dt: since the instant before, s."""
     h = body.field
     level, square = h[0] * h[0] + h[1] * h[1], dot(h, h)
+    horizontal = max(level / square, LEAST_HORIZONTAL**2)
     return ExpectedField(
         math.sqrt(square),
         math.atan2(h[2], math.sqrt(level)),
-        max(level / square, LEAST_HORIZONTAL**2),
+        horizontal,
+        noise.force_bias**2 / dot(body.gravity, body.gravity) * (1.0 / horizontal - 1.0),
         1.0 - math.exp(-dt / FIELD_MEMORY_S),
         1.0 - math.exp(-dt / FIELD_CHANGE_S),
+        1.0 - math.exp(-dt / FIELD_SMOOTHING_S),
     )
 
 
@@ -206,7 +215,8 @@ def watch_field(
     """Heading by which the field is seen off, rad, and how disturbed it looks (1: not at all).
 
     How much its norm and dip change while segment s moves goes to ``state.field_seen[s]``, and how much of
-    that lasts: means of a change to and fro are small.
+    that lasts: means of a change to and fro are small. So does how far they are from what they should be: at
+    once where that is more than before, with the turning of the module where it is less.
     """
     h, seen = body.field, _seen(state.R[s], m)
     off = math.atan2(h[0] * seen[1] - h[1] * seen[0], h[0] * seen[0] + h[1] * seen[1])
@@ -214,15 +224,21 @@ def watch_field(
     mean = state.field_seen[s]
     if mean[3] == 0.0:
         mean[0], mean[1], mean[2] = length, dip, FIELD_CHANGE**2
-        mean[4], mean[5] = FIELD_CHANGE, 0.0
+        mean[4], mean[5], mean[8] = FIELD_CHANGE, 0.0, FIELD_CHANGE**2
     mean[3] += dt
     gain = max(expected.gain, dt / mean[3])
     mean[0] += gain * (length - mean[0])
     mean[1] += gain * (dip - mean[1])
-    of_norm, of_dip = length / mean[0] - 1.0, dip - mean[1]
+    mean[6] += expected.smoothing_gain * (length / mean[0] - 1.0 - mean[6])
+    mean[7] += expected.smoothing_gain * (dip - mean[1] - mean[7])
+    of_norm, of_dip = mean[6], mean[7]
     mean[2] += expected.change_gain * (of_norm * of_norm + of_dip * of_dip - mean[2])
     mean[4] += expected.change_gain * (of_norm - mean[4])
     mean[5] += expected.change_gain * (of_dip - mean[5])
+    stronger, steeper = (1.0 + of_norm) * mean[0] / expected.norm - 1.0, of_dip + mean[1] - expected.dip
+    wrong, w = stronger * stronger + steeper * steeper, state.rate[s]
+    proof = expected.change_gain if wrong > mean[8] else math.sqrt(dot(w, w)) * dt / FIELD_PROOF_RAD
+    mean[8] += min(proof, 1.0) * (wrong - mean[8])
     steeper, stronger = (dip - expected.dip) / DIP_TOLERANCE, (length / expected.norm - 1.0) / NORM_TOLERANCE
     return off, 1.0 + steeper * steeper + stronger * stronger
 
@@ -242,14 +258,21 @@ def field_row(
     """Heading by the field, weak. off, disturbance: see ``watch_field``.
 
     How far it is off throughout is found beside the heading and taken off: a field that stays as it is holds
-    a heading where it was, but does not say where that is. What bends the dip bends the heading too, the more
-    the steeper the field: for ``heading_memory_s`` to the same side where the change lasts, for no longer
-    than it is watched where it comes and goes.
+    a heading where it was, but does not say where that is. How far it may be off is told by how far norm and
+    dip are from what they should be: where they are right while the module turns and travels, it is the
+    earth's, and shows headings but for how accelerometers are off. What bends the dip bends the heading too,
+    the more the steeper the field: for ``heading_memory_s`` to the same side where the change lasts, for no
+    longer than it is watched where it comes and goes.
     """
     seen, offset = state.field_seen[s], state.field_offset[s]
     change = seen[2] / expected.horizontal
     fleeting = max(0.0, seen[2] - seen[4] * seen[4] - seen[5] * seen[5]) / expected.horizontal
-    offset[1] = min(offset[1] + noise.heading**2 * dt / noise.heading_offset_s, noise.heading**2)
+    largest = min(noise.heading**2, seen[8] / expected.horizontal + expected.by_tilt)
+    offset[1] += largest * dt / noise.heading_offset_s + max(0.0, largest - offset[2])
+    offset[2] = largest
+    if offset[1] > largest:
+        offset[0] *= largest / offset[1]
+        offset[1] = largest
     straying, uncertain = offset[1] + change, min(state.P[s, 2, 2], OPEN_SIGMA**2)
     off -= offset[0]
     weight = max(1.0, abs(off) / math.sqrt(straying + uncertain) / noise.huber) * disturbance

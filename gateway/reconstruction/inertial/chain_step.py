@@ -148,7 +148,7 @@ def _follow_field(
     turns: FloatArray,
 ) -> None:
     """A row where the heading is settled; where it is open the field leads it as a compass."""
-    expected = chain_rows.expected_field(body, dt)
+    expected = chain_rows.expected_field(body, noise, dt)
     for s in range(len(body.parents)):
         if is_valid[s] < 1.0:
             continue  # a saturated gyrometer has lost it: the field would seem disturbed

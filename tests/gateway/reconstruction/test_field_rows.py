@@ -9,19 +9,18 @@ from gateway.reconstruction.inertial.chain_rows import expected_field, field_row
 from gateway.reconstruction.inertial.chain_state import Noise, chain_body, initial_state
 from gateway.reconstruction.inertial.tree_filter import no_evidence
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-
 DT, N, SEGMENT = 0.05, 5, 2
 BODY, NOISE = chain_body(fast_arm(), uses_field=True), Noise()
 
 
-def watched(seconds, field_at, sigma):
+def watched(seconds, field_at, sigma, rate=0.0):
     """State; then the heading that the last row tells, rad, and how surely, 1/rad². The segment's heading is
-    right, and known to sigma."""
+    right, and known to sigma; rate: at which it is taken to turn, rad/s."""
     state = initial_state(N, 1)
     state.R[:] = np.eye(3)
-    state.field_offset[:, 1] = NOISE.heading**2
-    expected = expected_field(BODY, DT)
+    state.rate[:, 0] = rate
+    state.field_offset[:, 1:] = NOISE.heading**2
+    expected = expected_field(BODY, NOISE, DT)
     for k in range(round(seconds / DT)):
         state.P[SEGMENT, 2, 2] = sigma**2
         evidence = no_evidence(N)
@@ -54,6 +53,44 @@ def test_it_leads_a_heading_that_nobody_knows():
 def test_it_holds_a_heading_the_better_the_longer_it_stays_as_it_is():
     told = [watched(seconds, turned(0.1), 0.05)[2] for seconds in (5.0, 30.0, 120.0)]
     assert told[2] > told[1] > told[0]
+
+
+def test_a_field_that_is_as_it_should_be_while_the_module_turns_is_believed():
+    """How accelerometers tilt the module is left: 0.3° in a field that dips by 65°, 0.6° of heading."""
+    still = watched(30.0, turned(0.0), 0.05)[0]
+    moving = watched(30.0, turned(0.0), 0.05, rate=3.0)[0]
+    sigma, sigma_still = (np.degrees(np.sqrt(s.field_offset[SEGMENT, 1])) for s in (moving, still))
+    assert sigma < 0.7
+    assert sigma_still > 2.0
+
+
+@pytest.mark.parametrize("wrong", [lambda h: 1.1 * h, lambda h: h * [1.0, 1.0, 0.8]])
+def test_one_that_is_stronger_or_flatter_is_believed_no_more_than_before(wrong):
+    still = watched(30.0, lambda _: wrong(BODY.field), 0.05)[0]
+    moving = watched(30.0, lambda _: wrong(BODY.field), 0.05, rate=3.0)[0]
+    assert moving.field_offset[SEGMENT, 1] == pytest.approx(still.field_offset[SEGMENT, 1], rel=0.05)
+
+
+def test_what_was_found_beside_it_before_it_was_proved_is_given_up():
+    """A heading that the start had wrong by as much is not kept for ever: the field takes it back."""
+
+    def right_from(seconds):
+        return lambda t: turned(0.1)(t) * 1.2 if t < seconds else BODY.field
+
+    state, _, _ = watched(120.0, right_from(20.0), 0.05, rate=3.0)
+    assert abs(state.field_offset[SEGMENT, 0]) < 0.01
+
+
+def test_proof_ends_where_the_field_is_bent_for_good():
+    """A room with iron entered after a minute outside: its field counts as little as from a start in it."""
+
+    def bent_from(seconds):
+        return lambda t: 1.06 * turned(0.1)(t) if t > seconds else BODY.field
+
+    for seconds in (30.0, 60.0):
+        _, _, told = watched(60.0 + seconds, bent_from(60.0), 0.3, rate=3.0)
+        _, _, told_inside = watched(seconds, bent_from(0.0), 0.3, rate=3.0)
+        assert told < 1.2 * told_inside
 
 
 def test_what_comes_and_goes_averages_out_and_what_lasts_does_not():

@@ -188,15 +188,15 @@ def test_three_rows_at_once_are_three_scalar_updates(surprise):
     A, work = rng.standard_normal((6, 6)), learning()
     P, x, rows = A @ A.T, np.zeros(6), rng.standard_normal((3, 6))
     residual, off = tuple(surprise * rng.standard_normal(3)), (0.1, 0.2, 0.3)
-    variance, at_once, huber, dt = 2.0, 0.5, 2.0, 0.01
+    variance, at_once, huber, memory = 2.0, 0.5, 2.0, 100.0
     found = P.copy()
     work.rows[...] = rows
-    added = learn_rows(found, work, residual, off, variance, at_once, huber, dt)
+    added = learn_rows(found, work, residual, off, variance, at_once, huber, memory)
     assert added == pytest.approx(np.trace(rows @ P @ rows.T) / 3.0)
     for row, seen, spread in zip(rows, residual, off, strict=True):
         innovation, uncertain = seen - row @ x, row @ P @ row
         deviations = abs(innovation) / np.sqrt(at_once + spread + uncertain)
-        white = (variance + spread / dt) * max(1.0, deviations / huber)
+        white = (variance + spread * memory) * max(1.0, deviations / huber)
         gain = P @ row / (uncertain + white)
         x = x + gain * innovation
         left = np.eye(6) - np.outer(gain, row)
