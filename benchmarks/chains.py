@@ -1,7 +1,8 @@
 """``joint`` beside VQF on chains drawn at random, new for every seed.
 
-How starts in motion and coarse devices are taken was found on chains of this kind, of other seeds; no other
-setting was chosen on any. ``CHAINS_SEED=N`` draws others, ``CHAINS=N`` more or fewer.
+How starts in motion and coarse devices are taken, and when a field is taken for the earth's, was found on
+chains of this kind, of other seeds; no other setting was chosen on any. In all of them the rig has the field
+of the place right, but for iron. ``CHAINS_SEED=N`` draws others, ``CHAINS=N`` more or fewer.
 """
 
 from __future__ import annotations

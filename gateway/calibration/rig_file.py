@@ -17,15 +17,22 @@ from gateway.settings_files import load_settings, load_yaml
 
 
 def write_calibrated_rig(
-    source: Path, target: Path, calibrations: Mapping[int, SensorCalibration], measured: str | None = None
+    source: Path,
+    target: Path,
+    calibrations: Mapping[int, SensorCalibration],
+    measured: str | None = None,
+    dip_deg: float | None = None,
 ) -> None:
     """The rig of ``source`` with these calibrations, by module id, as the file ``target``.
 
-    measured: date for people; none: today. Raises ``SettingsError`` for a bad rig, ``GatewayError`` when
-    the file cannot be written.
+    measured: date for people; none: today. dip_deg: of the local field; none: as it stands there. Raises
+    ``SettingsError`` for a bad rig, ``GatewayError`` when the file cannot be written.
     """
     load_settings(source, RigFile)
     content: dict[str, Any] = load_yaml(source)
+    if dip_deg is not None:
+        field = content.setdefault("world", {}).setdefault("magnetic_field", {})
+        field["dip_deg"] = round(dip_deg, 1)
     date = measured or datetime.now(UTC).date().isoformat()
 
     def change(module: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ still in different positions the accelerometer's ellipsoid, being turned the mag
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,6 +33,8 @@ REST_S = 3.0
 """How long a module should lie still for its gyrometer, s."""
 _SHOWN_READINGS = 1500  # of the field, thinned, that progress is judged by
 _FEWEST_FOR_A_SPHERE = 20
+_FEWEST_FOR_A_DIP = 100
+_DIPS_AGREE_DEG = 3.0
 
 Result = GyrometerResult | EllipsoidResult
 
@@ -55,6 +57,7 @@ class ModuleSession:
     def __init__(self) -> None:
         self._rest = RestDetector()
         self._field: list[Vector3] = []
+        self._at_rest: list[tuple[Vector3, Vector3]] = []
         self._samples = 0
 
     def add(
@@ -66,6 +69,17 @@ class ModuleSession:
             self._rest.add(time_ns, force, rate)
         if magnetic_field is not None:
             self._field.append(magnetic_field)
+            if force is not None and self._rest.is_at_rest:
+                self._at_rest.append((force, magnetic_field))
+
+    def dip_deg(self, calibration: SensorCalibration) -> float | None:
+        """By how much the field points below the horizontal, by the readings at rest; None: too few."""
+        if len(self._at_rest) < _FEWEST_FOR_A_DIP:
+            return None
+        forces, fields = np.swapaxes(np.array(self._at_rest), 0, 1)
+        up, field = calibration.specific_force(forces), calibration.magnetic_field(fields)
+        upward = np.sum(up * field, axis=1) / np.linalg.norm(up, axis=1) / np.linalg.norm(field, axis=1)
+        return -float(np.degrees(np.median(np.arcsin(np.clip(upward, -1.0, 1.0)))))
 
     def progress(self) -> Progress:
         """As of now."""
@@ -145,6 +159,17 @@ class SensorSession:
             )
             and ("magnetometer" not in self.sensors or progress.coverage >= ENOUGH_COVERAGE)
         )
+
+    def dip_deg(self, calibrations: Mapping[int, SensorCalibration]) -> float | None:
+        """By how much the field points below the horizontal where they lay, by calibrated modules.
+
+        None where there are none or they disagree, as beside iron.
+        """
+        dips = [self.modules[module].dip_deg(calibration) for module, calibration in calibrations.items()]
+        found = [dip for dip in dips if dip is not None]
+        if not found or max(found) - min(found) > _DIPS_AGREE_DEG:
+            return None
+        return float(np.median(found))
 
     def results(self, module: int) -> dict[str, Result | str]:
         """By sensor: its result, or why there is none."""

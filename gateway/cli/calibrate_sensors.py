@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +34,7 @@ from gateway.settings_files import find_file
 
 _REFRESH_S = 0.25
 _UNHEARD_S = 10.0
+_SAME_DIP_DEG = 0.5
 
 
 @with_suit
@@ -85,11 +87,25 @@ def sensors(
         typer.echo(json.dumps(results_as_json(found)))
     else:
         Console().print(result_table(found))
-    if target is not None and any(kept.values()):
-        calibrations = {m: combined(r, worn.calibrations.get(m)) for m, r in kept.items() if r}
-        write_calibrated_rig(source, target, calibrations)
+    calibrations = {m: combined(r, worn.calibrations.get(m)) for m, r in kept.items() if r}
+    dip_deg = session.dip_deg({m: each for m, each in calibrations.items() if "magnetometer" in kept[m]})
+    if dip_deg is not None:
+        typer.echo(_about_the_field(dip_deg, worn, is_written=target is not None), err=as_json)
+    if target is not None and calibrations:
+        write_calibrated_rig(source, target, calibrations, dip_deg=dip_deg)
         typer.echo(f"written to {target}: use it as 'rig: {target}'", err=as_json)
     raise typer.Exit(0 if all(len(r) == len(session.sensors) for r in kept.values()) else 1)
+
+
+def _about_the_field(dip_deg: float, worn: WornSuit, *, is_written: bool) -> str:
+    """A line about the local field: who tells headings by it should know it."""
+    east, north, up = worn.magnetic_field
+    had = math.degrees(math.atan2(-up, math.hypot(east, north)))
+    found = f"the field points {dip_deg:.1f}° below the horizontal here"
+    if abs(dip_deg - had) < _SAME_DIP_DEG:
+        return f"{found}, as the rig has it"
+    remedy = "corrected" if is_written else f"write 'magnetic_field: {{dip_deg: {dip_deg:.1f}}}' to its world"
+    return f"{found}; the rig has {had:.1f}°: {remedy}"
 
 
 def usable(results: dict[str, Result | str], with_poor: bool) -> dict[str, Result | str]:

@@ -77,6 +77,32 @@ def test_the_errors_that_were_drawn_are_found(session):
         assert found["magnetometer"].fit.spread_after < 0.3 * found["magnetometer"].fit.spread_before
 
 
+def test_where_the_field_points_is_found(session, tmp_path):
+    """66° below the horizontal, as it was emulated; the rig file that is written says so."""
+    calibrations = {module: combined(session.results(module)) for module in MODULES}
+    dip_deg = session.dip_deg(calibrations)
+    assert dip_deg == pytest.approx(66.0, abs=0.5)
+    plain = yaml.safe_load(find_file("arm_3", "rigs").read_text())
+    del plain["world"]
+    (tmp_path / "plain.yaml").write_text(yaml.safe_dump(plain))
+    write_calibrated_rig(tmp_path / "plain.yaml", tmp_path / "mine.yaml", calibrations, dip_deg=dip_deg)
+    x, y, z = load_rig(str(tmp_path / "mine.yaml")).magnetic_field
+    assert np.degrees(np.arctan2(-z, np.hypot(x, y))) == pytest.approx(dip_deg, abs=0.06)
+
+
+@pytest.mark.parametrize(("other", "found"), [(67.0, 66.5), (72.0, None)])
+def test_modules_that_disagree_about_the_dip_tell_none(other, found):
+    """As beside iron; they lie on a table."""
+    session = SensorSession([1, 2], 9.81, 49.0)
+    for k in range(200):
+        for module, dip in ((1, np.radians(66.0)), (2, np.radians(other))):
+            field = (0.0, float(49.0 * np.cos(dip)), float(-49.0 * np.sin(dip)))
+            session.add(module, k * 40_000_000, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0), field)
+    plain = SensorCalibration()
+    assert session.dip_deg({1: plain, 2: plain}) == (None if found is None else pytest.approx(found))
+    assert session.dip_deg({}) is None
+
+
 def norms(suit):
     """Standard deviation of the norm over its mean: specific force at rest, field, by module."""
 
