@@ -156,8 +156,7 @@ def start(
     for i in range(6):
         state.arm_covariance[s, i, i] = noise.lever_arm_offset**2
     state.learnt_s[s], state.corrections[s] = np.inf, 0.0
-    state.field_offset[s, 0] = 0.0
-    state.field_offset[s, 1] = state.field_offset[s, 2] = noise.heading**2
+    state.field_offset[s, 0], state.field_offset[s, 1] = 0.0, noise.heading**2
     state.is_started[s], state.is_open[s] = 1, body.opens[s]
     state.fresh_s[s], state.silent_s[s], state.compass_s[s] = 0.0, 0.0, 0.0
     state.heading[s], state.rest[s], state.misfit[s] = 0.0, 0.0, 0.0

@@ -268,8 +268,7 @@ def field_row(
     change = seen[2] / expected.horizontal
     fleeting = max(0.0, seen[2] - seen[4] * seen[4] - seen[5] * seen[5]) / expected.horizontal
     largest = min(noise.heading**2, seen[8] / expected.horizontal + expected.by_tilt)
-    offset[1] += largest * dt / noise.heading_offset_s + max(0.0, largest - offset[2])
-    offset[2] = largest
+    offset[1] += largest * dt / noise.heading_offset_s
     if offset[1] > largest:
         offset[0] *= largest / offset[1]
         offset[1] = largest

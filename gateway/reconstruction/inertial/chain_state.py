@@ -133,8 +133,7 @@ class FilterState(NamedTuple):
     compass_s: FloatArray  # (n,) for how long an undisturbed field has been seen
     field_seen: FloatArray  # (n, 9) field's mean norm µT and dip rad, mean square of their changes, seconds;
     # mean changes of norm (relative) and dip, rad, and these of now; mean square of what they are wrong by
-    field_offset: FloatArray  # (n, 3) heading by which the field is off throughout, rad; its variance;
-    # and the square of what it may be off by at the most
+    field_offset: FloatArray  # (n, 2) heading by which the field is off throughout, rad; its variance
     heading: FloatArray  # (n, 4) cosine and sine sums of an open heading, their possible length; seconds
     rest: FloatArray  # (n, 10) average rate, force, their variances, seconds at rest, and see ``rest_rows``
     device_shift: FloatArray  # (d, 3) found error of a device's arm, m
@@ -167,7 +166,7 @@ def initial_state(n: int, d: int) -> FilterState:
         z(n, 3, 3), z(n, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6),
         z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
         z(n, 6), z(n, 6, 6), z(n), np.full(n, np.inf),
-        z(n), z(n, 9), z(n, 3), z(n, 4), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf), z(d, 2),
+        z(n), z(n, 9), z(n, 2), z(n, 4), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf), z(d, 2),
         z(d, N_READINGS, 5), np.zeros((d, 2), np.int64),
         np.full((d, N_HISTORY, N_OF_FRAME), -np.inf), np.tile(np.eye(3), (d, 1, 1)),
         z(n), z(n), z(n, 3), z(n, 14), z(n, 9), z(n),
