@@ -27,7 +27,8 @@ def mosquitto_program() -> str:
 
 def free_port() -> int:
     """A port of the loopback interface that nobody has, for TCP and UDP."""
-    for port in iter(lambda: random.SystemRandom().choice(_PORTS), None):
+    while True:
+        port = random.SystemRandom().choice(_PORTS)
         with (
             contextlib.suppress(OSError),
             socket.socket() as stream,
@@ -36,7 +37,6 @@ def free_port() -> int:
             stream.bind(("127.0.0.1", port))
             datagram.bind(("127.0.0.1", port))
             return port
-    raise AssertionError  # the choice has no end
 
 
 @contextlib.contextmanager

@@ -153,3 +153,9 @@ def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -
     return norm_ut * np.array(
         [np.cos(dip) * np.sin(declination), np.cos(dip) * np.cos(declination), -np.sin(dip)]
     )
+
+
+def field_dip_deg(field: FloatArray) -> float:
+    """Its angle below the horizontal; field: (3,) ENU."""
+    east, north, up = field
+    return float(np.degrees(np.arctan2(-up, np.hypot(east, north))))

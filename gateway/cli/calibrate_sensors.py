@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import math
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from devices.calibration import SensorCalibration
 from devices.link import Chunk, gateway_time_ns
 from firmware_protocol import InertialSample, InertialSampleFine, ReceivedPacket
 from gateway.body.rig import load_rig
-from gateway.body.skeleton import WornSuit
+from gateway.body.skeleton import WornSuit, field_dip_deg
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_session import SENSORS, Result, SensorSession, combined
 from gateway.cli.modules_suit import SuitChoice, with_suit
@@ -99,8 +98,7 @@ def sensors(
 
 def _about_the_field(dip_deg: float, worn: WornSuit, *, is_written: bool) -> str:
     """A line about the local field: who tells headings by it should know it."""
-    east, north, up = worn.magnetic_field
-    had = math.degrees(math.atan2(-up, math.hypot(east, north)))
+    had = field_dip_deg(worn.magnetic_field)
     found = f"the field points {dip_deg:.1f}° below the horizontal here"
     if abs(dip_deg - had) < _SAME_DIP_DEG:
         return f"{found}, as the rig has it"

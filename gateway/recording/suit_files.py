@@ -12,7 +12,7 @@ from devices import recording_format as fmt
 from gateway.body.joint_file import WORLD_NAME
 from gateway.body.joints import WORLD, Angle, Decomposition, Joint
 from gateway.body.sensor_entries import CalibrationEntry
-from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.body.skeleton import Skeleton, WornSuit, field_dip_deg
 
 _DIGITS = 12
 """Of calibrations: ``suit.json`` has every bit."""
@@ -102,10 +102,10 @@ def rig_of(suit: WornSuit) -> dict[str, Any]:
 
 
 def _world(suit: WornSuit) -> dict[str, Any]:
-    east, north, up = suit.magnetic_field
+    east, north, _ = suit.magnetic_field
     field = {
         "norm_ut": float(np.linalg.norm(suit.magnetic_field)),
-        "dip_deg": float(np.degrees(np.arctan2(-up, np.hypot(east, north)))),
+        "dip_deg": field_dip_deg(suit.magnetic_field),
         "declination_deg": float(np.degrees(np.arctan2(east, north))),
     }
     world: dict[str, Any] = {"gravity": float(-suit.gravity[2]), "magnetic_field": field}
