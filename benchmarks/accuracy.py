@@ -18,11 +18,9 @@ import numpy as np
 
 from benchmarks.accuracy_simulation import add_convergence, add_fast_arm
 from benchmarks.figures import Figure, Report, table
-from benchmarks.offline import imu_frames, orientations
-from benchmarks.optical_reference import WINDOW_S, gyrometer_disagreement, in_time
-from benchmarks.peers import NO_FIELD, SMOOTHED, solved
-from benchmarks.scoring import Score, score
+from benchmarks.peers import NO_FIELD, solved
 from devices.emulators.recording_formats import (
+    METAL_TABLE_S,
     RING_OPTICAL_LAG_S,
     read_broad,
     read_repoimu_pendulum,
@@ -31,6 +29,8 @@ from devices.emulators.recording_formats import (
 )
 from devices.emulators.recordings import Recording
 from gateway.body.rig import load_rig
+from gateway.emulation.optical_reference import WINDOW_S, gyrometer_disagreement, in_time
+from gateway.emulation.recordings import SMOOTHED, Score, imu_frames, orientations, score
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[2] / "shared" / "data"))
 PEER, OURS = "independent", "joint"
@@ -42,8 +42,6 @@ FLOOR = f"gyrometers alone, {WINDOW_S:g} s at a time"
 METHODS = (PEER, "imufusion", "articulated", "outward", NO_FIELD, OURS, SMOOTHED)
 OF_ONE_SEGMENT = (PEER, "imufusion", "articulated", OURS, SMOOTHED)
 """For one segment ``outward`` and ``joint`` are the same."""
-METAL_TABLE_S = 5.0
-"""The chain of ``ring_chain5`` lies on a metal table for so long; the figures count what comes after."""
 COMPARED = "`joint` over `independent` (VQF)"
 RATIOS = (
     ("ring_rigid_total_ratio_vqf", "ring_rigid", "total", "<=0.5"),

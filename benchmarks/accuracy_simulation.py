@@ -7,7 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.fast_arm import (
+from benchmarks.figures import Figure, Report, table
+from benchmarks.peers import NO_FIELD, solved
+from devices.emulators.motions import BodyMotion, robot_arm_motion
+from gateway.body.skeleton import WornSuit
+from gateway.comparison import coverage_percent, orientation_error, rmse_deg
+from gateway.emulation.fast_arm import (
     ALL_ON,
     IDEAL,
     RATE_HZ,
@@ -19,14 +24,9 @@ from benchmarks.fast_arm import (
     felt,
     sampled,
 )
-from benchmarks.figures import Figure, Report, table
-from benchmarks.peers import NO_FIELD, SMOOTHED, solved
-from benchmarks.scoring import coverage_percent
-from benchmarks.simulation import ALREADY_MOVING, PLACEMENTS, arm, errors_deg, ideal_frames
-from devices.emulators.motions import BodyMotion, robot_arm_motion
-from gateway.body.skeleton import WornSuit
-from gateway.cli.emulated_rig import dress
-from gateway.comparison import orientation_error, rmse_deg
+from gateway.emulation.recordings import SMOOTHED
+from gateway.emulation.rig import dress
+from gateway.emulation.simulation import ALREADY_MOVING, PLACEMENTS, arm, errors_deg, ideal_frames
 from gateway.frames import FloatArray, ImuFrame
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor, StartingPose
 

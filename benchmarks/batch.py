@@ -18,7 +18,7 @@ from devices.link import Chunk, Framing
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.batch import Job, Outcome, Task, jobs_in, run_jobs
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
 from gateway.recording import open_recording
 from gateway.recording.snapshot import attachments_of
 from gateway.recording.solving import solve

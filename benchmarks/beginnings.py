@@ -6,37 +6,17 @@ undisturbed inclinations, and how it bears vibration that its modules' data shee
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple
-
 import numpy as np
 
-from benchmarks.accuracy import DATA, METAL_TABLE_S
+from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
-from benchmarks.offline import imu_frames, orientations
-from benchmarks.optical_reference import in_time
-from benchmarks.peers import solved
-from benchmarks.scoring import score
-from devices.emulators.recording_formats import read_ring_chain5
-from devices.emulators.recordings import Recording
+from devices.emulators.recording_formats import METAL_TABLE_S, read_ring_chain5
 from gateway.body.rig import load_rig
-from gateway.frames import ImuFrame
+from gateway.emulation.optical_reference import in_time
+from gateway.emulation.recordings import SCORED_AFTER_S, Part, imu_frames, totals
 
-PEER, OURS = "independent", "joint"
-SCORED_AFTER_S = 2.0
-"""Of a part that begins in motion; a whole recording is scored from where it leaves the metal table."""
 SHAKES = 1.5
 """m/s², of each axis and sample, white."""
-
-
-class Part(NamedTuple):
-    """What is cut from a recording."""
-
-    kind: str
-    begins: float  # share of the recording left out
-    every: int = 1  # sample taken
-    shakes: float = 0.0  # m/s²
-
 
 PARTS = (
     *(Part("mid-motion", begins) for begins in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)),
@@ -83,35 +63,3 @@ def run() -> Report:
         + table(heads, rows)
     )
     return report
-
-
-def totals(recording: Recording, frames: list[ImuFrame], part: Part) -> tuple[float, float]:
-    """Degrees, mean of the segments: VQF's and ours. frames: of the whole recording."""
-    begun_s = max(float(track.times[0]) for track in recording.modules)
-    taken = _cut(frames, part)
-    begins_s = begun_s + (taken[0].time_ns - frames[0].time_ns) * 1e-9
-    from_s = max(METAL_TABLE_S, begins_s + SCORED_AFTER_S) if part.begins else METAL_TABLE_S
-    peer, ours = (_total(method, taken, begins_s, from_s, recording) for method in (PEER, OURS))
-    return peer, ours
-
-
-def _cut(frames: list[ImuFrame], part: Part) -> list[ImuFrame]:
-    rng = np.random.default_rng(1)
-    taken = frames[int(part.begins * len(frames)) :: part.every]
-    return [
-        replace(
-            frame,
-            sequence=k,
-            specific_force=frame.specific_force
-            + part.shakes * rng.standard_normal(frame.specific_force.shape),
-        )
-        for k, frame in enumerate(taken)
-    ]
-
-
-def _total(
-    method: str, frames: list[ImuFrame], begins_s: float, from_s: float, recording: Recording
-) -> float:
-    interval_s = (frames[1].time_ns - frames[0].time_ns) * 1e-9
-    times_s, q_wb = orientations(solved(method, load_rig("chain_5"), interval_s, frames), begins_s)
-    return float(score(times_s, q_wb, recording, from_s).total.mean())

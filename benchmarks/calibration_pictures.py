@@ -11,11 +11,12 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from devices.emulators.calibrating import WearerFaults, calibration_motion, timetable
+from devices.calibration_script import timetable
+from devices.emulators.calibrating import WearerFaults, calibration_motion
 from devices.emulators.motions import BodyMotion
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
 from gateway.frames import FloatArray
 
 FOLDER = Path(__file__).parent.parent / "docs" / "pictures"

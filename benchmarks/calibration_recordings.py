@@ -13,8 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import joint_recordings as vendor
-from benchmarks.offline import imu_frames, orientations, solve
-from benchmarks.scoring import reference_at
 from devices.emulators.recording_formats import read_hipose_mtw17
 from devices.emulators.recordings import Recording
 from gateway.body.joint_angles import joint_angles
@@ -22,6 +20,7 @@ from gateway.body.joints import Joint
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import worn_as
 from gateway.calibration.body_session import BodySession
+from gateway.emulation.recordings import imu_frames, orientations, reference_at, solve
 from gateway.frames import FloatArray
 
 

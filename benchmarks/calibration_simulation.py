@@ -5,14 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from devices.calibration_script import PERIOD_S, timetable
 from devices.emulators.bodies import EmulatedBody
-from devices.emulators.calibrating import (
-    PERIOD_S,
-    WearerFaults,
-    calibration_motion,
-    strapped_on,
-    timetable,
-)
+from devices.emulators.calibrating import WearerFaults, calibration_motion, strapped_on
 from devices.emulators.imperfections import TYPICAL, Imperfections
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
@@ -21,7 +16,7 @@ from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import BodyResult
 from gateway.calibration.body_session import BodySession
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, ImuFrame
 from gateway.pipeline import Pipeline
 from gateway.stream import ClockMode

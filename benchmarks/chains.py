@@ -11,11 +11,11 @@ import os
 
 import numpy as np
 
-from benchmarks.fast_arm import sampled
 from benchmarks.figures import Figure, Report, table
-from benchmarks.peers import SMOOTHED, solved
-from benchmarks.random_chains import HEADS, HELD_BY, RandomChain, drawn
-from benchmarks.simulation import errors_deg
+from gateway.emulation.fast_arm import sampled
+from gateway.emulation.random_chains import HEADS, HELD_BY, RandomChain, drawn
+from gateway.emulation.recordings import SMOOTHED, solved
+from gateway.emulation.simulation import errors_deg
 from gateway.frames import ImuFrame
 
 PEER, OURS = "independent", "joint"

@@ -11,16 +11,6 @@ import numpy as np
 from benchmarks.clock_faults import recoveries
 from benchmarks.clock_orientation import clocks_in_degrees
 from benchmarks.clock_recordings import recorded_clocks
-from benchmarks.clock_relay import relay_errors
-from benchmarks.clock_simulation import (
-    LATENCY_US,
-    LOSS,
-    SKEW_PPM,
-    Crystal,
-    ModuleTraffic,
-    module_traffic,
-    transport_limit_us,
-)
 from benchmarks.figures import Figure, Report, table
 from devices.link import Chunk, Framing, SentChunk
 from firmware_protocol import BROADCAST, InertialSample, SamplingTrigger, encode_frame, wire_frame
@@ -32,6 +22,16 @@ from gateway.clocks import (
     TableClocks,
     TriggerAnswers,
     TriggerTimer,
+)
+from gateway.emulation.clock_simulation import (
+    LATENCY_US,
+    LOSS,
+    SKEW_PPM,
+    Crystal,
+    ModuleTraffic,
+    module_traffic,
+    relay_errors,
+    transport_limit_us,
 )
 from gateway.frames import FloatArray
 from gateway.stream import ClockMode, Stream

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.clock_simulation import JITTER_US, LATENCY_US
 from benchmarks.figures import Figure, table
 from gateway.clocks import EstimatedClock, LinkBatching
+from gateway.emulation.clock_simulation import JITTER_US, LATENCY_US
 from gateway.frames import FloatArray, IntArray
 
 SEEDS = 10

@@ -7,7 +7,7 @@ compared with, so that what the orientation filter is off by by itself is left o
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,8 +22,8 @@ from firmware_protocol import FrameDecoder, PacketDecoder
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.cli.emulated_rig import dress
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching
+from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, SkeletonFrame
 from gateway.host_sender import HostSender
 from gateway.pipeline import Pipeline
@@ -67,7 +67,7 @@ class _EmulatedLink:
         sent = self._traffic.advance(self.now_s)
         return [Chunk(each.data, round(each.time_s * 1e9), LINK) for each in sent]
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         self._traffic.receive(data, self.now_s)
 
 

@@ -11,7 +11,7 @@ from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing, gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.recording.files import Contents, SessionFiles

@@ -19,18 +19,19 @@ import numpy as np
 import psutil
 
 from benchmarks.emulated_bus import EmulatedBus
-from benchmarks.emulated_stream import suit_17
-from benchmarks.local_broker import free_port, mosquitto_program
 from devices.emulators import IDEAL, EmulatedSuit, Encoding, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit, pull_cable
+from devices.emulators.local_broker import free_port, mosquitto_program
 from devices.emulators.motions import BodyMotion
 from devices.emulators.transports import PtyTransport
 from devices.emulators.transports.transport import Transport
 from devices.link import Framing, gateway_time_ns
 from gateway.accounting import unaccounted
+from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice, WornSuit
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
+from gateway.emulation.simulation import suit_17
 from gateway.frames import SkeletonFrame, Status, StatusArray
 from gateway.service import Service
 from gateway.settings import GatewaySettings
@@ -122,6 +123,18 @@ class Wiring(NamedTuple):
     transport: Transport
     url: str
     """Of the gateway's link."""
+    rig: str = "suit_17"
+    silent: frozenset[int] = frozenset()
+    """Modules that never say anything."""
+
+    @classmethod
+    def of_rig(cls, folder: Path, rig: str, silent: frozenset[int] = frozenset()) -> Wiring:
+        """A shipped rig, modules of which may be silent, through a relay and a pseudo-terminal."""
+        worn = load_rig(rig)
+        motion = move(dress(worn), worn.skeleton.name, seed=1)
+        port = folder / "suit"
+        settings = SuitSettings(has_relay=True)
+        return cls(worn, motion, settings, PtyTransport(port), str(port), rig, silent)
 
     @classmethod
     def by_cable(cls, folder: Path, local: Sequence[LocalDevice] = ()) -> Wiring:
@@ -152,21 +165,23 @@ class Bench:
         wiring: Wiring | None = None,
     ) -> None:
         """port: of the broker; recordings: folder for them, on whatever disk; wiring: by cable, if none."""
-        worn, motion, suit_settings, transport, url = wiring or Wiring.by_cable(folder)
-        traffic = SuitTraffic(motion, suit_settings, IDEAL, seed=1)
+        wiring = wiring or Wiring.by_cable(folder)
+        traffic = SuitTraffic(wiring.motion, wiring.settings, IDEAL, seed=1)
         self.faulty = FaultySuit(traffic, plan)
+        spoil = self.faulty.sensors.spoil
+        traffic.on_sent = lambda module, sent: [] if module in wiring.silent else spoil(module, sent)
         self.plan = plan
-        self.suit = EmulatedSuit(self.faulty, transport)
+        self.suit = EmulatedSuit(self.faulty, wiring.transport)
         settings = GatewaySettings.model_validate(
             {
-                "links": [{"name": "suit", "url": url}],
-                "rig": "suit_17",
+                "links": [{"name": "suit", "url": wiring.url}],
+                "rig": wiring.rig,
                 "reconstructor": METHOD,
                 "mqtt": {"port": port},
                 "recording": {"folder": str(recordings or folder / "recordings"), "min_free_mb": 0},
             }
         )
-        self.service = Service(settings, worn)
+        self.service = Service(settings, wiring.worn)
         self.watch = Watch()
         self.service._outputs = (*self.service._outputs, self.watch)  # type: ignore[assignment]
         self._tasks: list[asyncio.Task[None]] = []

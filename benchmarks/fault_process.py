@@ -19,10 +19,10 @@ from typing import Any
 import aiomqtt
 import yaml
 
-from benchmarks.emulated_stream import suit_17
 from benchmarks.fault_bench import METHOD, WHOLE_LIMIT_S, WHOLE_POSES, Broker, Outcome
 from devices.emulators import IDEAL, EmulatedSuit, SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
+from gateway.emulation.simulation import suit_17
 
 START_S = 60.0
 STOPPED_S = 3.0

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.emulated_stream import LINK, relay_chunks, suit_17
 from benchmarks.figures import Figure, Report, table
-from benchmarks.offline import imu_frames
 from devices.emulators.recording_formats import read_broad, read_ring_chain5
 from devices.link import Framing
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
+from gateway.emulation.recordings import imu_frames
+from gateway.emulation.simulation import LINK, relay_chunks, suit_17
 from gateway.frames import FloatArray, ImuFrame, Status
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import create_reconstructor

@@ -10,13 +10,12 @@ from scipy.io import loadmat
 
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
-from benchmarks.offline import imu_frames, orientations
-from benchmarks.scoring import reference_at
 from devices.emulators.recording_formats import read_broad
 from devices.emulators.recordings import Recording
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.comparison import orientation_error, rmse_deg
+from gateway.emulation.recordings import imu_frames, orientations, reference_at
 from gateway.frames import FloatArray, ImuFrame
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.reconstruction import create_reconstructor

@@ -25,7 +25,7 @@ import yaml
 
 from benchmarks.figures import Figure, Report, table
 from benchmarks.latency import line_of, process_of, write_config
-from benchmarks.local_broker import mosquitto
+from devices.emulators.local_broker import mosquitto
 from gateway.reconstruction import readiness
 
 METHODS = ("independent", "joint")
@@ -140,7 +140,7 @@ async def outcome(method: str, n: int, rate_hz: float, broker_port: int, cores: 
         port = Path(folder) / "suit"
         config = _config(Path(folder), port, broker_port, method, n, rate_hz)
         seconds = SECONDS + SETTLING_S + 1.0
-        writer = ("-m", "benchmarks.paced_writer", str(port), str(n), str(rate_hz), str(seconds))
+        writer = ("-m", "devices.emulators.paced_writer", str(port), str(n), str(rate_hz), str(seconds))
         async with process_of(*writer) as suit, _listening(broker_port) as watch:
             await line_of(suit)
             async with process_of("-m", "gateway", "run", "-c", str(config)) as gateway:

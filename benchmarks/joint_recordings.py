@@ -14,13 +14,12 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
-from benchmarks.offline import orientations, solve
-from benchmarks.scoring import align, reference_at
 from devices.emulators.recording_formats import read_hipose_mtw17
 from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
 from gateway.body.joint_angles import joint_angles
 from gateway.body.rig import load_body, load_rig
 from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.emulation.recordings import align, orientations, reference_at, solve
 from gateway.frames import FloatArray
 
 QMT_SEGMENTS = {

@@ -9,17 +9,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy import DATA, METAL_TABLE_S
+from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
 from benchmarks.joint_recordings import JointTrial, hipose, joint_trial, read_qmt
-from benchmarks.offline import orientations, solve
-from benchmarks.scoring import align, reference_at
-from benchmarks.simulation import through_the_wire
 from devices.emulators.imperfections import TYPICAL
-from devices.emulators.recording_formats import read_ring_chain5
+from devices.emulators.recording_formats import METAL_TABLE_S, read_ring_chain5
 from gateway.body.joint_angles import joint_angles
 from gateway.body.rig import load_body, load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.recordings import align, orientations, reference_at, solve
+from gateway.emulation.rig import dress, move
+from gateway.emulation.simulation import through_the_wire
 from gateway.frames import FloatArray
 
 PUBLISHED = "<=6"

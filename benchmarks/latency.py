@@ -16,7 +16,7 @@ import psutil
 import yaml
 
 from benchmarks.figures import Figure, Report, table
-from benchmarks.local_broker import mosquitto
+from devices.emulators.local_broker import mosquitto
 from gateway.frames import FloatArray
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
@@ -100,7 +100,7 @@ async def _measure(broker_port: int, n_modules: int, rate_hz: float) -> Run:
         port = Path(folder) / "suit"
         config = write_config(Path(folder), port, broker_port, n_modules)
         async with process_of(
-            "-m", "benchmarks.paced_writer", str(port), str(n_modules), str(rate_hz), str(SECONDS)
+            "-m", "devices.emulators.paced_writer", str(port), str(n_modules), str(rate_hz), str(SECONDS)
         ) as suit:
             await line_of(suit)
             async with process_of("-m", "gateway", "run", "-c", str(config)) as gateway:

@@ -17,6 +17,7 @@ from benchmarks.optical_simulation import simulated_rows
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
+from gateway.emulation.optical_truth import TRIALS, UNTOLD
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body, sighted
@@ -29,17 +30,6 @@ from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.rule_body import from_rules
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
-UNTOLD = {"btk": {"marker_diameter": 0.016}}
-"""Of a subject, m, what the files do not tell: with 16 mm markers the rules give their centres exactly."""
-TRIALS = {
-    "pycgm": ("plug_in_gait", "c3d_pycgm/Static_trial.c3d", "c3d_pycgm/Movement_trial.c3d"),
-    "btk": (
-        "plug_in_gait",
-        "c3d_btk_pig/PiG_Calibration-FlatFoot-Full.c3d",
-        "c3d_btk_pig/PiG_Motion-FlatFoot-Full.c3d",
-    ),
-    "opensim": ("opensim_41", "trc_opensim/subject01_static.trc", "trc_opensim/marker_trajectories.trc"),
-}
 PUBLISHED_FRAMES = 40
 LEFT_OUT_FRAMES = 6
 HELD_BY = 2

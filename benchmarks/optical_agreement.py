@@ -14,19 +14,13 @@ from benchmarks.figures import table
 from devices.marker_files import MarkerTrial
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
+from gateway.emulation.optical_truth import CENTRES
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.fitting import sighted
 from gateway.reconstruction.optical.landmarks import measurements, to_world, vertical_axis
 from gateway.reconstruction.optical.marker_set import MarkerSet
 
-CENTRES = {
-    "hips": ("pelvis", "PELO"), "left knee": ("left_shank", "LFEO"), "right knee": ("right_shank", "RFEO"),
-    "left ankle": ("left_foot", "LTIO"), "right ankle": ("right_foot", "RTIO"),
-    "left shoulder": ("left_upper_arm", "LCLO"), "right shoulder": ("right_upper_arm", "RCLO"),
-    "left elbow": ("left_forearm", "LHUO"), "right elbow": ("right_forearm", "RHUO"),
-    "left wrist": ("left_hand", "LRAO"), "right wrist": ("right_hand", "RRAO"),
-}  # fmt: skip
 ANGLES = {
     (f"{side}_{joint}", name): (f"{side[0].upper()}{label}Angles", column)
     for side in ("left", "right")

@@ -14,8 +14,8 @@ import psutil
 
 from benchmarks import slow_broker
 from benchmarks.figures import Figure, Report, table
-from benchmarks.local_broker import mosquitto
 from benchmarks.synthetic_poses import INFO, RATE_HZ, frames_of, skeleton_of_size
+from devices.emulators.local_broker import mosquitto
 from gateway.frames import SkeletonFrame
 from gateway.outputs import MqttSettings, PoseSubscriber
 from gateway.outputs.mqtt import MqttOutput

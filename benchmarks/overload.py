@@ -12,8 +12,8 @@ import time
 from dataclasses import dataclass, replace
 
 from benchmarks.figures import Figure, Report, table
-from benchmarks.paced_writer import ticks
 from benchmarks.speed_growth import enlarged_suit
+from devices.emulators.paced_writer import ticks
 from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig

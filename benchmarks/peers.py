@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 
 import imufusion
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gateway.body.skeleton import WornSuit
+from gateway.emulation import recordings
 from gateway.frames import ImuFrame, SkeletonFrame
-from gateway.reconstruction import Reconstructor, create_reconstructor
 from gateway.reconstruction.inertial.joint import ChainSettings, JointReconstructor
 from gateway.reconstruction.inertial.observations import SegmentObserver
 from gateway.reconstruction.reconstructor import update_many
-from gateway.reconstruction.smoothing import Smoother
 
+IMUFUSION = "imufusion"
 NO_FIELD = "joint, no field"
-SMOOTHED = "joint, smoothed"
 GRAVITY = 9.81
 NWU_TO_ENU = Rotation.from_euler("z", 90.0, degrees=True)
 TIMEOUT_S = 5.0
@@ -70,22 +67,13 @@ class ImufusionReconstructor:
         )
 
 
-def start(method: str, suit: WornSuit, nominal_interval_s: float) -> Reconstructor:
-    """A method of the suite by name: a reconstructor's, ``imufusion``, or ``joint, no field``."""
-    if method == "imufusion":
-        return ImufusionReconstructor(suit, nominal_interval_s)
-    if method == NO_FIELD:
-        return JointReconstructor(suit, nominal_interval_s, ChainSettings(uses_field=False))
-    return create_reconstructor(method, suit, nominal_interval_s)
-
-
 def solved(
     method: str, suit: WornSuit, nominal_interval_s: float, frames: Sequence[ImuFrame]
 ) -> list[SkeletonFrame]:
-    """All frames by one of those, or by ``joint, smoothed``: forward and backward."""
-    if method != SMOOTHED:
-        return update_many(start(method, suit, nominal_interval_s), frames)
-    with tempfile.TemporaryDirectory() as folder:
-        smoother = Smoother(create_reconstructor("joint", suit, nominal_interval_s), Path(folder))
-        smoother.add(frames)
-        return list(smoother.smoothed())
+    """All frames by ``imufusion``, by ``joint, no field``, or by a method of the gateway."""
+    if method == IMUFUSION:
+        return update_many(ImufusionReconstructor(suit, nominal_interval_s), frames)
+    if method == NO_FIELD:
+        without_field = ChainSettings(uses_field=False)
+        return update_many(JointReconstructor(suit, nominal_interval_s, without_field), frames)
+    return recordings.solved(method, suit, nominal_interval_s, frames)

@@ -20,13 +20,13 @@ import numpy as np
 import yaml
 
 from benchmarks.emulated_recording import FLUSH_MS, write_session
-from benchmarks.emulated_stream import relay_chunks, suit_17
 from benchmarks.figures import Figure, Report, table
 from benchmarks.latency import await_online, begin, line_of, process_of, write_config
-from benchmarks.local_broker import mosquitto
-from benchmarks.paced_writer import ticks
 from devices.emulators.imperfections import TYPICAL
+from devices.emulators.local_broker import mosquitto
+from devices.emulators.paced_writer import ticks
 from devices.link import Framing
+from gateway.emulation.simulation import relay_chunks, suit_17
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.pipeline import Pipeline
@@ -113,7 +113,8 @@ async def _gateway(broker_port: int, seconds: float) -> Live:
         settings = yaml.safe_load(config.read_text())
         settings["recording"] = {"folder": f"{folder}/kept", "min_free_mb": 100, "flush_ms": FLUSH_MS}
         config.write_text(yaml.safe_dump(settings))
-        writer = ("-m", "benchmarks.paced_writer", str(suit_port), str(N_MODULES), str(RATE_HZ), str(seconds))
+        arguments = (str(suit_port), str(N_MODULES), str(RATE_HZ), str(seconds))
+        writer = ("-m", "devices.emulators.paced_writer", *arguments)
         async with process_of(*writer) as suit:
             await line_of(suit)
             async with process_of("-m", "gateway", "record", "--quiet", "-c", str(config)) as process:

@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.asked_suit import asked
-from benchmarks.emulated_stream import suit_17
 from benchmarks.fault_bench import METHOD
 from devices.emulators import IDEAL, SuitSettings, SuitTraffic
 from devices.emulators.fault_plan import Fault, FaultPlan
 from devices.emulators.fault_windows import FaultWindows
 from devices.link import Framing
 from gateway.body.skeleton import WornSuit
+from gateway.emulation.simulation import suit_17
 from gateway.frames import FloatArray, SkeletonFrame, Status
 from gateway.pipeline import Pipeline
 from gateway.settings import AssemblySettings

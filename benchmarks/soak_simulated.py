@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from benchmarks.asked_suit import asked
-from benchmarks.emulated_stream import LINK, suit_17
 from benchmarks.fault_bench import METHOD
 from benchmarks.soak_reference import Comparison, FaultFree, Orientations
 from devices.emulators import IDEAL, SuitSettings, SuitTraffic
@@ -17,6 +16,7 @@ from devices.emulators.fault_plan import FaultPlan, Unplug
 from devices.emulators.fault_windows import FaultWindows
 from devices.emulators.faulty_suit import FaultySuit
 from devices.link import Chunk, Framing, SentChunk
+from gateway.emulation.simulation import LINK, suit_17
 from gateway.pipeline import Pipeline
 from gateway.settings import AssemblySettings
 

@@ -10,13 +10,13 @@ import numpy as np
 from vqf import VQF
 
 from benchmarks import speed_optical
-from benchmarks.emulated_stream import LINK, relay_chunks, suit_17
 from benchmarks.figures import Figure, Report, table
 from benchmarks.speed_growth import SIZES, enlarged_frame, enlarged_suit
 from devices.link import Chunk, Framing
 from firmware_protocol import FrameDecoder, PacketDecoder
 from gateway.assembly import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
+from gateway.emulation.simulation import LINK, relay_chunks, suit_17
 from gateway.frames import ImuFrame, LocalReading
 from gateway.pipeline import FRAMES_AT_A_TIME, Pipeline
 from gateway.reconstruction import RECONSTRUCTORS, Reconstructor, update_many

@@ -9,8 +9,9 @@ import numpy as np
 
 from benchmarks import opensim_peer
 from benchmarks.figures import Figure, table
-from benchmarks.optical import DATA, TRIALS
+from benchmarks.optical import DATA
 from devices.marker_files import read_markers
+from gateway.emulation.optical_truth import TRIALS
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.reconstruction.optical.fitting import Fit, fit_body
 from gateway.reconstruction.optical.landmarks import to_world

@@ -19,8 +19,8 @@ from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.cli.emulated_rig import dress, move, sunlight
 from gateway.comparison import orientation_error, rmse_deg
+from gateway.emulation.rig import dress, move, sunlight
 from gateway.light import sun_direction
 from gateway.pipeline import Pipeline
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.figures import Figure
-from benchmarks.video_truth import KnownPerson, rendered, ring_of_cameras, true_regions, walking
 from gateway.calibration.cameras_import import import_cameras
+from gateway.emulation.video_truth import KnownPerson, rendered, ring_of_cameras, true_regions, walking
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.crowd import VideoCrowd

@@ -19,9 +19,9 @@ from playwright.async_api import Page, Playwright, WebSocket, async_playwright
 
 from benchmarks.figures import Figure, Report, table
 from benchmarks.latency import process_of
-from benchmarks.local_broker import free_port, mosquitto
 from benchmarks.synthetic_poses import GATEWAY, INFO, RATE_HZ, frames_of, skeleton_of_size
 from benchmarks.viewer_browser import browser_page
+from devices.emulators.local_broker import free_port, mosquitto
 from gateway.outputs import MqttSettings
 from gateway.outputs.mqtt import MqttOutput
 

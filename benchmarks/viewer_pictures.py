@@ -18,9 +18,9 @@ from pathlib import Path
 from playwright.async_api import Page, async_playwright
 
 from benchmarks.emulated_recording import LINK, record_walk
-from benchmarks.local_broker import free_port, mosquitto
 from benchmarks.viewer_browser import browser_page
 from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.local_broker import free_port, mosquitto
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.settings import GatewaySettings, LinkSettings

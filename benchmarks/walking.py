@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy import DATA
 from benchmarks.figures import Figure, Report, table
 from benchmarks.foot_recording import FootResult, measure_foot, read_foot
-from benchmarks.peers import SMOOTHED, solved
-from benchmarks.scoring import coverage_percent
-from benchmarks.simulation import SENSORS, assembled
 from devices.emulators.gait import RUN, WALK
-from devices.emulators.motions import BodyMotion, gait_motion
+from devices.emulators.motions import gait_motion
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress
-from gateway.comparison import orientation_error, rmse_deg
-from gateway.frames import FloatArray, SkeletonFrame
+from gateway.emulation.recordings import SMOOTHED, solved
+from gateway.emulation.rig import dress
+from gateway.emulation.simulation import SENSORS, WALK_FROM_S, WalkResult, assembled, measure_walk
 
 SEED = 1
-FROM_S = 5.0
-"""Filters start anywhere; the walk sets off at 2.75 s."""
 METHODS = ("independent", "outward", "joint", SMOOTHED)
 FOOT_METHODS = ("independent", "joint")
 GAITS = {
@@ -31,25 +24,6 @@ GAITS = {
     "walk, circle of 4 m": (replace(WALK, radius=4.0), 30.0),
     "run, straight": (RUN, 30.0),
 }
-
-
-class WalkResult(NamedTuple):
-    """Errors of one walk."""
-
-    total_deg: float
-    """RMSE of the orientations, mean of the segments."""
-    tilt_deg: float
-    covered_percent: float
-    """Of the orientation errors within two sigma; NaN without."""
-    distance_m: float
-    length_error: float
-    """Relative, of the path."""
-    end_error: float
-    """Of the place at the end, over the path's length."""
-    height_error_m: float
-    switches: int
-    largest_step_deg: float
-    """Largest change of any segment's orientation error from the frame before a switch to the one after."""
 
 
 def run() -> Report:
@@ -82,46 +56,6 @@ def run() -> Report:
     return report
 
 
-def measure_walk(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float = FROM_S) -> WalkResult:
-    """From ``from_s`` on; places are counted from where the body is then."""
-    times = np.array([frame.time_ns for frame in frames]) * 1e-9
-    kept = np.flatnonzero(times >= from_s)
-    truth = motion.state(times[kept])
-    place = np.array([frames[k].p_w[0] for k in kept])
-    true_place = truth.joint_position[:, 0]
-    off = (place - place[0]) - (true_place - true_place[0])
-    length, true_length = (
-        float(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1).sum()) for p in (place, true_place)
-    )
-    root = np.array([frames[k].root for k in kept])
-    switches = np.flatnonzero(np.diff(root))
-    q_wb = np.stack([frames[k].q_wb for k in kept])
-    steps = _error_steps_deg(q_wb, truth.q_wb)
-    error = orientation_error(q_wb, truth.q_wb)
-    return WalkResult(
-        total_deg=float(rmse_deg(error.total).mean()),
-        tilt_deg=float(rmse_deg(error.inclination).mean()),
-        covered_percent=coverage_percent(error.total, np.stack([frames[k].sigma for k in kept])),
-        distance_m=true_length,
-        length_error=length / true_length - 1.0,
-        end_error=float(np.linalg.norm(off[-1, :2])) / true_length,
-        height_error_m=float(np.abs(off[:, 2]).max()),
-        switches=len(switches),
-        largest_step_deg=float(steps[switches].max()) if len(switches) else 0.0,
-    )
-
-
-def _error_steps_deg(q_wb: FloatArray, true_q_wb: FloatArray) -> FloatArray:
-    """(T − 1,) by how much the orientation error of the worst segment changes from frame to frame."""
-    shape = q_wb.shape[:2]
-    estimate, truth = (Rotation.from_quat(q.reshape(-1, 4), scalar_first=True) for q in (q_wb, true_q_wb))
-    error = (estimate * truth.inv()).as_quat().reshape(*shape, 4)
-    after, before = (Rotation.from_quat(part.reshape(-1, 4)) for part in (error[1:], error[:-1]))
-    angle = (after * before.inv()).magnitude().reshape(shape[0] - 1, shape[1])
-    worst: FloatArray = np.degrees(angle.max(axis=1))
-    return worst
-
-
 def _add_emulated(report: Report, rows: list[list[str]], walked: dict[tuple[str, str], WalkResult]) -> None:
     heads = [
         "gait", "method", "total / tilt RMSE °", "% in 2σ", "path m",
@@ -130,7 +64,7 @@ def _add_emulated(report: Report, rows: list[list[str]], walked: dict[tuple[str,
     ]  # fmt: skip
     report.tables.append(
         "### Emulated person, 17 consumer sensors, lever arms 1 cm off, no local device, 100 Hz\n\n"
-        f"Counted from {FROM_S:g} s on. The end error holds the heading's error, the length error does "
+        f"Counted from {WALK_FROM_S:g} s on. The end error holds the heading's error, the length error does "
         "not. Its feet stand still in the world; its bones are as long as the rig says."
         "\n\n" + table(heads, rows)
     )

@@ -42,3 +42,12 @@ def test_nothing_below_the_shell_reads_a_clock():
     for path in sans_io:
         for line, name in imported_roots(path):
             assert name not in {"time", "asyncio", "socket", "threading"}, f"{path}:{line} imports {name}"
+
+
+def test_only_tests_of_benchmarks_import_benchmarks():
+    """What tests and benchmarks share belongs to the emulators and to gateway/emulation."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        if path.is_relative_to(ROOT / "tests" / "benchmarks"):
+            continue
+        for line, name in imported_roots(path):
+            assert name != "benchmarks", f"{path}:{line} imports {name}"

@@ -117,13 +117,12 @@ async def _ask(gateway: _Gateway, verb: str, wanted: str, payload: bytes) -> Non
             properties.ResponseTopic = wanted
     topic = f"mocap/{_GATEWAY}/bridge/request/{verb.translate(dict.fromkeys(map(ord, '+#'), 'x')) or 'none'}"
     message = aiomqtt.Message(topic, payload, 1, False, 0, properties)
-    worker = asyncio.create_task(gateway.responder._work())
     await gateway.responder._take(message)
     for _ in range(1000):
         if gateway.client.answers:
             break
         await asyncio.sleep(0)
-    worker.cancel()
+    await gateway.responder.stop()
 
 
 class _Broker:
@@ -131,6 +130,7 @@ class _Broker:
 
     def __init__(self, message: aiomqtt.Message) -> None:
         self.messages = self._one(message)
+        self._queue: asyncio.Queue[aiomqtt.Message] = asyncio.Queue()
 
     async def _one(self, message: aiomqtt.Message) -> AsyncIterator[aiomqtt.Message]:
         yield message

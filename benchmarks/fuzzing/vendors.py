@@ -9,14 +9,11 @@ import numpy as np
 from benchmarks.fuzzing.files import SCRATCH, in_a_file, refused_or_read
 from devices.emulators.recordings import Recording
 from devices.marker_files import MarkerTrial, read_c3d, read_trc
-from devices.vendor_formats import (
-    ColumnMap,
-    read_mapped_csv,
-    read_movella_dot,
-    read_mvnx,
-    read_ximu3,
-    read_xsens_text,
-)
+from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
+from devices.vendor_formats.movella_dot import read_movella_dot
+from devices.vendor_formats.mvnx import read_mvnx
+from devices.vendor_formats.ximu3 import read_ximu3
+from devices.vendor_formats.xsens_text import read_xsens_text
 from gateway.settings_files import load_settings
 
 PARTS = b"\n=====\n"

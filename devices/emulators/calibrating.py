@@ -1,6 +1,6 @@
 """A wearer who goes through a body calibration: poses, squats, legs, arms, then everything at once.
 
-The timetable is public, so that a procedure that wants to be tried on an emulated wearer can keep to it.
+The timetable is that of ``devices.calibration_script``.
 """
 
 from __future__ import annotations
@@ -11,44 +11,14 @@ from math import pi, radians
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from devices.calibration_script import PERIOD_S, timetable
 from devices.emulators.bodies import EmulatedBody, FloatArray
 from devices.emulators.motions import BodyMotion
 from devices.emulators.scripted import Script, Term, pulses
 from devices.emulators.waves import Derivatives
 
-GET_READY_S = 3.0
-"""Before every step the wearer stands and gets into position."""
-STEPS: tuple[tuple[str, float], ...] = (
-    ("n_pose", 4.0),
-    ("t_pose", 4.0),
-    ("squat", 6.0),
-    ("left_leg", 7.0),
-    ("right_leg", 7.0),
-    ("arms", 5.0),
-    ("free", 15.0),
-)
-"""Name and duration of the steps, s."""
-PERIOD_S = sum(GET_READY_S + seconds for _, seconds in STEPS) + 1.0
-"""Then all begins anew."""
-
 _KNEE_BEND = radians(45.0)  # of thigh and shank against the vertical in the squat
 _SETTLING_S = 0.6  # the wearer is in position so long before a pose begins
-
-
-def timetable() -> dict[str, tuple[float, float]]:
-    """Begin and end of each step within the period, s."""
-    found: dict[str, tuple[float, float]] = {}
-    at = 0.0
-    for name, seconds in STEPS:
-        found[name] = (at + GET_READY_S, at + GET_READY_S + seconds)
-        at += GET_READY_S + seconds
-    return found
-
-
-def begin_of_script(not_before_ns: int) -> int:
-    """The next gateway time at which an emulated wearer begins: all on one machine agree about it."""
-    period_ns = round(PERIOD_S * 1e9)
-    return -(-not_before_ns // period_ns) * period_ns
 
 
 @dataclass(frozen=True)

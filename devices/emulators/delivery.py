@@ -28,6 +28,8 @@ class Transmission(NamedTuple):
     """Motion time, s."""
     data: bytes
     """A stuffed wire frame, or the CAN records of one, as the framing says."""
+    device: int | None = None
+    """Number of the device that it comes from; None: not told, or of none."""
 
 
 class Encoding(NamedTuple):

@@ -37,7 +37,7 @@ from firmware_protocol import (
     SyncResponse,
 )
 from firmware_protocol.commands import BROADCAST_ANSWER_DELAY_US
-from firmware_protocol.messages import ANYONE
+from firmware_protocol.messages import ANYONE, DEVICE_INFO_INTERVAL_S
 
 STARTED_FROM_FACTORY_SETTINGS = 8
 """Event of a device that found no settings in its flash."""
@@ -59,7 +59,7 @@ class Equipment:
     sensors: tuple[str, ...] = ()
     fixed_id: int | None = None
     """Id that no setting changes (a relay's)."""
-    info_interval_s: float = 5.0
+    info_interval_s: float = DEVICE_INFO_INTERVAL_S
     health_interval_s: float = 1.0
 
 

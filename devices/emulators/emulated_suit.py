@@ -13,13 +13,13 @@ Timers of the default event loop are as coarse as a millisecond; a loop on
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from devices.emulators.delivery import Transmission
-from devices.emulators.transports.transport import Transport
+from devices.emulators.transports.transport import DatagramTransport, Transport
 from devices.link import Framing, gateway_time_ns
 
 _PREPARED_S = 0.25
@@ -37,7 +37,7 @@ _FAST_CHUNK_SIZE = 4096
 class Conversation(Protocol):
     """A suit that hears what the host says, as ``SuitTraffic`` does. Times are motion time, s."""
 
-    def receive(self, data: bytes, at_s: float) -> None: ...
+    def receive(self, data: bytes, at_s: float, device: int | None = None) -> None: ...
 
     def advance(self, to_s: float) -> list[Transmission]: ...
 
@@ -84,12 +84,12 @@ class EmulatedSuit:
         linger_s: how long the transport stays open after the last byte, so that it can be read.
         duration_s: motion time at which a suit that hears the host ends; default: never.
 
-        Raises ``ValueError`` for a speed that is not positive, or single bytes on a CAN bus.
+        Raises ``ValueError`` for a speed that is not positive, or single bytes on a CAN bus or in datagrams.
         """
         if speed is not None and speed <= 0.0:
             raise ValueError(f"speed {speed}: give a positive factor, or None for as fast as it is read")
-        if is_byte_by_byte and transport.framing is Framing.CAN:
-            raise ValueError("byte by byte needs a byte stream, not a CAN bus")
+        if is_byte_by_byte and (transport.framing is Framing.CAN or isinstance(transport, DatagramTransport)):
+            raise ValueError("byte by byte needs a byte stream, not a CAN bus or datagrams")
         self.transport = transport
         self.counts = SuitCounts()
         self.start_ns = start_ns
@@ -97,7 +97,8 @@ class EmulatedSuit:
         self._conversation = source if isinstance(source, Conversation) else None
         self._source: Iterator[Transmission] = iter(()) if isinstance(source, Conversation) else iter(source)
         self._duration_s = duration_s
-        self._heard: list[tuple[bytes, float]] = []
+        self._heard: list[tuple[bytes, float, int | None]] = []
+        self._acts: list[Callable[[], None]] = []
         self._speed = speed
         self._is_byte_by_byte = is_byte_by_byte
         self._linger_s = linger_s
@@ -109,6 +110,10 @@ class EmulatedSuit:
     def motion_time_s(self, instant_ns: int) -> float:
         """Motion time at a gateway time, s. Raises ``RuntimeError`` before the start."""
         return (instant_ns - self._start()) * 1e-9 * (self._speed or 1.0)
+
+    def do(self, act: Callable[[], None]) -> None:
+        """Have something done to a suit that hears the host, between two steps of its computation."""
+        self._acts.append(act)
 
     async def run(self) -> None:
         """Open the transport, send everything, close it. Cancelling stops the suit at once."""
@@ -128,11 +133,11 @@ class EmulatedSuit:
             raise RuntimeError("the suit has not started: call run first")
         return self.start_ns
 
-    def _hear(self, data: bytes) -> None:
+    def _hear(self, data: bytes, device: int | None = None, /) -> None:
         self.counts.received_bytes += len(data)
         if self._conversation is not None:
             at_s = 0.0 if self.start_ns is None else self.motion_time_s(gateway_time_ns())
-            self._heard.append((data, at_s))
+            self._heard.append((data, at_s, device))
 
     async def _converse(self, suit: Conversation) -> None:
         """Compute the suit step by step, each while what came of the one before is being sent."""
@@ -146,8 +151,11 @@ class EmulatedSuit:
             while now_s < end_s:
                 now_s = await self._time_of_next_step(now_s, end_s)
                 heard, self._heard = self._heard, []
-                for data, at_s in heard:
-                    suit.receive(data, at_s)
+                for data, at_s, device in heard:
+                    suit.receive(data, at_s, device)
+                acts, self._acts = self._acts, []
+                for act in acts:
+                    act()
                 batch = await loop.run_in_executor(computing, suit.advance, now_s)
                 await sending
                 sending = asyncio.create_task(self._send(batch))
@@ -204,20 +212,33 @@ class EmulatedSuit:
             if end > start:
                 self.counts.lateness_s = (now - due[start]) * 1e-9
                 self.counts.worst_lateness_s = max(self.counts.worst_lateness_s, self.counts.lateness_s)
-                await self._offer(b"".join(t.data for t in batch[start:end]))
+                await self._offer(batch[start:end])
             start = end
 
-    async def _offer(self, data: bytes) -> None:
-        for piece in self._pieces(data):
-            if self.transport.offer(piece):
-                self.counts.sent_bytes += len(piece)
-            else:
-                self.counts.dropped_bytes += len(piece)
-                self.counts.dropped_chunks += 1
+    async def _offer(self, batch: list[Transmission]) -> None:
+        if isinstance(self.transport, DatagramTransport):
+            for transmission in batch:
+                self._count(
+                    transmission.data, self.transport.offer_from(transmission.device, transmission.data)
+                )
+            return
+        for piece in self._pieces(b"".join(transmission.data for transmission in batch)):
+            self._count(piece, self.transport.offer(piece))
             if self._is_byte_by_byte:
                 await asyncio.sleep(0)
 
+    def _count(self, piece: bytes, was_taken: bool) -> None:
+        if was_taken:
+            self.counts.sent_bytes += len(piece)
+        else:
+            self.counts.dropped_bytes += len(piece)
+            self.counts.dropped_chunks += 1
+
     async def _send_fast(self, batch: list[Transmission]) -> None:
+        if isinstance(self.transport, DatagramTransport):
+            await self._offer(batch)  # at any speed: a network refuses nothing for long
+            await asyncio.sleep(0)
+            return
         chunk = b""
         for transmission in batch:
             chunk += transmission.data

@@ -55,10 +55,10 @@ class FaultySuit:
         """Motion time up to which it has been asked; behind the clock where the machine is too busy."""
         return self._now_s
 
-    def receive(self, data: bytes, at_s: float) -> None:
+    def receive(self, data: bytes, at_s: float, device: int | None = None) -> None:
         """As ``SuitTraffic.receive``."""
         if not self._deafening.on(at_s):
-            self.traffic.receive(data, at_s)
+            self.traffic.receive(data, at_s, device)
 
     def advance(self, to_s: float) -> list[Transmission]:
         """As ``SuitTraffic.advance``."""

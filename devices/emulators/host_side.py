@@ -14,24 +14,34 @@ class FromHost:
     """What the host has said, until it is due."""
 
     def __init__(self, framing: Framing) -> None:
-        self.decoder = PacketDecoder(CanFrameDecoder() if framing is Framing.CAN else FrameDecoder())
-        """Its ``dropped`` counts what came damaged."""
-        self._waiting: list[tuple[float, bytes]] = []
+        self.decoder = _decoder(framing)
+        """Of what goes to all on the link. Its ``dropped`` counts what came damaged."""
+        self._framing = framing
+        self._decoders: dict[int | None, PacketDecoder] = {None: self.decoder}
+        self._waiting: list[tuple[float, bytes, int | None]] = []
 
-    def receive(self, data: bytes, at_s: float) -> None:
-        """Bytes, or CAN records, that arrive at a true time, s; not before those given last."""
-        self._waiting.append((at_s, data))
+    def receive(self, data: bytes, at_s: float, device: int | None = None) -> None:
+        """Bytes, or CAN records, that arrive at a true time, s; not before those given last.
 
-    def before(self, to_s: float) -> list[tuple[float, ReceivedPacket]]:
-        """Takes the packets that arrive before a true time (s), with the times of their arrival."""
-        n_due = sum(at_s < to_s for at_s, _ in self._waiting)
+        device: number of the one that they come to; None: to all.
+        """
+        self._waiting.append((at_s, data, device))
+
+    def before(self, to_s: float) -> list[tuple[float, ReceivedPacket, int | None]]:
+        """Takes the packets that arrive before a true time (s), with the times of their arrival and the
+        device that they come to."""
+        n_due = sum(at_s < to_s for at_s, *_ in self._waiting)
         due, self._waiting = self._waiting[:n_due], self._waiting[n_due:]
         return [
-            (at_s, received)
-            for at_s, data in due
-            for received in self.decoder.feed(data)
+            (at_s, received, device)
+            for at_s, data, device in due
+            for received in self._decoders.setdefault(device, _decoder(self._framing)).feed(data)
             if received.kind in FROM_HOST
         ]
+
+
+def _decoder(framing: Framing) -> PacketDecoder:
+    return PacketDecoder(CanFrameDecoder() if framing is Framing.CAN else FrameDecoder())
 
 
 class RadioToDevice:

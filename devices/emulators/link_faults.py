@@ -45,7 +45,7 @@ class LinkFaults:
         self._framing = framing
         self._rng = np.random.default_rng([plan.seed, _PURPOSE])
         self._noise_rng = np.random.default_rng([plan.seed, _PURPOSE, 1])
-        self._under_way: list[tuple[float, int, bytes]] = []
+        self._under_way: list[tuple[float, int, Transmission]] = []
         self._order = 0
         self._drip_free_s = 0.0
         self._noise_due_s = 0.0
@@ -112,7 +112,7 @@ class LinkFaults:
         dripping = []
         for piece in pieces:
             at_s = min(at_s + len(piece) / fault.bytes_per_s, max(end_s, sent.time_s))
-            dripping.append(Transmission(at_s, piece))
+            dripping.append(Transmission(at_s, piece, sent.device))
         self._drip_free_s = at_s
         return dripping
 
@@ -145,12 +145,11 @@ class LinkFaults:
             self._put(Transmission(at_s, data))
 
     def _put(self, sent: Transmission) -> None:
-        heapq.heappush(self._under_way, (sent.time_s, self._order, sent.data))
+        heapq.heappush(self._under_way, (sent.time_s, self._order, sent))
         self._order += 1
 
     def _arrived(self, to_s: float) -> list[Transmission]:
         arrived = []
         while self._under_way and self._under_way[0][0] < to_s:
-            time_s, _, data = heapq.heappop(self._under_way)
-            arrived.append(Transmission(time_s, data))
+            arrived.append(heapq.heappop(self._under_way)[2])
         return arrived

@@ -24,6 +24,9 @@ from devices.vendor_formats.xsens_text import read_mt_file
 LOCAL_DEVICE = 60
 """Module id under which optical positions are sent as those of a local measuring device."""
 
+METAL_TABLE_S = 5.0
+"""The chain of ``ring_chain5`` lies on a metal table for so long; the figures count what comes after."""
+
 RING_OPTICAL_LAG_S = 0.016
 """How much later than the modules the optical system of ``ring_chain5`` shows the same motion, s.
 

@@ -10,6 +10,7 @@ from devices.emulators.delivery import Encoding
 from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD
 from devices.emulators.light_sampler import Sunlight
 from devices.emulators.sample_encoding import SENSORS
+from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class SuitSettings:
     """(3,) world, µT."""
     sunlight: Sunlight | None = None
     """What the modules' photoelectric cells see; None: they have none."""
-    info_interval_s: float = 5.0
+    info_interval_s: float = DEVICE_INFO_INTERVAL_S
     health_interval_s: float = 1.0
     block_s: float = 0.5
     """Length of the blocks in which ``SuitTraffic.transmissions`` computes what is sent."""

@@ -65,7 +65,7 @@ class SuitTraffic:
         self.on_sent: Callable[[int, list[Timed]], list[Timed]] | None = None
         """May change what a device (by number) is about to send."""
         self._now_s = 0.0
-        self._pending: list[tuple[float, int, bytes]] = []
+        self._pending: list[tuple[float, int, bytes, int]] = []
         self._order = 0
         self._host_absences: list[tuple[float, float]] = []
         self._build(SuitParts(motion, settings, imperfections, seed), imperfections, seed)
@@ -90,19 +90,23 @@ class SuitTraffic:
             yield from self.advance(to_s if duration_s is None else min(to_s, duration_s))
         yield from self.rest()
 
-    def receive(self, data: bytes, at_s: float) -> None:
+    def receive(self, data: bytes, at_s: float, device: int | None = None) -> None:
         """Bytes, or CAN records, from the host, in order of time (motion time, s).
 
-        What should have come before the time that ``advance`` has reached comes then.
+        device: number of the one that they come to, where each has an address of its own; the relay
+        passes on to all what comes to it. What should have come before the time that ``advance`` has
+        reached comes then.
         """
         if not any(start_s <= at_s < end_s for start_s, end_s in self._host_absences):
-            self.from_host.receive(data, at_s)
+            self.from_host.receive(data, at_s, None if device == RELAY else device)
 
     def advance(self, to_s: float) -> list[Transmission]:
         """Everything that arrives between the last call's time and ``to_s`` (motion time, s), in order."""
-        for at_s, received in self.from_host.before(to_s):
+        for at_s, received, addressee in self.from_host.before(to_s):
             on_air_s = self._broadcaster.on_air(at_s) if received.kind == SamplingTrigger.KIND else None
             for number, device in self.devices.items():
+                if addressee not in (None, number):
+                    continue
                 radio = self._to_devices[number]
                 heard = radio.arrivals(at_s) if on_air_s is None else radio.receptions(on_air_s)
                 for arrival_s in heard:
@@ -116,7 +120,7 @@ class SuitTraffic:
             on_air = [(RELAY, self._relay.forward(packets, to_s))]
         for number, sent in on_air:
             for transmission in self._deliveries[number].deliver(self._in_reach(sent)):
-                heapq.heappush(self._pending, (transmission.time_s, self._order, transmission.data))
+                heapq.heappush(self._pending, (transmission.time_s, self._order, transmission.data, number))
                 self._order += 1
         self._now_s = to_s
         return list(self._arrived_before(to_s))
@@ -169,8 +173,8 @@ class SuitTraffic:
 
     def _arrived_before(self, to_s: float) -> Iterator[Transmission]:
         while self._pending and self._pending[0][0] < to_s:
-            time_s, _, data = heapq.heappop(self._pending)
-            yield Transmission(time_s, data)
+            time_s, _, data, number = heapq.heappop(self._pending)
+            yield Transmission(time_s, data, number)
 
     def _sent_by_module(self, to_s: float) -> dict[int, list[Timed]]:
         sent, inertial = {}, []

@@ -29,7 +29,8 @@ PART, WHOLE = (9_000, 20_000), (0, None)
 
 def in_part_and_whole(names, part, *whole):
     """Parameters ``names`` and rows: ``part`` of one trial, and all of this and others, which is slow."""
-    slow = [pytest.param(*each, WHOLE, marks=pytest.mark.slow) for each in (part, *whole)]
+    reason = "half a minute a trial; a part of the other trials is mostly the settling of a start in it"
+    slow = [pytest.param(*each, WHOLE, marks=pytest.mark.slow(reason=reason)) for each in (part, *whole)]
     return pytest.mark.parametrize((*names, "rows"), [(*part, PART), *slow])
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.optical_reference import gyrometer_disagreement, in_time
 from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
+from gateway.emulation.optical_reference import gyrometer_disagreement, in_time
 
 
 def tumbling(times):

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks.ring_pair import TRIAL, write_files
+from devices.emulators.ring_pair import write_files
 from gateway.cli.main import app
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.timeout(900),
-    pytest.mark.skipif(not TRIAL.is_dir(), reason=f"the recording {TRIAL} is not here"),
-]
+DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+TRIAL = DATA / "ring_chain5" / "trial1"
+pytestmark = pytest.mark.skipif(not TRIAL.is_dir(), reason=f"the recording {TRIAL} is not here")
 SPAN = ("--span", "8:60")
 """Before and after, the chain lies on a metal table."""
 
@@ -29,7 +29,7 @@ def run(*arguments: str) -> str:
 def pair(tmp_path_factory):
     """Recordings of the modules and of the markers."""
     folder = tmp_path_factory.mktemp("pair")
-    write_files(folder)
+    write_files(TRIAL, folder)
     suit, optical, subject = (str(folder / name) for name in ("suit.mcap", "optical.mcap", "ring.yaml"))
     columns, rig = str(folder / "columns.yaml"), str(folder / "ring_rig.yaml")
     run("import", str(folder / "imu.csv"), "--columns", columns, "--rig", rig, "-o", suit)

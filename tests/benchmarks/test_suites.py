@@ -64,7 +64,7 @@ def test_every_suite_runs_without_arguments_and_has_its_place_in_the_page(name: 
     assert f"<!-- end {name} " in page
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="the smallest case of a suite still takes up to a minute")
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("name", SMALL)
 def test_a_small_case_gives_figures(name: str, monkeypatch: pytest.MonkeyPatch) -> None:

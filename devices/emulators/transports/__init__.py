@@ -10,14 +10,17 @@ from devices.emulators.transports.memory_transport import MemoryTransport
 from devices.emulators.transports.pty_transport import PtyTransport
 from devices.emulators.transports.slcan_transport import SlcanTransport
 from devices.emulators.transports.tcp_transport import TcpTransport
-from devices.emulators.transports.transport import Transport
+from devices.emulators.transports.transport import DatagramTransport, Transport
+from devices.emulators.transports.udp_transport import UdpTransport
 
 __all__ = [
     "CanBusTransport",
+    "DatagramTransport",
     "LoopbackTransport",
     "MemoryTransport",
     "PtyTransport",
     "SlcanTransport",
     "TcpTransport",
     "Transport",
+    "UdpTransport",
 ]

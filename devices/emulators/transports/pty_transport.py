@@ -86,8 +86,12 @@ class PtyTransport:
             os.close(self._master)
             self._master = -1
         self._rest, self._has_reader = b"", False
-        if self._link_path is not None and self._link_path.is_symlink():
+        if self._link_path is not None and self._points_here(self._link_path):
             self._link_path.unlink()
+
+    def _points_here(self, link: Path) -> bool:
+        """Return whether a link is still ours: another suit may have taken its place."""
+        return link.is_symlink() and os.readlink(link) == self._slave_path
 
     async def _keep_polling(self) -> None:
         # Not by the event loop's readiness: while nobody has the slave open that would fire without end.

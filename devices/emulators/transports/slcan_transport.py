@@ -64,7 +64,7 @@ class SlcanTransport:
         self.is_channel_open = False
         await self._pty.close()
 
-    def _take(self, data: bytes) -> None:
+    def _take(self, data: bytes, _device: int | None = None, /) -> None:
         *commands, self._partial = (self._partial + data).split(b"\r")
         self._partial = self._partial[-_LONGEST_COMMAND:]
         for command in commands:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from devices.link import Framing
 
-OnReceive = Callable[[bytes], None]
-"""Takes what the host has sent: bytes in any chunks, or whole CAN records, as the framing says."""
+
+class OnReceive(Protocol):
+    """Takes what the host has sent: bytes in any chunks, or whole CAN records, as the framing says."""
+
+    def __call__(self, data: bytes, device: int | None = None, /) -> None:
+        """device: number of the one that it came to; None: to all on the link."""
+        ...
 
 
-def ignore(data: bytes) -> None:
+def ignore(data: bytes, device: int | None = None, /) -> None:
     """What is done with the host's bytes while nobody listens."""
 
 
@@ -39,3 +43,12 @@ class Transport(Protocol):
         ...
 
     async def close(self) -> None: ...
+
+
+@runtime_checkable
+class DatagramTransport(Transport, Protocol):
+    """One on which each device has an address of its own, and each transmission is a datagram."""
+
+    def offer_from(self, device: int | None, data: bytes) -> bool:
+        """As ``offer``, from a device by its number; None: from somebody who is none of them."""
+        ...

@@ -1,16 +1,17 @@
-"""Simulated motion with known truth, as frames for a reconstructor or through the whole wire."""
+"""Simulated motion with known truth, as frames, as wire bytes or through the whole pipeline; and errors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.bodies import EmulatedBody
 from devices.emulators.ideal_sensors import sense
-from devices.emulators.imperfections import Imperfections
+from devices.emulators.imperfections import IDEAL, Imperfections
 from devices.emulators.motions import BodyMotion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.waves import Fade
@@ -18,12 +19,13 @@ from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit, field_vector
-from gateway.comparison import orientation_error, rmse_deg
+from gateway.comparison import coverage_percent, orientation_error, rmse_deg
+from gateway.emulation.rig import dress, move
 from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.stream import ClockMode
 
-LINK = "simulated"
+LINK = "suit"
 SENSORS = Imperfections(
     accelerometer_noise=0.03,
     gyrometer_noise=np.radians(0.1),
@@ -40,12 +42,34 @@ DIP_DEG = 25.0
 ALREADY_MOVING = Fade(rest_s=-10.0, ramp_s=1.0)
 """For motions without a rest before them."""
 
+WALK_FROM_S = 5.0
+"""Filters start anywhere; the walk sets off at 2.75 s."""
+
 PLACEMENTS = {
     "on the joints": (0.0, 0.0, 0.0),
     "0.12 m beside the joints": (0.12, 0.05, 0.0),
     "0.12 m up the links": (0.03, 0.0, 0.12),
 }
 """Where each module sits on its link, from the proximal joint, m; neutral links stand upright."""
+
+
+class WalkResult(NamedTuple):
+    """Errors of one walk."""
+
+    total_deg: float
+    """RMSE of the orientations, mean of the segments."""
+    tilt_deg: float
+    covered_percent: float
+    """Of the orientation errors within two sigma; NaN without."""
+    distance_m: float
+    length_error: float
+    """Relative, of the path."""
+    end_error: float
+    """Of the place at the end, over the path's length."""
+    height_error_m: float
+    switches: int
+    largest_step_deg: float
+    """Largest change of any segment's orientation error from the frame before a switch to the one after."""
 
 
 def arm(position: tuple[float, float, float]) -> WornSuit:
@@ -120,9 +144,68 @@ def _sent(
         yield Chunk(sent.data, round(sent.time_s * 1e9), LINK)
 
 
+def suit_17() -> tuple[WornSuit, BodyMotion]:
+    """The shipped 17-module suit and a walking person in it."""
+    suit = load_rig("suit_17")
+    return suit, move(dress(suit), suit.skeleton.name, seed=1)
+
+
+def relay_chunks(
+    motion: BodyMotion,
+    seconds: float,
+    rate_hz: float = 100.0,
+    has_relay: bool = True,
+    imperfections: Imperfections = IDEAL,
+) -> list[Chunk]:
+    """What the suit sends in so many seconds, one chunk a transmission, arrival times as emulated."""
+    settings = SuitSettings(sampling_rate_hz=rate_hz, has_relay=has_relay)
+    traffic = SuitTraffic(motion, settings, imperfections, seed=1)
+    return [Chunk(sent.data, round(sent.time_s * 1e9), LINK) for sent in traffic.transmissions(seconds)]
+
+
 def errors_deg(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float) -> FloatArray:
     """RMSE of each segment against the truth, degrees, (n_segments,); frames before ``from_s`` left out."""
     times_s = np.array([frame.time_ns for frame in frames]) * 1e-9
     settled = times_s >= from_s
     q_wb = np.stack([frame.q_wb for frame in frames])[settled]
     return rmse_deg(orientation_error(q_wb, motion.state(times_s[settled]).q_wb).total)
+
+
+def measure_walk(frames: list[SkeletonFrame], motion: BodyMotion, from_s: float = WALK_FROM_S) -> WalkResult:
+    """From ``from_s`` on; places are counted from where the body is then."""
+    times = np.array([frame.time_ns for frame in frames]) * 1e-9
+    kept = np.flatnonzero(times >= from_s)
+    truth = motion.state(times[kept])
+    place = np.array([frames[k].p_w[0] for k in kept])
+    true_place = truth.joint_position[:, 0]
+    off = (place - place[0]) - (true_place - true_place[0])
+    length, true_length = (
+        float(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1).sum()) for p in (place, true_place)
+    )
+    root = np.array([frames[k].root for k in kept])
+    switches = np.flatnonzero(np.diff(root))
+    q_wb = np.stack([frames[k].q_wb for k in kept])
+    steps = _error_steps_deg(q_wb, truth.q_wb)
+    error = orientation_error(q_wb, truth.q_wb)
+    return WalkResult(
+        total_deg=float(rmse_deg(error.total).mean()),
+        tilt_deg=float(rmse_deg(error.inclination).mean()),
+        covered_percent=coverage_percent(error.total, np.stack([frames[k].sigma for k in kept])),
+        distance_m=true_length,
+        length_error=length / true_length - 1.0,
+        end_error=float(np.linalg.norm(off[-1, :2])) / true_length,
+        height_error_m=float(np.abs(off[:, 2]).max()),
+        switches=len(switches),
+        largest_step_deg=float(steps[switches].max()) if len(switches) else 0.0,
+    )
+
+
+def _error_steps_deg(q_wb: FloatArray, true_q_wb: FloatArray) -> FloatArray:
+    """(T − 1,) by how much the orientation error of the worst segment changes from frame to frame."""
+    shape = q_wb.shape[:2]
+    estimate, truth = (Rotation.from_quat(q.reshape(-1, 4), scalar_first=True) for q in (q_wb, true_q_wb))
+    error = (estimate * truth.inv()).as_quat().reshape(*shape, 4)
+    after, before = (Rotation.from_quat(part.reshape(-1, 4)) for part in (error[1:], error[:-1]))
+    angle = (after * before.inv()).magnitude().reshape(shape[0] - 1, shape[1])
+    worst: FloatArray = np.degrees(angle.max(axis=1))
+    return worst

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from random import Random
 
-from benchmarks.wire_traffic import Source
+from devices.emulators.wire_traffic import Source
 from firmware_protocol import CanFrame, WireFrame, encode_frame, fragment, pack_can_records
 
 BLOCK_SIZE = 256

@@ -19,7 +19,7 @@ from devices.emulators.ideal_sensors import SensorValues, sense
 from devices.emulators.motions import BodyMotion, generic_motion
 from devices.emulators.waves import Waves
 from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity
 
 RATE_HZ = 100.0
@@ -117,14 +117,19 @@ def felt(observed: list[ImuFrame]) -> FloatArray:
 
 
 def sampled(
-    suit: WornSuit, motion: BodyMotion, switches: Switches, seed: int, rate_hz: float = RATE_HZ
+    suit: WornSuit,
+    motion: BodyMotion,
+    switches: Switches,
+    seed: int,
+    rate_hz: float = RATE_HZ,
+    seconds: float = SECONDS,
 ) -> list[ImuFrame]:
     """All frames of a chain, sensor axes; where a local device tells a position, its readings as well.
 
     suit: any whose modules are those of its segments, in their order and with their axes.
     """
     n, rng = suit.skeleton.n_segments, np.random.default_rng([seed, 7])
-    times = np.arange(round(SECONDS * rate_hz)) / rate_hz
+    times = np.arange(round(seconds * rate_hz)) / rate_hz
     at = times[:, None] + switches.clock_residue_s * rng.standard_normal(n)
     state = motion.module_state(np.arange(n), at)
     body: EmulatedBody = dress(suit)

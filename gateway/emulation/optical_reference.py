@@ -13,9 +13,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from benchmarks.scoring import reference_at
 from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
 from gateway.comparison import orientation_error, rmse_deg
+from gateway.emulation.recordings import reference_at
 from gateway.frames import FloatArray
 
 LONGEST_LAG_S = 0.05

@@ -1,4 +1,5 @@
-"""The chain of ``ring_chain5`` as the files of two sources: ``python -m benchmarks.ring_pair FOLDER``.
+"""The chain of ``ring_chain5`` as the files of two sources: ``python -m devices.emulators.ring_pair TRIAL
+FOLDER``.
 
 Five links carry four markers and a module each. Written are ``ring.trc`` (markers), ``ring_set.yaml`` (a
 marker set for the shipped body ``chain_5``), ``imu.csv`` (the modules' samples), ``columns.yaml`` (what its
@@ -13,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.frames import FloatArray
+from devices.emulators.bodies import FloatArray
 
-TRIAL = Path(__file__).parents[2] / "shared" / "data" / "ring_chain5" / "trial1"
 MARKER_HZ, MODULE_HZ = 30, 40
 ALONG = {1: (2, 4), 2: (2, 4), 3: (1, 3), 4: (2, 3), 5: (4, 2)}
 ACROSS = {1: (1, 2), 2: (1, 2), 3: (2, 3), 4: (4, 3), 5: (1, 4)}
@@ -24,18 +24,18 @@ MODULE_M = {1: 0.0, 2: 0.196, 3: 0.184, 4: 0.173, 5: 0.174}
 """From the segment's joint to its module, which sits in the middle of its markers."""
 
 
-def write_files(folder: Path) -> None:
-    """All of them. Raises OSError."""
-    _write_trc(folder / "ring.trc", *_markers())
+def write_files(trial: Path, folder: Path) -> None:
+    """Write all of them. trial: folder of the recording's trial. Raises OSError."""
+    _write_trc(folder / "ring.trc", *_markers(trial))
     (folder / "ring_set.yaml").write_text(_marker_set())
-    shutil.copyfile(TRIAL / "imu_rigid.csv", folder / "imu.csv")
+    shutil.copyfile(trial / "imu_rigid.csv", folder / "imu.csv")
     (folder / "columns.yaml").write_text(_columns())
     (folder / "ring_rig.yaml").write_text(_rig())
 
 
-def _markers() -> tuple[list[str], FloatArray]:
+def _markers(trial: Path) -> tuple[list[str], FloatArray]:
     """Labels, and (F, 20, 3) m. Where the set tells no orientation of a segment its markers were not seen."""
-    path = TRIAL / "omc.csv"
+    path = trial / "omc.csv"
     names = path.read_text().splitlines()[2].split(",")
     table = np.genfromtxt(path, delimiter=",", skip_header=3)
     labels = [_marker(segment, k) for segment in ALONG for k in range(1, 5)]
@@ -110,6 +110,6 @@ def _rig() -> str:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: python -m benchmarks.ring_pair FOLDER")
-    write_files(Path(sys.argv[1]))
+    if len(sys.argv) != 3:
+        sys.exit("usage: python -m devices.emulators.ring_pair TRIAL FOLDER")
+    write_files(Path(sys.argv[1]), Path(sys.argv[2]))

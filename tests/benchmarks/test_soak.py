@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks import soak
-from benchmarks.emulated_stream import suit_17
 from benchmarks.soak_reference import LATEST_S, SETTLED_S, SINCE_S, Comparison, Orientations
 from benchmarks.soak_simulated import simulated
 from devices.emulators.fault_plan import FaultPlan
+from gateway.emulation.simulation import suit_17
 from gateway.frames import Status
 
 HELD_UP = {
@@ -32,7 +32,7 @@ HELD_UP = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a minute of faults in real time")
 @pytest.mark.system
 @pytest.mark.timeout(400)
 async def test_a_minute_of_faults():
@@ -43,6 +43,25 @@ async def test_a_minute_of_faults():
     found = [c for c in soak.complaints(report) if "intact for long" not in c and "memory" not in c]
     assert found == []
     assert len(report["faults"]) >= 5
+
+
+@pytest.mark.slow(reason="seconds of real time, one suit after another")
+@pytest.mark.system
+@pytest.mark.parametrize("shape", soak.SHAPES)
+async def test_a_few_seconds_of_a_suit_of_which_somebody_is_silent(shape):
+    if shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin") is None:
+        pytest.skip("mosquitto is not installed")
+    report = await soak.soak_shape(shape, 5.0)
+    assert [c for c in soak.complaints(report) if "memory" not in c] == []
+    assert (report["poses"] > 0) == soak.SHAPES[shape].makes_poses
+
+
+def test_without_faults_only_what_is_left_over_and_missing_poses_are_complained_of():
+    quiet = {key: value for key, value in HELD_UP.items() if not key.startswith("compared")}
+    assert soak.complaints(quiet | {"shape": "single"}) == []
+    assert soak.complaints(quiet | {"shape": "local", "poses": 0}) == []
+    (said,) = soak.complaints(quiet | {"shape": "lone", "poses": 0})
+    assert "only 0 poses" in said
 
 
 @pytest.mark.parametrize(
@@ -75,7 +94,7 @@ def test_rates_need_clocks_that_a_busy_machine_did_not_unsettle():
     assert soak.complaints(off | busy | {"compared": [first, {**last, "p99_rad_s": 2.0}]}) != []
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="minutes of simulated time, twice")
 @pytest.mark.timeout(900)
 def test_poses_equal_those_of_a_fault_free_run_in_simulated_time():
     """A gyrometer that was saturated for a second used to leave its segment 20° off for half a minute."""

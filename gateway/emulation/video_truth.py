@@ -160,4 +160,5 @@ def _blobs(cells: FloatArray) -> FloatArray:
     grid = np.arange(CELLS)
     across = np.exp(-0.5 * ((grid - cells[:, :1]) / SPREAD) ** 2)
     down = np.exp(-0.5 * ((grid - cells[:, 1:]) / SPREAD) ** 2)
-    return PEAK * np.nan_to_num(down[:, :, None] * across[:, None, :])
+    blobs: FloatArray = PEAK * np.nan_to_num(down[:, :, None] * across[:, None, :])
+    return blobs

@@ -1,7 +1,7 @@
 """A suit reduced to its wire: writes prepared bytes to a pseudo-terminal, each at its time.
 
 Run as a process of its own, so that its work does not count as the gateway's:
-``python -m benchmarks.paced_writer LINK N_MODULES RATE_HZ SECONDS``. Prints one JSON line when the
+``python -m devices.emulators.paced_writer LINK N_MODULES RATE_HZ SECONDS``. Prints one JSON line when the
 port is there, and one with the gateway time of the last byte of every tick at the end.
 """
 

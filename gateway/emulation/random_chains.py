@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.fast_arm import POSITION_DEVICE, Switches
-from benchmarks.simulation import ALREADY_MOVING
 from devices.emulators.motions import BodyMotion, generic_motion
 from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.fast_arm import POSITION_DEVICE, Switches
+from gateway.emulation.rig import dress
+from gateway.emulation.simulation import ALREADY_MOVING
 from gateway.frames import Quantity
 
 HELD_BY = ("fixed point", "position device", "nothing")

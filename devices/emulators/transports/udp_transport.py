@@ -1,0 +1,77 @@
+"""Modules on a wireless network: each sends datagrams from a socket of its own, and hears what comes."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+from devices.emulators.transports.transport import OnReceive, ignore
+from devices.link import Framing
+
+_LARGEST_DATAGRAM = 65536
+
+
+class UdpTransport:
+    """To one port of a gateway, which need not be there yet: datagrams that nobody takes are lost."""
+
+    framing = Framing.BYTE_STREAM
+
+    def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+        self.host = host
+        self.port = port
+        self.on_receive: OnReceive = ignore
+        self._sockets: dict[int | None, socket.socket] = {}
+        self._is_open = False
+
+    @property
+    def url(self) -> str:
+        """What the gateway listens on; empty while closed."""
+        return f"udp://{self.host}:{self.port}" if self._is_open else ""
+
+    async def open(self) -> None:
+        """Sockets are opened as devices begin to send."""
+        self._is_open = True
+
+    def offer(self, data: bytes) -> bool:
+        """Of no device: nothing is held back, so that there is nothing to move on."""
+        return not data or self.offer_from(None, data)
+
+    def offer_from(self, device: int | None, data: bytes) -> bool:
+        """Send a datagram from a device's socket; False when the system does not take it."""
+        if not self._is_open:
+            return False
+        try:
+            self._socket_of(device).send(data)
+        except OSError:  # nobody listens, or no room: the datagram is lost, as on the air
+            return False
+        return True
+
+    def listen(self, on_receive: OnReceive) -> None:
+        """Hand on what comes back, with the number of the device that it came to."""
+        self.on_receive = on_receive
+
+    async def close(self) -> None:
+        """Close all sockets."""
+        self._is_open = False
+        loop = asyncio.get_running_loop()
+        for opened in self._sockets.values():
+            loop.remove_reader(opened)
+            opened.close()
+        self._sockets.clear()
+
+    def _socket_of(self, device: int | None) -> socket.socket:
+        opened = self._sockets.get(device)
+        if opened is None:
+            opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            opened.setblocking(False)
+            opened.connect((self.host, self.port))
+            asyncio.get_running_loop().add_reader(opened, self._receive, device, opened)
+            self._sockets[device] = opened
+        return opened
+
+    def _receive(self, device: int | None, opened: socket.socket) -> None:
+        try:
+            data = opened.recv(_LARGEST_DATAGRAM)
+        except OSError:  # nobody listens at the other end
+            return
+        self.on_receive(data, device)

@@ -1,0 +1,205 @@
+"""What befalls the body's sensors, and what `joint` makes of it: an emulated suit through the wire.
+
+Every case is the same walk of the same person with the same noise; it is compared, instant by instant, with
+the run in which nothing went wrong. *excess*: error less the error of that run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from devices.emulators.bodies import EmulatedBody
+from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faulty_suit import FaultySuit
+from devices.emulators.imperfections import TYPICAL
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.link import Chunk, Framing
+from gateway.assembly import AssemblyParams
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import LocalDevice, WornSuit
+from gateway.comparison import orientation_error
+from gateway.emulation.rig import LOCAL_SIGMA, dress, move
+from gateway.frames import FloatArray, Quantity, Status, StatusArray
+from gateway.geometry import quaternion
+from gateway.pipeline import Pipeline
+
+BEGIN_S, SECONDS, LONG_SECONDS = 12.0, 32.0, 84.0
+VICTIM, ML = 12, 60
+"""Module on the left shank, and the device that measures the pelvis' position."""
+RECOVERED_DEG = 1.0
+STEP_S = 0.05
+LINK = "suit"
+
+
+@dataclass(frozen=True)
+class Case:
+    """Something that goes wrong, and for how long."""
+
+    name: str
+    fault: dict[str, Any] | None = None
+    """Without the times; see ``fault_plan``."""
+    lasts_s: float = 1000.0
+    """To the end of the run, if longer than that."""
+    begins_s: float = BEGIN_S
+    worn: str = ""
+    """``turned``, ``upside_down`` or ``swapped``: how the victim is worn, throughout."""
+    seconds: float = SECONDS
+
+    @property
+    def ends_s(self) -> float:
+        return self.begins_s + self.lasts_s
+
+    def plan(self) -> FaultPlan:
+        """Return what befalls the emulated suit."""
+        times = {"at": self.begins_s, "lasts": self.lasts_s}
+        return FaultPlan.model_validate({"faults": [self.fault | times] if self.fault else []})
+
+
+def _module(kind: str, **more: Any) -> dict[str, Any]:
+    return {"kind": kind, "module": VICTIM, **more}
+
+
+MODULE_CASES = (
+    Case("module dies", _module("reset")),
+    Case("module dies, comes back after 10 s", _module("reset"), 10.0),
+    Case("module worn turned by 180° about the leg", worn="turned"),
+    Case("module worn upside down", worn="upside_down"),
+    Case("module and that of the foot swapped", worn="swapped"),
+    Case("gyrometer saturated for 2 s", _module("saturated"), 2.0),
+    Case("accelerometer saturated for 2 s", _module("saturated", sensor="specific_force"), 2.0),
+    Case("gyrometer stuck for 5 s", _module("stuck"), 5.0),
+    Case("magnet of 60 µT passes for 5 s", _module("magnet"), 5.0),
+)
+ML_CASES = tuple(
+    Case(
+        f"local device silent for {lasts_s:g} s",
+        {"kind": "reset", "module": ML},
+        lasts_s,
+        seconds=max(SECONDS, BEGIN_S + lasts_s + 15.0),
+    )
+    for lasts_s in (0.5, 5.0, 60.0)
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came out of one case, T frames of n segments."""
+
+    case: Case
+    times_s: FloatArray  # (T,)
+    error_deg: FloatArray  # (T, n)
+    tilt_deg: FloatArray  # (T, n)
+    q_wb: FloatArray  # (T, n, 4)
+    p_w: FloatArray  # (T, n, 3)
+    true_p_w: FloatArray  # (T, n, 3)
+    sigma_deg: FloatArray  # (T, n)
+    status: StatusArray  # (T, n)
+    agreement: dict[str, float]
+
+
+def suit_with_position(quantity: Quantity = Quantity.POSITION) -> WornSuit:
+    """The shipped suit for the lower body with a device at its waist that measures ``quantity``."""
+    suit = load_rig("suit_lower_7")
+    device = LocalDevice(quantity, suit.skeleton.index("pelvis"), np.array([0.0, 0.1, 0.0]), ML)
+    return replace(suit, local_devices=(device,))
+
+
+def emulated(suit: WornSuit, case: Case, method: str = "joint", seed: int = 1) -> Run:
+    """One case through bytes, clocks and frames."""
+    truth = move(dress(suit, LOCAL_SIGMA), suit.skeleton.name, seed)
+    motion = truth
+    if case.worn:
+        motion = move(_worn(dress(suit, LOCAL_SIGMA), case.worn), suit.skeleton.name, seed)
+    settings = SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field)
+    traffic = FaultySuit(SuitTraffic(motion, settings, TYPICAL, seed), case.plan())
+    pipeline = Pipeline(suit, AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000), method)
+    pipeline.add_link(LINK, Framing.BYTE_STREAM)
+    steps = range(1, round(case.seconds / STEP_S) + 1)
+    frames = list(
+        pipeline.replay(
+            Chunk(sent.data, round(sent.time_s * 1e9), LINK)
+            for step in steps
+            for sent in traffic.advance(step * STEP_S)
+        )
+    )
+    times_s = np.array([frame.time_ns for frame in frames]) * 1e-9
+    q_wb, state = np.stack([frame.q_wb for frame in frames]), truth.state(times_s)
+    error = orientation_error(q_wb, state.q_wb)
+    agreement: Any = pipeline.statistics()["joint_agreement"]
+    return Run(
+        case,
+        times_s,
+        np.degrees(error.total),
+        np.degrees(error.inclination),
+        q_wb,
+        np.stack([frame.p_w for frame in frames]),
+        state.joint_position,
+        np.degrees(np.stack([frame.sigma for frame in frames])),
+        np.stack([frame.status for frame in frames]),
+        agreement,
+    )
+
+
+_TURNS = {"turned": (0.0, 0.0, 1.0, 0.0), "upside_down": (0.0, 1.0, 0.0, 0.0)}
+"""About the length of the segment, and about the axis that looks forward."""
+
+
+def _worn(body: EmulatedBody, how: str) -> EmulatedBody:
+    """The body with the victim's module put on wrong."""
+    segment = int(np.flatnonzero(body.module_ids == VICTIM)[0])
+    if how in _TURNS:
+        q = body.sensor_to_segment.copy()
+        q[segment] = quaternion.multiply(np.array(_TURNS[how]), q[segment])
+        return replace(body, sensor_to_segment=q)
+    if how == "swapped":
+        ids = body.module_ids.copy()
+        ids[segment], ids[segment + 1] = ids[segment + 1], ids[segment]
+        return replace(body, module_ids=ids)
+    return body
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a case did to some segments."""
+
+    worst_deg: float
+    """Largest excess from its beginning on."""
+    recovery_s: float
+    """From its end until the excess stays below a degree; NaN: it lasted to the end, or never did."""
+
+
+def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
+    """Over the segments; a segment that is not defined counts as no error, its status says so."""
+    n = min(len(run.times_s), len(calm.times_s))
+    at_calm = np.searchsorted(calm.times_s, run.times_s[:n] - 0.005).clip(0, len(calm.times_s) - 1)
+    excess = run.error_deg[:n, segments] - calm.error_deg[at_calm][:, segments]
+    excess = np.nan_to_num(excess).max(axis=1)
+    times, end_s = run.times_s[:n], run.case.ends_s
+    after, worst = times >= end_s, float(excess[times >= run.case.begins_s].max())
+    if not after.any():
+        return Outcome(worst, np.nan)
+    bad = times[after & (excess > RECOVERED_DEG)]
+    is_over = not len(bad) or bad[-1] < times[-1] - 1.0
+    recovery_s = (float(bad[-1] - end_s) if len(bad) else 0.0) if is_over else np.nan
+    return Outcome(worst, recovery_s)
+
+
+def told_after_s(run: Run, segments: list[int]) -> float:
+    """From the beginning until the status of all the segments is another than measured or interpolated."""
+    told = (run.status[:, segments] > Status.INTERPOLATED).all(axis=1) & (run.times_s >= run.case.begins_s)
+    return float(run.times_s[told][0] - run.case.begins_s) if told.any() else np.nan
+
+
+def is_finite(run: Run) -> bool:
+    """Whether every orientation after the start is a number, and every sigma."""
+    settled = run.times_s > 2.0
+    return bool(np.isfinite(run.q_wb[settled]).all() and np.isfinite(run.sigma_deg[settled]).all())
+
+
+def largest_step_deg(run: Run, from_s: float, to_s: float) -> float:
+    """Of the error from one frame to the next, over all segments: what is seen as a jump."""
+    now = (run.times_s >= from_s) & (run.times_s < to_s)
+    return float(np.abs(np.diff(run.tilt_deg[now], axis=0)).max())
