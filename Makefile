@@ -7,16 +7,19 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test test-socketcan lint docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
+.PHONY: help demo test test-all attack test-socketcan lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
 	@echo "make test    install what the tests need (mosquitto and chromium too, where apt may) and run them"
+	@echo "make test-all  these, then those that are marked slow, each with its reason in its mark"
+	@echo "make attack  the attacks that docs/security.md promises to withstand (make test has them too)"
 	@echo "make test-socketcan  SocketCAN on the kernel's virtual buses, in a virtual machine if need be"
 	@echo "make lint    ruff and mypy"
+	@echo "make golden-renew  after a change that is meant to change poses: store them anew, say by how much each moved"
 	@echo "make bench   measure, and rewrite the figures in docs/"
 	@echo "make docs    the pages in docs/ as HTML"
-	@echo "make soak    slow tests, and ten million wire frames, damaged and good, through the decoders;"
+	@echo "make soak    ten million wire frames, damaged and good, through the decoders;"
 	@echo "             then MINUTES=20 of random faults on a running gateway (make soak-faults: these alone)"
 	@echo "make fuzz    MINUTES=30 of coverage-guided fuzzing (Linux on x86-64); what it finds stays in tests/fuzz"
 	@echo "make audit   known vulnerabilities of the pinned dependencies"
@@ -69,8 +72,20 @@ lint: install-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: install-dev system-tools lint
-	$(BIN)/python -m pytest -n 3 --dist worksteal $(TESTS)  # many wait: three keep two cores busy
+# Linted beside the tests, for neither waits for the other; many tests wait: three workers keep two cores busy.
+test: install-dev system-tools
+	@mkdir -p build; $(MAKE) -s lint > build/lint.log 2>&1 & lint=$$!; \
+	$(BIN)/python -m pytest -n 3 --dist worksteal --durations 10 $(TESTS); tests=$$?; \
+	wait $$lint; lint=$$?; cat build/lint.log; exit $$((tests ? tests : lint))
+
+test-all: test
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow --durations 10
+
+golden-renew: install-dev
+	@$(BIN)/python -m tests.golden renew $(CASES)
+
+attack: install-dev system-tools
+	$(BIN)/python -m pytest tests/attack
 
 test-socketcan: install-dev
 	@PYTHON=$(BIN)/python tests/socketcan/run.sh
@@ -84,8 +99,7 @@ bench: install-dev system-tools
 
 soak soak-faults: MINUTES ?= 20
 soak: install-dev system-tools
-	$(BIN)/python -m pytest -m slow
-	$(BIN)/python -m benchmarks.wire_campaign --frames 10000000
+	$(BIN)/python -m devices.emulators.wire_campaign --frames 10000000
 	$(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
 
 soak-faults: install-dev system-tools

@@ -1,76 +1,113 @@
-"""The one way in which kernels are compiled.
+"""The one way in which kernels are compiled, and where they are kept.
 
-Numba caches a kernel beside the source it stands in and compiles it anew when that file changes, but not
-when another file changes whose kernels it calls: after an edit it would go on running the old code. The cache
-therefore lies in a directory named after the state of the whole package.
+What was compiled lies on the disk under the kernel's fingerprint (``kernel_fingerprint``): an edit compiles
+those kernels anew whose machine code it changes, and no others.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
 import os
-import shutil
+import tempfile
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+from gateway.geometry.kernel_fingerprint import fingerprint
+
 F = TypeVar("F", bound=Callable[..., object])
 
 PACKAGE = Path(__file__).resolve().parents[1]
-KEPT_CACHES = 5
-"""Older states of the package whose kernels are kept: for going back to one, or for a process still on it."""
-
-
-def source_fingerprint(package: Path) -> str:
-    """Sixteen hexadecimal digits that change with any source file of kernels below ``package``.
-
-    Those are the files that name this module or Numba, and ``frames.py``, whose constants kernels freeze.
-    """
-    digest = hashlib.sha256()
-    for path in sorted(package.rglob("*.py")):
-        source = path.read_bytes()
-        names_compiler = b"geometry.compiled" in source or b"from numba" in source
-        if names_compiler or path.name in ("compiled.py", "frames.py"):
-            digest.update(str(path.relative_to(package)).encode() + source)
-    return digest.hexdigest()[:16]
+KEPT_STATES = 5
+"""Of each kernel: for going back to an older state of it, or for a process that is still on it."""
+COMPILER_OPTIONS = {"error_model": "numpy"}
+"""IEEE division (x / 0 is inf or NaN, never an exception). Reassociation of sums stays off: the same input
+gives the same bits."""
 
 
 def cache_directory(package: Path) -> Path:
-    """Below ``NUMBA_CACHE_DIR`` where it is set, else beside the package, else in the user's cache."""
+    """Return ``NUMBA_CACHE_DIR`` where it is set, else a folder beside the package or in the user's cache."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        base = Path(chosen)
-    elif os.access(package, os.W_OK):
-        base = package / "__pycache__"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mocap-gateway"
-    return base / f"kernels-{source_fingerprint(package)}"
-
-
-def prune(directory: Path, kept: int = KEPT_CACHES) -> None:
-    """Removes kernels of older states of the package beside ``directory``, but the ``kept`` newest."""
-    others = [path for path in directory.parent.glob("kernels-*") if path != directory and path.is_dir()]
-    ages = {}
-    for path in others:
-        with contextlib.suppress(OSError):  # another process prunes too
-            ages[path] = path.stat().st_mtime
-    for path in sorted(ages, key=lambda path: ages[path])[: max(0, len(ages) - kept)]:
-        shutil.rmtree(path, ignore_errors=True)
+        return Path(chosen)
+    if os.access(package, os.W_OK):
+        return package / "__pycache__" / "kernels"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mocap-gateway" / "kernels"
 
 
 CACHE_DIRECTORY = cache_directory(PACKAGE)
 
 
+def prune(directory: Path, kept: int = KEPT_STATES) -> None:
+    """Delete all but the newest states of each kernel below ``directory``.
+
+    Files are called ``module.kernel-fingerprint.python.nbi`` (which signatures there are) and ``….1.nbc``
+    (the code of each); a state is as old as its newest file.
+    """
+    states: dict[str, dict[str, list[Path]]] = defaultdict(lambda: defaultdict(list))
+    for path in directory.glob("*/*.nb[ic]"):
+        kernel, _, rest = path.name.rpartition("-")
+        states[f"{path.parent.name}/{kernel}"][rest.partition(".")[0]].append(path)
+    with contextlib.suppress(OSError):  # another process deletes, too
+        for by_fingerprint in states.values():
+            files = sorted(by_fingerprint.values(), key=lambda paths: max(p.stat().st_mtime for p in paths))
+            for path in (path for paths in files[:-kept] for path in paths):
+                path.unlink(missing_ok=True)
+
+
+class KernelLocator:
+    """Where Numba finds a kernel on the disk, by content; has the methods of its cache locators."""
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        self._directory = CACHE_DIRECTORY / function.__module__
+        self._fingerprint = fingerprint([function])
+
+    @classmethod
+    def from_function(cls, function: Callable[..., object], file: str) -> KernelLocator | None:
+        """Return the locator of one of our kernels; None for functions that other packages compile."""
+        return cls(function) if function in _KERNEL_FUNCTIONS else None
+
+    def ensure_cache_path(self) -> None:
+        """Create the folder. Raises ``OSError`` if it cannot be."""
+        self._directory.mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        """Return the folder of the kernel's module."""
+        return str(self._directory)
+
+    def get_source_stamp(self) -> str:
+        """Return what an index must carry to be believed."""
+        return self._fingerprint
+
+    def get_disambiguator(self) -> str:
+        """Return what tells this state of the kernel from others in the file's name."""
+        return self._fingerprint
+
+
+_KERNEL_FUNCTIONS: set[Callable[..., object]] = set()
+
+
 @functools.cache
 def _compiler() -> Any:
-    """Numba, which takes a second to import: when the first kernel is called."""
+    """Return Numba, which takes a second to import: when the first kernel is called."""
     import numba  # noqa: PLC0415 - takes a second
 
-    if not CACHE_DIRECTORY.exists():
-        prune(CACHE_DIRECTORY)
-    numba.config.CACHE_DIR = str(CACHE_DIRECTORY)  # type: ignore[attr-defined]  # set by name in numba
+    prune(CACHE_DIRECTORY)
+    locators = (f"{__name__}.{KernelLocator.__name__}", "UserWideCacheLocator")
+    numba.config.CACHE_LOCATOR_CLASSES = ",".join(locators)  # type: ignore[attr-defined]  # set by name
     return numba
+
+
+@functools.cache
+def _is_kept(directory: Path) -> bool:
+    """Return whether kernels can be written there; else every process compiles its own."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=directory).close()
+    except OSError:
+        return False
+    return True
 
 
 class Kernel:
@@ -78,22 +115,20 @@ class Kernel:
 
     def __init__(self, function: Callable[..., object]) -> None:
         functools.update_wrapper(self, function)
-        self._function = function
+        self.kernel_function = function
+        _KERNEL_FUNCTIONS.add(function)
 
     @functools.cached_property
     def dispatcher(self) -> Any:
-        """Numba's side: cached on disk, IEEE division (x / 0 is inf or NaN, never an exception).
-
-        Reassociation of sums stays off: the same input gives the same bits.
-        """
-        return _compiler().njit(cache=True, error_model="numpy")(self._function)
+        """Numba's side, kept on the disk."""
+        return _compiler().njit(cache=_is_kept(CACHE_DIRECTORY), **COMPILER_OPTIONS)(self.kernel_function)
 
     @functools.cached_property
     def _within(self) -> Any:
         """The same as part of other kernels: without what Python and the disk would need of it, which takes
         as long to compile as the kernel."""
-        numba = _compiler()
-        return numba.njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(self._function)
+        inner = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        return _compiler().njit(**COMPILER_OPTIONS, **inner)(self.kernel_function)
 
     @property
     def _numba_type_(self) -> Any:
