@@ -8,6 +8,7 @@ compiles in a process of its own: numba holds the interpreter while it does, and
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import sys
 from importlib.metadata import version
@@ -15,7 +16,9 @@ from pathlib import Path
 
 from gateway.body.rig import load_rig
 from gateway.geometry import compiled
-from gateway.reconstruction import RECONSTRUCTORS, create_reconstructor
+from gateway.geometry.kernel_fingerprint import fingerprint
+from gateway.reconstruction import RECONSTRUCTORS, create_reconstructor, whole_body
+from gateway.reconstruction.inertial import joint
 
 FALLBACK = "independent"
 """Compiles in seconds, and serves until then."""
@@ -42,8 +45,15 @@ def command(name: str) -> list[str]:
     return [sys.executable, "-m", "gateway.reconstruction.readiness", name]
 
 
+@functools.cache
+def _chain_kernels() -> str:
+    """Return the fingerprint of what the chain methods compile."""
+    values = (*vars(joint).values(), *vars(whole_body).values())
+    return fingerprint(value.kernel_function for value in values if isinstance(value, compiled.Kernel))
+
+
 def _mark(name: str) -> Path:
-    return compiled.CACHE_DIRECTORY / f"ready-{name}-numba-{version('numba')}"
+    return compiled.CACHE_DIRECTORY / f"ready-{name}-{_chain_kernels()}-numba-{version('numba')}"
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 from gateway.body.interpolation import follow, following_rules
 from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import WornSuit
-from gateway.frames import Clipped, FloatArray, ImuFrame, Quantity, SkeletonFrame, Status, StatusArray
+from gateway.frames import (
+    Clipped,
+    FloatArray,
+    ImuFrame,
+    IntArray,
+    Quantity,
+    SkeletonFrame,
+    Status,
+    StatusArray,
+)
 from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
 from gateway.reconstruction.inertial.root_position import (
     Contacts,
@@ -40,6 +49,7 @@ from gateway.reconstruction.module_faults import RepeatState, initial_repeats, s
 SHORTEST_STEP_S = 1e-5
 LONGEST_STEP_S = 0.5
 """A longer pause counts as one of that length."""
+_NEVER_NS = int(np.iinfo(np.int64).min)
 
 
 NO_CONTACTS = "body '{}' has no contacts to walk on: give its feet 'contacts', or set 'auto' or 'fixed'"
@@ -99,7 +109,8 @@ class WholeBodyReconstructor:
 
     root of its frames: the segment that the body stands on, while it walks. p_w: in the world, z from the
     floor, the start above the origin. status: PREDICTED for segments without module; a stuck module counts as
-    silent. ``joint_agreement``: see that module.
+    silent. A frame that is not later than the one before changes nothing and gets the last pose again.
+    ``joint_agreement``: see that module.
     """
 
     def __init__(self, suit: WornSuit, finder: OrientationFinder, root: RootSettings | None = None) -> None:
@@ -122,8 +133,9 @@ class WholeBodyReconstructor:
     def reset(self) -> None:
         """Forget everything but the parameters."""
         self.finder.reset()
-        self._time_ns = -1
+        self._time_ns = _NEVER_NS
         n = self._suit.skeleton.n_segments
+        self._last = _no_pose(n)
         n_contacts = len(self._contacts.segments) if self._contacts else 0
         self._memory = _Memory(
             initial_stance(n),
@@ -138,8 +150,20 @@ class WholeBodyReconstructor:
 
     def update_many(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
         """Instants in time order; the same as ``update`` of each, bit for bit."""
-        if not observations:
-            return []
+        newest_ns, is_later = self._time_ns, []
+        for observation in observations:
+            is_later.append(observation.time_ns > newest_ns)
+            newest_ns = max(newest_ns, observation.time_ns)
+        later = [one for one, counts in zip(observations, is_later, strict=True) if counts]
+        solved = iter(self._solved(later) if later else ())
+        poses = []
+        for observation, counts in zip(observations, is_later, strict=True):
+            self._last = next(solved) if counts else replace(self._last, sequence=observation.sequence)
+            poses.append(self._last)
+        return poses
+
+    def _solved(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
+        """Return the poses of instants each later than the one before."""
         prepared = self.prepare(observations)
         if isinstance(self.finder, _BatchFinder):
             rest = np.stack([one.resting for one in prepared])
@@ -164,7 +188,7 @@ class WholeBodyReconstructor:
 
     def _step(self, time_ns: int) -> float:
         """Seconds since the frame before."""
-        dt = (time_ns - self._time_ns) * 1e-9 if self._time_ns >= 0 else 0.0
+        dt = (time_ns - self._time_ns) * 1e-9 if self._time_ns > _NEVER_NS else 0.0
         self._time_ns = time_ns
         return min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
 
@@ -237,7 +261,8 @@ class WholeBodyReconstructor:
         state = dict(self.finder.state())
         for part, memory in self._memory._asdict().items():
             state |= {f"{part}.{name}": array.copy() for name, array in memory._asdict().items()}
-        return state | {"time_ns.whole_body": np.array([self._time_ns])}
+        state |= {f"last.{name}": getattr(self._last, name).copy() for name in _POSE_ARRAYS}
+        return state | {"time_ns.whole_body": np.array([self._time_ns]), "last.numbers": _numbers(self._last)}
 
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
         """Go on from a saved state. Raises ``ValueError`` if it is of another body."""
@@ -249,6 +274,9 @@ class WholeBodyReconstructor:
                 if saved is None or saved.shape != array.shape:
                     raise ValueError(f"the saved state's '{part}.{name}' does not fit this body")
                 array[...] = saved
+        sequence, time_ns, root = (int(number) for number in state["last.numbers"])
+        arrays: dict[str, Any] = {name: state[f"last.{name}"].copy() for name in _POSE_ARRAYS}
+        self._last = replace(self._last, sequence=sequence, time_ns=time_ns, root=root, **arrays)
         self._time_ns = int(state["time_ns.whole_body"][0])
         self.finder.set_state(state)
 
@@ -258,6 +286,21 @@ class WholeBodyReconstructor:
         ones, none = np.ones((m, 3)), np.zeros(m, np.int64)
         for k in range(2):
             self.update(ImuFrame(k, k * 10_000_000, ones, 0.1 * ones, ones, none.astype(np.uint8), none))
+
+
+_POSE_ARRAYS = ("q_wb", "angular_rate", "joint_acceleration", "p_w", "sigma", "status")
+
+
+def _no_pose(n: int) -> SkeletonFrame:
+    """Return the pose of n segments of which nothing is known."""
+    q_wb, rate, acceleration, p_w = (np.full((n, size), np.nan) for size in (4, 3, 3, 3))
+    status = np.full(n, Status.MISSING, np.uint8)
+    return SkeletonFrame(0, 0, q_wb, rate, acceleration, p_w, np.full(n, np.nan), status, 0)
+
+
+def _numbers(pose: SkeletonFrame) -> IntArray:
+    """Return what a pose holds beside its arrays."""
+    return np.array([pose.sequence, pose.time_ns, pose.root], np.int64)
 
 
 @runtime_checkable

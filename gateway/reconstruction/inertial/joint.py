@@ -99,18 +99,22 @@ class ChainReconstructor:
         self._place.reset()
 
     def state(self) -> dict[str, NDArray[np.generic]]:
-        """All that is remembered, as arrays; a position that is being interpolated is not part of it."""
-        return {name: array.copy() for name, array in self._state._asdict().items()}
+        """Return all that is remembered, as arrays."""
+        filtered = {name: array.copy() for name, array in self._state._asdict().items()}
+        return filtered | self._root_motion.places() | self._place.state()
 
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
         """Go on from a saved state: as if never interrupted, bit for bit. Raises ``ValueError`` if it is of
         another body."""
-        fresh = initial_state(self._n, len(self._devices))._asdict()
-        for name, array in fresh.items():
+        for name, array in self.state().items():
             if name not in state or state[name].shape != array.shape:
                 raise ValueError(f"the saved state's {name!r} does not fit this body of {self._n} segments")
+        fresh = initial_state(self._n, len(self._devices))
+        for name, array in fresh._asdict().items():
             array[...] = state[name]
-        self._use(FilterState(**fresh))
+        self._use(fresh)
+        self._root_motion.set_places(state)
+        self._place.set_state(state)
 
     def turned_back(self) -> ChainReconstructor:
         """The same estimator, to go backward from where this one is; see ``time_reversal``."""

@@ -9,10 +9,11 @@ to the instant of a frame where such instants lie on both sides of it, otherwise
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.body.skeleton import LocalDevice
 from gateway.frames import FloatArray, LocalReading, Quantity
@@ -74,6 +75,22 @@ class RootMotion:
             is_newer = self._last_ns is None or reading.time_ns > self._last_ns
             if is_ours and is_newer and np.isfinite(reading.value).all():
                 self._take(device.quantity, reading)
+
+    def places(self) -> dict[str, NDArray[np.generic]]:
+        """Return the measured places that are remembered, as arrays: all there is of a device that measures
+        positions, but for the acceleration found from them."""
+        times, values = np.full(_KEPT, -1, np.int64), np.full((_KEPT, 3), np.nan)
+        for k, instant in enumerate(self._positions):
+            times[k], values[k] = instant.time_ns, instant.value
+        return {"places.time_ns": times, "places.value": values}
+
+    def set_places(self, state: Mapping[str, NDArray[np.generic]]) -> None:
+        """Go on from what ``places`` has returned."""
+        self.reset()
+        for time_ns, value in zip(state["places.time_ns"], state["places.value"], strict=True):
+            if time_ns >= 0:
+                self._last_ns = int(time_ns)
+                self._positions.append(_Instant(int(time_ns), np.array(value, np.float64)))
 
     def acceleration(self, time_ns: int) -> FloatArray:
         """a_1, (3,) world, m/s²; NaN while not known."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -56,10 +57,13 @@ class OpticalReconstructor:
         self._carrying = Carrying(self.model.parents)
         self._before: tuple[int, Pose] | None = None
         self._now: tuple[int, Pose] | None = None
+        self._given: SkeletonFrame | None = None
+        """The last pose given out."""
 
     def reset(self) -> None:
         """Forget the pose: the next frame begins from its markers alone."""
         self._before = self._now = None
+        self._given = None
         self._rates.reset()
         self._carrying.reset()
 
@@ -80,7 +84,15 @@ class OpticalReconstructor:
         return self._frame(observation, pose)
 
     def update(self, observation: MarkerFrame) -> SkeletonFrame:
-        """The pose of one instant. Without enough markers the last one is held; before the first, NaN."""
+        """Return the pose of one instant. Without enough markers the last one is held; before the first, NaN.
+
+        A frame of the same instant as the one before changes nothing and gets the same pose.
+        """
+        if self._given is None or observation.time_ns != self._given.time_ns:
+            self._given = self._pose_of(observation)
+        return replace(self._given, sequence=observation.sequence)
+
+    def _pose_of(self, observation: MarkerFrame) -> SkeletonFrame:
         pose, renamed = self._tracked(observation)
         if pose is None:
             self.counts["lost"] += 1

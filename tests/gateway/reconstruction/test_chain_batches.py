@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 from simulated_body import arm, imu_frames, instants, simulate
 
-from benchmarks.emulated_stream import LINK, relay_chunks, suit_17
 from devices.link import Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.skeleton import LocalDevice
+from gateway.emulation.simulation import LINK, relay_chunks, suit_17
 from gateway.frames import LocalReading, Quantity
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import update_many
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
 from gateway.stream import ClockMode
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 BOTH = pytest.mark.parametrize("kind", [JointReconstructor, OutwardReconstructor])
 
 

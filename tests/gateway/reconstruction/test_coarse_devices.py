@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.fast_arm import sampled
-from benchmarks.random_chains import RandomChain, drawn
 from gateway.body.skeleton import WornSuit
 from gateway.comparison import orientation_error
+from gateway.emulation.fast_arm import sampled
+from gateway.emulation.random_chains import RandomChain, drawn
 from gateway.frames import Quantity
 from gateway.reconstruction.inertial.chain_state import N_READINGS, Noise, initial_state
 from gateway.reconstruction.inertial.joint import JointReconstructor

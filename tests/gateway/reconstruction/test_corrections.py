@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.fast_arm import Switches, fast_arm, fast_motion, sampled
+from gateway.emulation.fast_arm import Switches, fast_arm, fast_motion, sampled
 from gateway.reconstruction import update_many
 from gateway.reconstruction.inertial.chain_state import initial_state
 from gateway.reconstruction.inertial.corrections import ROW_DOUBT, gyrometer_doubt, note_correction, row_doubt

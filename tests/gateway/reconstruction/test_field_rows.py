@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.fast_arm import fast_arm
+from gateway.emulation.fast_arm import fast_arm
 from gateway.geometry.rotation_matrix import from_rotation_vector
 from gateway.reconstruction.inertial.chain_rows import expected_field, field_row, watch_field
 from gateway.reconstruction.inertial.chain_state import Noise, chain_body, initial_state

@@ -10,8 +10,6 @@ from gateway.frames import Status
 from gateway.reconstruction import create_reconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-
 RATE_HZ = 100
 BOTH = pytest.mark.parametrize("kind", [JointReconstructor, OutwardReconstructor])
 

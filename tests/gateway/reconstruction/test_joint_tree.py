@@ -11,8 +11,6 @@ from gateway.reconstruction.inertial.chain_state import Noise, initial_state
 from gateway.reconstruction.inertial.lever_arms import learn_joint_arms, learn_rows, learning
 from gateway.reconstruction.inertial.local_rows import derivative_weights
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-
 PARENTS = np.array([-1, 0, 1, 1, -1, 4])
 
 

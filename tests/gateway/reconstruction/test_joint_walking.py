@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.walking import measure_walk
 from devices.emulators.gait import WALK
 from devices.emulators.ideal_sensors import sense
 from devices.emulators.motions import gait_motion
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
+from gateway.emulation.simulation import measure_walk
 from gateway.frames import ImuFrame
 from gateway.reconstruction import create_reconstructor, update_many
-
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 SECONDS = 20.0
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.simulation import ideal_frames
 from devices.emulators.ideal_sensors import POSITION, VELOCITY, measure_point
 from devices.emulators.motions import generic_motion
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice
-from gateway.cli.emulated_rig import dress
 from gateway.comparison import orientation_error
+from gateway.emulation.rig import dress
+from gateway.emulation.simulation import ideal_frames
 from gateway.frames import LocalReading, Quantity, Status
 from gateway.geometry import quaternion
 from gateway.reconstruction import create_reconstructor, update_many

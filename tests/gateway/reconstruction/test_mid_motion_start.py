@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks.fast_arm import sampled
-from benchmarks.random_chains import drawn
 from gateway.comparison import orientation_error
+from gateway.emulation.fast_arm import sampled
+from gateway.emulation.random_chains import drawn
 from gateway.frames import FloatArray
 from gateway.reconstruction.inertial.joint import ChainReconstructor, JointReconstructor, OutwardReconstructor
 from gateway.reconstruction.reconstructor import update_many

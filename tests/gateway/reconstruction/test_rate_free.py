@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.simulation import PLACEMENTS, arm, errors_deg, ideal_frames
 from devices.emulators.ideal_sensors import measure_point
 from devices.emulators.motions import generic_motion
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
+from gateway.emulation.simulation import PLACEMENTS, arm, errors_deg, ideal_frames
 from gateway.frames import ImuFrame, LocalReading, Quantity, Status
 from gateway.reconstruction import create_reconstructor
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.fast_arm import fast_arm
+from gateway.emulation.fast_arm import fast_arm
 from gateway.reconstruction.inertial import chain_step, device_rows
 from gateway.reconstruction.inertial.chain_averages import average
 from gateway.reconstruction.inertial.chain_rows import unaided_row

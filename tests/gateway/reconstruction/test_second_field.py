@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.simulation import ideal_frames
 from devices.emulators.motions import robot_arm_motion
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress
 from gateway.comparison import orientation_error, rmse_deg
+from gateway.emulation.rig import dress
+from gateway.emulation.simulation import ideal_frames
 from gateway.errors import SettingsError
 from gateway.frames import Quantity, SunSight
 from gateway.geometry import quaternion

@@ -16,9 +16,6 @@ from gateway.reconstruction.inertial.two_ways import put_together
 from gateway.reconstruction.smoothing import Smoother
 
 RATE_HZ = 100
-SLOW = [pytest.mark.slow, pytest.mark.timeout(600)]
-
-
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
@@ -108,8 +105,6 @@ def test_a_method_that_cannot_go_backward_says_so(tmp_path):
 
 
 class TestSmoothing:
-    pytestmark = SLOW
-
     @pytest.fixture(scope="class")
     @staticmethod
     def moving():

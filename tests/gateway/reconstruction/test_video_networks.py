@@ -23,7 +23,7 @@ from gateway.reconstruction.video.region import PersonRegion, peaks
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[4] / "shared" / "data")) / "pose2sim_single"
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.slow(reason="networks of 3 to 200 MB, which who wants them fetches"),
     pytest.mark.skipif(not DATA.is_dir(), reason="the recordings of shared/data are not here"),
 ]
 

@@ -14,7 +14,7 @@ from devices.emulators.gait import RUN, WALK
 from devices.emulators.ideal_sensors import sense
 from devices.emulators.motions import gait_motion, generic_motion
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
 from gateway.frames import Clipped, ImuFrame, Quantity, SkeletonFrame, Status
 from gateway.reconstruction.whole_body import RootMode, RootSettings, WholeBodyReconstructor
 

@@ -12,7 +12,7 @@ import pytest
 
 from devices.marker_files import MarkerTrial, read_markers
 from devices.marker_files.naming import spelt, without_prefixes
-from devices.vendor_formats import FormatError
+from devices.vendor_formats.sheets import FormatError
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import WorldSettings, load_body, worn_without_modules
 from gateway.cli.optical_fit import uneven_sides

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.video_truth import walking
 from gateway.body.rig import load_body
+from gateway.emulation.video_truth import walking
 from gateway.errors import SettingsError
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels

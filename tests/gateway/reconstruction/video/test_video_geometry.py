@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.video_truth import ring_of_cameras
+from gateway.emulation.video_truth import ring_of_cameras
 from gateway.reconstruction.video import initial, lattice
 from gateway.reconstruction.video.camera import project
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.video_truth import rendered, ring_of_cameras, true_regions, walking
+from gateway.emulation.video_truth import rendered, ring_of_cameras, true_regions, walking
 from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.geometry import quaternion
@@ -99,7 +99,6 @@ def test_a_hidden_arm_is_lost_held_and_recovered():
     assert errors[:, others].max() < 0.03
 
 
-@pytest.mark.slow
 def test_what_was_hidden_is_recovered_from_later_frames():
     person = walking(KEYPOINTS, 26, (0.0, 0.0), (0.8, 0.0))
     frames = [

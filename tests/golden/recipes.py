@@ -1,0 +1,428 @@
+"""How the recordings of the golden set were made: emulated sources, each with a seed.
+
+A recipe is run once, when its recording joins the set. The recordings are kept, since emulators may change
+while the poses of the same bytes must not. ``RECIPES`` at the end names them all.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import itertools
+import json
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from devices import recording_format as fmt
+from devices.cameras.heat_map_messages import retimed
+from devices.command_client import host_bytes
+from devices.emulators import (
+    ROUGH,
+    TYPICAL,
+    BodyMotion,
+    Encoding,
+    SuitSettings,
+    SuitTraffic,
+    Transmission,
+)
+from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
+from devices.emulators.light_sampler import Shade
+from devices.link import Chunk, Framing, SentChunk
+from devices.marker_messages import encode_markers
+from devices.recording_writer import DerivedRecordingWriter, session_record
+from firmware_protocol import BROADCAST, SamplingTrigger, WireFrame, wire_frame
+from gateway.body.markers import BodyMarkers
+from gateway.body.rig import WorldSettings, load_rig, worn_without_modules
+from gateway.body.skeleton import CameraPosition, LocalDevice, WornSuit
+from gateway.clocks import clock_table, save_clock_table
+from gateway.emulation.rig import dress, move, sunlight
+from gateway.frames import FloatArray, Quantity
+from gateway.pipeline import CALIBRATED_EVENT, LOAD_EVENT, RESET_EVENT
+from gateway.reconstruction import OPTICAL
+from gateway.recording.reading import RecordedEvent
+from gateway.recording.suit_snapshot import encode_suit
+from gateway.recording.video import video_settings, video_suit
+from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings, LinkSettings
+from gateway.stream import ClockMode
+from gateway.synchronisation import question
+from tests.seen_walk import CAMERAS, seen_walk
+
+Item = Chunk | SentChunk | RecordedEvent
+
+BEGUN_NS = 1_800_010_000_000_000_000
+"""Gateway time at time 0 of every motion: a winter's day before noon, so that the sun is up."""
+FROM_S = 2.0
+"""The gateway starts when the body sets off."""
+SECONDS = 3.0
+FRAME_HZ = 40.0
+READ_S = 0.004
+"""Bytes of a link are read so often."""
+SEED = 20
+DEVICE = 60
+"""Id of the first local measuring device: the one that a satellite receiver has by default."""
+MARKER_HZ = 25.0
+VIDEO_HZ = 20.0
+SEEN_EVERY = 3
+"""Of the walker's instants, which are 60 a second, every third is a picture."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What a recording holds besides poses."""
+
+    suit: WornSuit
+    settings: GatewaySettings
+    framings: Mapping[str, Framing]
+    items: Sequence[Item]
+    """In the order in which a gateway would have handled them."""
+    clock_table: str | None = None
+
+
+def write_capture(path: Path, capture: Capture) -> None:
+    """Write the recording, without poses. Raises ``RecordingError`` when it exists."""
+    attachments = {
+        fmt.SUIT: json.dumps(json.loads(encode_suit(capture.suit)), separators=(",", ":")).encode(),
+        fmt.SETTINGS: capture.settings.model_dump_json().encode(),
+    }
+    if capture.clock_table is not None:
+        attachments[fmt.CLOCK_TABLE] = capture.clock_table.encode()
+    session = session_record(
+        capture.framings, session=path.stem, name=path.stem, begun_ns=str(BEGUN_NS), from_start="1"
+    )
+    with DerivedRecordingWriter(path, session, attachments, BEGUN_NS) as writer:
+        for item in capture.items:
+            if isinstance(item, RecordedEvent):
+                writer.add(fmt.EVENTS, item.time_ns, json.dumps(dataclasses.asdict(item)).encode())
+            elif isinstance(item, Chunk):
+                writer.add_chunk(item, capture.framings[item.link])
+            else:
+                link = {"link": item.link, "framing": capture.framings[item.link].value}
+                writer.add(fmt.SENT + item.link, item.sent_ns, item.data, link)
+
+
+# What the recipes are made of.
+
+
+def _link(name: str, carries: Literal["suit", "gnss", "markers", "heat_maps"] = "suit") -> LinkSettings:
+    return LinkSettings(name=name, url="/dev/null", carries=carries)
+
+
+def _settings(*links: LinkSettings, **more: Any) -> GatewaySettings:
+    chosen = {"rig": "golden", "reconstructor": "joint", "assembly": AssemblySettings(rate_hz=FRAME_HZ)}
+    return GatewaySettings(gateway="golden", links=links, **(chosen | more))
+
+
+def _worn_settings(suit: WornSuit, **more: Any) -> SuitSettings:
+    return SuitSettings(gravity=suit.gravity, magnetic_field=suit.magnetic_field, **more)
+
+
+def _moving(suit: WornSuit) -> BodyMotion:
+    return move(dress(suit), suit.skeleton.name, SEED)
+
+
+def _instant_ns(at_s: float) -> int:
+    return BEGUN_NS + round(at_s * 1e9)
+
+
+def _reads(transmissions: Iterable[Transmission], link: str, from_s: float = FROM_S) -> Iterator[Chunk]:
+    """Chunks as a reader gets them that looks every ``READ_S``, and wakes up with the last byte."""
+    heard = (sent for sent in transmissions if sent.time_s >= from_s)
+    for _, group in itertools.groupby(heard, key=lambda sent: int(sent.time_s / READ_S)):
+        sent = list(group)
+        yield Chunk(b"".join(each.data for each in sent), _instant_ns(sent[-1].time_s), link)
+
+
+def _cut(chunks: Iterable[Chunk], rng: np.random.Generator) -> Iterator[Chunk]:
+    """The same bytes cut anywhere, as a serial port cuts them."""
+    kept = b""
+    for chunk in chunks:
+        data = kept + chunk.data
+        end = len(data) - int(rng.integers(0, 12))
+        yield replace(chunk, data=data[:end])
+        kept = data[end:]
+
+
+def _conversation(
+    traffic: SuitTraffic,
+    link: str,
+    until_s: float,
+    frame_of: Callable[[int, int], WireFrame],
+    interval_s: float,
+) -> Iterator[Item]:
+    """A host that says something at even intervals; frame_of: of how many went before, and of the instant."""
+    for k in range(int((until_s - FROM_S) / interval_s)):
+        at_s = FROM_S + k * interval_s
+        yield from _reads(traffic.advance(at_s), link)
+        data = host_bytes(frame_of(k, _instant_ns(at_s)), traffic.framing)
+        yield SentChunk(data, _instant_ns(at_s), link)
+        traffic.receive(data, at_s)
+    yield from _reads(traffic.advance(until_s), link)
+
+
+def _time_ns(item: Item) -> int:
+    if isinstance(item, Chunk):
+        return item.arrived_ns
+    return item.sent_ns if isinstance(item, SentChunk) else item.time_ns
+
+
+def _merged(*streams: Iterable[Item]) -> list[Item]:
+    return list(heapq.merge(*streams, key=_time_ns))
+
+
+def _event(at_s: float, name: str, **data: Any) -> RecordedEvent:
+    return RecordedEvent(_instant_ns(at_s), name, data)
+
+
+def _with_devices(suit: WornSuit, *devices: LocalDevice) -> WornSuit:
+    return replace(suit, local_devices=devices)
+
+
+def _position_device(segment: int = 0) -> LocalDevice:
+    return LocalDevice(Quantity.POSITION, segment, np.array([0.02, 0.05, 0.0]), DEVICE)
+
+
+# Modules.
+
+
+def serial(seconds: float) -> Capture:
+    """A pendulum over a serial port that cuts frames anywhere; modules are asked for their time; a reset."""
+    suit, until_s = load_rig("pendulum_3"), FROM_S + seconds
+    traffic = SuitTraffic(_moving(suit), _worn_settings(suit), TYPICAL, SEED)
+    said = list(_conversation(traffic, "serial", until_s, question, 0.25))
+    rng = np.random.default_rng(SEED)
+    cut = iter(list(_cut((item for item in said if isinstance(item, Chunk)), rng)))
+    items = [next(cut) if isinstance(item, Chunk) else item for item in said]
+    reset = _event(FROM_S + 0.6 * seconds, RESET_EVENT, kind="heading", facing=0.5)
+    return Capture(suit, _settings(_link("serial")), {"serial": Framing.BYTE_STREAM}, _merged(items, [reset]))
+
+
+def can(seconds: float) -> Capture:
+    """A robot arm on a poor CAN bus: losses, damage, repeats; wild values taken out; modules remounted."""
+    suit, until_s = load_rig("robot_arm_4"), FROM_S + seconds
+    settings = _worn_settings(suit, encoding=Encoding(Framing.CAN), is_fine=True)
+    traffic = SuitTraffic(_moving(suit), settings, ROUGH, SEED)
+    turn = Rotation.from_rotvec([0.0, 0.02, 0.03]).as_quat(scalar_first=True).tolist()
+    mounting = {"link_3": {"sensor_to_segment": turn, "position": [0.028, 0.001, 0.102]}}
+    calibrated = _event(FROM_S + 0.5 * seconds, CALIBRATED_EVENT, modules=mounting)
+    chosen = _settings(_link("can"), assembly=AssemblySettings(rate_hz=FRAME_HZ, despike=True))
+    chunks = _reads(traffic.transmissions(until_s), "can")
+    return Capture(suit, chosen, {"can": Framing.CAN}, _merged(chunks, [calibrated]))
+
+
+def relay(seconds: float) -> Capture:
+    """A chain behind a relay, modules of one clock and two rates; where its root is, a device measures."""
+    suit, until_s = load_rig("chain_5"), FROM_S + seconds
+    one_clock = replace(TYPICAL, clock_skew_ppm=0.0, has_random_clock_start=False)
+    slower = {suit.module_ids[2]: 60.0}
+    settings = _worn_settings(suit, has_relay=True, has_card=False, module_rates_hz=slower)
+    traffic = SuitTraffic(_moving(suit), settings, one_clock, SEED)
+    chosen = _settings(_link("relay"), clock=ClockSettings(mode=ClockMode.SHARED))
+    chunks = list(_reads(traffic.transmissions(until_s), "relay"))
+    return Capture(suit, chosen, {"relay": Framing.BYTE_STREAM}, chunks)
+
+
+def trigger(seconds: float) -> Capture:
+    """An arm whose modules sample when they are told to; for a while every second frame is left out."""
+    suit, until_s = load_rig("arm_3"), FROM_S + seconds
+    traffic = SuitTraffic(_moving(suit), _worn_settings(suit, mode=3), TYPICAL, SEED)
+
+    def told(k: int, now_ns: int) -> WireFrame:
+        return wire_frame(SamplingTrigger(k), BROADCAST, k, now_ns // 1000 % 2**32)
+
+    said = _conversation(traffic, "radio", until_s, told, 0.01)
+    loads = [
+        _event(FROM_S + share * seconds, LOAD_EVENT, stage=stage, solve_every=every)
+        for share, stage, every in ((0.6, "HALF", 2), (0.7, "ALL", 1))
+    ]
+    chosen = _settings(_link("radio"), clock=ClockSettings(mode=ClockMode.TRIGGER))
+    return Capture(suit, chosen, {"radio": Framing.BYTE_STREAM}, _merged(said, loads))
+
+
+def devices(seconds: float) -> Capture:
+    """A chain with what measures acceleration, velocity and air speed, each on a segment of its own."""
+    tubes = np.array([np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0])
+    place = np.array([0.01, 0.0, 0.03])
+    suit = _with_devices(
+        load_rig("chain_5"),
+        LocalDevice(Quantity.VELOCITY, 0, place, DEVICE),
+        LocalDevice(Quantity.ACCELERATION, 2, place, DEVICE + 1),
+        LocalDevice(Quantity.AIR_VELOCITY, 4, place, DEVICE + 2, tubes),
+    )
+    traffic = SuitTraffic(_moving(suit), _worn_settings(suit), TYPICAL, SEED)
+    chunks = list(_reads(traffic.transmissions(FROM_S + seconds), "suit"))
+    return Capture(suit, _settings(_link("suit")), {"suit": Framing.BYTE_STREAM}, chunks)
+
+
+def walking(seconds: float) -> Capture:
+    """Legs that walk through the world."""
+    suit = load_rig("suit_lower_7")
+    traffic = SuitTraffic(_moving(suit), _worn_settings(suit), TYPICAL, SEED)
+    chunks = list(_reads(traffic.transmissions(FROM_S + seconds), "suit"))
+    return Capture(suit, _settings(_link("suit")), {"suit": Framing.BYTE_STREAM}, chunks)
+
+
+def fused(seconds: float) -> Capture:
+    """An arm whose modules fuse on board; their rates stand in a table."""
+    suit = load_rig("arm_3")
+    settings = _worn_settings(suit, mode=1, sampling_rate_hz=FRAME_HZ)
+    traffic = SuitTraffic(_moving(suit), settings, TYPICAL, SEED)
+    counts = {module: [1.0 + sender.clock.skew] for module, sender in traffic.senders.items()}
+    chunks = list(_reads(traffic.transmissions(FROM_S + seconds), "suit"))
+    clock = ClockSettings(mode=ClockMode.TABLE, table=fmt.CLOCK_TABLE)
+    chosen = _settings(_link("suit"), reconstructor="fused", clock=clock)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / fmt.CLOCK_TABLE
+        save_clock_table(clock_table([counts]), path)
+        return Capture(suit, chosen, {"suit": Framing.BYTE_STREAM}, chunks, path.read_text())
+
+
+# Modules and something beside them.
+
+
+def _beside_gnss(seconds: float, kind: str) -> Capture:
+    suit, until_s = _with_devices(load_rig("arm_3"), _position_device()), FROM_S + seconds
+    arm = suit.local_devices[0].position
+    motion = _moving(_with_devices(suit))
+    traffic = SuitTraffic(motion, _worn_settings(suit), TYPICAL, SEED)
+
+    def place(at_s: float) -> tuple[FloatArray, FloatArray]:
+        state = motion.state(np.array([at_s - 1e-3, at_s, at_s + 1e-3]))
+        places = state.joint_position[:, 0] + state.R_wb[:, 0] @ arm
+        return places[1], (places[2] - places[0]) / 2e-3
+
+    emulation = GnssEmulation(kind=kind, dropout=(until_s - 1.0, until_s - 0.5))
+    fixes = itertools.takewhile(
+        lambda sent: sent.time_s < until_s, gnss_traffic(place, BEGUN_NS, emulation, SEED)
+    )
+    items = _merged(_reads(traffic.transmissions(until_s), "suit"), _reads(fixes, "gnss"))
+    framings = {"suit": Framing.BYTE_STREAM, "gnss": Framing.GNSS}
+    return Capture(suit, _settings(_link("suit"), _link("gnss", "gnss")), framings, items)
+
+
+def gnss_nmea(seconds: float) -> Capture:
+    """An arm on somebody with a satellite receiver, which loses sight for half a second."""
+    return _beside_gnss(seconds, "nmea")
+
+
+def gnss_ubx(seconds: float) -> Capture:
+    """The same in the other language of receivers."""
+    return _beside_gnss(seconds, "ubx")
+
+
+def _in_the_sun(seconds: float, beside_magnetometer: bool) -> Capture:
+    suit = load_rig("robot_arm_4_sun")
+    assert suit.sun is not None
+    suit = replace(suit, sun=replace(suit.sun, beside_magnetometer=beside_magnetometer))
+    light = sunlight(suit, BEGUN_NS)
+    assert light is not None
+    cloud = Shade(FROM_S + 0.6 * seconds, FROM_S + 0.7 * seconds, direct=0.1, sky=1.5)
+    settings = _worn_settings(suit, sunlight=replace(light, shades=(cloud,)))
+    traffic = SuitTraffic(_moving(suit), settings, TYPICAL, SEED)
+    chunks = list(_reads(traffic.transmissions(FROM_S + seconds), "suit"))
+    return Capture(suit, _settings(_link("suit")), {"suit": Framing.BYTE_STREAM}, chunks)
+
+
+def light(seconds: float) -> Capture:
+    """A robot arm outdoors whose headings come from the sun; a cloud passes."""
+    return _in_the_sun(seconds, False)
+
+
+def light_and_field(seconds: float) -> Capture:
+    """The same with its magnetometers."""
+    return _in_the_sun(seconds, True)
+
+
+def hips(seconds: float) -> Capture:
+    """Legs at rest; cameras see where the hips are."""
+    seen, _ = seen_walk(1)
+    position = CameraPosition(video_suit(CAMERAS, "full", seen), DEVICE, 0.02, 40_000_000, np.pi / 2)
+    suit = _with_devices(load_rig("suit_lower_7"), LocalDevice(Quantity.POSITION, 0, np.zeros(3), DEVICE))
+    suit = replace(suit, camera_position=position)
+    traffic = SuitTraffic(_moving(_with_devices(suit)), _worn_settings(suit), TYPICAL, SEED)
+    until_s = min(seconds, FROM_S)
+    n_pictures = round(until_s * VIDEO_HZ)
+    items = _merged(
+        _reads(traffic.transmissions(until_s), "suit", from_s=0.0),
+        _pictures(seen * n_pictures, 0.04),
+    )
+    framings = {"suit": Framing.BYTE_STREAM, "cameras": Framing.HEAT_MAPS}
+    return Capture(suit, _settings(_link("suit"), _link("cameras", "heat_maps")), framings, items)
+
+
+# No modules.
+
+
+def _seen_by_an_optical_system(
+    rig: str, times: FloatArray, hidden: slice, swapped: Sequence[int], nameless: int
+) -> Capture:
+    """Somebody with four markers a segment at motion times (F,), s; in the middle of the trial some markers
+    are hidden and one has no name, after it two have each other's for a while."""
+    worn, rng = load_rig(rig), np.random.default_rng(SEED)
+    segments = np.repeat(np.arange(worn.skeleton.n_segments), 4)
+    places = rng.normal(0.0, 0.08, (len(segments), 3))
+    labels = tuple(f"m{i}" for i in range(len(segments)))
+    on_body = BodyMarkers(labels, segments, places, np.full(len(segments), 0.004))
+    state = _moving(worn).state(times)
+    seen = state.joint_position[:, segments] + np.einsum("fmij,mj->fmi", state.R_wb[:, segments], places)
+    seen += rng.normal(0.0, 0.001, seen.shape)
+    first, then = (round(share * len(times)) for share in (0.4, 0.6))
+    seen[first:then, hidden] = np.nan
+    seen[then + 2 : then + 6, swapped] = seen[then + 2 : then + 6, swapped[::-1]]
+    lost = seen[:, nameless].copy()
+    seen[first:then, nameless] = np.nan
+    chunks = []
+    for f, at_s in enumerate((times - times[0]).tolist()):
+        others = lost[f : f + 1] if first <= f < then else ()
+        arrived_ns = _instant_ns(float(times[f]) + 0.005 + 0.002 * float(rng.random()))
+        message = encode_markers(f, None, labels, seen[f], others, time_s=at_s)
+        chunks.append(Chunk(message, arrived_ns, "markers"))
+    assembly = AssemblySettings(rate_hz=MARKER_HZ)
+    settings = _settings(_link("markers", "markers"), reconstructor=OPTICAL, assembly=assembly)
+    suit = worn_without_modules(worn.skeleton, on_body, WorldSettings())
+    return Capture(suit, settings, {"markers": Framing.MARKERS}, chunks)
+
+
+def markers(seconds: float) -> Capture:
+    """Legs that walk; a shank and most of a foot are hidden for a while."""
+    times = FROM_S + np.arange(round(seconds * MARKER_HZ)) / MARKER_HZ
+    return _seen_by_an_optical_system("suit_lower_7", times, slice(8, 15), [16, 20], 27)
+
+
+def few_markers(seconds: float) -> Capture:
+    """An arm for a moment: for what takes half a second a pose."""
+    times = 2.0 * FROM_S + np.arange(max(round(0.13 * seconds * MARKER_HZ), 3)) / MARKER_HZ
+    return _seen_by_an_optical_system("arm_3", times, slice(4, 6), [8, 9], 11)
+
+
+def _pictures(instants: Sequence[Sequence[bytes]], latency_s: float) -> Iterator[Chunk]:
+    """What the cameras send of these instants, ``VIDEO_HZ`` a second: each camera a little later."""
+    for k, instant in enumerate(instants):
+        at_s = k / VIDEO_HZ
+        for c, message in enumerate(instant):
+            arrived_ns = _instant_ns(at_s + latency_s + 0.001 * c)
+            yield Chunk(retimed(message, k, round(at_s * 1e9)), arrived_ns, "cameras")
+
+
+def heat_maps(seconds: float) -> Capture:
+    """Somebody who walks past three cameras."""
+    n_pictures = max(round(0.27 * seconds * VIDEO_HZ), 4)
+    seen = seen_walk(SEEN_EVERY * n_pictures)[0][::SEEN_EVERY]
+    suit = video_suit(CAMERAS, "full", seen)
+    settings = video_settings("golden", VIDEO_HZ, "golden")
+    return Capture(suit, settings, {"cameras": Framing.HEAT_MAPS}, list(_pictures(seen, 0.02)))
+
+
+RECIPES: dict[str, Callable[[float], Capture]] = {
+    recipe.__name__: recipe
+    for recipe in (
+        serial, can, relay, trigger, devices, walking, fused,
+        gnss_nmea, gnss_ubx, light, light_and_field, hips, markers, few_markers, heat_maps,
+    )
+}  # fmt: skip
+"""By the name of the recording; the argument: how long it lasts, s."""
