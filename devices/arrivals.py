@@ -51,11 +51,11 @@ class Arrivals:
         """Why the link was lost; None while it is open and after an orderly end."""
         return self._error
 
-    def put(self, data: bytes, arrived_ns: int) -> None:
+    def put(self, data: bytes, arrived_ns: int, sender: str = "") -> None:
         """Add a chunk. After the end nothing is added."""
         if self._has_ended:
             return
-        self._chunks.append(Chunk(data, arrived_ns, self._link))
+        self._chunks.append(Chunk(data, arrived_ns, self._link, sender))
         self._waiting_bytes += len(data)
         self._counts.taken += len(data)
         self._counts.waiting += len(data)

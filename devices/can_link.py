@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import difflib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 import can
@@ -73,7 +73,7 @@ class CanLink:
     def __aiter__(self) -> AsyncIterator[Chunk]:
         return self._arrivals
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Send CAN frame records. Raises ``LinkError`` when the bus is closed, lost or does not take them."""
         if self._bus is None or self._arrivals.has_ended:
             raise self._arrivals.error or LinkError(f"{self.name} is closed")

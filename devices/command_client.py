@@ -14,19 +14,17 @@ import asyncio
 import contextlib
 import secrets
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from typing import Any
 
 from devices.device_errors import CommandRefusedError, DeviceError, NoAnswerError, WritesLockedError
 from devices.link import Chunk, Framing, Link, LinkError, SentChunk, gateway_time_ns
+from devices.link_decoder import LinkDecoder
 from devices.transactions import Answer, Exchange, Transactions
 from firmware_protocol import (
     BROADCAST,
-    CanFrameDecoder,
     DeviceInfo,
-    FrameDecoder,
     Health,
-    PacketDecoder,
     ReceivedPacket,
     WireFrame,
     encode_frame,
@@ -66,6 +64,10 @@ class CommandClient:
         self.transactions = Transactions(first)
         self.link_of: dict[bytes, str] = {}
         """Link that each device was last heard on, by unique id."""
+        self.sender_of: dict[bytes, str] = {}
+        """Its address there, by unique id; empty on a link with one other end."""
+        self.senders: Callable[[str], Sequence[str]] = lambda _link: ()
+        """Who is to be written to on a link with several senders, by its name."""
         self.infos: dict[bytes, tuple[int, DeviceInfo]] = {}
         """Newest module id and description of each device heard."""
         self.healths: dict[int, Health] = {}
@@ -73,6 +75,7 @@ class CommandClient:
         self.on_sent: Callable[[SentChunk], None] | None = None
         """Told of everything that was written to a link."""
         self._clock_ns = clock_ns
+        self._decoders: dict[str, LinkDecoder] = {}  # of links that are read here
         self._sequences: Counter[int] = Counter()
         self._answered: dict[int, asyncio.Event] = {}
 
@@ -80,21 +83,22 @@ class CommandClient:
         """Look at a packet and the chunk it came in; others than ``LISTENS_TO`` are let pass."""
         packet, link = received.packet, chunk.link
         if isinstance(packet, Acknowledgement):
-            self._heard(packet.unique_id, link)
+            self._heard(packet.unique_id, chunk)
             if self.transactions.take(packet, received.module, link) is not None:
                 self._answered[packet.transaction].set()
         elif isinstance(packet, DeviceInfo):
-            self._heard(packet.unique_id, link)
+            self._heard(packet.unique_id, chunk)
             self.infos[packet.unique_id] = (received.module, packet)
         elif isinstance(packet, Health):
             self.healths[received.module] = packet
 
-    def _heard(self, unique_id: bytes, link: str) -> None:
+    def _heard(self, unique_id: bytes, chunk: Chunk) -> None:
         """Where a device is. Whoever makes up ever new unique ids pushes out the oldest, not our memory."""
-        self.link_of[unique_id] = link
+        self.link_of[unique_id], self.sender_of[unique_id] = chunk.link, chunk.sender
         if len(self.link_of) > MOST_DEVICES:
             oldest = next(iter(self.link_of))
             del self.link_of[oldest]
+            self.sender_of.pop(oldest, None)
             self.infos.pop(oldest, None)
 
     async def ask(self, unique_id: bytes, verb: Verb, *values: Any) -> tuple[Any, ...]:
@@ -137,9 +141,11 @@ class CommandClient:
         A link that is lost meanwhile shows in that commands are not answered.
         """
         readers: list[asyncio.Task[None]] = []
+        self.senders = lambda link: self._decoders[link].senders if link in self._decoders else ()
         try:
             for link in self.links.values():
                 await link.open()
+                self._decoders[link.name] = LinkDecoder(link.framing)
                 readers.append(asyncio.create_task(self._read(link), name=f"link {link.name}"))
             yield
         finally:
@@ -150,15 +156,13 @@ class CommandClient:
                 await link.close()
 
     async def _read(self, link: Link) -> None:
-        is_stream = link.framing is Framing.BYTE_STREAM
-        decoder = PacketDecoder(FrameDecoder() if is_stream else CanFrameDecoder())
         async for chunk in link:
-            for received in decoder.feed(chunk.data):
+            for received in self._decoders[link.name].feed(chunk):
                 self.take(received, chunk)
 
     async def _ask_once(self, unique_id: bytes, verb: Verb, values: tuple[Any, ...]) -> Answer:
         exchange = self._begin(unique_id, verb, values)
-        unsent = await self._carry_out(exchange, self.link_of.get(unique_id))
+        unsent = await self._carry_out(exchange, unique_id)
         for answer in exchange.answers.values():
             return answer
         if unsent is not None:
@@ -174,8 +178,11 @@ class CommandClient:
         arguments = encode_arguments(verb, *values)
         return self.transactions.begin(verb, BROADCAST, unique_id, arguments, self._now_s())
 
-    async def _carry_out(self, exchange: Exchange, link: str | None) -> LinkError | None:
-        """Send and wait until the exchange is over. Why nothing could be sent, when nothing could be."""
+    async def _carry_out(self, exchange: Exchange, device: bytes | None) -> LinkError | None:
+        """Send and wait until the exchange is over. Why nothing could be sent, when nothing could be.
+
+        device: unique id of the one that is asked; None: all are.
+        """
         transaction = exchange.command.transaction
         answered = self._answered[transaction] = asyncio.Event()
         unsent: LinkError | None = None
@@ -185,7 +192,7 @@ class CommandClient:
                 answered.clear()
                 if exchange.takes_turn(self._now_s()):
                     # A link that is away may be back at the next attempt, as a restarted device on USB.
-                    unsent = await self._send(exchange, link if exchange.attempts == 1 else None)
+                    unsent = await self._send(exchange, device if exchange.attempts == 1 else None)
                     has_been_sent |= unsent is None
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(max(exchange.next_s - self._now_s(), 0.0)):
@@ -195,8 +202,8 @@ class CommandClient:
             del self._answered[transaction]
         return None if has_been_sent else unsent
 
-    async def _send(self, exchange: Exchange, link: str | None) -> LinkError | None:
-        """To the link where the device was heard; to all of them when that is not known or did not help.
+    async def _send(self, exchange: Exchange, device: bytes | None) -> LinkError | None:
+        """To where the device was heard; to everybody on all links when that is not known or did not help.
 
         Why it went out on none of them, or None.
         """
@@ -204,6 +211,8 @@ class CommandClient:
         sequence = self._sequences[target]
         self._sequences[target] = (sequence + 1) % 2**16
         frame = wire_frame(exchange.command, target, sequence, self._clock_ns() // 1000 % 2**32)
+        link = None if device is None else self.link_of.get(device)
+        sender = "" if device is None else self.sender_of.get(device, "")
         chosen = [self.links[link]] if link in self.links else list(self.links.values())
         unsent = LinkError("there is no link to send a command on: configure one")
         failures = 0
@@ -211,7 +220,7 @@ class CommandClient:
             sent = SentChunk(host_bytes(frame, each.framing), self._clock_ns(), each.name)
             try:
                 async with asyncio.timeout(_SEND_TIMEOUT_S):
-                    await each.write(sent.data)
+                    await each.write(sent.data, [sender] if sender else self.senders(each.name))
                 if self.on_sent is not None:
                     self.on_sent(sent)
             except TimeoutError:

@@ -18,6 +18,7 @@ from typing import Any
 from devices.command_client import CommandClient
 from devices.device_errors import (
     CommandRefusedError,
+    DeviceError,
     NoAnswerError,
     UnfinishedError,
     UnverifiedError,
@@ -92,6 +93,11 @@ class Configurator:
         """Settings of a device by name. Raises as ``CommandClient.ask``, ``ValueError`` for no such name."""
         return {name: await self._read_one(unique_id, name) for name in names}
 
+    async def read_committed(self, unique_id: bytes, names: Iterable[str]) -> dict[str, Value]:
+        """Return what a restart would leave. A device reads back what is staged: that is discarded first."""
+        await self._discard(unique_id)
+        return await self.read(unique_id, names)
+
     async def read_all(self, unique_id: bytes) -> dict[str, Value]:
         """All settings that the device has; those that its firmware does not know are left out."""
         values = {}
@@ -123,7 +129,7 @@ class Configurator:
                 return Change(unique_id, before, after)
             self.roster = None
             failure = await self._stage_and_commit(unique_id, missing)
-            after = await self._patiently(partial(self._read_committed, unique_id, wanted))
+            after = await self._patiently(partial(self.read_committed, unique_id, wanted))
             missing = {
                 name: raw for name, raw in encoded.items() if encoded_setting(name, after[name]) != raw
             }
@@ -136,28 +142,74 @@ class Configurator:
 
         reserved: ids of modules that may be switched off just now, not to be used in passing.
         Every round looks at what the devices really hold, so that one which restarted in the middle
-        is taken up where it is. Afterwards the ids are right, or ``UnfinishedError`` says who has which.
-        Raises ``ValueError`` for ids that cannot all be given.
+        is taken up where it is; one that refuses ends it. Afterwards the ids are right, or
+        ``UnfinishedError`` says who has which. Raises ``ValueError`` for ids that cannot all be given,
+        and as ``write`` does; only after ``UnfinishedError`` has anything changed.
         """
+        if not self.client.allow_writes:
+            raise WritesLockedError("changing module ids")
         before: dict[bytes, int] = {}
         failure: Exception | None = None
         for _ in range(_ATTEMPTS + 1):
-            present = await self._present_ids(wanted)
+            try:
+                present = await self._present_ids(wanted)
+                moves = plan_moves(present, wanted, reserved)
+            except (DeviceError, LinkError, ValueError) as error:
+                if not before:
+                    raise
+                failure = error
+                break
             before = before or present
-            moves = plan_moves(present, wanted, reserved)
             if not moves:
-                return [
-                    Change(unique_id, {"module_id": before[unique_id]}, {"module_id": after})
-                    for unique_id, after in wanted.items()
-                    if before[unique_id] != after
-                ]
+                return _moved(before, wanted)
             try:
                 for move in moves:
                     await self.write(move.unique_id, {"module_id": move.after})
             except (NoAnswerError, UnverifiedError, LinkError) as error:
                 _log.info("ids are planned anew: %s", error)
                 failure = error
-        raise await self._unfinished(wanted, failure)
+            except DeviceError as error:
+                failure = error
+                break
+        raise await self._unfinished(wanted, before, failure)
+
+    async def present_ids(self, unique_ids: Iterable[bytes]) -> dict[bytes, int]:
+        """Return the ids of all that can be heard; those named that did not answer are asked by themselves.
+
+        Raises ``LinkError`` when no link is up.
+        """
+        present = (await self.discover()).ids
+        missing = [unique_id for unique_id in unique_ids if unique_id not in present]
+        asked = [self.read_committed(unique_id, ["module_id"]) for unique_id in missing]
+        for unique_id, held in zip(
+            missing, await asyncio.gather(*asked, return_exceptions=True), strict=True
+        ):
+            if isinstance(held, dict):
+                present[unique_id] = int(held["module_id"])
+            elif not isinstance(held, DeviceError | LinkError):
+                raise held
+        return present
+
+    async def plan(self, wanted: Mapping[bytes, Mapping[str, Value]]) -> list[Change]:
+        """Return what writing settings (by name, by unique id) would change. Raises as ``write`` does."""
+        changes = []
+        for unique_id, settings in wanted.items():
+            before = await self._patiently(partial(self.read_committed, unique_id, settings))
+            changes.append(differing(Change(unique_id, before, settings)))
+        return [change for change in changes if change.before]
+
+    async def committed(self, changes: Iterable[Change]) -> list[Change]:
+        """Return what of some changes the devices hold now. One that does not answer may hold all of it."""
+        held = await asyncio.gather(*map(self._committed_of, changes))
+        return [change for change in held if change.before]
+
+    async def _committed_of(self, change: Change) -> Change:
+        try:
+            held = await self.read_committed(change.unique_id, change.before)
+        except (DeviceError, LinkError) as error:
+            _log.debug("%s: whether it was changed is not known: %s", change.unique_id.hex(), error)
+            return change
+        return differing(Change(change.unique_id, change.before, held))
 
     async def _present_ids(self, wanted: Iterable[bytes]) -> dict[bytes, int]:
         present = (await self.discover()).ids
@@ -168,18 +220,25 @@ class Configurator:
                 present[unique_id] = int(held["module_id"])
         return present
 
-    async def _unfinished(self, wanted: Mapping[bytes, int], failure: Exception | None) -> UnfinishedError:
+    async def _unfinished(
+        self, wanted: Mapping[bytes, int], before: Mapping[bytes, int], failure: Exception | None
+    ) -> Exception:
+        """Return what to raise: the failure itself where nothing was changed."""
         present: dict[bytes, int | None] = dict.fromkeys(wanted)
-        present |= {uid: module for uid, module in (await self.discover()).ids.items() if uid in wanted}
+        try:
+            heard = (await self.discover()).ids
+        except LinkError as error:
+            _log.debug("ids are not known: %s", error)
+            heard = {}
+        present |= {uid: module for uid, module in heard.items() if uid in wanted}
+        if failure is not None and all(present[uid] == before[uid] for uid in wanted):
+            return failure
         held = {uid: module for uid, module in present.items() if module is not None}
-        said = [
-            f"device {uid.hex()} {'does not answer' if module is None else f'has module id {module}'}"
-            + (f", not {wanted[uid]}" if module != wanted[uid] else "")
-            for uid, module in present.items()
-        ]
+        said = [_said(uid, module, wanted[uid]) for uid, module in present.items()]
         said += [str(conflict) for conflict in conflicts(held)]
-        said += [str(failure)] if failure is not None else []
-        return UnfinishedError("; ".join(said) + "; ask for the same again, or undo", present)
+        reason = "" if failure is None else str(failure)
+        said += [reason] if reason else []
+        return UnfinishedError("; ".join(said) + "; ask for the same again, or undo", present, reason)
 
     async def _stage_and_commit(self, unique_id: bytes, encoded: Mapping[str, bytes]) -> Exception | None:
         """What went wrong in a way that reading back will settle, or None. Raises where it refuses."""
@@ -196,11 +255,6 @@ class Configurator:
                 raise
             return error
         return None
-
-    async def _read_committed(self, unique_id: bytes, names: Iterable[str]) -> dict[str, Value]:
-        # A device reads back what is staged: only without that is it what a restart would leave.
-        await self._discard(unique_id)
-        return await self.read(unique_id, names)
 
     async def _discard(self, unique_id: bytes) -> None:
         try:
@@ -246,6 +300,36 @@ class Configurator:
     def _info(self, unique_id: bytes) -> Any:
         known = self.client.infos.get(unique_id)
         return None if known is None else known[1]
+
+
+def differing(change: Change) -> Change:
+    """Return the settings of a change that are not afterwards as before."""
+    names = [
+        name
+        for name, after in change.after.items()
+        if encoded_setting(name, change.before[name]) != encoded_setting(name, after)
+    ]
+    return Change(
+        change.unique_id,
+        {name: change.before[name] for name in names},
+        {name: change.after[name] for name in names},
+    )
+
+
+def _moved(before: Mapping[bytes, int], wanted: Mapping[bytes, int]) -> list[Change]:
+    return [
+        Change(unique_id, {"module_id": before[unique_id]}, {"module_id": after})
+        for unique_id, after in wanted.items()
+        if before[unique_id] != after
+    ]
+
+
+def _said(unique_id: bytes, module: int | None, wanted: int) -> str:
+    """Return what a device has for an id, and what not."""
+    if module is None:
+        return f"device {unique_id.hex()} does not answer, and may have module id {wanted} or not"
+    other = "" if module == wanted else f", not {wanted}"
+    return f"device {unique_id.hex()} has module id {module}{other}"
 
 
 def _chosen_version(hello: Answer | None) -> int | None:

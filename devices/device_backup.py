@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from devices.configure import Change, Configurator
-from devices.device_errors import DeviceError
+from devices.device_errors import DeviceError, UnfinishedError, WritesLockedError
+from devices.id_plan import plan_moves
+from devices.link import LinkError
 from devices.roster import Roster
 from devices.setting_values import Value, encoded_setting
 
@@ -36,33 +38,62 @@ async def restore_backup(
 ) -> Restored:
     """Write back what differs; ids last and in a safe order. One device that fails does not stop the others.
 
-    Raises ``ValueError``, before anything is sent, for a unique id or a value that cannot be.
-    Raises ``WritesLockedError`` where writing is not allowed, ``UnfinishedError`` for ids.
+    Raises ``ValueError``, before anything is sent, for a unique id, a value or ids that cannot be,
+    ``WritesLockedError`` where writing is not allowed, and ``LinkError`` when no link is up at the start.
     """
+    if not configurator.client.allow_writes:
+        raise WritesLockedError("restoring settings")
     wanted = {parse_unique_id(text): dict(settings) for text, settings in backup.items()}
     for settings in wanted.values():
         for name, value in settings.items():
             encoded_setting(name, value)
-    present = (await configurator.discover()).ids
+    present = await configurator.present_ids(wanted)
     restored = Restored(absent=[uid for uid in wanted if uid not in present])
-    ids = {uid: settings.pop("module_id") for uid, settings in wanted.items() if "module_id" in settings}
+    ids = {
+        uid: settings.pop("module_id")
+        for uid, settings in wanted.items()
+        if uid in present and "module_id" in settings
+    }
+    plan_moves(present, ids, reserved)  # refuses ids that cannot all be given
     for uid, settings in wanted.items():
         if uid in present and settings:
             try:
                 change = await configurator.write(uid, settings)
-            except DeviceError as error:
-                if not configurator.client.allow_writes:
-                    raise
+            except (DeviceError, LinkError) as error:
                 restored.failures[uid] = str(error)
             else:
                 _note(restored, change)
-    moved = await configurator.assign_ids({uid: ids[uid] for uid in ids if uid in present}, reserved)
-    restored.changes += moved
+    await _restore_ids(configurator, restored, ids, {uid: present[uid] for uid in ids}, reserved)
     touched = {change.unique_id for change in restored.changes}
     restored.unchanged = [
         uid for uid in wanted if uid in present and uid not in {*touched, *restored.failures}
     ]
     return restored
+
+
+async def _restore_ids(
+    configurator: Configurator,
+    restored: Restored,
+    ids: Mapping[bytes, int],
+    before: Mapping[bytes, int],
+    reserved: Collection[int],
+) -> None:
+    """Give the ids, and note what came of it."""
+    held: dict[bytes, int | None] = dict(before)
+    try:
+        restored.changes += await configurator.assign_ids(ids, reserved)
+        return
+    except UnfinishedError as error:
+        reason, held = error.reason, error.present
+    except (DeviceError, LinkError, ValueError) as error:
+        reason = str(error)
+    for uid, wanted in ids.items():
+        now = held[uid]
+        if now != wanted:
+            has = "does not answer" if now is None else f"has module id {now}, not {wanted}"
+            restored.failures[uid] = "; ".join(filter(None, [restored.failures.get(uid), has, reason]))
+        elif now != before[uid]:
+            restored.changes.append(Change(uid, {"module_id": before[uid]}, {"module_id": now}))
 
 
 def _note(restored: Restored, change: Change) -> None:

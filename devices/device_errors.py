@@ -6,7 +6,7 @@ DeviceError                  one line: what was found, and what would do
 ├── WritesLockedError        the gateway itself may not change devices
 ├── UnknownDeviceError       no such device on the air, or more than one is meant
 ├── UnverifiedError          what was written did not read back
-├── UnfinishedError          ids could not all be changed; says who has which now
+├── UnfinishedError          only a part was changed; says what was and what not
 └── CardError                a file of a memory card is not what the card promised
 """
 
@@ -52,11 +52,15 @@ class UnverifiedError(DeviceError):
 
 
 class UnfinishedError(DeviceError):
-    """Some ids could not be changed."""
+    """Some of what was asked for was changed, and some not."""
 
-    def __init__(self, message: str, present: Mapping[bytes, int | None]) -> None:
-        self.present = dict(present)
-        """Id of each device involved, by unique id; None: it does not answer."""
+    def __init__(
+        self, message: str, present: Mapping[bytes, int | None] | None = None, reason: str = ""
+    ) -> None:
+        self.present = dict(present or {})
+        """Id of each device that was to have another, by unique id; None: it does not answer."""
+        self.reason = reason
+        """What kept it from being finished."""
         super().__init__(message)
 
 

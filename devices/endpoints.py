@@ -5,6 +5,7 @@
 ``rfc2217://host:port?baud=1000000``                      serial port of another computer
 ``tcp://host:port`` (also ``socket://``)                  TCP connection made by the gateway
 ``udp://host:port``, ``udp://:port``                      datagrams received (this computer's only)
+``udp://0.0.0.0:port?peers=192.168.4.0/24,10.0.0.7``      the same from these addresses alone
 ``slcan:///dev/ttyACM0?bitrate=1000000&fd=1``             CAN adapter that speaks slcan
 ``can://socketcan/can0?fd=1``                             CAN interface of the Linux kernel
 ``can://virtual/suit``, ``can://pcan/PCAN_USBBUS1``       any other interface of python-can
@@ -17,6 +18,7 @@
 from __future__ import annotations
 
 import difflib
+import ipaddress
 import math
 import os
 import re
@@ -34,7 +36,7 @@ from devices.serial_link import DEFAULT_BAUD, SerialLink
 from devices.slcan_link import SlcanLink
 from devices.socketcan_link import SocketCanLink
 from devices.tcp_link import TcpLink
-from devices.udp_link import LOOPBACK, UdpLink
+from devices.udp_link import LOOPBACK, Network, UdpLink
 
 
 class EndpointError(LinkError, ValueError):
@@ -90,6 +92,13 @@ def _speed(text: str) -> float | None:
     if not 0 < speed < math.inf:
         raise ValueError("a number above 0, or max, is needed")
     return speed
+
+
+def _networks(text: str) -> tuple[Network, ...]:
+    try:
+        return tuple(ipaddress.ip_network(part.strip(), strict=False) for part in text.split(","))
+    except ValueError as error:
+        raise ValueError(f"addresses are needed, such as 192.168.4.0/24,10.0.0.7 ({error})") from error
 
 
 def _version(text: str) -> str:
@@ -161,7 +170,7 @@ _SCHEMES = {
     "rfc2217": _Scheme("rfc2217://host:port?baud=1000000", _rfc2217, {"baud": _whole_number}),
     "tcp": _Scheme("tcp://host:port", _tcp, {}),
     "socket": _Scheme("socket://host:port", _tcp, {}),
-    "udp": _Scheme("udp://host:port", _udp, {}),
+    "udp": _Scheme("udp://host:port", _udp, {"peers": _networks}),
     "slcan": _Scheme(
         "slcan:///dev/ttyACM0?bitrate=1000000&fd=1", _slcan, {"baud": _whole_number, **_CAN_PARAMETERS}
     ),

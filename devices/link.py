@@ -8,7 +8,7 @@ the arrival times that the clock estimation rests on.
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -51,6 +51,8 @@ class Chunk:
     """Gateway time of the receive callback, ns."""
     link: str
     """Name of the link it came from."""
+    sender: str = ""
+    """Address of whoever sent it, as ``HOST:PORT``; empty where only one can be at the other end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,8 @@ class Link(Protocol):
 
     ``open`` raises ``LinkError`` when the port is absent, busy or forbidden. Iterating yields
     chunks until the other side closes (end of iteration) or is lost (``LinkError``). A closed link
-    can be opened again.
+    can be opened again. ``write`` sends to those ``to`` names, on a link whose chunks name their senders;
+    any other link has one other end and passes ``to`` over.
     """
 
     name: str
@@ -86,6 +89,6 @@ class Link(Protocol):
 
     def __aiter__(self) -> AsyncIterator[Chunk]: ...
 
-    async def write(self, data: bytes) -> None: ...
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None: ...
 
     async def close(self) -> None: ...

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import fcntl
+import select
 import socket
 import sys
 from collections import Counter
@@ -45,8 +46,20 @@ class LinkCounts:
     """Bytes dropped because the reader was too far behind."""
     waiting: int = 0
     """Bytes that the reader has not asked for yet."""
+    refused: int = 0
+    """Datagrams of senders that the link was told to take nothing from; not among what was taken."""
     before: Counter[LostBefore] = field(default_factory=Counter)
     """What the system says that it lost."""
+    backlog_since_ns: int | None = None
+    """Gateway time since which the system has had more than was read at a turn; None: it has nothing more.
+    What waits there has no arrival time yet: this is the least by which the reader is behind."""
+
+    def end_turn(self, begun_ns: int, bound: socket.socket) -> None:
+        """Note after reading as much as one turn of the loop may take, whether the socket holds more."""
+        if not _has_more(bound):
+            self.backlog_since_ns = None
+        elif self.backlog_since_ns is None:
+            self.backlog_since_ns = begun_ns
 
     @property
     def losses(self) -> int:
@@ -56,7 +69,8 @@ class LinkCounts:
     def summary(self) -> dict[str, int]:
         """For the health message."""
         before = {place.name.lower(): count for place, count in self.before.items()}
-        return {"taken": self.taken, "handed": self.handed, "behind": self.behind, **before}
+        refused = {"refused": self.refused} if self.refused else {}
+        return {"taken": self.taken, "handed": self.handed, "behind": self.behind, **refused, **before}
 
 
 class SystemCount:
@@ -105,6 +119,12 @@ class SerialErrors:
             return None
         overruns = (counters[_OVERRUN] + counters[_BUFFER_OVERRUN]) % _COUNT_MODULUS
         return overruns, (counters[_FRAME] + counters[_PARITY]) % _COUNT_MODULUS
+
+
+def _has_more(bound: socket.socket) -> bool:
+    poll = select.poll()
+    poll.register(bound, select.POLLIN)
+    return bool(poll.poll(0))
 
 
 def ask_for_drops(bound: socket.socket) -> None:

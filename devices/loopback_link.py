@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
@@ -36,7 +36,7 @@ class LoopbackLink:
     def __aiter__(self) -> AsyncIterator[Chunk]:
         return self._arrivals
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Give ``data`` to the other end as one chunk, stamped now, and let its reader run."""
         if not self._is_open:
             raise self._arrivals.error or LinkError(f"{self.name} is closed")

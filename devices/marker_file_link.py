@@ -81,7 +81,7 @@ class MarkerFileLink:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._closing.wait(), wait_s)
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Nothing: a file takes no commands."""
 
     async def close(self) -> None:

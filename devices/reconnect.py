@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -143,13 +143,13 @@ class ReconnectingLink:
                     self._back_off.reset()
                 await self._give_up(reason)
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """As the link does; raises ``LinkError`` while it is not up."""
         if self.state is not LinkState.UP:
             raise LinkError(
                 f"{self.name} is {self.state.value}{self.status.reason and ': '}{self.status.reason}"
             )
-        await self.link.write(data)
+        await self.link.write(data, to)
 
     async def close(self) -> None:
         """End trying and iterating, and close the link; an attempt under way is given up."""

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import zstandard
 from mcap.exceptions import McapError
@@ -30,6 +30,21 @@ LARGEST_RECORD = 1 << 28
 LARGEST_CHUNK = 1 << 26
 """Bytes of a chunk, unpacked; those of the recorder have a few hundred kB. A file that was made to unpack to
 more than memory holds counts as damaged there."""
+
+BYTES_A_RECORD = 8
+"""Of a file, at the least, for each record that it unpacks to: its own and 16 of the index that follows."""
+
+MOST_RECORDS_BEFORE = 8192
+"""Records beyond that: of a chunk whose index does not follow, since the file was cut off there."""
+
+DEEPEST_JSON = 40
+"""Levels: far more than anything that is recorded has."""
+
+_LONGEST_PART = 6
+"""Digits."""
+
+_RECORD_HEAD = struct.Struct("<BQ")
+"""Opcode and length of what follows."""
 
 DAMAGE = (McapError, ValueError, struct.error, ZstdError, RuntimeError, MemoryError)
 """What the library raises for bytes that are not what they should be."""
@@ -59,8 +74,11 @@ class Head:
     @property
     def part(self) -> int:
         """Number of the file within its session, from 1."""
-        return int(self.session.get("part", "1"))
+        return int(self.session.get("part", "1"))  # a number: see ``_read_head``
 
+
+REMEDY = "; `mocap-gateway recover` makes a whole file of it"
+"""How the words for a file that was not closed end."""
 
 ContentRecord: TypeAlias = Schema | Channel | Message | Attachment | Metadata
 
@@ -94,16 +112,18 @@ class RecordingFile:
     def records(self) -> Iterator[ContentRecord]:
         """Everything that is no index: for copying a file."""
         self.defect, self.damaged_chunks = None, 0
+        count = 0
         for record in self._outer_records():
             if not isinstance(record, Chunk):
                 if isinstance(record, Schema | Channel | Message | Attachment | Metadata):
                     yield record
                 continue
             try:
-                inner = chunk_records(record)
+                inner = chunk_records(record, most_records(self.position) - count)
             except DAMAGE:
                 self.damaged_chunks += 1
                 continue
+            count += len(inner)
             for part in inner:
                 if isinstance(part, Schema | Channel | Message):
                     yield part
@@ -124,13 +144,12 @@ class RecordingFile:
                 file.seek(max(self.size - len(MCAP0_MAGIC), 0))
                 if file.read() != MCAP0_MAGIC:
                     self.defect = (
-                        f"{self.path} was not closed: all of its data is there, its index is not; "
-                        "`mocap-gateway recover` writes it"
+                        f"{self.path} was not closed: all of its data is there, its index is not{REMEDY}"
                     )
             except DAMAGE:
                 self.defect = (
                     f"{self.path} was not closed (power cut, kill, full disk): read up to byte "
-                    f"{self.position} of {self.size}; `mocap-gateway recover` makes a whole file of it"
+                    f"{self.position} of {self.size}{REMEDY}"
                 )
         self.position = self.size
 
@@ -145,6 +164,11 @@ class RecordingFile:
             elif isinstance(record, Chunk):
                 break
         self.defect, self.position = None, 0
+        part = "1" if session is None else session.get("part", "1")
+        if not (part.isascii() and part.isdecimal() and len(part) <= _LONGEST_PART and int(part) > 0):
+            raise RecordingError(
+                f"{self.path}: the record '{fmt.SESSION}' is damaged: part {part[:20]!r} is no number from 1"
+            )
         if session is None:
             raise RecordingError(
                 f"{self.path} is no recording of mocap-gateway: an MCAP file beginning with '{fmt.SESSION}' "
@@ -195,8 +219,14 @@ class RecordingParts:
             yield from file.messages()
 
 
-def chunk_records(chunk: Chunk) -> list[McapRecord]:
-    """The records in a chunk. Raises one of ``DAMAGE``; never takes more memory than ``LARGEST_CHUNK``."""
+def most_records(size: int) -> int:
+    """How many records so many bytes of a file may unpack to."""
+    return size // BYTES_A_RECORD + MOST_RECORDS_BEFORE
+
+
+def chunk_records(chunk: Chunk, most: int) -> list[McapRecord]:
+    """The records in a chunk, ``most`` at the most. Raises one of ``DAMAGE``; the bytes unpacked never take
+    more memory than ``LARGEST_CHUNK``."""
     size = chunk.uncompressed_size
     if size > LARGEST_CHUNK:
         raise ValueError(f"a chunk of {size} bytes: at most {LARGEST_CHUNK} are read")
@@ -209,7 +239,37 @@ def chunk_records(chunk: Chunk) -> list[McapRecord]:
         raise ValueError(f"compression '{chunk.compression}': the recorder writes zstd or none")
     if len(data) != size:
         raise ValueError(f"a chunk of {size} bytes has {len(data)}")
+    if not _has_at_most(data, most):
+        raise ValueError(f"a chunk of more than {most} records")
     return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
+
+
+def plain_json(data: str | bytes) -> Any:
+    """JSON as somebody wrote it. Raises ``ValueError`` for what is none, and what is nested too deeply."""
+    try:
+        found = json.loads(data)
+    except RecursionError:
+        raise ValueError(f"JSON of more than {DEEPEST_JSON} levels") from None
+    level = [found]
+    for _ in range(DEEPEST_JSON):
+        level = [
+            inner
+            for value in level
+            if isinstance(value, dict | list)
+            for inner in (value.values() if isinstance(value, dict) else value)
+        ]
+        if not level:
+            return found
+    raise ValueError(f"JSON of more than {DEEPEST_JSON} levels")
+
+
+def _has_at_most(data: bytes, most: int) -> bool:
+    """Whether unpacked records are so many; they are only counted, not read."""
+    at, count = 0, 0
+    while at < len(data) and count <= most:
+        at += _RECORD_HEAD.size + _RECORD_HEAD.unpack_from(data, at)[1]
+        count += 1
+    return count <= most
 
 
 def part_path(first: Path, part: int) -> Path:
@@ -235,6 +295,6 @@ def _following(file: RecordingFile) -> list[RecordingFile]:
 
 def _links(path: Path, session: Mapping[str, str]) -> dict[str, Framing]:
     try:
-        return {str(name): Framing(framing) for name, framing in json.loads(session["links"]).items()}
+        return {str(name): Framing(framing) for name, framing in plain_json(session["links"]).items()}
     except (KeyError, ValueError, AttributeError) as error:
         raise RecordingError(f"{path}: the record '{fmt.SESSION}' is damaged ({error})") from error

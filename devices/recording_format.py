@@ -7,6 +7,7 @@ whole in itself.
 
 ==================  ========================================================================================
 ``/chunks/<link>``  what a link gave, as it came and before anything was parsed; log time: arrival
+``/datagrams/<link>``  the same of a link with several senders, each datagram with its sender's address
 ``/sent/<link>``    what the gateway wrote to a link; log time: the instant it calls the time of sending
 ``/skeleton``       skeleton frames, float64 bit for bit; log time: arrival of the data that completed it
 ``/markers``        of poses made from markers: where each was, where the body has it, whether it had a say
@@ -19,8 +20,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from devices.link import Chunk
+
 PROFILE = "mocap-gateway"
 FORMAT_VERSION = 1
+_LONGEST_SENDER = 255
 SUFFIX = ".mcap"
 
 SESSION = "mocap.session"
@@ -33,7 +37,10 @@ bit-identical), ``name``.
 """
 
 CHUNKS = "/chunks/"
+DATAGRAMS = "/datagrams/"
 SENT = "/sent/"
+OF_LINKS = (CHUNKS, DATAGRAMS, SENT)
+"""What topics of links begin with."""
 SKELETON = "/skeleton"
 MARKERS = "/markers"
 EVENTS = "/events"
@@ -64,6 +71,11 @@ _CHUNK_TEXT = """The bytes themselves, nothing else. Channel metadata: link, fra
 framing byte_stream: COBS wire frames, cut anywhere; framing can: CAN frame records
 (firmware_protocol/README.md).
 log_time = publish_time = gateway time, ns.
+"""
+
+_DATAGRAM_TEXT = """offset 0  u8    N
+       1  u8[N] address of the sender, HOST:PORT in UTF-8
+then the bytes of the datagram, nothing else. Channel metadata and times as of mocap.Bytes.
 """
 
 _SKELETON_TEXT = """All numbers little-endian; S segments in the order of suit.json.
@@ -105,15 +117,47 @@ _STATISTICS_SCHEMA = (
 )
 
 CHUNK_KIND = ChannelKind("mocap.Bytes", "text", "bytes", _CHUNK_TEXT)
+DATAGRAM_KIND = ChannelKind("mocap.Datagram", "text", "mocap.Datagram", _DATAGRAM_TEXT)
 KINDS: dict[str, ChannelKind] = {
     SKELETON: ChannelKind("mocap.SkeletonFrame", "text", "mocap.SkeletonFrame", _SKELETON_TEXT),
     MARKERS: ChannelKind("mocap.MarkerFit", "text", "mocap.MarkerFit", _MARKERS_TEXT),
     EVENTS: ChannelKind("mocap.Event", "jsonschema", "json", _EVENT_SCHEMA),
     STATISTICS: ChannelKind("mocap.Statistics", "jsonschema", "json", _STATISTICS_SCHEMA),
 }
-"""By topic; topics of links are of ``CHUNK_KIND``."""
+"""By topic; topics of links are of ``CHUNK_KIND`` or ``DATAGRAM_KIND``."""
 
 
 def kind_of(topic: str) -> ChannelKind:
     """How messages of a topic are encoded. Raises KeyError for a topic that no recording has."""
+    if topic.startswith(DATAGRAMS):
+        return DATAGRAM_KIND
     return CHUNK_KIND if topic.startswith((CHUNKS, SENT)) else KINDS[topic]
+
+
+def is_known(topic: str) -> bool:
+    """Whether this version knows what stands there."""
+    return topic.startswith(OF_LINKS) or topic in KINDS
+
+
+def link_of(topic: str) -> str | None:
+    """The link whose topic it is; None for a topic of no link."""
+    return topic.split("/", 2)[2] if topic.startswith(OF_LINKS) else None
+
+
+def message_of(chunk: Chunk) -> tuple[str, bytes]:
+    """Topic and message of what a link gave."""
+    if not chunk.sender:
+        return CHUNKS + chunk.link, chunk.data
+    sender = chunk.sender.encode()[:_LONGEST_SENDER]
+    return DATAGRAMS + chunk.link, bytes((len(sender),)) + sender + chunk.data
+
+
+def chunk_of(topic: str, time_ns: int, data: bytes) -> Chunk | None:
+    """What a link gave, from its topic and message; None for any other topic, and for a damaged message."""
+    if topic.startswith(CHUNKS):
+        return Chunk(data, time_ns, topic.removeprefix(CHUNKS))
+    if not (topic.startswith(DATAGRAMS) and data and len(data) > data[0]):
+        return None
+    end = 1 + data[0]
+    sender = data[1:end].decode(errors="replace")
+    return Chunk(data[end:], time_ns, topic.removeprefix(DATAGRAMS), sender)

@@ -38,7 +38,7 @@ class RecordingWriter:
         self, path: str | Path, session: Mapping[str, str], attachments: Mapping[str, bytes], created_ns: int
     ) -> None:
         """session: the keys of ``recording_format.SESSION``. Raises ``RecordingError`` when there is such a
-        file already, OSError as ``open`` does."""
+        file already, OSError as ``open`` does, or for a full disk; then there is no file."""
         self.path = Path(path)
         self._indices = _ChunkIndices(self.path.parent)
         try:
@@ -48,6 +48,14 @@ class RecordingWriter:
             raise RecordingError(f"{path} exists already: choose another name") from None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        try:
+            self._begin(session, attachments, created_ns)
+        except BaseException:  # a full disk: a file without even its beginning is nobody's
+            self.abandon()
+            self.path.unlink(missing_ok=True)
+            raise
+
+    def _begin(self, session: Mapping[str, str], attachments: Mapping[str, bytes], created_ns: int) -> None:
         self._writer = Writer(
             cast(IO[Any], self._file), chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD
         )
@@ -73,12 +81,8 @@ class RecordingWriter:
 
     def add_chunk(self, chunk: Chunk, framing: Framing) -> None:
         """Append what a link gave."""
-        self.add(
-            fmt.CHUNKS + chunk.link,
-            chunk.arrived_ns,
-            chunk.data,
-            {"link": chunk.link, "framing": framing.value},
-        )
+        topic, data = fmt.message_of(chunk)
+        self.add(topic, chunk.arrived_ns, data, {"link": chunk.link, "framing": framing.value})
 
     def flush(self) -> None:
         """Hand all to the operating system."""

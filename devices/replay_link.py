@@ -5,15 +5,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import difflib
-import json
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from devices import recording_format as fmt
 from devices.link import Chunk, Framing, Link, LinkError, SentChunk, gateway_time_ns
-from devices.recording_file import RecordingParts
+from devices.recording_file import RecordingParts, plain_json
 
 _log = logging.getLogger(__name__)
 
@@ -90,26 +90,26 @@ class ReplayLink:
         for count, (topic, time_ns, data) in enumerate(self._parts.messages()):
             if count % _MESSAGES_A_TURN == 0:
                 await (asyncio.sleep(0) if self.hold is None else self.hold())
-            if topic.startswith(fmt.CHUNKS):
-                name = self._names.get(topic.removeprefix(fmt.CHUNKS))
+            if (chunk := fmt.chunk_of(topic, time_ns, data)) is not None:
+                name = self._names.get(chunk.link)
                 await pace.until(time_ns, is_ours=name is not None)
                 if self._closing.is_set():
                     return
                 if name is not None:
-                    yield Chunk(data, time_ns, name)
+                    yield replace(chunk, link=name)
             elif topic.startswith(fmt.SENT) and self.on_sent is not None:
                 name = self._names.get(topic.removeprefix(fmt.SENT))
                 if name is not None:
                     self.on_sent(SentChunk(data, time_ns, name))
             elif topic == fmt.EVENTS and self.on_event is not None:
                 with contextlib.suppress(ValueError, KeyError, TypeError):  # damaged: as if it were not there
-                    event = json.loads(data)
+                    event = plain_json(data)
                     self.on_event(str(event["name"]), dict(event["data"]))
         self.defect = self._parts.defect
         if self.defect is not None:
             _log.warning("%s", self.defect)
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Nothing: the modules of a recording take no commands."""
 
     async def close(self) -> None:

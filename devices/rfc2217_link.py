@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 
 import serial
 
@@ -48,7 +48,7 @@ class Rfc2217Link:
     def __aiter__(self) -> AsyncIterator[Chunk]:
         return self._arrivals
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Send ``data`` to the serial server. Raises ``LinkError`` when it is closed or lost."""
         if self._port is None or self._arrivals.has_ended:
             raise self._arrivals.error or LinkError(f"{self.name} is closed")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
@@ -56,7 +56,7 @@ class SerialLink:
     def __aiter__(self) -> AsyncIterator[Chunk]:
         return self._arrivals
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Write all of ``data``, waiting (not blocking) while the port is full.
 
         Raises ``LinkError`` when the link is closed or lost before all is written.

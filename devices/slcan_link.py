@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 
 from devices.link import Chunk, Framing, Link, LinkError
 from devices.link_counts import LinkCounts
@@ -65,7 +65,7 @@ class SlcanLink:
             if frames:
                 yield Chunk(pack_can_records(frames), chunk.arrived_ns, self.name)
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Send CAN frame records. Raises ValueError for a frame that CAN does not have."""
         await self._stream.write(b"".join(encode_slcan(frame) for frame in unpack_can_records(data)))
 

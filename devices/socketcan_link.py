@@ -13,7 +13,7 @@ import os
 import socket
 import struct
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 
 from devices.arrivals import Arrivals
@@ -96,7 +96,7 @@ class SocketCanLink:
     def __aiter__(self) -> AsyncIterator[Chunk]:
         return self._arrivals
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Send CAN frame records, waiting up to a second for room in the transmit queue."""
         for frame in unpack_can_records(data):
             await self._send(kernel_bytes(frame))
@@ -107,6 +107,7 @@ class SocketCanLink:
     def _receive(self, bus: socket.socket) -> None:
         frames: list[CanFrame] = []
         lost: LinkError | None = None
+        begun_ns = gateway_time_ns()
         try:
             while len(frames) < _BATCH and lost is None:
                 data, ancillary, _, _ = bus.recvmsg(_CANFD_FRAME.size, ANCILLARY_SIZE)
@@ -116,8 +117,9 @@ class SocketCanLink:
                     lost = self._note_error(frame)
                 if (dropped := told_drops(ancillary)) is not None:
                     self._kernel_drops.now(dropped)
+            self.counts.end_turn(begun_ns, bus)
         except BlockingIOError:
-            pass  # that was all there is for now
+            self.counts.backlog_since_ns = None  # that was all there is for now
         except OSError as error:
             lost = self._lost_error(error)
         if frames:
@@ -147,6 +149,7 @@ class SocketCanLink:
         if self._socket is None:
             return
         asyncio.get_running_loop().remove_reader(self._socket)
+        self.counts.backlog_since_ns = None
         self._socket.close()
         self._socket = None
         self._arrivals.end(error)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 
 from devices.arrivals import Arrivals
 from devices.link import Chunk, Framing, LinkError, gateway_time_ns
@@ -87,7 +87,7 @@ class TcpLink:
     def __aiter__(self) -> AsyncIterator[Chunk]:
         return self._arrivals
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Send ``data``, waiting while the peer does not take it. Raises ``LinkError`` when it is gone."""
         if self._connection is None or self._arrivals.has_ended:
             raise self._arrivals.error or LinkError(f"{self.name} is closed")

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import functools
+import ipaddress
+import logging
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection, Sequence
 from typing import Any
 
 from devices.arrivals import Arrivals
@@ -19,32 +22,48 @@ from devices.link_counts import (
     told_drops,
 )
 
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+Address = tuple[Any, ...]
+"""As sockets give it: host, port and, for IPv6, flow and scope."""
+
+_log = logging.getLogger(__name__)
+
 LOOPBACK = "127.0.0.1"
 # The usual 208 KiB hold only 92 small datagrams or so, a fraction of a second of a full suit.
 _RECEIVE_BUFFER_BYTES = 4 * 1024 * 1024
 _LARGEST_DATAGRAM = 65536
 _DATAGRAMS_A_TURN = 64
+_MOST_REFUSED_NAMED = 16
 
 
 class UdpLink:
-    """Datagrams arriving at one port, from any sender.
+    """Datagrams arriving at one port, from any number of senders: each chunk names its own.
 
-    Bound to this computer alone unless another address is given. What is written goes to the
-    sender of the latest datagram.
+    Bound to this computer alone unless another address is given. Who may be believed is not for the link
+    to say: what is written goes to the senders that the writer names, one datagram each.
     """
 
     framing = Framing.BYTE_STREAM
 
-    def __init__(self, host: str = LOOPBACK, port: int = 0, *, name: str | None = None) -> None:
+    def __init__(
+        self,
+        host: str = LOOPBACK,
+        port: int = 0,
+        *,
+        name: str | None = None,
+        peers: Collection[Network] = (),
+    ) -> None:
+        """peers: addresses that datagrams are taken from, others are counted and dropped; empty: any."""
         self.name = name or f"udp://{host}:{port}"
         self.host = host
         self.port = port
         """Port asked for; 0 lets the system choose (see ``address``)."""
+        self.peers = tuple(peers)
         self.counts = LinkCounts()
         self._arrivals = Arrivals.never_opened(self.name)
         self._drops = SystemCount(self.counts, LostBefore.KERNEL_OVERFLOW)
         self._socket: socket.socket | None = None
-        self._latest_sender: tuple[Any, ...] | None = None
+        self._refused_hosts: set[str] = set()
 
     @property
     def address(self) -> tuple[str, int]:
@@ -76,25 +95,31 @@ class UdpLink:
     def __aiter__(self) -> AsyncIterator[Chunk]:
         return self._arrivals
 
-    async def write(self, data: bytes) -> None:
-        """Send one datagram to the latest sender. Raises ``LinkError`` when nobody sent one yet."""
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
+        """Send a datagram to each sender named. Raises ``LinkError`` when none is, or none can be sent to."""
         bound = self._open_socket()
-        if self._latest_sender is None:
-            raise LinkError(f"{self.name}: nobody to write to until a first datagram has come")
-        try:
-            bound.sendto(data, self._latest_sender)
-        except OSError as error:
-            raise LinkError(f"{self.name} did not send: {error.strerror}") from error
+        if not to:
+            raise LinkError(f"{self.name}: nobody to write to until a module has sent something valid")
+        failures: list[OSError] = []
+        for sender in to:
+            try:
+                bound.sendto(data, _address_of(sender))
+            except OSError as error:  # one that is gone must not keep it from the others
+                failures.append(error)
+        if len(failures) == len(to):
+            raise LinkError(f"{self.name} did not send: {failures[0].strerror}") from failures[0]
 
     async def close(self) -> None:
         """Stop listening; iterating ends."""
         self._release(None)
 
     def _receive(self, bound: socket.socket) -> None:
+        begun_ns = gateway_time_ns()
         for _ in range(_DATAGRAMS_A_TURN):
             try:
                 data, ancillary, _, sender = bound.recvmsg(_LARGEST_DATAGRAM, ANCILLARY_SIZE)
             except BlockingIOError:
+                self.counts.backlog_since_ns = None
                 return
             except ConnectionRefusedError:
                 continue  # the last sender does not listen; it may send all the same
@@ -103,15 +128,27 @@ class UdpLink:
                 return
             if (dropped := told_drops(ancillary)) is not None:
                 self._drops.now(dropped)
-            self._arrivals.put(data, gateway_time_ns())
-            self._latest_sender = sender
+            if self.peers and not _is_in(sender[0], self.peers):
+                self._refuse(sender[0])
+            else:
+                self._arrivals.put(data, gateway_time_ns(), _name_of(sender))
+        self.counts.end_turn(begun_ns, bound)
+
+    def _refuse(self, host: str) -> None:
+        """Count a datagram of somebody who is not among the peers; warn once of each of the first few."""
+        self.counts.refused += 1
+        if host not in self._refused_hosts and len(self._refused_hosts) < _MOST_REFUSED_NAMED:
+            self._refused_hosts.add(host)
+            _log.warning(
+                "%s: %s sends here and is not among the peers: its datagrams are dropped", self.name, host
+            )
 
     def _release(self, error: LinkError | None) -> None:
         if self._socket is not None:
             asyncio.get_running_loop().remove_reader(self._socket)
             self._socket.close()
             self._socket = None
-            self._latest_sender = None
+            self.counts.backlog_since_ns = None
             self._arrivals.end(error)
 
     def _open_socket(self) -> socket.socket:
@@ -133,6 +170,33 @@ class UdpLink:
         if error.errno == errno.EACCES:
             return LinkError(f"UDP port {self.port} is reserved for the system: choose one above 1023")
         return LinkError(f"{self.name} cannot be opened: {error.strerror or error}")
+
+
+@functools.lru_cache(maxsize=512)
+def _name_of(sender: Address) -> str:
+    """``HOST:PORT``, that of IPv6 in brackets and with its scope, if it has one."""
+    host, port, *rest = sender
+    if not rest:
+        return f"{host}:{port}"
+    return f"[{host}%{rest[1]}]:{port}" if rest[1] else f"[{host}]:{port}"
+
+
+@functools.lru_cache(maxsize=512)
+def _address_of(name: str) -> Address:
+    """The address of a sender, from its name."""
+    host, _, port = name.rpartition(":")
+    if not host.startswith("["):
+        return host, int(port)
+    host, _, scope = host[1:-1].partition("%")
+    return host, int(port), 0, int(scope or 0)
+
+
+@functools.lru_cache(maxsize=512)
+def _is_in(host: str, networks: tuple[Network, ...]) -> bool:
+    address = ipaddress.ip_address(host.partition("%")[0])
+    if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is not None:
+        address = address.ipv4_mapped
+    return any(address in network for network in networks)
 
 
 def _bound(family: int, kind: int, protocol: int, _name: str, address: tuple[Any, ...]) -> socket.socket:

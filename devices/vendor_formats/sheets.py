@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from devices.emulators.bodies import FloatArray
 from devices.recording_file import RecordingError
+
+FloatArray = NDArray[np.float64]
 
 _DELIMITERS = "\t;,"
 _HEADER_LINES = 200

@@ -46,7 +46,7 @@ class Wardrobe:
         self.ids: dict[str, int] = {
             module["unique_id"]: module["module"]
             for module in listed["modules"]
-            if module["unique_id"] is not None and module["module"] <= MAX_MODULE
+            if module["answers"] and module["module"] <= MAX_MODULE
         }
 
     def propose(self, segment: str, unique_id: str) -> Proposal:
@@ -58,4 +58,5 @@ class Wardrobe:
     def note(self, changes: list[Mapping[str, Any]]) -> None:
         """Take over what was written."""
         for change in changes:
-            self.ids[change["unique_id"]] = change["after"]["module_id"]
+            if "module_id" in change["after"]:
+                self.ids[change["unique_id"]] = change["after"]["module_id"]

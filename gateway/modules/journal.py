@@ -1,86 +1,199 @@
 """What stood in the modules before each change, kept on disk so that it can be written back.
 
-It is written before anything is sent: whatever happens in the middle, what was there is not lost.
+An entry is on the disk before anything is sent: whatever happens in the middle, what was there is not lost.
+The file is the truth, never a copy in memory: a running gateway and a command line share it under a lock.
 """
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import logging
 import os
-from collections.abc import Mapping
+import secrets
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import orjson
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from devices.configure import Change
+from gateway.errors import GatewayError
+from gateway.modules.verbs import UniqueId
+from gateway.whole_files import write_whole
 
 _log = logging.getLogger(__name__)
 
 _LONGEST = 50
-"""Changes remembered."""
+"""Entries remembered."""
 
-Settings = Mapping[str, Any]
+_LOCK_PATIENCE_S = 5.0
+_LOCK_INTERVAL_S = 0.01
+
+
+class JournalError(GatewayError):
+    """The journal cannot be read or written, so that nothing may be changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One change of one or more modules."""
+
+    key: str
+    changes: tuple[Change, ...]
+    """At most one for each module."""
+
+
+class _Values(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    before: dict[str, Any]
+    after: dict[str, Any]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    key: str
+    modules: dict[UniqueId, _Values]
+
+
+_RECORDS = TypeAdapter(list[_Record])
 
 
 def default_journal_path() -> Path:
-    """``module_changes.json`` among the user's state files."""
+    """Return the path of ``module_changes.json`` among the user's state files."""
     state = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
     return Path(state) / "mocap-gateway" / "module_changes.json"
 
 
 class Journal:
-    """A stack of changes. Where it cannot be written it is kept in memory, with one warning."""
+    """A stack of changes in a file. Its methods wait for the disk: call them in a thread of their own.
 
-    def __init__(self, path: Path | None) -> None:
-        """``path``: None keeps it in memory."""
+    All raise ``JournalError``, saying what would do, where the file can be neither read nor written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open nothing yet."""
         self._path = path
-        self._records: list[dict[str, dict[str, dict[str, Any]]]] = self._load()
 
-    def record(self, changes: list[Change]) -> None:
-        """Remember what is about to be written."""
-        self._records.append(
-            {
-                change.unique_id.hex(): {"before": dict(change.before), "after": dict(change.after)}
-                for change in changes
-            }
-        )
-        del self._records[:-_LONGEST]
-        self._save()
+    def record(self, changes: Iterable[Change]) -> Entry:
+        """Add an entry with what is about to be written; it is on the disk when this returns."""
+        entry = Entry(secrets.token_hex(8), _merged(changes))
+        with self._locked():
+            self._save([*self._load(), _record(entry)][-_LONGEST:])
+        return entry
 
-    def last(self) -> list[Change]:
-        """The newest change, empty when there is none."""
-        newest = self._records[-1] if self._records else {}
-        return [
-            Change(bytes.fromhex(unique_id), values["before"], values["after"])
-            for unique_id, values in newest.items()
-        ]
+    def last(self) -> Entry | None:
+        """Return the newest entry, None when there is none."""
+        with self._locked():
+            records = self._load()
+        return _entry(records[-1]) if records else None
 
-    def drop_last(self) -> None:
-        """Forget the newest change: it was taken back, or never made."""
-        del self._records[-1:]
-        self._save()
+    def settle(self, entry: Entry, changes: Iterable[Change]) -> None:
+        """Keep of an entry only what the modules hold: ``changes``. None at all: forget it."""
+        kept = Entry(entry.key, _merged(changes))
+        with self._locked():
+            records = [
+                _record(kept) if record.key == entry.key else record
+                for record in self._load()
+                if record.key != entry.key or kept.changes
+            ]
+            self._save(records)
 
-    def _load(self) -> list[dict[str, dict[str, dict[str, Any]]]]:
-        if self._path is None or not self._path.exists():
-            return []
-        try:
-            records = orjson.loads(self._path.read_bytes())
-            return [dict(record) for record in records]
-        except (OSError, ValueError, TypeError) as error:
-            _log.warning("%s: earlier changes of modules cannot be undone: %s", self._path, error)
-            return []
-
-    def _save(self) -> None:
-        if self._path is None:
-            return
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Hold the lock that all processes take before they read or write the file."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            beside = self._path.with_suffix(".new")
-            beside.write_bytes(orjson.dumps(self._records, option=orjson.OPT_INDENT_2))
-            beside.replace(self._path)
+            lock = os.open(self._path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
+            raise self._unusable(error) from error
+        try:
+            self._wait_for(lock)
+            yield
+        except OSError as error:
+            raise self._unusable(error) from error
+        finally:
+            os.close(lock)
+
+    def _wait_for(self, lock: int) -> None:
+        end_s = time.monotonic() + _LOCK_PATIENCE_S
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if time.monotonic() >= end_s:
+                    raise JournalError(
+                        f"{self._path} is held by another process for more than {_LOCK_PATIENCE_S:.0f} s: "
+                        "nothing was changed; is a mocap-gateway stopped (Ctrl-Z)? continue or end it"
+                    ) from None
+                time.sleep(_LOCK_INTERVAL_S)
+            else:
+                return
+
+    def _load(self) -> list[_Record]:
+        try:
+            return _RECORDS.validate_json(self._path.read_bytes())
+        except FileNotFoundError:
+            return []
+        except ValidationError as error:
+            aside = self._set_aside()
             _log.warning(
-                "%s: changes of modules can be undone in this run only: %s", self._path, error.strerror
-            )
-            self._path = None
+                "%s cannot be read (%s): earlier changes of modules cannot be undone; it is kept as %s",
+                self._path, error.errors()[0]["msg"], aside,
+            )  # fmt: skip
+            return []
+
+    def _set_aside(self) -> Path:
+        number = 1
+        while (aside := self._path.with_suffix(f".damaged-{number}")).exists():
+            number += 1
+        self._path.replace(aside)
+        return aside
+
+    def _save(self, records: list[_Record]) -> None:
+        """Replace the file as a whole, and wait until the disk has it."""
+        write_whole(self._path, _RECORDS.dump_json(records, indent=2))
+        folder = os.open(self._path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # the new name too
+        finally:
+            os.close(folder)
+
+    def _unusable(self, error: OSError) -> JournalError:
+        return JournalError(
+            f"{self._path}: what stands in the modules cannot be kept for `modules undo` "
+            f"({error.strerror}), so nothing was changed: make room or give access there, or name another "
+            "folder in XDG_STATE_HOME"
+        )
+
+
+def _merged(changes: Iterable[Change]) -> tuple[Change, ...]:
+    """One change for each module."""
+    by_module: dict[bytes, Change] = {}
+    for change in changes:
+        known = by_module.get(change.unique_id, Change(change.unique_id, {}, {}))
+        by_module[change.unique_id] = Change(
+            change.unique_id, {**known.before, **change.before}, {**known.after, **change.after}
+        )
+    return tuple(by_module.values())
+
+
+def _record(entry: Entry) -> _Record:
+    modules = {
+        change.unique_id.hex(): _Values(before=dict(change.before), after=dict(change.after))
+        for change in entry.changes
+    }
+    return _Record(key=entry.key, modules=modules)
+
+
+def _entry(record: _Record) -> Entry:
+    return Entry(
+        record.key,
+        tuple(
+            Change(bytes.fromhex(uid), values.before, values.after) for uid, values in record.modules.items()
+        ),
+    )

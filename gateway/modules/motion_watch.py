@@ -27,19 +27,26 @@ class MotionWatch:
         self._stream = stream
         self._detector = MotionDetector()
         self._end: asyncio.TimerHandle | None = None
+        self._turn = asyncio.Lock()
 
     async def next(self, seconds: float, continues: bool = False) -> Motion | None:
-        """The next module that is shaken or tapped; None when none is within the time.
+        """Return the next module that is shaken or tapped; None when none is within the time.
 
         continues: what has moved since the last look counts too.
+        Whoever looks meanwhile waits: one motion is told to one of them.
 
         Raises ``AmbiguousMotionError`` naming the modules when there is no telling which.
         """
+        async with self._turn:
+            return await self._next(seconds, continues)
+
+    async def _next(self, seconds: float, continues: bool) -> Motion | None:
         self._listen()
         if not continues:
             self._detector.begin_anew()
         end_ns = gateway_time_ns() + round(seconds * 1e9)
         while (now_ns := gateway_time_ns()) < end_ns:
+            self._listen()  # a long look must not end as an idle one
             decision = self._detector.decide(now_ns * 1e-9)
             if isinstance(decision, Motion):
                 return decision

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import logging
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
@@ -13,17 +13,18 @@ from pydantic import ValidationError
 from devices.card_download import Card
 from devices.command_client import CommandClient
 from devices.configure import Change, Configurator
-from devices.device_backup import read_backup, restore_backup
-from devices.device_errors import CommandRefusedError, DeviceError, WritesLockedError
+from devices.device_backup import Restored, read_backup, restore_backup
+from devices.device_errors import DeviceError, UnfinishedError, WritesLockedError
 from devices.id_plan import plan_moves, spare_id
-from devices.link import gateway_time_ns
+from devices.link import LinkError, gateway_time_ns
 from devices.roster import Device, Roster
 from devices.setting_values import encoded_setting
 from firmware_protocol.commands import ALL_FILES, Verb
+from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError, nearest
 from gateway.modules import verbs
-from gateway.modules.journal import Journal
+from gateway.modules.journal import Entry, Journal, JournalError
 from gateway.modules.motion_watch import MotionWatch
 from gateway.modules.summary import count_samples, segments_of, summarise
 from gateway.outputs.messages import plain_json
@@ -36,13 +37,25 @@ Plain = dict[str, Any]
 
 _Done = TypeVar("_Done")
 
+_DESCRIBED_NS = round((DEVICE_INFO_INTERVAL_S + 1.0) * 1e9)
+"""By then every device has said who it is."""
+
+_LOOK_S = 0.05
+
+_WAITING = frozenset({"list", "motion"})
+"""Verbs that wait for what modules send on their own; they take their turn where they ask modules."""
+
 
 class RequestError(GatewayError):
     """A request that cannot be meant, or cannot be done. ``str(error)`` says what would do."""
 
 
 class ModuleOperations:
-    """All verbs of ``verbs.REQUESTS``. One after another: whoever asks meanwhile waits."""
+    """All verbs of ``verbs.REQUESTS``, asked for at any time.
+
+    What speaks with modules is done one after another, in order. Waiting for samples or for a motion is not:
+    that goes on beside it.
+    """
 
     def __init__(self, stream: Stream, client: CommandClient, suit: WornSuit, journal: Journal) -> None:
         self.configurator = Configurator(client)
@@ -52,6 +65,7 @@ class ModuleOperations:
         self._journal = journal
         self._motion = MotionWatch(stream)
         self._turn = asyncio.Lock()
+        self._began_ns = gateway_time_ns()
         self._verbs: dict[str, Callable[[Any], Awaitable[Plain]]] = {
             "list": self._list,
             "identify": self._identify,
@@ -83,19 +97,32 @@ class ModuleOperations:
             request = verbs.REQUESTS[verb].model_validate(data)
         except ValidationError as error:
             raise RequestError(f"modules/{verb}: {_first_problem(error)}") from error
-        async with self._turn:
-            try:
+        try:
+            if verb in _WAITING:
                 answer = await self._verbs[verb](request)
-            except ValueError as error:
-                raise RequestError(str(error)) from error
+            else:
+                async with self._turn:
+                    answer = await self._verbs[verb](request)
+        except ValueError as error:
+            raise RequestError(str(error)) from error
         return plain_json(answer)
 
     async def _list(self, request: verbs.ListRequest) -> Plain:
         before = count_samples(self._stream, gateway_time_ns())
-        roster, _ = await asyncio.gather(self._discover(), asyncio.sleep(request.listen_s))
+        roster, _ = await asyncio.gather(self._in_turn(self._discover), asyncio.sleep(request.listen_s))
+        await self._hear_descriptions(roster)
         after = count_samples(self._stream, gateway_time_ns())
         listed = summarise(roster, self._stream, self._suit, before, after)
         return {**listed.model_dump(mode="json"), "allows_writes": self._client.allow_writes}
+
+    async def _hear_descriptions(self, roster: Roster) -> None:
+        """Wait, as long as one may take, for what those that answer no commands say of themselves."""
+        known = {device.module for device in roster.devices}
+        modules = self._stream.modules
+        while gateway_time_ns() < self._began_ns + _DESCRIBED_NS:
+            if all(record.info for module, record in modules.items() if module not in known):
+                return
+            await asyncio.sleep(_LOOK_S)
 
     async def _identify(self, request: verbs.IdentifyRequest) -> Plain:
         device = await self._find(request.device)
@@ -107,6 +134,7 @@ class ModuleOperations:
         return _named(device) | {"settings": await self.configurator.read_all(device.unique_id)}
 
     async def _set(self, request: verbs.SetRequest) -> Plain:
+        self._refuse_unless_allowed("changing settings")
         device = await self._find(request.device)
         uid, settings = device.unique_id, request.settings
         for name, value in settings.items():
@@ -114,11 +142,8 @@ class ModuleOperations:
         if "module_id" in settings:
             # Refuses, naming it, an id that another device has.
             plan_moves((await self._discover()).ids, {uid: settings["module_id"]})  # type: ignore[dict-item]
-        before = await self.configurator.read(uid, settings)
-        written = await self._recorded(
-            [Change(uid, before, settings)], lambda: self.configurator.write(uid, settings)
-        )
-        return _named(device) | {"before": before, "after": dict(written.after)}
+        written = await self._recorded({uid: settings}, lambda: self.configurator.write(uid, settings))
+        return _named(device) | {"before": dict(written.before), "after": dict(written.after)}
 
     async def _assign(self, request: verbs.AssignRequest) -> Plain:
         changes = await self._assign_ids({bytes.fromhex(uid): module for uid, module in request.ids.items()})
@@ -136,23 +161,21 @@ class ModuleOperations:
         return {"changes": list(map(_change, await self._assign_ids(ids) if ids else []))}
 
     async def _undo(self, _request: verbs.UndoRequest) -> Plain:
-        changes = self._journal.last()
-        if not changes:
+        entry = await asyncio.to_thread(self._journal.last)
+        if entry is None:
             raise RequestError("there is no change to undo")
-        ids = {each.unique_id: each.before["module_id"] for each in changes if "module_id" in each.before}
-        done = await self.configurator.assign_ids(ids, self._rig_ids) if ids else []
-        for change in changes:
-            settings = {name: value for name, value in change.before.items() if name != "module_id"}
-            if settings:
-                done.append(await self.configurator.write(change.unique_id, settings))
-        self._journal.drop_last()
-        return {"changes": list(map(_change, done))}
+        self._refuse_unless_allowed("taking changes back")
+        earlier = {change.unique_id.hex(): change.before for change in entry.changes}
+        restored = await restore_backup(self.configurator, earlier, self._rig_ids)
+        await self._settle(entry, await self._left_over(entry.changes, restored))
+        return _restored(restored)
 
     async def _await_motion(self, request: verbs.MotionRequest) -> Plain:
         motion = await self._motion.next(request.seconds, request.continues)
         if motion is None:
             return {"module": None}
-        found = [device for device in (await self._roster()).devices if device.module == motion.module]
+        roster = await self._in_turn(self._roster)
+        found = [device for device in roster.devices if device.module == motion.module]
         if len(found) != 1:
             raise RequestError(
                 f"module id {motion.module} moved, and {len(found) or 'no'} devices with that id answer: "
@@ -164,27 +187,16 @@ class ModuleOperations:
         return {"modules": await read_backup(self.configurator, await self._discover())}
 
     async def _restore(self, request: verbs.RestoreRequest) -> Plain:
-        if not self._client.allow_writes:
-            raise WritesLockedError("restoring settings")
-        roster = await self._discover()
-        before = [
-            Change(
-                bytes.fromhex(uid),
-                await self.configurator.read(bytes.fromhex(uid), settings),
-                settings,
-            )
-            for uid, settings in request.modules.items()
-            if bytes.fromhex(uid) in roster.ids
-        ]
+        self._refuse_unless_allowed("restoring settings")
+        wanted = {bytes.fromhex(text): settings for text, settings in request.modules.items()}
+        present = await self.configurator.present_ids(wanted)
+        heard = {uid: settings for uid, settings in wanted.items() if uid in present}
+        backup = {uid.hex(): settings for uid, settings in heard.items()}
         restored = await self._recorded(
-            before, lambda: restore_backup(self.configurator, request.modules, self._rig_ids)
+            heard, lambda: restore_backup(self.configurator, backup, self._rig_ids)
         )
-        return {
-            "changes": list(map(_change, restored.changes)),
-            "unchanged": [uid.hex() for uid in restored.unchanged],
-            "absent": [uid.hex() for uid in restored.absent],
-            "failures": {uid.hex(): reason for uid, reason in restored.failures.items()},
-        }
+        restored.absent += [uid for uid in wanted if uid not in present]
+        return _restored(restored)
 
     async def _card_list(self, request: verbs.CardListRequest) -> Plain:
         device = await self._find(request.device)
@@ -218,24 +230,60 @@ class ModuleOperations:
         return {*segments_of(self._suit).values(), *local}
 
     async def _assign_ids(self, ids: dict[bytes, int]) -> list[Change]:
-        present = (await self._roster()).ids
-        about = [
-            Change(uid, {"module_id": present[uid]}, {"module_id": module})
-            for uid, module in ids.items()
-            if uid in present
-        ]
-        return await self._recorded(about, lambda: self.configurator.assign_ids(ids, self._rig_ids))
+        self._refuse_unless_allowed("changing module ids")
+        wanted = {uid: {"module_id": module} for uid, module in ids.items()}
+        return await self._recorded(wanted, lambda: self.configurator.assign_ids(ids, self._rig_ids))
 
-    async def _recorded(self, about: list[Change], change: Callable[[], Awaitable[_Done]]) -> _Done:
-        """Change something, with what stood there before in the journal first."""
-        if not self._client.allow_writes:
-            raise WritesLockedError("changing settings")
-        self._journal.record(about)
+    async def _recorded(
+        self, wanted: Mapping[bytes, Mapping[str, Any]], work: Callable[[], Awaitable[_Done]]
+    ) -> _Done:
+        """Change something, with what stood there before in the journal until it is taken back.
+
+        Of what fails the journal keeps what the modules hold all the same.
+        Raises ``JournalError``, before anything is sent, where that cannot be kept.
+        """
+        planned = await self.configurator.plan(wanted)
+        if not planned:
+            return await work()
+        entry = await asyncio.to_thread(self._journal.record, planned)
         try:
-            return await change()
-        except (CommandRefusedError, ValueError):
-            self._journal.drop_last()  # nothing was changed
+            done = await work()
+        except (DeviceError, LinkError, ValueError) as error:
+            left = await self.configurator.committed(planned)
+            await self._settle(entry, left)
+            if left and not isinstance(error, UnfinishedError):
+                modules = ", ".join(change.unique_id.hex() for change in left)
+                raise UnfinishedError(
+                    f"{error}; changed all the same, or perhaps: {modules}; `modules undo` takes that back"
+                ) from error
             raise
+        if isinstance(done, Restored) and (done.failures or done.absent):
+            unfinished = {*done.failures, *done.absent}
+            finished = [change for change in planned if change.unique_id not in unfinished]
+            failed = [change for change in planned if change.unique_id in done.failures]
+            await self._settle(entry, [*finished, *await self.configurator.committed(failed)])
+        return done
+
+    async def _left_over(self, changes: Collection[Change], restored: Restored) -> list[Change]:
+        """Return what of some changes still stands in modules that were not heard, or failed."""
+        absent = [change for change in changes if change.unique_id in restored.absent]
+        failed = [change for change in changes if change.unique_id in restored.failures]
+        return [*absent, *await self.configurator.committed(failed)]
+
+    async def _settle(self, entry: Entry, changes: Collection[Change]) -> None:
+        """Keep of an entry what the modules hold. Where that fails it stays whole, which undoes as well."""
+        try:
+            await asyncio.to_thread(self._journal.settle, entry, changes)
+        except JournalError as error:
+            _log.warning("the last change stays in the journal as it was planned: %s", error)
+
+    def _refuse_unless_allowed(self, action: str) -> None:
+        if not self._client.allow_writes:
+            raise WritesLockedError(action)
+
+    async def _in_turn(self, work: Callable[[], Awaitable[_Done]]) -> _Done:
+        async with self._turn:
+            return await work()
 
     async def _discover(self) -> Roster:
         return await self.configurator.discover()
@@ -265,7 +313,18 @@ def _change(change: Change) -> Plain:
     }
 
 
+def _restored(restored: Restored) -> Plain:
+    return {
+        "changes": list(map(_change, restored.changes)),
+        "unchanged": [uid.hex() for uid in restored.unchanged],
+        "absent": [uid.hex() for uid in restored.absent],
+        "failures": {uid.hex(): reason for uid, reason in restored.failures.items()},
+    }
+
+
 def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
+    if problem["type"] == "string_pattern_mismatch":  # unique ids alone have one
+        return f"'{problem['input']}' is no unique id: 24 hexadecimal digits (0-9, a-f) are wanted"
     where = ".".join(map(str, problem["loc"]))
     return f"'{where}' {problem['msg'].lower()}" if where else problem["msg"].lower()

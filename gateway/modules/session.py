@@ -12,10 +12,14 @@ from devices.endpoints import link_from_url
 from devices.link import Link, LinkError
 from devices.reconnect import ReconnectingLink
 from devices.replay_link import carried_links
+from devices.udp_link import UdpLink
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
 from gateway.modules.operations import ModuleOperations
 from gateway.stream import ClockMode, Stream
+
+_LISTENED_S = 1.2
+"""On UDP only those who were heard can be asked; modules that do not sample tell their health each second."""
 
 _THROUGH_A_GATEWAY = (
     "; if that is a running gateway, ask it instead: --mqtt HOST:PORT (of its broker) in the place of --link"
@@ -48,11 +52,14 @@ async def suit_session(
                 stream.add_link(name, framing)
             readers.append(asyncio.create_task(_read(link, stream), name=f"link {link.name}"))
         stack.push_async_callback(_end, readers)
+        if any(isinstance(link.link, UdpLink) for link in links):
+            await asyncio.sleep(_LISTENED_S)
         yield ModuleOperations(stream, client, suit, journal)
 
 
 def connect_client(client: CommandClient, stream: Stream) -> None:
-    """Have a client told what a stream hears."""
+    """Have a client told what a stream hears, and of whom."""
+    client.senders = stream.senders
     for packet_class in LISTENS_TO:
         stream.listen(packet_class, client.take)
 

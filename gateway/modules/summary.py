@@ -32,7 +32,8 @@ class ModuleSummary(_Plain):
     """One device that answered, or is only heard sending."""
 
     module: int = Field(description="module id; 254 is the relay")
-    unique_id: str | None = Field(description="none: it sends, but does not answer commands")
+    answers: bool = Field(description="false: it sends, but does not answer commands")
+    unique_id: str | None = Field(description="none: it has neither answered nor said who it is")
     segment: str | None = Field(description="by the rig; none: the rig has no module of this id")
     link: str | None = None
     firmware: str | None = None
@@ -128,9 +129,11 @@ def _summary(
 ) -> ModuleSummary:
     info = (device.info if device is not None else None) or (record.info if record is not None else None)
     health = device.health if device is not None else record.health if record is not None else None
+    uid = device.unique_id if device is not None else info.unique_id if info is not None else None
     return ModuleSummary(
         module=module,
-        unique_id=device.unique_id.hex() if device is not None else None,
+        answers=device is not None,
+        unique_id=None if uid is None else uid.hex(),
         segment=names.get(module),
         link=device.link if device is not None else None,
         firmware=".".join(map(str, info.firmware_version)) if info is not None else None,

@@ -136,7 +136,7 @@ class DeadLink:
 
     name, framing = "dead", Framing.BYTE_STREAM
 
-    async def write(self, data):
+    async def write(self, data, _to=()):
         raise LinkError("dead was unplugged")
 
     async def close(self):

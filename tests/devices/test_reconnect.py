@@ -45,7 +45,7 @@ class ScriptedLink:
                 yield Chunk(data, 0, self.name)
         raise LinkError("pulled")
 
-    async def write(self, data: bytes) -> None: ...
+    async def write(self, data: bytes, to=()) -> None: ...
 
     async def close(self) -> None:
         self.is_open = False

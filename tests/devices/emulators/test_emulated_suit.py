@@ -27,6 +27,7 @@ from devices.link import Framing
 from firmware_protocol import (
     CanFrame,
     CanFrameDecoder,
+    Event,
     FrameDecoder,
     InertialSample,
     PacketDecoder,
@@ -286,7 +287,7 @@ class Laborious:
     def __init__(self, first_takes_s):
         self.steps_s, self._now_s, self._first_takes_s = [], 0.0, first_takes_s
 
-    def receive(self, data, at_s):
+    def receive(self, data, at_s, _device=None):
         raise AssertionError("nobody speaks to it")
 
     def advance(self, to_s):
@@ -319,3 +320,29 @@ async def test_a_pty_passes_on_all_of_a_chunk_that_it_took_in_part():
     finally:
         os.close(reader)
         await transport.close()
+
+
+async def test_a_pty_leaves_the_link_of_the_one_after_it(tmp_path):
+    link = tmp_path / "suit"
+    first, second = PtyTransport(link), PtyTransport(link)
+    await first.open()
+    await second.open()
+    await first.close()
+    assert link.resolve().exists()
+    await second.close()
+    assert not link.is_symlink()
+
+
+async def test_something_is_done_to_a_suit_while_it_runs(arm4):
+    traffic = SuitTraffic(robot_arm_motion(arm4, 1))
+    suit = EmulatedSuit(traffic, MemoryTransport())
+    async with running(suit):
+        await wait_until(lambda: suit.start_ns is not None)
+        suit.do(lambda: traffic.press_button(2, 0.0))
+        await wait_until(lambda: _pressed(suit.transport) == [2])
+
+
+def _pressed(transport):
+    """Modules whose buttons were pressed."""
+    received = PacketDecoder(FrameDecoder()).feed(b"".join(data for _, data in transport.chunks))
+    return [packet.module for packet in received if isinstance(packet.packet, Event)]

@@ -17,7 +17,7 @@ from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial, read_markers
 from devices.marker_files.c3d_parameters import DEC, INTEL, MIPS, floats
 from devices.marker_messages import MarkerReceiver, encode_markers
-from devices.vendor_formats import FormatError
+from devices.vendor_formats.sheets import FormatError
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[4] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (DATA / "c3d_formats").is_dir(), reason="recordings are not here")

@@ -9,15 +9,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.recordings import Recording, play
-from devices.vendor_formats import (
-    ColumnMap,
-    FormatError,
-    read_mapped_csv,
-    read_movella_dot,
-    read_mvnx,
-    read_ximu3,
-    read_xsens_text,
-)
+from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
+from devices.vendor_formats.movella_dot import read_movella_dot
+from devices.vendor_formats.mvnx import read_mvnx
+from devices.vendor_formats.sheets import FormatError
+from devices.vendor_formats.ximu3 import read_ximu3
+from devices.vendor_formats.xsens_text import read_xsens_text
 from firmware_protocol import FrameDecoder, FusedSample, InertialSampleFine, PacketDecoder
 
 NWU_TO_ENU = Rotation.from_euler("z", 90, degrees=True)

@@ -23,7 +23,7 @@ class Operations:
     async def perform(self, verb, request):
         await asyncio.sleep(0.01)
         if verb == "list":
-            modules = [{"module": n, "unique_id": f"{n:032x}"} for n in SEGMENTS.values()]
+            modules = [{"module": n, "unique_id": f"{n:032x}", "answers": True} for n in SEGMENTS.values()]
             return {"allows_writes": True, "conflicts": [], "modules": modules, "segments": SEGMENTS}
         assert verb == "motion"
         self.looks += 1
