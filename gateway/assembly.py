@@ -36,7 +36,10 @@ _LONGEST_CATCH_UP_NS = 1_000_000_000
 _REST_OF_BURST_NS = 5_000_000
 """So long after a module's reading those of the others come, however late they all are."""
 _DEPTH = 64  # readings kept of each module; at 1000 Hz 64 ms, more than any sensible wait
+MOST_WAITING = 1024
+"""Readings of local devices, and of photoelectric cells, kept for the next frame while none is completed."""
 _NAN3 = (float("nan"),) * 3
+_Dated = TypeVar("_Dated", LocalReading, LightReading)
 
 
 class Lost(Enum):
@@ -45,6 +48,7 @@ class Lost(Enum):
     LATE = "reading older than the last frame"
     DUPLICATE = "second reading for the same time"
     UNKNOWN_MODULE = "module that the rig does not name"
+    NO_FRAME = "local or light reading that gave way to newer ones, since no frame came for it"
     SKIPPED_INSTANT = "instants without any data, left out"
 
 
@@ -83,7 +87,8 @@ class FrameAssembler:
         self._newest = [-1] * n  # plain integers: compared once a reading
         self._newest_of_all = -1
         self._passed: deque[tuple[int, int]] = deque()
-        """Instants up to which any module had been heard, and when that arrived; from the next frame's on."""
+        """Instants up to which any module had been heard, and when that arrived; from the next frame's on.
+        Older ones are dropped when that frame becomes the next: with one live module no frame ever waits."""
         self._awaited: set[int] = set()
         self._instant_ns = -1
         self._heard = 0
@@ -92,8 +97,8 @@ class FrameAssembler:
         self._count = 0  # frames since the grid's start, skipped instants included
         self._sequence = 0
         self._last_instant_ns = -1
-        self._local: list[LocalReading] = []
-        self._light: list[LightReading] = []
+        self._local: deque[LocalReading] = deque()
+        self._light: deque[LightReading] = deque()
         self._interpolate(0)  # compile now, not when the first reading waits
 
     @property
@@ -108,16 +113,23 @@ class FrameAssembler:
 
     def add_local(self, reading: LocalReading) -> None:
         """Keep a local measurement for the frame that comes next at or after its time."""
-        self.taken += 1
-        self._local.append(reading)
+        self._keep_waiting(self._local, reading)
 
     def add_light(self, reading: LightReading) -> None:
         """Likewise a reading of a module's photoelectric cells."""
         if reading.module not in self._row:
             self.lost[Lost.UNKNOWN_MODULE] += 1
             return
+        self._keep_waiting(self._light, reading)
+
+    def _keep_waiting(self, waiting: deque[_Dated], reading: _Dated) -> None:
+        """Keep a reading for the next frame; of too many the oldest gives way."""
         self.taken += 1
-        self._light.append(reading)
+        waiting.append(reading)
+        if len(waiting) > MOST_WAITING:
+            waiting.popleft()
+            self.taken -= 1
+            self.lost[Lost.NO_FRAME] += 1
 
     def add(self, reading: InertialReading, arrived_ns: int) -> list[ImuFrame]:
         """Take a reading; the frames that it, or the time it arrived, completes."""
@@ -127,7 +139,8 @@ class FrameAssembler:
             return []
         if self._store(row, reading):
             self.taken += 1
-            if not self._passed or self._passed[-1][0] < self._newest_of_all:
+            reached_ns = self._passed[-1][0] if self._passed else self._instant_ns - 1
+            if self._newest_of_all > reached_ns:
                 self._passed.append((self._newest_of_all, arrived_ns))
             if self._first_arrival_ns is None:
                 self._first_arrival_ns = arrived_ns
@@ -207,6 +220,8 @@ class FrameAssembler:
         assert self._grid_start_ns is not None
         self._count = count
         self._instant_ns = self._grid_start_ns + round(count * self._params.frame_interval_ns)
+        while self._passed and self._passed[0][0] < self._instant_ns:
+            self._passed.popleft()
         live_since = self._newest_of_all - self._params.hold_ns
         self._awaited = {
             row for row, time_ns in enumerate(self._newest) if live_since <= time_ns < self._instant_ns
@@ -224,8 +239,6 @@ class FrameAssembler:
 
     def _latest_ns(self) -> int:
         """When the next frame waits no more. A burst that comes late as a whole is read to its end first."""
-        while self._passed[0][0] < self._instant_ns:
-            self._passed.popleft()
         reached_ns = self._passed[0][1]
         return max(self._instant_ns + self._params.max_wait_ns, reached_ns + _REST_OF_BURST_NS)
 
@@ -238,8 +251,8 @@ class FrameAssembler:
 
     def _frame(self, instant_ns: int) -> ImuFrame:
         values, status, gap_ns, clipped = self._interpolate(instant_ns)
-        local, self._local = _split(self._local, instant_ns)
-        light, self._light = _split(self._light, instant_ns)
+        local = _take_due(self._local, instant_ns)
+        light = _take_due(self._light, instant_ns)
         frame = ImuFrame(
             sequence=self._sequence,
             time_ns=instant_ns,
@@ -268,15 +281,15 @@ class FrameAssembler:
         )
 
 
-_Dated = TypeVar("_Dated", LocalReading, LightReading)
-
-
-def _split(readings: list[_Dated], instant_ns: int) -> tuple[tuple[_Dated, ...], list[_Dated]]:
-    """Those up to an instant, in time order, and those after it."""
-    if not readings:
-        return (), readings
-    due = sorted((r for r in readings if r.time_ns <= instant_ns), key=attrgetter("time_ns"))
-    return tuple(due), [reading for reading in readings if reading.time_ns > instant_ns]
+def _take_due(waiting: deque[_Dated], instant_ns: int) -> tuple[_Dated, ...]:
+    """Take out those up to an instant, in time order."""
+    if not waiting:
+        return ()
+    due = sorted((r for r in waiting if r.time_ns <= instant_ns), key=attrgetter("time_ns"))
+    later = [reading for reading in waiting if reading.time_ns > instant_ns]
+    waiting.clear()
+    waiting.extend(later)
+    return tuple(due)
 
 
 _MEASURED, _INTERPOLATED = int(Status.MEASURED), int(Status.INTERPOLATED)

@@ -37,6 +37,13 @@ def rmse_deg(errors: FloatArray) -> FloatArray:
     return np.degrees(np.sqrt(mean_square))
 
 
+def coverage_percent(errors: FloatArray, sigma: FloatArray) -> float:
+    """Percent of errors (rad) within two sigma; NaN where nothing is claimed."""
+    if np.isnan(sigma).all():
+        return float("nan")
+    return float(100.0 * np.mean(errors < 2.0 * sigma))
+
+
 def _times_conjugate(q: FloatArray, p: FloatArray) -> FloatArray:
     """q ⊗ p*, (..., 4): takes reference world axes to estimated world axes."""
     qw, qx, qy, qz = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)

@@ -62,6 +62,10 @@ class AccessToken:
     def __repr__(self) -> str:
         return "AccessToken(…)"
 
+    def reveal(self) -> str:
+        """The token itself, for handing it to a child process."""
+        return self._bytes.decode()
+
     def matches(self, given: str | None) -> bool:
         """Whether it is this one; the time taken does not depend on how much of it is right."""
         return hmac.compare_digest(self._bytes, (given or "").encode(errors="replace"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from devices.command_client import host_bytes
 from devices.link import Link, LinkError, SentChunk, gateway_time_ns
@@ -19,10 +19,17 @@ class HostSender:
     """Stamps each wire frame just before it is written."""
 
     def __init__(
-        self, note: Callable[[SentChunk], None], clock_ns: Callable[[], int] = gateway_time_ns
+        self,
+        note: Callable[[SentChunk], None],
+        clock_ns: Callable[[], int] = gateway_time_ns,
+        senders: Callable[[str], Sequence[str]] = lambda _link: (),
     ) -> None:
-        """note: told of everything that was sent, at once, in order."""
+        """
+        note: told of everything that was sent, at once, in order.
+        senders: who is to be written to on a link with several senders; see ``Stream.senders``.
+        """
         self._note = note
+        self._senders = senders
         self._clock_ns = clock_ns
 
     async def send(self, link: Link, frame: WireFrame, within_ns: int | None = None) -> SentChunk | None:
@@ -34,7 +41,7 @@ class HostSender:
         sent_ns = self._clock_ns()
         try:
             async with asyncio.timeout(_SEND_TIMEOUT_S):
-                await link.write(data)
+                await link.write(data, self._senders(link.name))
         except (LinkError, TimeoutError) as error:
             log.debug("not sent over %s: %s", link.name, error)
             return None

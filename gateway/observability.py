@@ -131,12 +131,16 @@ class Observer:
         down = [link.name for link in figures.links if not link.is_up]
         silent = [module.module for module in figures.modules if module.availability == "offline"]
         is_fed = not down and len(silent) < len(figures.modules)
-        is_ok = is_fed and all(figures.connected.values()) and not self._load.stage
+        is_taken = all(figures.connected.values()) and self._mqtt.rights.state != "refused"
+        is_ok = is_fed and is_taken and self._mqtt.twin is None and not self._load.stage
         return {
             "status": "ok" if is_ok else "degraded",
             "links_down": down,
             "modules_silent": silent,
             "outputs_connected": dict(figures.connected),
+            "outputs_publishing": {"mqtt": self._mqtt.rights.state},
+            "topics_refused": list(self._mqtt.rights.refused),
+            "same_name": self._mqtt.twin,
             "skeleton_frames": figures.skeleton_frames,
             "load": dict(self._load.statistics()),
             "unaccounted": unaccounted(figures.balances),

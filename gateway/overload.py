@@ -46,8 +46,11 @@ DRAINED_S = 0.005
 """A lag that is so much less than a tick before is being worked off: no reason to give up more."""
 LATE_TICKS = 5
 """So many in a row, and the next stage is taken: a hiccup of the machine passes by itself."""
+CAUGHT_UP_S = 0.5
+"""So long calm, and all stages are given back: it was a burst, as after the process was stopped or a link
+was stalled. If they must be taken again within ``CALM_S_FIRST``, the load lasts."""
 CALM_S_FIRST = 5.0
-"""So long calm, and one stage is given back."""
+"""Under a load that lasts: so long calm, and one stage is given back."""
 CALM_S_LONGEST = 80.0
 """The wait doubles whenever a stage that was given back had to be taken again, up to this."""
 
@@ -71,6 +74,8 @@ class LoadWatch:
         self._calm_since_s: float | None = None
         self._patience_s = CALM_S_FIRST
         self._given_back_s = -math.inf
+        self._given_back_from = 0
+        self._lasts = False  # what was given back in one had to be taken again
 
     def observe(self, link: str, lag_s: float, now_s: float) -> bool:
         """A chunk was handled that had arrived so long ago. Whether the stage has changed."""
@@ -112,20 +117,32 @@ class LoadWatch:
         elif self._calm_since_s is None:
             self._calm_since_s = now_s
         if self._late_ticks >= LATE_TICKS and self.stage < len(SHED) - 1:
-            if now_s - self._given_back_s < self._patience_s:
-                self._patience_s = min(2.0 * self._patience_s, CALM_S_LONGEST)
-            return self._change(+1, now_s)
-        is_calm = self._calm_since_s is not None and now_s - self._calm_since_s >= self._patience_s
-        if is_calm and self.stage > 0:
-            self._given_back_s = now_s
-            return self._change(-1, now_s)
-        if is_calm:
-            self._patience_s = CALM_S_FIRST
+            return self._take(now_s)
+        calm_s = 0.0 if self._calm_since_s is None else now_s - self._calm_since_s
+        if self.stage > 0 and calm_s >= (self._patience_s if self._lasts else CAUGHT_UP_S):
+            return self._give_back(now_s)
+        if self.stage == 0 and calm_s >= self._patience_s:
+            self._patience_s, self._lasts = CALM_S_FIRST, False
         return False
 
-    def _change(self, by: int, now_s: float) -> bool:
-        self.stage += by
+    def _take(self, now_s: float) -> bool:
+        """Take the next stage, or all at once that were given back just now."""
+        stage = self.stage + 1
+        if now_s - self._given_back_s < self._patience_s:
+            if self._lasts:
+                self._patience_s = min(2.0 * self._patience_s, CALM_S_LONGEST)
+            stage = max(stage, self._given_back_from)
+            self._lasts = True
+        return self._change(stage, now_s)
+
+    def _give_back(self, now_s: float) -> bool:
+        """Give back one stage, or all of them after what may have been a burst."""
+        self._given_back_s, self._given_back_from = now_s, self.stage
+        return self._change(self.stage - 1 if self._lasts else 0, now_s)
+
+    def _change(self, stage: int, now_s: float) -> bool:
+        self._calm_since_s = now_s if stage < self.stage else None
+        self.stage = stage
         self.changes += 1
         self._late_ticks = 0
-        self._calm_since_s = now_s if by < 0 else None
         return True

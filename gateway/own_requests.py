@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
@@ -38,12 +39,13 @@ REQUESTS: dict[str, type[BaseModel]] = {
 
 
 class OwnRequests:
-    """Answers them; belongs to one running service."""
+    """Answers them, any number at once; belongs to one running service."""
 
     def __init__(self, mqtt: MqttOutput) -> None:
         self.on_reload: Reload | None = None
         """Reads the configuration; raises ``GatewayError`` for a wrong one. None: there is no file of it."""
         self._mqtt = mqtt
+        self._reloading = asyncio.Lock()
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
         """Raises ``GatewayError`` with what would do."""
@@ -62,5 +64,6 @@ class OwnRequests:
                 "this gateway has no configuration file to read anew: "
                 "start it with `mocap-gateway run -c FILE`"
             )
-        await self.on_reload()
+        async with self._reloading:
+            await self.on_reload()
         return {"reloaded": True}

@@ -11,7 +11,7 @@ from typing import Any
 
 import gateway
 from devices.command_client import CommandClient
-from devices.link import Chunk, Framing, Link, SentChunk, gateway_time_ns
+from devices.link import Chunk, Framing, Link, LinkError, SentChunk, gateway_time_ns
 from devices.link_counts import LinkCounts
 from devices.marker_file_link import MarkerFileLink
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
@@ -29,11 +29,13 @@ from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
+from gateway.modules.strangers import Strangers
 from gateway.observability import Observer
+from gateway.outputs.connection import first_to_end
 from gateway.outputs.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
-from gateway.outputs.requests import RequestResponder
+from gateway.outputs.requests import RequestResponder, in_turn
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWatch
 from gateway.own_requests import OwnRequests
@@ -48,6 +50,7 @@ from gateway.triggering import Triggerer
 log = logging.getLogger(__name__)
 
 REPORT_INTERVAL_S = 10.0
+_MOST_STRANGERS_NAMED = 32
 _TOLD_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
 _LISTENED_TO = frozenset({Framing.GNSS, Framing.MARKERS, Framing.HEAT_MAPS})
@@ -62,6 +65,9 @@ class Service:
         self, settings: GatewaySettings, suit: WornSuit, links: Sequence[Link] | None = None
     ) -> None:
         settings = fitting_suit(settings, suit)
+        self.settings = settings
+        self.has_begun = False
+        """Whether all that could keep it from running is open."""
         self.links = (
             links if links is not None else _links_of(settings, self._note_link, lambda: self.mqtt.port)
         )
@@ -102,8 +108,9 @@ class Service:
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
+        self._strangers = Strangers(stream, suit)
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
-        sender = HostSender(self._note_sent)
+        sender = HostSender(self._note_sent, senders=stream.senders)
         self._announced: list[Link] = []  # to the pipeline, and with modules at the other end
         self._synchroniser = _synchroniser(settings, self._announced, sender)
         self._triggerer = _triggerer(settings, self._announced, sender, stream)
@@ -112,9 +119,9 @@ class Service:
         families = {
             "gateway": self.own_requests.perform,
             "modules": operations.perform,
-            "recording": self.recording.perform,
-            "calibration": self.calibration.perform,
-            "reset": ResetControl(self._happened).perform,
+            "recording": in_turn(self.recording.perform),
+            "calibration": in_turn(self.calibration.perform),
+            "reset": in_turn(ResetControl(self._happened).perform),
         }
         self.requests = RequestResponder(settings.mqtt, settings.gateway, families)
 
@@ -145,11 +152,43 @@ class Service:
             **self.pipeline.statistics(),
             "accounting": accounting,
             "links": {name: counts.summary() for name, counts in self._link_counts.items()},
+            "senders": self.pipeline.stream.sender_statistics(),
             "failed_chunks": self.failed_chunks,
             "recording": self.recording.status(),
             "load": self.load.statistics(),
             "requests": self.requests.statistics(),
         }
+
+    async def prepare(self, former: Service) -> None:
+        """Bind, open and check what can fail, while ``former`` still runs, which this one is to follow.
+
+        Ports that both want are taken when the former has ended. Raises ``GatewayError`` with what stands
+        against it, and then holds nothing.
+        """
+        try:
+            if self._records_at_start:
+                self.recording.check()
+            for link in self.links:
+                if not isinstance(link, ReconnectingLink):  # others are tried until they are there
+                    await link.open()
+                    await link.close()
+            metrics, held = self.observer.metrics, former.observer.metrics
+            if metrics is not None and (held is None or metrics.port != held.port):
+                metrics.bind()
+            await self.side.open()
+            await self.mqtt.prepare(former.mqtt)
+        except BaseException as error:
+            await self.release(former)
+            if isinstance(error, LinkError):
+                raise GatewayError(str(error)) from error
+            raise
+
+    async def release(self, former: Service) -> None:
+        """Give back what ``prepare`` took, of a service that is not to run after all."""
+        if self.observer.metrics is not None:
+            self.observer.metrics.release()
+        await self.side.close()
+        await self.mqtt.release(former.mqtt)
 
     async def run(self) -> None:
         """Open everything, and pass on what comes.
@@ -161,6 +200,7 @@ class Service:
         async with self.mqtt, self.side.running(), self.observer.watching():
             if self._records_at_start:
                 self.recording.start()
+            self.has_begun = True
             self.requests.start(self.mqtt.port)
             companions = [
                 asyncio.create_task(kept_running("the report", self._report), name="report"),
@@ -178,16 +218,17 @@ class Service:
                     asyncio.create_task(kept_running("the triggerer", self._triggerer.run), name="triggerer")
                 )
             try:
-                async with asyncio.TaskGroup() as group:
-                    for link in self.links:
-                        self._ingesting.append(
-                            group.create_task(self._ingest(link), name=f"link {link.name}")
-                        )
+                await first_to_end(self._ingest_all(), self.mqtt.until_name_is_taken())
             finally:
                 for companion in companions:
                     companion.cancel()
                 await self.recording.stop()
                 await self.requests.stop()
+
+    async def _ingest_all(self) -> None:
+        async with asyncio.TaskGroup() as group:
+            for link in self.links:
+                self._ingesting.append(group.create_task(self._ingest(link), name=f"link {link.name}"))
 
     async def _ingest(self, link: Link) -> None:
         """link → pipeline → outputs, for one link."""
@@ -210,8 +251,8 @@ class Service:
                     self.pipeline.stream.notice(link.name, Cause.OVERRUN)
                 self.recording.chunk(chunk, carried[chunk.link])
                 skeleton_frames = self._fed(chunk)
-                if is_live and self.load.observe(link.name, *_lag_s(chunk)):
-                    self._shed()
+                if is_live:
+                    self._note_lag(link, chunk.arrived_ns)
                 for frame in skeleton_frames:
                     self.recording.skeleton(frame, chunk.arrived_ns)
                     for output in self._outputs:
@@ -252,10 +293,22 @@ class Service:
             self.load.lag_s * 1e3,
         )
 
+    def _note_lag(self, link: Link, arrived_ns: int) -> None:
+        """Tell the load watch by how much a link is behind, also with what still waits in the system."""
+        now_ns = gateway_time_ns()
+        counts = link.counts if isinstance(link, ReconnectingLink) else None
+        if counts is not None and counts.backlog_since_ns is not None:
+            arrived_ns = min(arrived_ns, counts.backlog_since_ns)
+        if self.load.observe(link.name, (now_ns - arrived_ns) * 1e-9, now_ns * 1e-9):
+            self._shed()
+
     async def _watch_load(self) -> None:
-        """What was given up comes back also when nothing arrives any more."""
+        """Look also where nothing arrives any more, or nothing of it is let through by its link."""
         while True:
             await asyncio.sleep(TICK_S)
+            for link in self.links:
+                if isinstance(link, ReconnectingLink) and link.counts.backlog_since_ns is not None:
+                    self._note_lag(link, gateway_time_ns())
             if self.load.look(gateway_time_ns() * 1e-9):
                 self._shed()
 
@@ -282,29 +335,44 @@ class Service:
             self.pipeline.stream.notice(name, Cause.LINK_DOWN)
         self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
 
+    def _warn_of_strangers(self, named: set[str]) -> None:
+        """Name who else sends to the links of modules, each once. named: those who were, and are now."""
+        for link, figures in self.pipeline.stream.sender_statistics().items():
+            strangers = figures["strangers"]
+            assert isinstance(strangers, list)
+            new = [name for name in strangers if f"{link} {name}" not in named]
+            if new and len(named) < _MOST_STRANGERS_NAMED:
+                named.update(f"{link} {name}" for name in new)
+                log.warning(
+                    "%s: %s sends here, and nothing of it is a valid packet; "
+                    "'?peers=' in the link's url takes datagrams of some addresses alone",
+                    link,
+                    ", ".join(new),
+                )
+
     async def _report(self) -> None:
         """A line now and then for whoever reads the log."""
         frames_before = 0
+        strangers: set[str] = set()
         while True:
             await asyncio.sleep(REPORT_INTERVAL_S)
+            self._warn_of_strangers(strangers)
             modules = self.pipeline.stream.modules.values()
             frames = self.pipeline.skeleton_frames
             log.info(
-                "%.1f poses/s from %d modules; packets received %d, lost %d; %s; poses dropped %d",
+                "%.1f poses/s from %d of the rig's %d modules; packets received %d, lost %d; %s; "
+                "poses dropped %d",
                 (frames - frames_before) / REPORT_INTERVAL_S,
-                len(modules),
+                self._strangers.known,
+                len(self._strangers.names),
                 sum(record.received for record in modules),
                 sum(record.lost for record in modules),
                 "broker connected" if self.mqtt.is_connected else "NO BROKER",
                 self.mqtt.counters.dropped,
             )
             frames_before = frames
-
-
-def _lag_s(chunk: Chunk) -> tuple[float, float]:
-    """How long ago a chunk arrived, and now, s."""
-    now_ns = gateway_time_ns()
-    return (now_ns - chunk.arrived_ns) * 1e-9, now_ns * 1e-9
+            if (news := self._strangers.news()) is not None:
+                log.warning("%s", news)
 
 
 def _links_of(

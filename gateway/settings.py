@@ -293,6 +293,15 @@ class GatewaySettings(_Strict):
         "publish to the broker could then ask for it",
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _sections_may_be_empty(cls, given: Any) -> Any:
+        """Take a section in which every line is commented out for one that is left out."""
+        if not isinstance(given, dict):
+            return given
+        optional = {name for name, field in cls.model_fields.items() if not field.is_required()}
+        return {name: value for name, value in given.items() if value is not None or name not in optional}
+
     @field_validator("reconstructor")
     @classmethod
     def _is_known(cls, value: str) -> str:

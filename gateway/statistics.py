@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from dataclasses import dataclass, field
 
@@ -15,21 +16,44 @@ _REMEMBERED = 256
 _GAP_NAMES = ("1", "2", *(f"{2**k + 1}-{2 ** (k + 1)}" for k in range(1, 8)), "more")
 
 
+@dataclass(slots=True)
+class _Gap:
+    """Numbers ``first`` to ``last`` that have not come, forgotten before ``known_from``."""
+
+    first: int
+    last: int
+    cause: Cause
+    known_from: int
+
+    @property
+    def length(self) -> int:
+        return self.last - self.first + 1
+
+    @property
+    def known(self) -> int:
+        """How many of its numbers would be taken for overtaken ones, should they come."""
+        return self.last - self.known_from + 1
+
+
 class SequenceCounter:
-    """Unwraps the 16-bit sequence of one kind of packet of one module; finds losses and duplicates."""
+    """Unwraps the 16-bit sequence of one kind of packet of one module; finds losses and duplicates.
+
+    Numbers are untrusted: what a packet costs does not depend on how far its number jumps.
+    """
 
     def __init__(self) -> None:
         self.received = 0
         self.lost_by: Counter[Cause] = Counter()
         """Packets that have not come, by what may have befallen them."""
         self.duplicates = 0
-        self.gaps: Counter[int] = Counter()
-        """How often so many packets were lost in a row."""
+        self.gaps = [0] * len(_GAP_NAMES)
+        """How often so many packets were lost in a row, in the order of ``_GAP_NAMES``."""
         self._newest = -1
         self._first = 0
         self._shift = 0  # wire number minus our own: 0 until the module has restarted
         self._is_anew = True
-        self._missing: dict[int, Cause] = {}
+        self._open: list[_Gap] = []  # in order of their numbers
+        self._known = 0  # sum of ``known`` of the open gaps
         self._heard_in = 0  # chunk of the newest packet
 
     @property
@@ -61,44 +85,59 @@ class SequenceCounter:
     def _take(self, full: int, link: LinkLosses) -> int | None:
         if full <= self._newest:
             return self._overtaken(full)
-        gap = full - self._newest - 1
-        if gap:
-            cause = link.cause_since(self._heard_in)
-            self.lost_by[cause] += gap
-            self.gaps[gap] += 1
-            self._remember(range(max(self._newest + 1, full - _REMEMBERED), full), cause)
+        if full > self._newest + 1:
+            self._open_gap(full, link.cause_since(self._heard_in))
         self._newest = full
         self._heard_in = link.chunk
         self.received += 1
         return full
 
-    def _remember(self, missing: range, cause: Cause) -> None:
-        self._missing.update(dict.fromkeys(missing, cause))
-        while len(self._missing) > _REMEMBERED:
-            del self._missing[next(iter(self._missing))]
+    def _open_gap(self, full: int, cause: Cause) -> None:
+        """Note all numbers between the newest and this one as lost; forget the oldest ones known."""
+        first = self._newest + 1
+        gap = _Gap(first, full - 1, cause, max(first, full - _REMEMBERED))
+        self.lost_by[cause] += gap.length
+        self.gaps[_order(gap.length)] += 1
+        self._open.append(gap)
+        self._known += gap.known
+        while self._known > _REMEMBERED:
+            oldest = self._open[0]
+            forgotten = min(oldest.known, self._known - _REMEMBERED)
+            oldest.known_from += forgotten
+            self._known -= forgotten
+            if not oldest.known:
+                del self._open[0]
 
     def _overtaken(self, full: int) -> int | None:
-        if full not in self._missing:
+        place = bisect_right(self._open, full, key=_first_of) - 1
+        gap = self._open[place] if place >= 0 else None
+        if gap is None or not gap.known_from <= full <= gap.last:
             self.duplicates += 1
             return None
-        self._split_gap(full)
-        self.lost_by[self._missing.pop(full)] -= 1
+        self.gaps[_order(gap.length)] -= 1
+        before = _Gap(gap.first, full - 1, gap.cause, gap.known_from)
+        after = _Gap(full + 1, gap.last, gap.cause, full + 1)
+        for part in (before, after):
+            if part.length:
+                self.gaps[_order(part.length)] += 1
+        self._open[place : place + 1] = [part for part in (before, after) if part.known]
+        self._known -= 1
+        self.lost_by[gap.cause] -= 1
         self.received += 1
         return full
-
-    def _split_gap(self, full: int) -> None:
-        """A packet of a gap came after all: what is left of the gap on either side of it."""
-        before = after = 0
-        while full - before - 1 in self._missing:
-            before += 1
-        while full + after + 1 in self._missing:
-            after += 1
-        self.gaps[before + 1 + after] -= 1
-        self.gaps.update(part for part in (before, after) if part)
 
     def restart(self) -> None:
         """The module counts from anew: its next number, whatever it is, follows on the last one."""
         self._is_anew = True
+
+
+def _first_of(gap: _Gap) -> int:
+    return gap.first
+
+
+def _order(length: int) -> int:
+    """Place in ``_GAP_NAMES`` of so many lost in a row."""
+    return min((length - 1).bit_length(), len(_GAP_NAMES) - 1)
 
 
 @dataclass
@@ -144,11 +183,9 @@ class ModuleRecord:
     @property
     def gap_histogram(self) -> dict[str, int]:
         """How often packets were lost in a row, by how many: ``1``, ``2``, ``3-4``, ``5-8``, …"""
-        histogram: Counter[int] = Counter()
-        for counter in self.sequences.values():
-            for length, count in counter.gaps.items():
-                histogram[min((length - 1).bit_length(), len(_GAP_NAMES) - 1)] += count
-        return {_GAP_NAMES[order]: histogram[order] for order in sorted(histogram) if histogram[order]}
+        counts = [counter.gaps for counter in self.sequences.values()]
+        sums = {name: sum(count) for name, *count in zip(_GAP_NAMES, *counts, strict=True)}
+        return {name: count for name, count in sums.items() if count}
 
     def summary(self) -> dict[str, object]:
         """For the health message: plain names and values."""

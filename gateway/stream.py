@@ -13,11 +13,10 @@ from enum import StrEnum
 import numpy as np
 
 from devices.link import Chunk, Framing, SentChunk
+from devices.link_decoder import LinkDecoder, packet_decoder
 from firmware_protocol import (
-    CanFrameDecoder,
     Defect,
     DeviceInfo,
-    FrameDecoder,
     FusedSample,
     Health,
     InertialSample,
@@ -104,7 +103,7 @@ class Stream:
         """Readings given out."""
         self.echoed = 0
         """Packets of a host, ours or another one's, that came back over a bus."""
-        self._decoders: dict[str, PacketDecoder] = {}
+        self._decoders: dict[str, LinkDecoder] = {}
         self._sent_decoders: dict[str, PacketDecoder] = {}
         self._losses: dict[str, LinkLosses] = {}
         self._batching: dict[str, LinkBatching] = {}
@@ -116,8 +115,8 @@ class Stream:
 
     def add_link(self, name: str, framing: Framing) -> None:
         """Announce a link, before its first chunk."""
-        self._decoders[name] = _decoder(framing)
-        self._sent_decoders[name] = _decoder(framing)
+        self._decoders[name] = LinkDecoder(framing)
+        self._sent_decoders[name] = packet_decoder(framing)
         self._batching[name], self._relays[name] = LinkBatching(), RelayBatching()
         self._losses[name] = LinkLosses()
 
@@ -141,12 +140,12 @@ class Stream:
     def receive(self, chunk: Chunk) -> list[Reading]:
         """The readings that a chunk completes, in order of arrival."""
         readings = []
-        self._batching[chunk.link].observe(chunk.arrived_ns)
         decoder = self._decoders[chunk.link]
-        damaged = decoder.damaged
-        packets = decoder.feed(chunk.data)
+        packets = decoder.feed(chunk)
+        if decoder.is_trusted:  # when a stranger sends says nothing about the modules
+            self._batching[chunk.link].observe(chunk.arrived_ns)
         self._losses[chunk.link].chunk += 1
-        if decoder.damaged != damaged:
+        if decoder.is_damaged:
             self._losses[chunk.link].notice(Cause.DAMAGED)
         for packet in packets:
             for listener in self._listeners.get(type(packet.packet), ()):
@@ -159,6 +158,17 @@ class Stream:
                 readings.append(reading)
         self.readings += len(readings)
         return readings
+
+    def senders(self, link: str) -> tuple[str, ...]:
+        """Who is to be written to on a link: those who sent something valid lately, by address; nobody where
+        there is but one other end."""
+        decoder = self._decoders.get(link)
+        return () if decoder is None else decoder.senders
+
+    def sender_statistics(self) -> dict[str, dict[str, object]]:
+        """By link with several senders: who they are, and who else sends there."""
+        found = {name: decoder.statistics() for name, decoder in self._decoders.items()}
+        return {name: statistics for name, statistics in found.items() if statistics}
 
     def restarts(self) -> dict[int, int]:
         """How often each module was found to count from anew."""
@@ -233,10 +243,6 @@ class Stream:
             answer.full, self._losses[chunk.link]
         )
         return None if sequence is None else _reading(record, received.packet, sequence, answer.sent_ns)
-
-
-def _decoder(framing: Framing) -> PacketDecoder:
-    return PacketDecoder(FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder())
 
 
 def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, LinkBatching], ModuleClock]:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 
 import jsonschema
 import orjson
 import ormsgpack
 import paho.mqtt.client as paho
-from pydantic import ValidationError
 
 from gateway.outputs import topics
 from gateway.outputs.contract import json_schemas, topic_pattern
 from gateway.outputs.messages import PUBLICATIONS, Message
 from gateway.outputs.properties import JSON, MSGPACK
 from gateway.outputs.request_messages import ResponseMessage
+from tests.patience import PATIENCE_S
 
+_BARRIER = "contract-watch/barrier"
 _BY_SCHEMA = 3
 """So many messages of each topic are validated by JSON Schema too, which is slower than the models."""
 _PATTERNS = [(topic_pattern(each), each.model, each.content_type) for each in PUBLICATIONS]
@@ -30,12 +32,24 @@ class ContractWatch:
         """How many were held against the contract, by model."""
         self.problems: list[str] = []
         self._seen: Counter[str] = Counter()
-        self._client = paho.Client(paho.CallbackAPIVersion.VERSION2, "contract-watch")
-        self._client.reconnect_delay_set(1, 1)
-        self._client.on_connect = lambda client, *_: client.subscribe("mocap/#")
+        self._came_back = threading.Event()
+        self._client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+        self._client.reconnect_delay_set(0.05, 0.05)  # its end waits for the end of a delay
+        self._client.on_connect = lambda client, *_: client.subscribe([("mocap/#", 0), (_BARRIER, 0)])
         self._client.on_message = lambda _client, _data, message: self.take(message.topic, message.payload)
+        self._client.message_callback_add(_BARRIER, lambda *_: self._came_back.set())
         self._client.connect_async(host, port)
         self._client.loop_start()
+
+    def settle(self) -> None:
+        """Return once all that the broker has relayed so far is held against the contract.
+
+        A message of this client's own comes back behind all those. Without a connection there is nothing to
+        wait for.
+        """
+        if self._client.is_connected():
+            self._client.publish(_BARRIER, b"")
+            assert self._came_back.wait(PATIENCE_S), f"the broker did not relay {_BARRIER}"
 
     def stop(self) -> None:
         """End."""
@@ -52,15 +66,15 @@ class ContractWatch:
             self.problems.append(f"{topic}: not in the contract")
             return
         model, content_type = found
-        if content_type == MSGPACK:
-            payload = orjson.dumps(ormsgpack.unpackb(payload))
         self.messages[model.__name__] += 1
         self._seen[topic] += 1
         try:
+            if content_type == MSGPACK:
+                payload = orjson.dumps(ormsgpack.unpackb(payload))
             model.model_validate_json(payload)
             if self._seen[topic] <= _BY_SCHEMA:
                 _VALIDATORS[model.__name__].validate(orjson.loads(payload))
-        except (ValidationError, jsonschema.ValidationError) as error:
+        except (ValueError, TypeError, jsonschema.ValidationError) as error:  # of decoders and models
             self.problems.append(f"{topic}: {error}")
 
 

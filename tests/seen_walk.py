@@ -1,6 +1,6 @@
 """A walker before three simulated cameras, as heat-map messages."""
 
-from benchmarks.video_truth import KnownPerson, messages_of, ring_of_cameras, walking
+from gateway.emulation.video_truth import KnownPerson, messages_of, ring_of_cameras, walking
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 
 CAMERAS = ring_of_cameras(3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from paho.mqtt import publish
 
 from gateway.outputs import MqttSettings
 from gateway.outputs.mqtt import MqttOutput
@@ -24,6 +25,7 @@ def watch(unused_port):
         ("mocap/lab/bridge/state", b'{"state":"online","colour":"red"}'),
         ("mocap/lab/module/3/availability", b"online"),
         ("mocap/lab/something/else", b'{"state":"online"}'),
+        ("mocap/lab/pose/msgpack", b"\xc1"),
     ],
 )
 def test_what_the_contract_does_not_have_is_noticed(watch, topic, payload):
@@ -52,3 +54,22 @@ async def test_it_reads_along_on_a_real_broker(mosquitto, pose_source, until):
         await until(lambda: watch.messages["PoseMessage"] == 1)
     watch.stop()
     assert_kept(watch)
+
+
+@pytest.mark.system
+def test_all_that_was_relayed_is_judged_when_the_watch_has_settled(own_watch, mosquitto):
+    mosquitto.is_for_gateways_only = False
+    sent = [("mocap/lab/pose", b"{}", 1, False)] * 100  # confirmed: the broker has relayed them
+    publish.multiple(sent, hostname=mosquitto.host, port=mosquitto.port)
+    own_watch.settle()
+    assert len(own_watch.problems) == 100
+
+
+@pytest.fixture
+async def own_watch(mosquitto, until):
+    watch = ContractWatch(mosquitto.host, mosquitto.port)
+    publish.single("mocap/lab/pose", b"{}", hostname=mosquitto.host, port=mosquitto.port, retain=True)
+    await until(lambda: watch.problems)  # it has subscribed
+    watch.problems.clear()
+    yield watch
+    watch.stop()

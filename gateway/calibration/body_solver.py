@@ -20,7 +20,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from gateway.calibration.joint_centres import JointEquations, relative_heading
@@ -95,6 +94,8 @@ class Solution:
 
 def solve_body(problem: Problem) -> Solution:
     """Raises ``ValueError`` when no module was in a pose, or nothing tells headings."""
+    from scipy.optimize import least_squares  # noqa: PLC0415 - takes half a second
+
     used = sorted({term.segment for term in problem.poses})
     if not used:
         raise ValueError("no pose was held: a body calibration needs the N-pose or the T-pose")

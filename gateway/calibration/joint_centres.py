@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from gateway.frames import FloatArray
 
@@ -138,6 +137,8 @@ def joint_centre(first: Side, second: Side, samples: int = 1500) -> tuple[FloatA
 
     Raises ``ValueError`` when there are fewer than 50 instants.
     """
+    from scipy.optimize import least_squares  # noqa: PLC0415 - takes half a second
+
     known = np.isfinite(first.force).all(axis=1) & np.isfinite(second.force).all(axis=1)
     rows = np.flatnonzero(known)
     if len(rows) < 50:

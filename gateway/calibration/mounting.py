@@ -15,6 +15,7 @@ from gateway.calibration.body_result import ModuleResult
 from gateway.calibration.rig_file import write_rig
 from gateway.errors import GatewayError
 from gateway.settings_files import load_settings, load_yaml, shipped_folder
+from gateway.whole_files import write_whole
 
 _DATE = r"\d{8}T\d{6}Z"
 
@@ -95,7 +96,7 @@ def keep(rig: Path, now: datetime) -> Path | None:
         while copy.exists():
             number += 1
             copy = folder / f"{now:%Y%m%dT%H%M%SZ}_{number}.yaml"
-        copy.write_bytes(rig.read_bytes())
+        write_whole(copy, rig.read_bytes())
     except OSError as error:
         raise GatewayError(f"{copy}: the earlier rig cannot be kept: {error.strerror}") from error
     return copy
@@ -124,7 +125,7 @@ def restore(rig: Path, version: str | None = None, now: datetime | None = None) 
     content = chosen[0].read_bytes()
     keep(rig, now or datetime.now(UTC))
     try:
-        rig.write_bytes(content)
+        write_whole(rig, content)
     except OSError as error:
         raise GatewayError(f"{rig} cannot be written: {error.strerror}") from error
     return chosen[0]

@@ -11,7 +11,7 @@ from enum import Enum
 
 import numpy as np
 
-from devices.emulators.calibrating import GET_READY_S, STEPS
+from devices.calibration_script import GET_READY_S, STEPS
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray

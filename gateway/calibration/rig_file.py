@@ -14,6 +14,7 @@ from gateway.body.rig import RigFile
 from gateway.body.sensor_entries import CalibrationEntry
 from gateway.errors import GatewayError
 from gateway.settings_files import load_settings, load_yaml
+from gateway.whole_files import write_whole
 
 
 def write_calibrated_rig(
@@ -61,6 +62,6 @@ def write_rig(
         content["body"] = str(beside.resolve())
     text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
     try:
-        target.write_text(text, encoding="utf-8")
+        write_whole(target, text.encode())
     except OSError as error:
         raise GatewayError(f"{target} cannot be written: {error.strerror}") from error

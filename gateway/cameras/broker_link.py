@@ -7,7 +7,7 @@ picture is worth nothing. The link uses the broker of the gateway's own settings
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from urllib.parse import unquote, urlsplit
 
 import aiomqtt
@@ -68,7 +68,7 @@ class BrokerLink:
     def __aiter__(self) -> AsyncIterator[Chunk]:
         return self._arrivals
 
-    async def write(self, data: bytes) -> None:
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Nothing: cameras take no commands."""
 
     async def close(self) -> None:

@@ -14,7 +14,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from devices.emulators.calibrating import PERIOD_S, begin_of_script, timetable
+from devices.calibration_script import PERIOD_S, begin_of_script, timetable
 from devices.endpoints import link_from_url
 from devices.link import Link, gateway_time_ns
 from devices.reconnect import ReconnectingLink

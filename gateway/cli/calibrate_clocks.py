@@ -13,10 +13,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from devices.endpoints import link_from_url
-from devices.link import Framing, Link, gateway_time_ns
+from devices.link import Link, gateway_time_ns
+from devices.link_decoder import LinkDecoder
 from devices.reconnect import ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
-from firmware_protocol import CanFrameDecoder, FrameDecoder, PacketDecoder
 from gateway.body.rig import load_rig
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching, save_clock_table, warm_up
 from gateway.clocks.table import MINUTE_S
@@ -95,22 +95,20 @@ async def _measure(settings: GatewaySettings, calibration: ClockCalibration) -> 
 
 async def _listen(link: Link, calibration: ClockCalibration) -> None:
     await link.open()
-    decoders = {name: _decoder(framing) for name, framing in carried_links(link).items()}
+    decoders = {name: LinkDecoder(framing) for name, framing in carried_links(link).items()}
     batchings = {name: LinkBatching() for name in decoders}
     try:
         async for chunk in link:
-            batching = batchings[chunk.link]
-            batching.observe(chunk.arrived_ns)
-            for packet in decoders[chunk.link].feed(chunk.data):
+            batching, decoder = batchings[chunk.link], decoders[chunk.link]
+            packets = decoder.feed(chunk)
+            if decoder.is_trusted:
+                batching.observe(chunk.arrived_ns)
+            for packet in packets:
                 calibration.observe(packet.module, packet.module_time_us, chunk.arrived_ns, batching)
             if calibration.is_complete:
                 break
     finally:
         await link.close()
-
-
-def _decoder(framing: Framing) -> PacketDecoder:
-    return PacketDecoder(FrameDecoder() if framing is Framing.BYTE_STREAM else CanFrameDecoder())
 
 
 def _as_table(table: ClockTable) -> Table:

@@ -52,6 +52,10 @@ def demo(
         ClockMode, typer.Option(help="estimated, shared, or trigger: the gateway says when modules sample.")
     ] = ClockMode.ESTIMATED,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Broker port; if busy a free one.")] = 1883,
+    websocket_port: Annotated[
+        int | None,
+        typer.Option(min=1, max=65535, help="The broker serves WebSockets there too, for pages of your own."),
+    ] = None,
     page: Annotated[bool, typer.Option(help="Show the body on a live page in the browser.")] = True,
     page_port: Annotated[int, typer.Option(min=1, max=65535, help="Its port; if busy a free one.")] = 8080,
 ) -> None:
@@ -75,7 +79,10 @@ def demo(
             reconstructor=reconstructor or _startable(console),
             clock=ClockSettings(mode=clock),
             mqtt=MqttSettings(
-                broker="embedded", port=_free_port(port), include=frozenset({PoseMap.POSITION})
+                broker="embedded",
+                port=_free_port(port),
+                websocket_port=websocket_port,
+                include=frozenset({PoseMap.POSITION}),
             ),
         )
         with told_when_compiling(partial(console.print, style="dim")):

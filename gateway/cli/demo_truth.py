@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.cli.emulated_rig import dress, move
 from gateway.comparison import orientation_error, rmse_deg
+from gateway.emulation.rig import dress, move
 from gateway.frames import FloatArray
 from gateway.outputs.subscriber import ReceivedPose
 from gateway.stream import Stream

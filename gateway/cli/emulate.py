@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import signal
+import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from math import radians
@@ -15,10 +17,10 @@ import can
 import typer
 from rich.console import Console
 
-from devices.emulators.calibrating import begin_of_script, strapped_on
+from devices.calibration_script import begin_of_script
+from devices.emulators.calibrating import strapped_on
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
-from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import pull_cable
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
@@ -31,6 +33,7 @@ from devices.emulators.transports import (
     SlcanTransport,
     TcpTransport,
     Transport,
+    UdpTransport,
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
@@ -38,7 +41,8 @@ from gateway.cli import emulate_options as options
 from gateway.cli.emulate_options import Medium, MotionKind, SamplingMode, StrapOn
 from gateway.cli.emulated_faults import faulty, plan_of, told
 from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
-from gateway.cli.emulated_rig import calibrate, dress, move, sunlight, tumble
+from gateway.cli.emulated_hand import EXPLANATION, obey_typed_lines, touchable
+from gateway.emulation.rig import calibrate, dress, move, sunlight, tumble
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
@@ -59,6 +63,7 @@ _REMEDIES = {
     Medium.PTY: "name another place with --link",
     Medium.SLCAN: "name another place with --link",
     Medium.TCP: "is the port taken? name another one with --port",
+    Medium.UDP: "correct --host",
     Medium.CAN: "make a virtual bus with: ip link add dev vcan0 type vcan; ip link set vcan0 up; "
     "a kernel without CAN can use --on slcan",
 }
@@ -69,12 +74,13 @@ def emulate(
     on: options.On = Medium.PTY,
     link: options.Link = None,
     port: options.Port = 7000,
+    host: options.Host = "127.0.0.1",
     channel: options.Channel = "vcan0",
     fd: options.Fd = False,
     imperfections: options.Imperfections = "typical",
     rate: options.Rate = 100.0,
     mode: options.Mode = SamplingMode.RAW,
-    relay: options.Relay = True,
+    relay: options.Relay = None,
     fine: options.Fine = False,
     recording: options.Recording = None,
     kind: options.Kind = "",
@@ -107,7 +113,8 @@ def emulate(
             sampling_rate_hz=rate,
             mode=_MODES[mode],
             is_fine=fine,
-            has_relay=relay and encoding.framing is Framing.BYTE_STREAM,
+            has_relay=encoding.framing is Framing.BYTE_STREAM
+            and (on is not Medium.UDP if relay is None else relay),
             encoding=encoding,
         )
         wearing = _Wearing(tumbling, motion, strap_on, radians(facing))
@@ -118,7 +125,7 @@ def emulate(
     if motion is MotionKind.CALIBRATION:
         start_ns = begin_of_script(start_ns)
     try:
-        _play(source, _transport(on, link, port, channel, fd), as_json, seconds, receiver, start_ns)
+        _play(source, _transport(on, link, port, host, channel, fd), as_json, seconds, receiver, start_ns)
     except (OSError, can.CanError) as error:
         raise GatewayError(f"the emulated suit cannot speak on {on}: {error}; {_REMEDIES[on]}") from error
 
@@ -166,9 +173,11 @@ def _read(path: Path, kind: str) -> Recording:
         raise GatewayError(f"{path} cannot be read as {kind}: {error}") from error
 
 
-def _transport(on: Medium, link: Path | None, port: int, channel: str, fd: bool) -> Transport:
+def _transport(on: Medium, link: Path | None, port: int, host: str, channel: str, fd: bool) -> Transport:
     if on is Medium.TCP:
         return TcpTransport(port)
+    if on is Medium.UDP:
+        return UdpTransport(port, host)
     if on is Medium.CAN:
         return CanBusTransport(channel, "socketcan", fd=fd)
     return PtyTransport(link) if on is Medium.PTY else SlcanTransport(link)
@@ -185,7 +194,7 @@ def _play(
     beside = None if receiver is None else receiver(start_ns)
     suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=seconds)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_run(suit, beside, plan_of(source), as_json))
+        asyncio.run(_run(suit, beside, source, as_json))
     if not as_json:
         counts = suit.counts
         Console().print(
@@ -194,18 +203,33 @@ def _play(
         )
 
 
-async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, plan: FaultPlan, as_json: bool) -> None:
+async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, source: object, as_json: bool) -> None:
     runs = [suit.run()] if beside is None else [suit.run(), beside.run()]
     task = asyncio.ensure_future(asyncio.gather(*runs))
-    cable = asyncio.create_task(pull_cable(plan, suit))
+    # Else the link to the port would stay, and one day lead to another.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    companions = [asyncio.create_task(pull_cable(plan_of(source), suit))]
     while not (url := suit.transport.url) and not task.done():  # noqa: ASYNC110 - for a moment
         await asyncio.sleep(0.01)
+    traffic = touchable(source)
     if url:
-        if as_json:
-            typer.echo(json.dumps({"url": url, "start_ns": suit.start_ns}))
-        else:
-            Console().print(f"emulated suit on [bold]{url}[/bold]  (Ctrl-C ends it)", soft_wrap=True)
+        _announce(url, suit, as_json, traffic is not None)
+        if traffic is not None:
+            companions.append(asyncio.create_task(obey_typed_lines(suit, traffic, is_quiet=as_json)))
     try:
-        await task
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
     finally:
-        cable.cancel()
+        for companion in companions:
+            companion.cancel()
+
+
+def _announce(url: str, suit: EmulatedSuit, as_json: bool, is_touchable: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps({"url": url, "start_ns": suit.start_ns}))
+        return
+    Console().print(f"emulated suit on [bold]{url}[/bold]  (Ctrl-C ends it)", soft_wrap=True)
+    if is_touchable and sys.stdin is not None and sys.stdin.isatty():
+        Console().print(EXPLANATION)

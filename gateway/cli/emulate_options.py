@@ -18,6 +18,7 @@ class Medium(StrEnum):
 
     PTY = "pty"
     TCP = "tcp"
+    UDP = "udp"
     SLCAN = "slcan"
     CAN = "can"
 
@@ -47,7 +48,10 @@ class StrapOn(StrEnum):
 Rig = Annotated[str, typer.Option(help="Rig to wear: a shipped one or a file.")]
 On = Annotated[Medium, typer.Option(help="What to speak on.")]
 Link = Annotated[Path | None, typer.Option(help="pty, slcan: make this link to the port.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="tcp: listen here (0: a free port).")]
+Port = Annotated[
+    int, typer.Option(min=0, max=65535, help="tcp: listen here (0: a free port). udp: the gateway's port.")
+]
+Host = Annotated[str, typer.Option(help="udp: the gateway's address.")]
 Channel = Annotated[str, typer.Option(help="can: SocketCAN interface.")]
 Fd = Annotated[bool, typer.Option("--fd", help="can, slcan: CAN FD frames.")]
 Imperfections = Annotated[str, typer.Option(help=f"How bad it is: {', '.join(PRESETS)}.")]
@@ -56,7 +60,14 @@ Mode = Annotated[
     SamplingMode,
     typer.Option(help="Raw samples or orientations fused on board, or raw ones when the host triggers them."),
 ]
-Relay = Annotated[bool, typer.Option(help="Through a relay that batches (not on CAN).")]
+Relay = Annotated[
+    bool | None,
+    typer.Option(
+        "--relay/--no-relay",
+        help="Through a relay that batches (not on CAN); over udp else each module from its own address.",
+        show_default="--no-relay over udp",
+    ),
+]
 Fine = Annotated[bool, typer.Option("--fine", help="Send the fine (32-bit) samples.")]
 Recording = Annotated[Path | None, typer.Option(help="Play a real recording instead of a motion.")]
 Kind = Annotated[str, typer.Option("--format", help=f"Of the recording: {', '.join(READERS)}.")]

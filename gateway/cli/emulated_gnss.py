@@ -16,7 +16,7 @@ from devices.emulators.gnss_receiver import FORMATS, GnssEmulation, gnss_traffic
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
 from gateway.errors import GatewayError, nearest
 from gateway.frames import Quantity
 

@@ -41,7 +41,8 @@ def export(
     file: Annotated[Path, typer.Argument(help="Recording.")],
     to: Annotated[list[FormatName], typer.Option("--to", help="Format; several may be asked for.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File, or folder; else beside the recording.")
+        Path | None,
+        typer.Option("--output", "-o", help="File, or folder: a name without ending."),
     ] = None,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Solve anew first, forward and backward: more accurate.")
@@ -85,7 +86,7 @@ def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: 
     suffix = FORMATS[name].suffix
     if output is None:
         path = file.with_suffix(suffix)
-    elif output.is_dir() or is_folder:
+    elif output.is_dir() or is_folder or not output.suffix:
         output.mkdir(parents=True, exist_ok=True)
         path = output / f"{file.stem}{suffix}"
     else:

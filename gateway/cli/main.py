@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import sys
 from typing import ClassVar
@@ -171,16 +172,37 @@ def main() -> None:
     try:
         app()
     except Exception as error:
-        if not isinstance(error, _told()):
+        message = str(error) if isinstance(error, _user_errors()) else _file_trouble(error)
+        if message is None:
             raise
-        for line in str(error).splitlines():
+        for line in message.splitlines():
             print(f"mocap-gateway: {line}", file=sys.stderr)  # noqa: T201 - this is the user's terminal
         sys.exit(1)
 
 
-def _told() -> tuple[type[Exception], ...]:
+def _user_errors() -> tuple[type[Exception], ...]:
     """Errors that the user can put right. Imported when one comes: ``--help`` needs no devices."""
     from devices.device_errors import DeviceError  # noqa: PLC0415 - see above
     from devices.link import LinkError  # noqa: PLC0415
 
     return GatewayError, DeviceError, LinkError
+
+
+_REMEDIES: dict[int | None, str] = {
+    errno.ENOENT: "name a place that exists, or make the folder first",
+    errno.ENOTDIR: "a part of the path is a file: name another place",
+    errno.EISDIR: "that is a folder: name a file in it",
+    errno.EACCES: "you may not write there: name another place, or change its permissions",
+    errno.EPERM: "you may not write there: name another place, or change its permissions",
+    errno.EROFS: "that disk cannot be written: name another place",
+    errno.ENOSPC: "the disk is full: make room, or name another place",
+    errno.EDQUOT: "your share of the disk is used up: make room, or name another place",
+}
+
+
+def _file_trouble(error: Exception) -> str | None:
+    """Return a line about a file that cannot be used, with what to do; None for any other error."""
+    if not isinstance(error, OSError) or error.errno not in _REMEDIES:
+        return None
+    place = next((str(name) for name in (error.filename2, error.filename) if name is not None), "a file")
+    return f"{place}: {error.strerror}: {_REMEDIES[error.errno]}"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.text import Text
 
-from gateway.cli.modules_settings import print_changes
+from gateway.cli.modules_settings import print_changes, print_restored
 from gateway.cli.modules_suit import Operations, SuitChoice, run_with_suit, with_suit
 from gateway.cli.typed_lines import TypedLines
 from gateway.errors import GatewayError, nearest
@@ -105,7 +106,8 @@ class _Fitting:
     async def assign_all(self) -> int:
         """Ask for one segment after another. Exit code: 0, or 1 when some were skipped."""
         self._console.print(f"{_KEYS}\nhold still ...")
-        await self._perform("motion", {"seconds": _STILL_S})
+        with contextlib.suppress(RequestError, AmbiguousMotionError):  # what moves here is what usually moves
+            await self._perform("motion", {"seconds": _STILL_S})
         skipped: list[str] = []
         place = 0
         while place < len(self._segments):
@@ -163,7 +165,7 @@ class _Fitting:
                 return key
             if key is not None:
                 self._console.print(f"  {_KEYS}")
-            # In short looks: a gateway asked over MQTT does nothing else meanwhile.
+            # In short looks: a key is to be seen soon.
             found = await self._perform("motion", {"seconds": _LOOK_S, "continues": continues})
             continues = True
             if found["module"] is not None:
@@ -198,10 +200,10 @@ class _Fitting:
         if not self._undoable:
             self._console.print("  nothing was changed yet", style="yellow")
             return
-        changes = (await self._perform("undo", {}))["changes"]
+        done = await self._perform("undo", {})
         self._undoable -= 1
-        self._wardrobe.note(changes)
-        print_changes(changes, "  it stood so already")
+        self._wardrobe.note(done["changes"])
+        print_restored(done, "  it stood so already")
 
     async def _separate(self, listed: dict[str, Any]) -> None:
         for conflict in listed["conflicts"]:

@@ -10,7 +10,11 @@ import typer
 from rich.live import Live
 
 from gateway.cli.modules_suit import Operations, SuitChoice, run_with_suit, with_suit
-from gateway.cli.modules_table import modules_screen, wide_console
+from gateway.cli.modules_table import WIDEST, modules_screen, wide_console
+
+Wide = Annotated[
+    bool, typer.Option("--wide", help="Firmware, gaps, resets and clocks too; takes 150 columns.")
+]
 
 
 @with_suit
@@ -19,6 +23,7 @@ def list_modules(
     listen: Annotated[
         float, typer.Option(min=0.5, max=30, help="Seconds to measure rates; clocks (ppm) need some 10.")
     ] = 3.0,
+    wide: Wide = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
 ) -> None:
     """List the modules that can be heard. Ends with 1 when two of them share an id."""
@@ -28,7 +33,7 @@ def list_modules(
         if as_json:
             typer.echo(json.dumps(listed))
         else:
-            wide_console().print(modules_screen(listed))
+            wide_console(WIDEST if wide else 0).print(modules_screen(listed, wide))
         return 1 if listed["conflicts"] else 0
 
     run_with_suit(suit, work)
@@ -38,6 +43,7 @@ def list_modules(
 def watch_modules(
     suit: SuitChoice,
     count: Annotated[int | None, typer.Option(min=1, help="End after so many tables.")] = None,
+    wide: Wide = False,
 ) -> None:
     """Show the list live, until Ctrl-C."""
 
@@ -45,7 +51,7 @@ def watch_modules(
         console, shown = wide_console(), 0
         with Live(console=console, auto_refresh=False) as live:
             while count is None or shown < count:
-                screen = modules_screen(await operations.perform("list", {"listen_s": 1.0}))
+                screen = modules_screen(await operations.perform("list", {"listen_s": 1.0}), wide)
                 live.update(screen, refresh=True)
                 shown += 1
         return 0

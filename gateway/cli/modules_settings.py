@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 import yaml
 
+from devices.device_backup import parse_unique_id
 from gateway.cli.modules_suit import Operations, SuitChoice, run_with_suit, with_suit
 from gateway.errors import GatewayError
 from gateway.settings_files import load_yaml
@@ -55,8 +57,7 @@ def undo(suit: SuitChoice) -> None:
     """Write back what stood in the modules before the last change. Needs --allow-writes."""
 
     async def work(operations: Operations) -> int:
-        print_changes((await operations.perform("undo", {}))["changes"], "it stood so already")
-        return 0
+        return print_restored(await operations.perform("undo", {}), "it stood so already")
 
     run_with_suit(suit, work)
 
@@ -85,21 +86,29 @@ def restore(
     suit: SuitChoice, file: Annotated[Path, typer.Argument(help="YAML file that `backup` wrote.")]
 ) -> None:
     """Write saved settings back to the modules they came from. Needs --allow-writes."""
-    saved = load_yaml(file)
-    if not isinstance(saved, dict) or not isinstance(saved.get("modules"), dict):
-        raise GatewayError(f"{file}: no backup of modules ('modules:' with settings by unique id is wanted)")
-    modules = {str(uid): settings for uid, settings in saved["modules"].items()}
+    modules = _saved_modules(file)
 
     async def work(operations: Operations) -> int:
-        done = await operations.perform("restore", {"modules": modules})
-        print_changes(done["changes"], "nothing differs")
-        for uid in done["absent"]:
-            typer.echo(f"{uid}: not heard, left out")
-        for uid, reason in done["failures"].items():
-            typer.echo(f"{uid}: {reason}", err=True)
-        return 1 if done["failures"] or done["absent"] else 0
+        return print_restored(await operations.perform("restore", {"modules": modules}), "nothing differs")
 
     run_with_suit(suit, work)
+
+
+def _saved_modules(file: Path) -> dict[str, dict[str, Any]]:
+    """Return settings by unique id from a file of ``backup``. Raises ``GatewayError`` for another file."""
+    saved = load_yaml(file)
+    modules = saved.get("modules") if isinstance(saved, dict) else None
+    no_backup = f"{file} is no file that `modules backup` wrote"
+    if not isinstance(modules, dict):
+        raise GatewayError(f"{no_backup}: under 'modules:' it has no settings by unique id")
+    for uid, settings in modules.items():
+        try:
+            parse_unique_id(str(uid))
+        except ValueError as error:
+            raise GatewayError(f"{no_backup}: under 'modules:' {error}") from error
+        if not isinstance(settings, dict):
+            raise GatewayError(f"{no_backup}: under '{uid}:' it has no settings by name")
+    return {str(uid).lower(): settings for uid, settings in modules.items()}
 
 
 def print_changes(changes: list[dict[str, Any]], otherwise: str) -> None:
@@ -108,6 +117,17 @@ def print_changes(changes: list[dict[str, Any]], otherwise: str) -> None:
         _print_change(change["unique_id"], change["before"], change["after"])
     if not changes:
         typer.echo(otherwise)
+
+
+def print_restored(done: Mapping[str, Any], otherwise: str) -> int:
+    """Print what was written back and what not. Exit code: 1 when it was not all."""
+    is_all = not (done["failures"] or done["absent"])
+    print_changes(done["changes"], otherwise if is_all else "nothing was changed")
+    for uid in done["absent"]:
+        typer.echo(f"{uid}: not heard, left out", err=True)
+    for uid, reason in done["failures"].items():
+        typer.echo(f"{uid}: {reason}", err=True)
+    return 0 if is_all else 1
 
 
 def _print_change(unique_id: str, before: dict[str, Any], after: dict[str, Any]) -> None:

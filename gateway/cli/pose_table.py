@@ -9,6 +9,7 @@ from typing import NamedTuple
 from rich.table import Table
 from rich.text import Text
 
+from gateway.cli.printable import printable
 from gateway.outputs.messages import PoseMessage, Quaternion
 from gateway.outputs.subscriber import ReceivedPose
 
@@ -99,7 +100,7 @@ class PoseView:
     def headline(self, now_ns: int, state: str) -> Text:
         """Name, state, rate, latency and age in one line."""
         colour = {"online": "green", "offline": "red"}.get(state, "yellow")
-        headline = Text.assemble((self.gateway, "bold"), "  ", (state, colour))
+        headline = Text.assemble((printable(self.gateway), "bold"), "  ", (state, colour))
         age = self.age_s(now_ns)
         if age is None:
             headline.append("  no pose yet", "yellow")
@@ -113,6 +114,11 @@ class PoseView:
         return headline
 
 
+def _plain(name: str) -> Text:
+    """A name as it stands, neither obeyed by the terminal nor taken for markup."""
+    return Text(printable(name))
+
+
 def joint_table(pose: PoseMessage) -> Table | None:
     """The joint angles of a pose; None when it carries none."""
     if not pose.joint_angles:
@@ -122,7 +128,7 @@ def joint_table(pose: PoseMessage) -> Table | None:
     for joint, angles in pose.joint_angles.items():
         shown = "  ".join(f"{name.replace('_', ' ')} {value:7.1f}" for name, value in (angles or {}).items())
         words = ", ".join(warnings.get(joint, ())).replace("_", " ")
-        table.add_row(joint, shown or _UNDEFINED, Text(words, "yellow"))
+        table.add_row(*map(_plain, (joint, shown or _UNDEFINED)), Text(printable(words), "yellow"))
     return table
 
 
@@ -136,4 +142,4 @@ def _add_rows(table: Table, pose: PoseMessage, with_quaternions: bool) -> None:
             cells = [f"{angle:.1f}" for angle in attitude(q_wb)]
         status = pose.status.get(segment, "missing")
         name = f"{segment} (root)" if segment == pose.root else segment
-        table.add_row(name, *cells, Text(status.replace("_", " "), _STATUS_COLOURS[status]))
+        table.add_row(_plain(name), *cells, Text(status.replace("_", " "), _STATUS_COLOURS[status]))

@@ -12,9 +12,11 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from devices.recording_file import RecordingError
 from gateway.cli.modules_table import wide_console
+from gateway.cli.printable import printable
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.recording import RecordingMeta, open_recording
@@ -42,10 +44,10 @@ def recordings(
         for column in (2, 3, 4, 5):
             table.columns[column].justify = "right"
         for summary in summaries:
-            table.add_row(*_row(summary))
+            table.add_row(*map(_text, _row(summary)))
         wide_console().print(table)
     for problem in problems:
-        typer.echo(f"left out: {problem}", err=True)
+        typer.echo(f"left out: {printable(problem)}", err=True)
 
 
 def info(
@@ -62,6 +64,7 @@ def info(
     if extract is not None:
         _extract(recording.meta.attachments, extract)
     events = list(recording.events())
+    summary.defect = summary.defect or recording.defect  # an index may be good and what it points to not
     if as_json:
         more = {"software": recording.meta.software, "host": recording.meta.host}
         happened = [asdict(event) for event in events]
@@ -72,9 +75,9 @@ def info(
     _print_modules(summary, console)
     for event in events:
         elapsed_s = (event.time_ns - recording.meta.begun_ns) * 1e-9
-        console.print(f"{elapsed_s:9.3f} s  {event.name}  {event.data}", markup=False)
+        console.print(f"{elapsed_s:9.3f} s  {printable(f'{event.name}  {event.data}')}", markup=False)
     if summary.defect is not None:
-        console.print(f"[yellow]{summary.defect}[/]", soft_wrap=True)
+        console.print(_text(summary.defect), style="yellow", soft_wrap=True)
 
 
 def recover(
@@ -114,21 +117,29 @@ def _row(summary: RecordingSummary) -> tuple[str, ...]:
 
 
 def _overview(meta: RecordingMeta, summary: RecordingSummary) -> Table:
-    grid = Table.grid(padding=(0, 2))
-    grid.add_row("file", summary.path + (f" and {summary.parts - 1} more" if summary.parts > 1 else ""))
-    grid.add_row("begun", f"{_when(summary.begun_utc_ns)} UTC")
-    grid.add_row("duration", f"{summary.duration_s:.1f} s, {summary.bytes / 1e6:.1f} MB")
+    rows: dict[str, str] = {}
+    rows["file"] = summary.path + (f" and {summary.parts - 1} more" if summary.parts > 1 else "")
+    rows["begun"] = f"{_when(summary.begun_utc_ns)} UTC"
+    rows["duration"] = f"{summary.duration_s:.1f} s, {summary.bytes / 1e6:.1f} MB"
     if meta.has_suit:
-        grid.add_row("suit", f"{len(meta.suit.module_ids)} modules on body '{meta.skeleton.name}'")
-        grid.add_row("reconstructor", meta.settings.reconstructor)
-    grid.add_row("links", ", ".join(f"{name} ({framing.value})" for name, framing in meta.links.items()))
-    grid.add_row("software", f"{meta.software}, Python {meta.host.get('python', '?')}")
+        rows["suit"] = f"{len(meta.suit.module_ids)} modules on body '{meta.skeleton.name}'"
+        rows["reconstructor"] = meta.settings.reconstructor
+    rows["links"] = ", ".join(f"{name} ({framing.value})" for name, framing in meta.links.items())
+    rows["software"] = f"{meta.software}, Python {meta.host.get('python', '?')}"
     whole = "from the gateway's start: bit-identical" if meta.from_start else "began while the gateway ran"
-    grid.add_row("replay", whole)
+    rows["replay"] = whole
     for topic, count in sorted(summary.messages.items()):
-        grid.add_row(topic, str(count))
-    grid.add_row("attachments", ", ".join(meta.attachments))
+        rows[topic] = str(count)
+    rows["attachments"] = ", ".join(meta.attachments)
+    grid = Table.grid(padding=(0, 2))
+    for name, value in rows.items():
+        grid.add_row(_text(name), _text(value))
     return grid
+
+
+def _text(text: str) -> Text:
+    """As it stands, neither obeyed by the terminal nor taken for markup: anybody may have made the file."""
+    return Text(printable(text))
 
 
 def _print_modules(summary: RecordingSummary, console: Console) -> None:
@@ -156,4 +167,7 @@ def _plain(summary: RecordingSummary) -> dict[str, object]:
 
 
 def _when(utc_ns: int) -> str:
-    return datetime.fromtimestamp(utc_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S") if utc_ns else "?"
+    try:
+        return datetime.fromtimestamp(utc_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S") if utc_ns else "?"
+    except (ValueError, OverflowError, OSError):  # a damaged one
+        return "?"

@@ -11,6 +11,7 @@ from pathlib import Path
 import typer
 
 from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
 from gateway.cli.compiling import told_when_compiling
 from gateway.errors import GatewayError
 from gateway.log_format import set_up_logging
@@ -38,7 +39,9 @@ def run(
     configured = load_gateway_settings(config)
     wanted = fitting_suit(configured, load_rig(configured.rig, config)).reconstructor
     is_ready = readiness.is_ready(wanted)
+    set_up_logging(configured.log.level, configured.log.format)
     service = _load(config, None if is_ready else readiness.FALLBACK)
+    _tell(service)
     asyncio.run(_Supervisor(config, service, None if is_ready else wanted).run())
 
 
@@ -49,15 +52,14 @@ def _load(config: Path, reconstructor: str | None = None) -> Service:
     if reconstructor is not None:
         settings = settings.model_copy(update={"reconstructor": reconstructor})
     suit = load_rig(settings.rig, config)
-    set_up_logging(settings.log.level, settings.log.format)
     with told_when_compiling(log.info):
-        service = Service(settings, suit)
-    _tell(settings, len(suit.module_ids), suit.skeleton.name)
-    return service
+        return Service(settings, suit)
 
 
-def _tell(settings: GatewaySettings, n_modules: int, body: str) -> None:
+def _tell(service: Service) -> None:
+    settings, suit = service.settings, service.pipeline.suit
     links = ", ".join(f"{link.name} ({link.url})" for link in settings.links)
+    n_modules, body = len(suit.module_ids), suit.skeleton.name
     log.info("gateway '%s': %d modules on '%s', links %s", settings.gateway, n_modules, body, links)
 
 
@@ -71,8 +73,12 @@ class _Supervisor:
         self._service = service
         self._task: asyncio.Task[None] | None = None
         self._next: Service | None = None
+        """Prepared: it takes over when the running one has ended."""
+        self._former: tuple[GatewaySettings, WornSuit] | None = None
+        """What ran before: gone back to should the new one fail as it starts."""
+        self._is_settled = asyncio.Event()
+        self._is_settled.set()
         self._reloading: asyncio.Task[None] | None = None
-        service.own_requests.on_reload = self._read_anew
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
@@ -83,7 +89,7 @@ class _Supervisor:
         compiling = asyncio.create_task(self._compile(), name="compiling")
         try:
             while await self._run_once():
-                log.info("configuration read anew")
+                pass
         finally:
             compiling.cancel()
             watchdog.cancel()
@@ -111,17 +117,35 @@ class _Supervisor:
 
     async def _run_once(self) -> bool:
         """One service to its end; True if another one follows."""
-        self._task = asyncio.ensure_future(self._service.run())
+        service = self._service
+        service.own_requests.on_reload = self._read_anew
+        self._task = asyncio.ensure_future(service.run())
         notify("READY=1", f"STATUS=publishing, configuration {self._config}")
         try:
             await self._task
         except asyncio.CancelledError:
             if self._next is None:
                 log.info("stopped")
+        except GatewayError as error:
+            if self._former is None or service.has_begun:
+                raise
+            log.error("the changed configuration cannot run, the old one goes on: %s", error)
+            former, self._former = self._former, None
+            self._take(Service(*former))
+            return True
         if self._next is None:
             return False
-        self._service, self._next = self._next, None
+        self._former = service.settings, service.pipeline.suit
+        self._take(self._next)
+        log.info("configuration read anew")
         return True
+
+    def _take(self, service: Service) -> None:
+        """Make a service the one that runs next."""
+        self._service, self._next = service, None
+        self._is_settled.set()
+        set_up_logging(service.settings.log.level, service.settings.log.format)
+        _tell(service)
 
     def _stop(self) -> None:
         notify("STOPPING=1")
@@ -134,26 +158,43 @@ class _Supervisor:
             self._reloading = asyncio.create_task(self._load_next(), name="reload")
 
     async def _load_next(self) -> None:
+        await self._is_settled.wait()
         with contextlib.suppress(GatewayError):
             await self._read_anew(switch_after_s=0.0)
 
     async def _read_anew(self, switch_after_s: float = _ANSWER_TIME_S) -> None:
-        """Data flows on while the new configuration is read and its reconstructor compiled.
+        """Data flows on while the new configuration is read, its reconstructor compiled, and all that it
+        needs bound, opened and checked.
 
         switch_after_s: time for whoever asked to be answered by the old service. Raises ``GatewayError``
-        for a configuration that is wrong.
+        for a configuration that is wrong, or that cannot run here; the old service then goes on.
         """
+        if self._next is not None:
+            raise GatewayError("another configuration takes over just now: ask again in a moment")
         notify("RELOADING=1")
         try:
-            service = await asyncio.to_thread(_load, self._config)
+            service = await self._prepared()
         except GatewayError as error:
             log.error("the changed configuration is not taken, the old one stays: %s", error)
-            notify("READY=1")
             raise
-        service.own_requests.on_reload = self._read_anew
+        finally:
+            notify("READY=1")
         self._next = service
+        self._is_settled.clear()
         if self._task is not None:
             asyncio.get_running_loop().call_later(switch_after_s, self._task.cancel)
+
+    async def _prepared(self) -> Service:
+        """The service that the file describes now, ready to run. Raises ``GatewayError``."""
+        try:
+            service = await asyncio.to_thread(_load, self._config)
+            await service.prepare(self._service)
+        except GatewayError:
+            raise
+        except Exception as error:  # the running service must not end for it
+            log.exception("the configuration could not be read anew")
+            raise GatewayError(f"this should not have happened ({error!r}); please report it") from error
+        return service
 
 
 async def until_signal(service: Service) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import sys
 import threading
 
@@ -35,8 +36,10 @@ class TypedLines:
         return line
 
     def _read(self) -> None:
-        for line in sys.stdin:
-            self._put(line.strip().lower())
+        # No terminal to be read, as in the background, is the end of the input.
+        with contextlib.suppress(OSError):
+            for line in sys.stdin or ():
+                self._put(line.strip().lower())
         self._put(None)
 
     def _put(self, line: str | None) -> None:

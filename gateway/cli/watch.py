@@ -17,6 +17,7 @@ from rich.text import Text
 from devices.link import gateway_time_ns
 from gateway.cli.broker_options import BrokerChoice, with_broker
 from gateway.cli.pose_table import PoseView, joint_table
+from gateway.cli.printable import printable
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
 from gateway.outputs.topics import ANY_GATEWAY
@@ -52,9 +53,10 @@ async def watch_poses(settings: MqttSettings, wanted: Watch, console: Console) -
                 await _print_poses(poses, wanted, console)
         except TimeoutError:
             root = f"{settings.base_topic}/{wanted.gateway}"
-            known = ", ".join(f"{name} is {state}" for name, state in sorted(poses.states.items()))
+            states = ", ".join(f"{name} is {state}" for name, state in sorted(poses.states.items()))
+            known = printable(states) or "no gateway known"
             typer.echo(
-                f"no pose on {root}/pose within {wanted.timeout:g} s ({known or 'no gateway known'}): "
+                f"no pose on {root}/pose within {wanted.timeout:g} s ({known}): "
                 "is the gateway running, and connected to this broker?",
                 err=True,
             )
@@ -71,7 +73,8 @@ async def _print_poses(poses: PoseSubscriber, wanted: Watch, console: Console) -
             received = await anext(arriving)
         shown += 1
         if wanted.as_json:
-            sys.stdout.write(received.payload.decode() + "\n")
+            line = received.payload.decode()  # as it was published, for a script; for people without escapes
+            sys.stdout.write((printable(line) if sys.stdout.isatty() else line) + "\n")
             sys.stdout.flush()
         else:
             view = views.setdefault(received.gateway, PoseView(received.gateway))

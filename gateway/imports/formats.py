@@ -7,16 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from devices.emulators.recordings import Recording
-from devices.vendor_formats import (
-    ColumnMap,
-    FormatError,
-    read_mapped_csv,
-    read_movella_dot,
-    read_mvnx,
-    read_ximu3,
-    read_xsens_text,
-)
-from devices.vendor_formats.ximu3 import folders_of
+from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
+from devices.vendor_formats.movella_dot import read_movella_dot
+from devices.vendor_formats.mvnx import read_mvnx
+from devices.vendor_formats.sheets import FormatError
+from devices.vendor_formats.ximu3 import folders_of, read_ximu3
+from devices.vendor_formats.xsens_text import read_xsens_text
 from gateway.errors import GatewayError
 from gateway.settings_files import load_settings
 

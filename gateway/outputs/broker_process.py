@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import sys
+from collections.abc import Sequence
 
+from gateway.credentials import AccessToken
 from gateway.errors import OutputError
 from gateway.outputs.connection import Backoff
+from gateway.outputs.settings import WEBSOCKET_TOKEN_VARIABLE
 
 logger = logging.getLogger(__name__)
 
@@ -23,12 +27,28 @@ class BrokerProcess:
     """Runs ``gateway.outputs.embedded_broker``; starts it again, with a warning, when it dies.
 
     port: 0 takes any free one; after ``start`` the attribute ``port`` names it.
-    websocket_port: also listen for WebSocket clients there.
+    websocket_port: also listen for WebSocket clients there, from these origins beside this machine's.
+    token: what such a client shows as its password to publish; None: it can only listen.
     """
 
-    def __init__(self, port: int, websocket_port: int | None = None) -> None:
+    def __init__(
+        self,
+        port: int,
+        websocket_port: int | None = None,
+        websocket_origins: Sequence[str] = (),
+        token: AccessToken | None = None,
+    ) -> None:
         self.port = port
-        self._websocket_port = websocket_port
+        self.websocket_port = websocket_port
+        self._websocket_origins = tuple(websocket_origins)
+        self._token = token
+        self.asked = (
+            port,
+            websocket_port,
+            self._websocket_origins,
+            None if token is None else token.reveal(),
+        )
+        """As given: where they are equal, one broker can stand for another."""
         self._process: asyncio.subprocess.Process | None = None
         self._supervisor: asyncio.Task[None] | None = None
 
@@ -54,8 +74,13 @@ class BrokerProcess:
 
     async def _launch(self) -> asyncio.subprocess.Process:
         command = [sys.executable, "-m", "gateway.outputs.embedded_broker", "--port", str(self.port)]
-        if self._websocket_port is not None:
-            command += ["--websocket-port", str(self._websocket_port)]
+        if self.websocket_port is not None:
+            command += ["--websocket-port", str(self.websocket_port)]
+        for origin in self._websocket_origins:
+            command += ["--websocket-origin", origin]
+        told = {name: value for name, value in os.environ.items() if name != WEBSOCKET_TOKEN_VARIABLE}
+        if self._token is not None:
+            told[WEBSOCKET_TOKEN_VARIABLE] = self._token.reveal()
         # A session of its own keeps Ctrl-C in a terminal from ending the broker before the gateway
         # has said goodbye. The pipe to its standard input is its lifeline: it ends when that closes,
         # however the gateway died.
@@ -64,6 +89,7 @@ class BrokerProcess:
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             start_new_session=True,
+            env=told,
         )
         self._process = process
         try:

@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
@@ -25,6 +25,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from gateway.credentials import CredentialError
+from gateway.errors import OutputError
 from gateway.outputs.incoming import LARGEST_MESSAGE, MOST_MESSAGES, Inbox, refuse_huge_packets
 from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, TlsSettings
 
@@ -73,8 +74,12 @@ async def broker_connection(
     identifier: str,
     will: aiomqtt.Will | None = None,
     on_full: Callable[[], None] | None = None,
+    on_answer: Callable[[str, ReasonCode], None] | None = None,
 ) -> AsyncIterator[aiomqtt.Client]:
     """A connected client, disconnected on leaving.
+
+    on_answer: told topic and reason code of every publication of QoS 1 that was answered; with MQTT 3.1.1
+    it is always success.
 
     on_full: told of every message that was dropped because too many, or too large ones, wait to be read.
     Raises ``aiomqtt.MqttError``, ``OSError`` or ``CredentialError``; ``explain`` puts them into words.
@@ -83,6 +88,8 @@ async def broker_connection(
     publishes the will.
     """
     client = _client(settings, port, identifier, will, partial(Inbox, on_full=on_full))
+    if on_answer is not None:
+        _tell_answers(client, on_answer)
     try:
         # Not "async with": its exit waits for a broker that may be frozen, after any exception.
         await client.__aenter__()
@@ -92,10 +99,11 @@ async def broker_connection(
         _hang_up(client)
 
 
-async def until_lost(client: aiomqtt.Client) -> None:
-    """Wait until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""
-    async for _ in client.messages:
-        pass
+def publish_unawaited(
+    client: aiomqtt.Client, topic: str, payload: bytes, properties: Properties | None
+) -> None:
+    """Publish with QoS 1; only ``on_answer`` of the connection is told how the broker answered."""
+    client._client.publish(topic, payload, 1, properties=properties)
 
 
 def explain(error: BaseException, settings: MqttSettings, port: int) -> str:
@@ -129,6 +137,26 @@ def _explain_refusal(code: int | ReasonCode | None, settings: MqttSettings, wher
     )
 
 
+def check_files(settings: MqttSettings) -> None:
+    """Read what a connection needs of files. Raises ``CredentialError`` for one that cannot be read."""
+    if settings.username is not None:
+        settings.read_password()
+    if settings.tls is not None:
+        _tls_parameters(settings.tls)
+
+
+async def check_admittance(settings: MqttSettings, port: int) -> None:
+    """Connect once, for a moment. Raises ``OutputError`` where the broker refuses us; one that is away may
+    come yet, which is logged."""
+    try:
+        async with broker_connection(settings, port, unique_identifier("check")):
+            pass
+    except MqttConnectError as error:
+        raise OutputError(explain(error, settings, port)) from error
+    except (aiomqtt.MqttError, OSError) as error:
+        logging.getLogger(__name__).warning("%s", explain(error, settings, port))
+
+
 def _client(
     settings: MqttSettings,
     port: int,
@@ -156,8 +184,31 @@ def _client(
     refuse_huge_packets(client._client)
     client._client.connect_timeout = TIMEOUT_S  # aiomqtt has no parameter for it; paho's 5 s is long
     _watch_open_sockets_only(client)
+    _write_at_once(client)
     _notice_early_hang_up(client)
     return client
+
+
+def _tell_answers(client: aiomqtt.Client, on_answer: Callable[[str, ReasonCode], None]) -> None:
+    """Have the answers to publications told by topic; aiomqtt waits for them and does not read them."""
+    paho, topics = client._client, dict[int, str]()
+    publish, heard = paho.publish, cast(Callable[..., None] | None, paho.on_publish)
+
+    def noted(topic: str, payload: Any = None, qos: int = 0, *arguments: Any, **options: Any) -> Any:
+        info = publish(topic, payload, qos, *arguments, **options)
+        if qos:
+            topics[info.mid] = topic
+        return info
+
+    def published(one: Any, data: Any, mid: int, code: ReasonCode, *more: Any) -> None:
+        topic = topics.pop(mid, None)
+        if topic is not None:
+            on_answer(topic, code)
+        if heard is not None:
+            heard(one, data, mid, code, *more)
+
+    paho.publish = noted  # type: ignore[method-assign]
+    paho.on_publish = published
 
 
 def _notice_early_hang_up(client: aiomqtt.Client) -> None:
@@ -179,6 +230,23 @@ def _notice_early_hang_up(client: aiomqtt.Client) -> None:
             client._connected.set_exception(aiomqtt.MqttError("it hung up before it had answered"))
 
     client._client.on_disconnect = disconnected
+
+
+def _write_at_once(client: aiomqtt.Client) -> None:
+    """Have what is published handed to the system at once, as far as it takes it.
+
+    Otherwise the loop is asked to say when the socket can be written, which takes several turns for every
+    message: where each turn has samples to handle, poses piled up in front of a broker that was idle.
+    """
+    paho = client._client
+    publish = paho.publish
+
+    def written(*arguments: Any, **options: Any) -> Any:
+        info = publish(*arguments, **options)
+        paho.loop_write()
+        return info
+
+    paho.publish = written  # type: ignore[method-assign]
 
 
 def _watch_open_sockets_only(client: aiomqtt.Client) -> None:
@@ -203,7 +271,8 @@ def _watch_open_sockets_only(client: aiomqtt.Client) -> None:
             client._misc_task = loop.create_task(client._misc_loop())
 
     def watch_writing(sock: SocketLike) -> None:
-        if sock.fileno() >= 0:
+        # What was written at once meanwhile needs no watching, which would outlive the socket.
+        if sock.fileno() >= 0 and client._client.want_write():
             loop.add_writer(sock.fileno(), attempted, client._client.loop_write)
 
     def asked(watch: Callable[[SocketLike], None]) -> Callable[[object, object, SocketLike], None]:

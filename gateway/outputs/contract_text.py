@@ -31,7 +31,8 @@ Publish to `bridge/request/<verb>`; the answer comes on `bridge/response/<verb>`
 topic says. A request is a JSON object with the fields below, or nothing at all; `transaction` (number or
 text) comes back in the answer. Errors come as
 `{"status": "error", "error": "what was found and what would do"}`,
-also for verbs that there are not. Retained requests are not carried out.
+also for verbs that there are not. Retained requests are not carried out. Answers come as they are ready:
+what only waits, such as `modules/list`, holds up nothing else; what changes something is done in order.
 """
 _ENCODINGS = {JSON: "JSON", MSGPACK: "MessagePack"}
 _JSON = {"JsonValue": "any JSON"}

@@ -2,6 +2,13 @@
 
 MQTT 3.1.1, loopback only, no passwords, nothing kept on disk. It prints ``listening <port>`` when
 ready, or one line that says why not, and ends when its standard input closes.
+
+Every page that is open in a browser of this machine reaches loopback, wherever it came from. WebSocket
+clients are therefore asked for more than programs that connect by TCP, which run on this machine:
+
+* The page must be served by this machine, or from an origin that was named; the broker must be addressed as
+  this machine, not by a name that was made to point here.
+* They listen; to publish, they show the token as their password, for wills and retained messages too.
 """
 
 from __future__ import annotations
@@ -11,14 +18,29 @@ import asyncio
 import errno
 import logging
 import sys
+import urllib.parse
+from collections.abc import Collection
+from typing import Any
 
-from amqtt.adapters import StreamReaderAdapter, StreamWriterAdapter
+from amqtt.adapters import (
+    ReaderAdapter,
+    StreamReaderAdapter,
+    StreamWriterAdapter,
+    WebSocketsReader,
+    WriterAdapter,
+)
 from amqtt.broker import Broker
 from amqtt.contexts import BrokerConfig, ListenerConfig, ListenerType
 from amqtt.errors import BrokerError
 from amqtt.session import Session
 
+from gateway.credentials import AccessToken, CredentialError, is_loopback, read_secret
+from gateway.outputs.settings import WEBSOCKET_TOKEN_VARIABLE
+
 HOST = "127.0.0.1"
+
+_POLICY_VIOLATION = 1008
+"""Why a WebSocket is closed: the number that RFC 6455 has for it."""
 
 _FAREWELL_S = 0.1
 """Time for the last messages to reach their subscribers."""
@@ -36,8 +58,55 @@ def broker_config(websocket_port: int | None = None) -> BrokerConfig:
     )
 
 
+def admits(hosts: Collection[str], origins: Collection[str], allowed: Collection[str]) -> bool:
+    """Whether a WebSocket with these ``Host`` and ``Origin`` headers may open; programs send no origin."""
+    if len(hosts) != 1 or len(origins) > 1:
+        return False
+    try:
+        host = urllib.parse.urlsplit(f"//{next(iter(hosts))}").hostname
+        origin = next(iter(origins), None)
+        is_own = origin is None or is_loopback(urllib.parse.urlsplit(origin).hostname or "")
+    except ValueError:
+        return False
+    return is_loopback(host or "") and (is_own or origin in allowed)
+
+
 class _Broker(Broker):  # type: ignore[misc]  # it has no types
-    """amqtt's, which sends whoever connects what is retained on topics that others have subscribed to."""
+    """amqtt's, which sends whoever connects what is retained on topics that others have subscribed to, and
+    has one rule for all that connect."""
+
+    def __init__(self, config: BrokerConfig, token: AccessToken | None, origins: Collection[str]) -> None:
+        """token: what WebSocket clients show to publish; None: none can. origins: see ``admits``."""
+        super().__init__(config)
+        self._token = token
+        self._origins = origins
+
+    async def ws_connected(self, websocket: Any, listener_name: str) -> None:
+        headers = websocket.request.headers
+        if admits(headers.get_all("Host"), headers.get_all("Origin"), self._origins):
+            await super().ws_connected(websocket, listener_name)
+        else:
+            await websocket.close(_POLICY_VIOLATION, "this page may not connect: see mqtt.websocket_origins")
+
+    async def _initialize_client_session(
+        self, reader: ReaderAdapter, writer: WriterAdapter, remote_address: str, remote_port: int
+    ) -> tuple[Any, Session]:
+        handler, session = await super()._initialize_client_session(
+            reader, writer, remote_address, remote_port
+        )
+        has_token = self._token is not None and self._token.matches(session.password)
+        session.may_publish = has_token or not isinstance(reader, WebSocketsReader)
+        return handler, session
+
+    # All that a client publishes, its will too, goes through these two.
+
+    async def _broadcast_message(self, session: Session | None, *message: Any, **options: Any) -> None:
+        if session is None or session.may_publish:
+            await super()._broadcast_message(session, *message, **options)
+
+    async def retain_message(self, source_session: Session | None, *message: Any, **options: Any) -> None:
+        if source_session is None or source_session.may_publish:
+            await super().retain_message(source_session, *message, **options)
 
     async def _publish_retained_messages_for_subscription(
         self, subscription: tuple[str, int], session: Session
@@ -47,9 +116,11 @@ class _Broker(Broker):  # type: ignore[misc]  # it has no types
             await super()._publish_retained_messages_for_subscription(subscription, session)
 
 
-async def serve(port: int, websocket_port: int | None) -> None:
+async def serve(
+    port: int, websocket_port: int | None, token: AccessToken | None, origins: Collection[str]
+) -> None:
     """Run the broker until standard input closes. Raises ``OSError`` when the port is taken."""
-    broker = _Broker(broker_config(websocket_port))
+    broker = _Broker(broker_config(websocket_port), token, origins)
 
     async def take_client(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await broker.external_connected(StreamReaderAdapter(reader), StreamWriterAdapter(writer), "default")
@@ -87,10 +158,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="MQTT broker on this machine, for a first run")
     parser.add_argument("--port", type=int, default=1883, help="0: any free port")
     parser.add_argument("--websocket-port", type=int, default=None)
+    parser.add_argument("--websocket-origin", action="append", default=[])
     arguments = parser.parse_args()
     logging.disable(logging.ERROR)  # amqtt logs an error for every client that just hangs up
     try:
-        asyncio.run(serve(arguments.port, arguments.websocket_port))
+        text = read_secret(None, WEBSOCKET_TOKEN_VARIABLE, "")
+        token = None if text is None else AccessToken(text)
+        asyncio.run(serve(arguments.port, arguments.websocket_port, token, arguments.websocket_origin))
+    except CredentialError as error:
+        print(error, flush=True)  # noqa: T201
+        return 1
     except (OSError, BrokerError) as error:
         print(explain(error, arguments.port, arguments.websocket_port), flush=True)  # noqa: T201
         return 1

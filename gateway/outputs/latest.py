@@ -43,6 +43,7 @@ class LatestOutput:
         self._published = self._dropped = self._thinned = 0
         self._has_complained = False
         self._task: asyncio.Task[None] | None = None
+        self._is_open = False
 
     @property
     def counters(self) -> OutputCounters:
@@ -64,17 +65,24 @@ class LatestOutput:
         self._waiting = frame
         self._wake.set()
 
+    async def open(self) -> None:
+        """Open the sink; does nothing for the second time. Raises ``OutputError``."""
+        if not self._is_open:
+            await self._sink.open()
+            self._is_open = True
+
     async def start(self) -> None:
         """Begin. Raises ``OutputError`` when the sink cannot be opened."""
-        await self._sink.open()
+        await self.open()
         self._task = asyncio.create_task(self._run(), name=f"output {self.name}")
 
     async def stop(self) -> None:
-        """End; what still waits is dropped."""
+        """End, begun or not; what still waits is dropped."""
         if self._task is not None:
             await end_tasks(self._task)
             self._task = None
         self._sink.close()
+        self._is_open = False
 
     async def _run(self) -> None:
         while True:

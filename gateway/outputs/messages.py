@@ -9,17 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import orjson
-from pydantic import BaseModel, ConfigDict, Field, JsonValue
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, field_validator, model_validator
 
 from gateway.body.joints import WORLD, Joint
 from gateway.body.skeleton import Skeleton
 from gateway.frames import Status
 from gateway.outputs import topics
 from gateway.outputs.properties import JSON, MSGPACK
+
+_LONGEST_SEGMENT = 1e4
+"""Metres, of a robot or a crane; beyond, coordinates of a picture overflow."""
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
@@ -75,6 +78,10 @@ class BridgeInfo(Message):
 
     version: str = Field(description="Version of the gateway software.")
     gateway: str = Field(description="Name of the gateway: second level of its topics.")
+    instance: str | None = Field(
+        default=None,
+        description="Id of the running gateway, another one at every start: two gateways of one name differ.",
+    )
     reconstructor: str = Field(description="Name of the method that makes poses from samples.")
     frame_rate: float = Field(gt=0, description="Poses reconstructed a second, Hz.")
     modules: tuple[ModuleInfo, ...] = Field(default=(), description="Modules of the rig.")
@@ -87,7 +94,9 @@ class OutputCounters(Message):
     """What became of the poses offered to an output: every one is in exactly one of these counts."""
 
     published: int = Field(ge=0, description="Poses handed to the broker connection, or sent.")
-    dropped: int = Field(ge=0, description="Poses dropped because the receiver was away or too slow.")
+    dropped: int = Field(
+        ge=0, description="Poses dropped because the receiver was away, too slow, or refused them."
+    )
     thinned: int = Field(ge=0, description="Poses left out on purpose, to keep to the rate asked for.")
     queued: int = Field(ge=0, description="Poses waiting now.")
     connections: int = Field(
@@ -107,8 +116,18 @@ class BridgeHealth(Message):
     """Counters of the running gateway."""
 
     t_ns: int = Field(description="Gateway time of this message, ns.")
+    instance: str | None = Field(default=None, description="Id of the running gateway: see bridge/info.")
     uptime_s: float = Field(ge=0, description="Time since the output was started, s.")
     mqtt: OutputCounters = Field(description="Poses sent to the broker.")
+    publishing: Literal["allowed", "refused", "unknown"] = Field(
+        default="unknown",
+        description="Whether the broker's access list lets messages through. 'unknown' with MQTT 3.1.1, "
+        "which has no answer for it.",
+    )
+    refused_topics: tuple[str, ...] = Field(default=(), description="Topics that the broker refuses.")
+    same_name: str | None = Field(
+        default=None, description="Instance of another gateway of this name that was heard lately."
+    )
     outputs: dict[str, OutputCounters] = Field(
         default_factory=dict, description="Poses sent by other outputs: vmc, udp_json, lsl."
     )
@@ -205,6 +224,22 @@ class BodyMessage(Message):
     segments: tuple[BodySegment, ...] = Field(description="Segments, parents first.")
     joints: tuple[BodyJoint, ...] = Field(default=(), description="Joints, for joint angles.")
 
+    @model_validator(mode="after")
+    def _is_a_tree(self) -> Self:
+        """Whoever reads a body builds it segment by segment; anybody may have published it."""
+        names: set[str] = set()
+        for segment in self.segments:
+            if segment.name in names:
+                raise ValueError(f"segment '{segment.name}' stands there twice")
+            if segment.parent not in names and (segment.parent is not None or names):
+                raise ValueError(f"segment '{segment.name}' does not hang from one before it")
+            if max(map(abs, (*segment.offset, *segment.tip))) > _LONGEST_SEGMENT:
+                raise ValueError(f"segment '{segment.name}' is longer than {_LONGEST_SEGMENT:g} m")
+            names.add(segment.name)
+        if not names:
+            raise ValueError("a body has one segment at least")
+        return self
+
 
 class PoseMessage(Message):
     """The whole body at one instant. Maps are keyed by segment name; null is a value not defined."""
@@ -236,6 +271,14 @@ class PoseMessage(Message):
         description="With joint_angles: joints whose single angles need care, because their decomposition is "
         "near its singularity or an angle is beyond what the joint can do.",
     )
+
+    @field_validator("t_ns", "seq")
+    @classmethod
+    def _fits(cls, value: int) -> int:
+        """JSON has integers of any length, and who reads a pose reckons with these."""
+        if not -(2**63) <= value < 2**63:
+            raise ValueError("an integer of 64 bits is wanted")
+        return value
 
 
 class SegmentMessage(Message):

@@ -26,6 +26,7 @@ from typing import Any, Self, TypeVar
 from prometheus_client.exposition import choose_encoder
 
 from gateway.credentials import AccessToken
+from gateway.crowd import Crowd, CrowdedError
 from gateway.errors import OutputError
 from gateway.outputs.metrics import GatewayFigures, registry_of
 
@@ -37,8 +38,12 @@ LONGEST_REQUEST_S = 5.0
 """From a client's connection to the end of the answer; it is hung up on then, wherever it is."""
 LARGEST_HEAD = 16 * 1024
 """Bytes of a request."""
+FIRST_REQUEST_S = 2.0
+"""Longest silence of a client."""
 MOST_CLIENTS = 16
-"""At one time; the connection of any more is closed."""
+"""At one time; for any more the oldest that has not told its request is hung up on."""
+MOST_OF_ONE_ADDRESS = 12
+"""Of those, with a request that is being answered."""
 
 _Value = TypeVar("_Value")
 
@@ -67,8 +72,10 @@ class MetricsServer:
         self._server: ThreadingHTTPServer | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
 
-    async def __aenter__(self) -> Self:
-        self._loop = asyncio.get_running_loop()
+    def bind(self) -> None:
+        """Take the address, without answering yet; a second call does nothing. Raises ``OutputError``."""
+        if self._server is not None:
+            return
         handler = type("Handler", (_Handler,), {"owner": self})
         try:
             self._server = _Server((self._host, self.port), handler)
@@ -78,6 +85,17 @@ class MetricsServer:
                 "a free port, or leave it out"
             ) from error
         self.port = self._server.server_address[1]
+
+    def release(self) -> None:
+        """Give back an address that was taken and never answered at."""
+        if self._server is not None:
+            self._server.server_close()
+            self._server = None
+
+    async def __aenter__(self) -> Self:
+        self._loop = asyncio.get_running_loop()
+        self.bind()
+        assert self._server is not None
         threading.Thread(target=self._server.serve_forever, args=(0.1,), name="metrics", daemon=True).start()
         log.info("metrics at http://%s:%d/metrics", self._host, self.port)
         return self
@@ -87,8 +105,7 @@ class MetricsServer:
     ) -> None:
         if self._server is not None:
             await asyncio.to_thread(self._server.shutdown)
-            self._server.server_close()
-            self._server = None
+            self.release()
 
     def metrics(self, accept: str) -> tuple[str, bytes]:
         """Content type and text, in the format the client likes best. Raises ``NoAnswer``."""
@@ -113,12 +130,18 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
-        self._free = threading.BoundedSemaphore(MOST_CLIENTS)
+        self.crowd: Crowd[socket.socket] = Crowd(MOST_CLIENTS, MOST_OF_ONE_ADDRESS)
         super().__init__(address, handler)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Whether there is a thread left for one more client; a method name of the standard library's."""
-        return self._free.acquire(blocking=False)
+        try:
+            silent = self.crowd.enter(request, str(client_address[0]))
+        except CrowdedError:
+            return False
+        if silent is not None:
+            _hang_up(silent)
+        return True
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer one client, in a thread of its own; a method name of the standard library's."""
@@ -129,7 +152,7 @@ class _Server(ThreadingHTTPServer):
             super().process_request_thread(request, client_address)
         finally:
             deadline.cancel()
-            self._free.release()
+            self.crowd.leave(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Of a client that has gone; a method name of the standard library's."""
@@ -164,7 +187,8 @@ class _Head:
 
 class _Handler(BaseHTTPRequestHandler):
     owner: MetricsServer
-    timeout = LONGEST_REQUEST_S
+    timeout = FIRST_REQUEST_S
+    server: _Server
     server_version = "mocap-gateway"
     sys_version = ""
 
@@ -178,6 +202,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer; a method name of the standard library's."""
         path = self.path.partition("?")[0]
         try:
+            self.server.crowd.speak(self.connection)
             if self._head.is_too_long:
                 error = f"a request has {LARGEST_HEAD} bytes at most"
                 self._answer_json(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, {"error": error})
@@ -190,6 +215,10 @@ class _Handler(BaseHTTPRequestHandler):
                 self._answer_json(HTTPStatus.OK, health if self._may_read else {"status": health["status"]})
             else:
                 self._answer_json(HTTPStatus.NOT_FOUND, {"error": "there are /metrics and /healthz"})
+        except CrowdedError:
+            self._answer_json(
+                HTTPStatus.SERVICE_UNAVAILABLE, {"error": "too many connections of this address"}
+            )
         except (NoAnswer, RuntimeError):
             stuck = {"status": "stuck", "error": f"the gateway has not answered for {PATIENCE_S:g} s"}
             self._answer_json(HTTPStatus.SERVICE_UNAVAILABLE, stuck)

@@ -7,30 +7,35 @@ every broker: it reconnects for ever, and counts what had to be dropped meanwhil
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import secrets
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Self
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
+from paho.mqtt.subscribeoptions import SubscribeOptions
 from pydantic import TypeAdapter
 
 from devices.link import gateway_time_ns
 from gateway.body.skeleton import Skeleton
+from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
 from gateway.outputs.connection import (
     Backoff,
     broker_connection,
+    check_admittance,
+    check_files,
     end_tasks,
     explain,
     first_to_end,
     nap,
+    publish_unawaited,
     unique_identifier,
-    until_lost,
 )
 from gateway.outputs.home_assistant import discovery
 from gateway.outputs.messages import (
@@ -44,7 +49,9 @@ from gateway.outputs.messages import (
     describe_body,
     plain_json,
 )
-from gateway.outputs.pose_publications import PosePublications
+from gateway.outputs.own_topics import PublishRights, TwinWatch
+from gateway.outputs.pose_publications import Outgoing, PosePublications
+from gateway.outputs.pose_queue import PoseQueue
 from gateway.outputs.properties import JSON, properties_of
 from gateway.outputs.retained import RetainedMessages
 from gateway.outputs.settings import MqttSettings
@@ -60,6 +67,24 @@ _FAREWELL_S = 1.5
 """Longest time to publish what is queued, say offline and disconnect."""
 _DRAIN_S = 0.5
 """Part of it for the queue."""
+
+
+_PROBE_INTERVAL_S = 2.0
+"""Between two poses that the broker is to answer for."""
+_RETAINED_S = 0.5
+"""Time for what a broker keeps to come after a subscription."""
+_POSES_A_TURN = 8
+"""Of a burst; links are read in between."""
+
+
+class _NameTaken(OutputError):
+    """Another gateway has our name, and we are not to publish beside it."""
+
+
+def _door(settings: MqttSettings) -> dict[str, object]:
+    """Settings that decide whether a broker lets us in."""
+    names = {"host", "port", "username", "password_file", "tls", "protocol"}
+    return {"broker": settings.broker, **settings.model_dump(include=names)}
 
 
 class MqttOutput:
@@ -89,7 +114,13 @@ class MqttOutput:
         self._identifier = settings.client_id or unique_identifier(info.gateway)
         self._publications = PosePublications(settings, skeleton, self.topics, markers)
         self._properties = properties_of(settings.spoken_protocol, JSON)
-        self._info = info
+        self.instance = secrets.token_hex(8)
+        """Another one for every output that is made: tells gateways of one name apart."""
+        self.rights = PublishRights(are_told=settings.spoken_protocol == "5")
+        self._twins = TwinWatch(self.topics, self.instance)
+        self._name_taken: asyncio.Future[None] | None = None
+        self._probe_due = 0.0
+        self._info = info = info.model_copy(update={"instance": self.instance})
         self._utc: UtcAnchor | None = None
         self._retained = RetainedMessages(self._properties)
         self._retained.keep(self.topics.bridge_info, info.payload())
@@ -103,13 +134,14 @@ class MqttOutput:
         self._health_due = 0.0
         self._thinning = Thinning(settings.pose_rate)
         self._relief = Thinning(None)
-        self._queue: deque[SkeletonFrame] = deque()
+        self._queue = PoseQueue(settings.queue_length)
         self._published = self._dropped = self._thinned = self._connections = 0
         self._in_hand = 0  # 1 while a pose is on its way to the broker
         self._complaints: set[str] = set()
         self._wake = asyncio.Event()
         self._stopping = asyncio.Event()
         self._broker: BrokerProcess | None = None
+        self._successor: MqttOutput | None = None
         self._task: asyncio.Task[None] | None = None
         self._started = time.monotonic()
 
@@ -118,7 +150,7 @@ class MqttOutput:
         """What became of the offered poses so far."""
         return OutputCounters(
             published=self._published,
-            dropped=self._dropped,
+            dropped=self._dropped + self._queue.dropped,
             thinned=self._thinned,
             queued=len(self._queue) + self._in_hand,
             connections=self._connections,
@@ -129,15 +161,25 @@ class MqttOutput:
         """Whether its task lives, broker or not."""
         return self._task is not None and not self._task.done()
 
+    @property
+    def twin(self) -> str | None:
+        """Instance of another gateway of the same name that was heard lately."""
+        return self._twins.twin
+
+    async def until_name_is_taken(self) -> None:
+        """Wait for ever, unless another gateway has the name and the settings say ``refuse``.
+
+        Raises ``OutputError`` then.
+        """
+        assert self._name_taken is not None, "not started"
+        await asyncio.shield(self._name_taken)
+
     def offer(self, frame: SkeletonFrame) -> None:
-        """Take a frame for publishing. Never waits; the oldest queued frame gives way when full."""
+        """Take a frame for publishing. Never waits; where too many wait the oldest gives way."""
         if not (self._thinning.admits(frame.time_ns) and self._relief.admits(frame.time_ns)):
             self._thinned += 1
             return
-        if len(self._queue) == self._settings.queue_length:
-            self._queue.popleft()
-            self._dropped += 1
-        self._queue.append(frame)
+        self._queue.put(frame)
         self._wake.set()
 
     def relieve(self, poses_hz: float | None, *, has_segments: bool) -> None:
@@ -168,13 +210,48 @@ class MqttOutput:
         accounting = TypeAdapter(dict[str, AccountBalance]).validate_python(statistics.pop("accounting", {}))
         return BridgeHealth(
             t_ns=gateway_time_ns(),
+            instance=self.instance,
             uptime_s=time.monotonic() - self._started,
             mqtt=self.counters,
+            publishing=self.rights.state,
+            refused_topics=tuple(self.rights.refused),
+            same_name=self.twin,
             outputs=dict(self._others()),
             utc=self._utc,
             accounting=accounting,
             statistics=statistics,
         )
+
+    async def prepare(self, former: MqttOutput | None = None) -> None:
+        """Do all that can fail before publishing begins: start an embedded broker, read files, see whether
+        an external broker lets us in.
+
+        former: the output that this one is to follow. An embedded broker that suits both goes on, and is
+        handed over when the former stops. Raises ``OutputError`` or ``CredentialError``.
+        """
+        settings = self._settings
+        check_files(settings)
+        if settings.broker == "embedded":
+            await self._prepare_broker(former)
+        elif former is not None and _door(settings) != _door(former._settings):
+            await check_admittance(settings, self.port)
+
+    async def _prepare_broker(self, former: MqttOutput | None) -> None:
+        wanted = _broker_of(self._settings)
+        running = None if former is None else former._broker
+        if former is not None and running is not None and wanted.asked == running.asked:
+            former._successor = self
+            return
+        held = set() if running is None else {running.port, running.websocket_port} - {None}
+        if not held & {wanted.port, wanted.websocket_port}:  # or they are free only once the former has ended
+            await wanted.start()
+            self._broker = wanted
+
+    async def release(self, former: MqttOutput | None = None) -> None:
+        """Undo ``prepare`` of an output that is not to start after all."""
+        if former is not None and former._successor is self:
+            former._successor = None
+        await self._end_broker()
 
     async def start(self) -> None:
         """Begin to publish; returns before the broker is reached.
@@ -182,10 +259,12 @@ class MqttOutput:
         Raises ``EmbeddedBrokerError`` when the embedded broker is asked for and cannot start.
         """
         if self._settings.broker == "embedded":
-            self._broker = BrokerProcess(self._settings.port, self._settings.websocket_port)
-            await self._broker.start()
+            if self._broker is None:
+                self._broker = _broker_of(self._settings)
+                await self._broker.start()
             self.port = self._broker.port
         self._started = time.monotonic()
+        self._name_taken = asyncio.get_running_loop().create_future()
         self._task = asyncio.create_task(self._run(), name="mqtt output")
 
     async def stop(self) -> None:
@@ -197,6 +276,11 @@ class MqttOutput:
                 await asyncio.wait({self._task}, timeout=_FAREWELL_S)
             await end_tasks(self._task)
             self._task = None
+        if self._successor is not None:
+            self._successor._broker, self._broker = self._broker, None
+        await self._end_broker()
+
+    async def _end_broker(self) -> None:
         if self._broker is not None:
             await self._broker.stop()
             self._broker = None
@@ -216,15 +300,72 @@ class MqttOutput:
         will = aiomqtt.Will(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
         while not self._stopping.is_set():
             try:
-                async with broker_connection(self._settings, self.port, self._identifier, will) as client:
+                async with broker_connection(
+                    self._settings, self.port, self._identifier, will, on_answer=self.rights.answered
+                ) as client:
                     waited = 0.0
+                    self.rights.begin_again()
+                    self._probe_due = 0.0
+                    await self._watch_own_topics(client)
                     # A publication may go on waiting for a connection that is lost already.
-                    await first_to_end(until_lost(client), self._serve(client))
+                    await first_to_end(self._listen(client), self._serve(client))
+            except _NameTaken as error:
+                assert self._name_taken is not None
+                self._name_taken.set_exception(error)
+                return
             except Exception as error:
                 self._report_outage(error)
-            self.is_connected = False
+            self.is_connected = self._queue.has_broker = False
             waited = backoff.after(waited)
             await nap(waited, self._stopping)
+
+    async def _watch_own_topics(self, client: aiomqtt.Client) -> None:
+        """Subscribe to what tells of another gateway of our name.
+
+        Raises ``_NameTaken`` where there is one and the settings say ``refuse``.
+        """
+        if self._settings.same_name == "ignore":
+            return
+        for topic in self._twins.watched:
+            if self.rights.are_told:
+                await client.subscribe(topic, options=SubscribeOptions(qos=1, noLocal=True))
+            else:
+                await client.subscribe(topic, qos=1)
+        if self._settings.same_name == "refuse" and not self._connections:
+            await self._make_sure_to_be_alone(client)
+
+    async def _make_sure_to_be_alone(self, client: aiomqtt.Client) -> None:
+        await self._listen_for(client, _RETAINED_S, lambda: self._twins.is_suspected)
+        if self._twins.is_suspected:
+            beat_s = 2 * self._settings.health_interval + _RETAINED_S
+            await self._listen_for(client, beat_s, lambda: self.twin is not None)
+        if self.twin is not None:
+            raise _NameTaken(
+                f"another gateway named '{self._info.gateway}' publishes at "
+                f"{self._settings.host}:{self.port} (instance {self.twin}): give one of them another name "
+                "(gateway: …), or stop it"
+            )
+
+    async def _listen_for(
+        self, client: aiomqtt.Client, seconds: float, is_enough: Callable[[], bool]
+    ) -> None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                async for message in client.messages:
+                    self._take(message)
+                    if is_enough():
+                        return
+
+    async def _listen(self, client: aiomqtt.Client) -> None:
+        """Until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""
+        async for message in client.messages:
+            if self._take(message) and not self._stopping.is_set():
+                self._retained.keep(self.topics.bridge_info, self._info.payload())
+                self._retained.keep(self.topics.bridge_state, _ONLINE)
+
+    def _take(self, message: aiomqtt.Message) -> bool:
+        payload = message.payload if isinstance(message.payload, bytes) else b""
+        return self._twins.take(message.topic.value, payload, is_retained=message.retain)
 
     async def _serve(self, client: aiomqtt.Client) -> None:
         """Announce the gateway, then publish until stopped."""
@@ -243,11 +384,9 @@ class MqttOutput:
         self._retained.begin_again()
         await self._retained.publish(client)
         # Poses from before the connection are of no use to anybody, but for the last one.
-        while len(self._queue) > 1:
-            self._queue.popleft()
-            self._dropped += 1
+        self._queue.keep_newest()
         self._connections += 1
-        self.is_connected = True
+        self.is_connected = self._queue.has_broker = True
         self._complaints.clear()
         again = "connected" if self._connections == 1 else "connected again"
         where = f"{self._settings.host}:{self.port}"
@@ -261,8 +400,12 @@ class MqttOutput:
                 # A client that subscribes to the embedded broker just while the birth message is on its
                 # way has been seen to miss it.
                 await client.publish(self.topics.bridge_state, _ONLINE, qos=1, retain=True)
+        count = 0
         while self._queue:
-            await self._publish_pose(client, self._queue.popleft())
+            await self._publish_pose(client, self._queue.take())
+            count += 1
+            if count % _POSES_A_TURN == 0:
+                await asyncio.sleep(0)
 
     async def _publish_pose(self, client: aiomqtt.Client, frame: SkeletonFrame) -> None:
         try:
@@ -273,15 +416,32 @@ class MqttOutput:
             return
         self._in_hand = 1
         try:
-            for topic, payload, properties in outgoing:
-                await client.publish(topic, payload, properties=properties)
+            with self._queue.waiting_for_broker():
+                is_taken = await self._send(client, outgoing)
         except BaseException:
             self._dropped += 1
             raise
         else:
-            self._published += 1
+            self._published += is_taken
+            self._dropped += not is_taken
         finally:
             self._in_hand = 0
+
+    async def _send(self, client: aiomqtt.Client, outgoing: list[Outgoing]) -> bool:
+        """Publish the messages of a pose; whether the broker takes any of them, as far as it tells.
+
+        Only QoS 1 is answered: now and then a pose goes out so, and while topics are refused no other does.
+        The answer is waited for unless the one before was good.
+        """
+        is_probe = self.rights.are_told and time.monotonic() >= self._probe_due
+        if is_probe:
+            self._probe_due = time.monotonic() + _PROBE_INTERVAL_S
+        for topic, payload, properties in outgoing:
+            if is_probe and self.rights.state == "allowed":
+                publish_unawaited(client, topic, payload, properties)
+            elif is_probe or topic not in self.rights.refused:
+                await client.publish(topic, payload, qos=int(is_probe), properties=properties)
+        return any(topic not in self.rights.refused for topic, *_ in outgoing)
 
     async def _publish_health(self, client: aiomqtt.Client) -> None:
         try:
@@ -315,3 +475,10 @@ class MqttOutput:
         if kind not in self._complaints:
             self._complaints.add(kind)
             logger.warning("%s", complaint)
+
+
+def _broker_of(settings: MqttSettings) -> BrokerProcess:
+    """The embedded broker that a configuration asks for. Raises ``CredentialError``."""
+    return BrokerProcess(
+        settings.port, settings.websocket_port, settings.websocket_origins, settings.read_websocket_token()
+    )

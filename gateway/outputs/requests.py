@@ -1,8 +1,9 @@
 """Requests to the gateway over MQTT: ``bridge/request/<verb>`` to ``bridge/response/<verb>``.
 
 It has a connection of its own, so that an answer never stands in the way of a pose. Requests are
-carried out one after another by one task; a queue too long is answered with an error at once. Faster than
-``MOST_A_SECOND`` they are dropped without an answer, and counted.
+carried out beside one another, so that a long one holds up nobody; what may not be done at once waits its
+turn in the family (``in_turn``). Too many of a family under way are answered with an error at once. Faster
+than ``MOST_A_SECOND`` they are dropped without an answer, and counted.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ from gateway.outputs.topics import Topics
 
 _log = logging.getLogger(__name__)
 
-_LONGEST_QUEUE = 8
+_MOST_UNDER_WAY = 8
+"""Of one family, those that wait their turn included."""
+
 _LONGEST_VERB = 80
 _LONGEST_TOPIC = 256
 _LONGEST_CORRELATION = 1024
@@ -65,10 +68,21 @@ class _Asked:
     correlation: bytes | None
 
 
+def in_turn(perform: Perform) -> Perform:
+    """Return the same for a family whose requests are carried out one after another, in order."""
+    turn = asyncio.Lock()
+
+    async def perform_in_turn(verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+        async with turn:
+            return await perform(verb, data)
+
+    return perform_in_turn
+
+
 class RequestResponder:
     """Answers requests for ever: a broker that is away is tried again and again.
 
-    families: what carries out ``<family>/<verb>``, by family.
+    families: what carries out ``<family>/<verb>``, by family; it is asked anew before it has answered.
     """
 
     def __init__(self, settings: MqttSettings, gateway: str, families: Mapping[str, Perform]) -> None:
@@ -79,7 +93,7 @@ class RequestResponder:
         self._settings = settings
         self._topics = Topics(settings.base_topic, gateway)
         self._families = families
-        self._queue: asyncio.Queue[_Asked] = asyncio.Queue(_LONGEST_QUEUE)
+        self._under_way: dict[asyncio.Task[None], str] = {}
         self._client: aiomqtt.Client | None = None
         self._tasks: list[asyncio.Task[None]] = []
         self._allowance = Allowance(MOST_A_SECOND, MOST_AT_ONCE)
@@ -87,18 +101,15 @@ class RequestResponder:
 
     def statistics(self) -> dict[str, object]:
         """For the health message."""
-        return {"answered": self.answered, "dropped": self.dropped, "waiting": self._queue.qsize()}
+        return {"answered": self.answered, "dropped": self.dropped, "waiting": len(self._under_way)}
 
     def start(self, port: int) -> None:
         """Begin to answer, at the broker on this port; returns at once."""
-        self._tasks = [
-            asyncio.create_task(self._listen_for_ever(port), name="requests"),
-            asyncio.create_task(self._work(), name="request worker"),
-        ]
+        self._tasks = [asyncio.create_task(self._listen_for_ever(port), name="requests")]
 
     async def stop(self) -> None:
-        """End at once; a request under way is not answered any more."""
-        await end_tasks(*self._tasks)
+        """End at once; requests under way are not answered any more."""
+        await end_tasks(*self._tasks, *self._under_way)
         self._tasks = []
 
     async def _listen_for_ever(self, port: int) -> None:
@@ -133,10 +144,13 @@ class RequestResponder:
             await self._answer(asked, _error(asked, str(problem)))
             return
         asked = _Asked(verb, data, transaction, answer_to, correlation)
-        try:
-            self._queue.put_nowait(asked)
-        except asyncio.QueueFull:
+        family = verb.partition("/")[0]
+        if list(self._under_way.values()).count(family) >= _MOST_UNDER_WAY:
             await self._answer(asked, _error(asked, "too many requests are waiting: ask again later"))
+            return
+        task = asyncio.create_task(self._carry_out(asked), name=f"request {verb}")
+        self._under_way[task] = family
+        task.add_done_callback(self._under_way.pop)
 
     def _is_in_time(self) -> bool:
         """Whether one more request is taken now; if not, that is counted, and said now and then."""
@@ -152,14 +166,12 @@ class RequestResponder:
             self._complained_s = now_s
             _log.warning("requests come faster than %g a second: %d dropped", MOST_A_SECOND, self.dropped)
 
-    async def _work(self) -> None:
-        while True:
-            asked = await self._queue.get()
-            try:
-                await self._answer(asked, await self._perform(asked))
-            except Exception:
-                # Whatever it was, the next request finds somebody who answers.
-                _log.exception("request '%s' was not answered", asked.verb)
+    async def _carry_out(self, asked: _Asked) -> None:
+        try:
+            await self._answer(asked, await self._perform(asked))
+        except Exception:
+            # Whatever it was, it is not to pass for a task that nobody looks at.
+            _log.exception("request '%s' was not answered", asked.verb)
 
     async def _perform(self, asked: _Asked) -> ResponseMessage:
         family, _, verb = asked.verb.partition("/")
@@ -199,18 +211,21 @@ class RequestResponder:
         properties = message.properties
         wanted = getattr(properties, "ResponseTopic", None)
         correlation = getattr(properties, "CorrelationData", None)
-        if not isinstance(wanted, str) or not self._is_harmless(wanted):
+        if wanted is not None and not self._may_be_answered_at(wanted):
+            _log.info("no answer to '%s' at %r: mqtt.response_topics does not allow it", verb, wanted)
+            wanted = None
+        if wanted is None:
             wanted = self._topics.response(verb)
         is_short = isinstance(correlation, bytes) and len(correlation) <= _LONGEST_CORRELATION
         return wanted, correlation if is_short else None
 
-    def _is_harmless(self, topic: str) -> bool:
-        """Whether an answer there can be taken for nothing else: nobody may have poses published for him."""
-        if not 0 < len(topic) <= _LONGEST_TOPIC or topic[0] == "$" or set(topic) & set("+#\0"):
+    def _may_be_answered_at(self, topic: object) -> bool:
+        """Whether an answer there can be taken for nothing else: the gateway may publish where those who ask
+        may not, and is not to switch lamps for them."""
+        if not isinstance(topic, str) or len(topic) > _LONGEST_TOPIC or set(topic) & set("+#\0"):
             return False
-        ours = (self._settings.base_topic, self._settings.home_assistant)
-        is_ours = any(topic.startswith(f"{name}/") for name in ours if name is not None)
-        return topic.startswith(self._topics.response("")) or not is_ours
+        allowed = (self._topics.response(""), *(f"{prefix}/" for prefix in self._settings.response_topics))
+        return topic.startswith(allowed)
 
 
 def _error(asked: _Asked, error: str) -> ResponseMessage:

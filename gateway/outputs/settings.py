@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gateway.credentials import read_secret
+from gateway.credentials import AccessToken, read_secret
 
 PASSWORD_VARIABLE = "MOCAP_MQTT_PASSWORD"
 """Environment variable that may hold the broker password."""
 
+WEBSOCKET_TOKEN_VARIABLE = "MOCAP_WEBSOCKET_TOKEN"
+"""Environment variable that may hold the token with which WebSocket clients publish."""
+
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost")
+
+
+ResponsePrefix = Annotated[str, Field(pattern=r"^[^+#$/\s]([^+#\s]*[^+#\s/])?$")]
 
 
 class PoseMap(StrEnum):
@@ -77,6 +83,17 @@ class MqttSettings(BaseModel):
         le=65535,
         description="Port on which the embedded broker takes WebSocket clients (browsers) too; none: closed.",
     )
+    websocket_origins: tuple[str, ...] = Field(
+        default=(),
+        description="Origins of web pages that may connect there beside those served by this machine, such "
+        "as https://lab.example; null: pages opened as files.",
+    )
+    websocket_token_file: Path | None = Field(
+        default=None,
+        description="File whose first line is the token that a WebSocket client gives as its password to "
+        f"publish, requests among others. Without it the environment variable {WEBSOCKET_TOKEN_VARIABLE} is "
+        "taken; with neither they can only listen.",
+    )
     username: str | None = Field(default=None, min_length=1, description="User name at the broker.")
     password_file: Path | None = Field(
         default=None,
@@ -101,6 +118,11 @@ class MqttSettings(BaseModel):
         description="Keep-alive interval, s. A broker silent for twice as long counts as lost; "
         "the broker announces the gateway's death after one and a half of it.",
     )
+    same_name: Literal["warn", "refuse", "ignore"] = Field(
+        default="warn",
+        description="Where another gateway of the same name publishes. warn: both say so; refuse: the one "
+        "that comes later ends with an error; ignore: own topics are not read, which some brokers forbid.",
+    )
     base_topic: str = Field(
         default="mocap", min_length=1, description="First part of every topic: <base_topic>/<gateway>/…"
     )
@@ -108,7 +130,8 @@ class MqttSettings(BaseModel):
         default=8,
         ge=1,
         le=10_000,
-        description="Poses kept while the broker is slow. When full the oldest is dropped and counted.",
+        description="Poses kept while the broker is slow or away: then the oldest is dropped and counted. A "
+        "burst after the machine was held up is published whole.",
     )
     decimals: int | None = Field(
         default=6,
@@ -142,6 +165,11 @@ class MqttSettings(BaseModel):
         allow_inf_nan=False,
         description="Most messages a second on topic markers, Hz, where poses are made from markers; "
         "none: no such topic.",
+    )
+    response_topics: tuple[ResponsePrefix, ...] = Field(
+        default=(),
+        description="With MQTT 5: below which topics a request may have its answer published, beside "
+        "<base_topic>/<gateway>/bridge/response; the gateway may publish more than those who ask.",
     )
     pose_expiry_s: int = Field(
         default=2,
@@ -195,6 +223,12 @@ class MqttSettings(BaseModel):
     def read_password(self) -> str | None:
         """The password: first line of ``password_file``, else the environment. Raises ``CredentialError``."""
         return read_secret(self.password_file, PASSWORD_VARIABLE, "password_file")
+
+    def read_websocket_token(self) -> AccessToken | None:
+        """What a WebSocket client of the embedded broker must show to publish; None: none can. Raises
+        ``CredentialError``."""
+        text = read_secret(self.websocket_token_file, WEBSOCKET_TOKEN_VARIABLE, "websocket_token_file")
+        return None if text is None else AccessToken(text)
 
     @property
     def spoken_protocol(self) -> Literal["3.1.1", "5"]:

@@ -51,6 +51,16 @@ class SideOutputs:
         for output in self._outputs:
             output.is_paused = is_paused
 
+    async def open(self) -> None:
+        """Open all that can fail, without sending. Raises ``OutputError``; ``close`` undoes it."""
+        for output in self._outputs:
+            await output.open()
+
+    async def close(self) -> None:
+        """Close what was opened and never run."""
+        for output in self._outputs:
+            await output.stop()
+
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Send until left. Raises ``OutputError`` when one cannot start."""

@@ -163,16 +163,24 @@ class PoseSubscriber:
 
     async def _receive(self, client: aiomqtt.Client) -> None:
         async for message in client.messages:
-            arrived_ns = gateway_time_ns()
-            # Some brokers send what was not asked for: see ``embedded_broker``.
-            address = self._topics.split(message.topic.value)
-            if address is None or not isinstance(message.payload, bytes):
-                continue
-            try:
-                self._take(*address, message, message.payload, arrived_ns)
-            except ValidationError as error:
-                self.undecodable += 1
-                logger.debug("%s: %s", message.topic, error)
+            self._read(message)
+            # aiomqtt takes several turns of the event loop for each message, and a burst comes faster.
+            while not client._queue.empty():
+                self._read(client._queue.get_nowait())
+                if len(self._backlog) == _LONGEST_BACKLOG:
+                    await asyncio.sleep(0)  # let the reader take them
+
+    def _read(self, message: aiomqtt.Message) -> None:
+        arrived_ns = gateway_time_ns()
+        # Some brokers send what was not asked for: see ``embedded_broker``.
+        address = self._topics.split(message.topic.value)
+        if address is None or not isinstance(message.payload, bytes):
+            return
+        try:
+            self._take(*address, message, message.payload, arrived_ns)
+        except ValidationError as error:
+            self.undecodable += 1
+            logger.debug("%s: %s", message.topic, error)
 
     def _take(
         self, gateway: str, topic: str, message: aiomqtt.Message, payload: bytes, arrived_ns: int

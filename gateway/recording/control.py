@@ -14,7 +14,7 @@ from devices.recording_file import RecordingError
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError, nearest
 from gateway.frames import SkeletonFrame
-from gateway.recording.files import Contents, SessionFiles
+from gateway.recording.files import Contents, SessionFiles, prepare_folder
 from gateway.recording.recorder import Recorder, RecorderBalance, Sink
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
@@ -60,6 +60,10 @@ class RecordingControl:
     def is_recording(self) -> bool:
         """Whether everything that comes now is being kept."""
         return self._recorder is not None and self._recorder.ended is None
+
+    def check(self) -> None:
+        """See that a recording could begin now. Raises ``RecordingError`` with what stands against it."""
+        prepare_folder(self._settings.recording)
 
     def start(self, name: str | None = None) -> None:
         """Begin a new recording.

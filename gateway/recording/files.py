@@ -6,6 +6,7 @@ import json
 import logging
 import os
 import re
+import tempfile
 import time
 import uuid
 from collections.abc import Callable, Mapping
@@ -40,6 +41,29 @@ def free_bytes(folder: Path) -> int:
     return figures.f_bavail * figures.f_frsize
 
 
+def prepare_folder(settings: RecordingSettings, free: Callable[[Path], int] = free_bytes) -> Path:
+    """The folder of the recordings, made if absent, with room for one.
+
+    Raises ``RecordingError`` where no file can be made in it, or the room is too little.
+    """
+    folder = Path(settings.folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            room = free(folder)
+    except OSError as error:
+        raise RecordingError(
+            f"recordings cannot go to {folder} ({error.strerror}): set recording.folder to a folder "
+            "that can be written"
+        ) from error
+    if room < settings.min_free_mb * _MB:
+        raise RecordingError(
+            f"{folder} has {room / _MB:.0f} MB free, less than recording.min_free_mb "
+            f"({settings.min_free_mb:g}): make room, or choose another recording.folder"
+        )
+    return folder
+
+
 class SessionFiles:
     """Opens the first file at once; begins another when one is large or old enough."""
 
@@ -53,7 +77,8 @@ class SessionFiles:
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         """Raises ``RecordingError`` when the folder cannot be written, or has no room."""
-        self.folder = Path(settings.folder)
+        self._name = _checked(settings.name if name is None else name)
+        self.folder = prepare_folder(settings, free)
         self.warning: str | None = None
         """Said about the disk; None while it has room."""
         self.bytes_before = 0
@@ -61,11 +86,9 @@ class SessionFiles:
         self.part = 1
         self._settings = settings
         self._contents = contents
-        self._name = _checked(settings.name if name is None else name)
         self._session = uuid.uuid4().hex
         self._free = free
         self._monotonic = monotonic
-        self._prepare_folder()
         self._writer = self._open_first()
         self._synced_at = monotonic()
 
@@ -108,21 +131,6 @@ class SessionFiles:
     def abandon(self) -> None:
         """Leave the file as it is after an error: it can be read as far as it was flushed."""
         self._writer.abandon()
-
-    def _prepare_folder(self) -> None:
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            free = self._free(self.folder)
-        except OSError as error:
-            raise RecordingError(
-                f"recordings cannot go to {self.folder} ({error.strerror}): set recording.folder to a folder "
-                "that can be written"
-            ) from error
-        if free < self._settings.min_free_mb * _MB:
-            raise RecordingError(
-                f"{self.folder} has {free / _MB:.0f} MB free, less than recording.min_free_mb "
-                f"({self._settings.min_free_mb:g}): make room, or choose another recording.folder"
-            )
 
     def _open_first(self) -> RecordingWriter:
         stem = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ") + (f"_{self._name}" if self._name else "")

@@ -9,7 +9,6 @@ arrays.q_wb  # (F, S, 4)
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from pydantic import ValidationError
 
 from devices import recording_format as fmt
 from devices.link import Chunk, Framing, SentChunk
-from devices.recording_file import RecordedMessage, RecordingError, RecordingParts
+from devices.recording_file import RecordedMessage, RecordingError, RecordingParts, plain_json
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.errors import SettingsError
 from gateway.frames import MarkerFit, SkeletonFrame
@@ -107,7 +106,7 @@ class RecordingMeta:
         Settings of another version that this one does not know are left out, with a warning.
         """
         try:
-            plain = json.loads(self._attachment(fmt.SETTINGS))
+            plain = plain_json(self._attachment(fmt.SETTINGS))
             unknown = _take_out_unknown(plain)
             if unknown:
                 _log.warning("%s: settings of version %s left out: %s", self.path, self.software, unknown)
@@ -145,7 +144,7 @@ class RecordingMeta:
     def host(self) -> dict[str, Any]:
         """Versions, kernel and processor of the machine that recorded; nothing where that is damaged."""
         try:
-            host = json.loads(self.attachments.get(fmt.HOST, b"{}"))
+            host = plain_json(self.attachments.get(fmt.HOST, b"{}"))
         except ValueError:
             return {}
         return host if isinstance(host, dict) else {}
@@ -190,12 +189,14 @@ class Recording:
 
     def chunks(self, progress: Progress | None = None) -> Iterator[Chunk]:
         """What came over the links, not parsed."""
-        return (item for item in self._decoded(fmt.CHUNKS, progress) if isinstance(item, Chunk))
+        return (
+            item for item in self._decoded((fmt.CHUNKS, fmt.DATAGRAMS), progress) if isinstance(item, Chunk)
+        )
 
     def inputs(self, progress: Progress | None = None) -> Iterator[Chunk | SentChunk | RecordedEvent]:
         """All that a reconstruction depends on: what came over the links, what was written to them, and
         events, of which resets and calibrations count."""
-        inputs = self._decoded((fmt.CHUNKS, fmt.SENT, fmt.EVENTS), progress)
+        inputs = self._decoded((*fmt.OF_LINKS, fmt.EVENTS), progress)
         return (item for item in inputs if isinstance(item, Chunk | SentChunk | RecordedEvent))
 
     def sent(self) -> Iterator[SentChunk]:
@@ -287,8 +288,8 @@ def open_recording(path: str | Path) -> Recording:
 def decode_message(message: RecordedMessage) -> RecordedItem | None:
     """A message's meaning; None for a topic or content that this version does not know."""
     topic, time_ns, data = message
-    if topic.startswith(fmt.CHUNKS):
-        return Chunk(data, time_ns, topic.removeprefix(fmt.CHUNKS))
+    if topic.startswith((fmt.CHUNKS, fmt.DATAGRAMS)):
+        return fmt.chunk_of(topic, time_ns, data)
     if topic.startswith(fmt.SENT):
         return SentChunk(data, time_ns, topic.removeprefix(fmt.SENT))
     try:
@@ -299,12 +300,12 @@ def decode_message(message: RecordedMessage) -> RecordedItem | None:
 
 
 def _event(message: RecordedMessage) -> RecordedItem:
-    plain = json.loads(message.data)
+    plain = plain_json(message.data)
     return RecordedEvent(int(plain["time_ns"]), str(plain["name"]), dict(plain["data"]))
 
 
 def _statistics(message: RecordedMessage) -> RecordedItem:
-    return RecordedStatistics(message.time_ns, dict(json.loads(message.data)))
+    return RecordedStatistics(message.time_ns, dict(plain_json(message.data)))
 
 
 _DECODERS: dict[str, Callable[[RecordedMessage], RecordedItem]] = {

@@ -101,7 +101,8 @@ class Recorder:
         """Take what a link gave."""
         self._handed += 1
         metadata = {"link": chunk.link, "framing": framing.value}
-        self._put(fmt.CHUNKS + chunk.link, chunk.arrived_ns, chunk.data, metadata)
+        topic, data = fmt.message_of(chunk)
+        self._put(topic, chunk.arrived_ns, data, metadata)
 
     def sent(self, sent: SentChunk, framing: Framing) -> None:
         """Take what was written to a link."""
@@ -244,4 +245,4 @@ def _encoded(topic: str, data: bytes | SkeletonFrame) -> bytes:
 
 def _kind(topic: str) -> str:
     """``chunks``, ``sent``, ``skeleton``, ``markers``, ``events``, ``statistics``."""
-    return topic.split("/", 2)[1]
+    return "chunks" if topic.startswith(fmt.DATAGRAMS) else topic.split("/", 2)[1]

@@ -9,7 +9,7 @@ from pathlib import Path
 from mcap.records import Channel, Message
 
 from devices import recording_format as fmt
-from devices.recording_file import RecordingError, RecordingFile
+from devices.recording_file import REMEDY, RecordingError, RecordingFile
 from devices.recording_writer import DerivedRecordingWriter
 
 _MESSAGES_A_FLUSH = 256
@@ -22,7 +22,7 @@ class Recovered:
     path: Path
     messages: int
     defect: str | None
-    """What was wrong with it; None: nothing was."""
+    """What was wrong with it, without the advice to recover it; None: nothing was."""
 
 
 def recover(source: Path, target: Path, progress: Callable[[int, int], None] | None = None) -> Recovered:
@@ -46,7 +46,7 @@ def _recovered(
         messages = _copy(file, target, progress, replaces=replaces)
     except OSError as error:
         raise RecordingError(f"{target} cannot be written: {error.strerror}") from error
-    return Recovered(target, messages, file.defect)
+    return Recovered(target, messages, (file.defect or "").removesuffix(REMEDY) or None)
 
 
 def _copy(
@@ -64,7 +64,7 @@ def _copy(
                 channels[record.id] = record
             elif isinstance(record, Message) and record.channel_id in channels:
                 channel = channels[record.channel_id]
-                if not _is_known(channel.topic):
+                if not fmt.is_known(channel.topic):
                     continue
                 writer.add(channel.topic, record.log_time, record.data, channel.metadata)
                 messages += 1
@@ -73,7 +73,3 @@ def _copy(
                     if progress is not None:
                         progress(file.position, file.size)
     return messages
-
-
-def _is_known(topic: str) -> bool:
-    return topic.startswith((fmt.CHUNKS, fmt.SENT)) or topic in fmt.KINDS

@@ -218,7 +218,7 @@ def _half(progress: Progress | None, which: int) -> Progress | None:
 
 
 def _is_input(message: RecordedMessage) -> bool:
-    return message.topic.startswith((fmt.CHUNKS, fmt.SENT)) or message.topic == fmt.EVENTS
+    return message.topic.startswith(fmt.OF_LINKS) or message.topic == fmt.EVENTS
 
 
 def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
@@ -247,7 +247,7 @@ def _told(recording: Recording, progress: Progress | None) -> Iterator[RecordedM
     for count, message in enumerate(recording.parts.messages()):
         if progress is not None and count % _MESSAGES_A_TELLING == 0:
             progress(recording.parts.position, total)
-        if message.topic.startswith((fmt.CHUNKS, fmt.SENT)) or message.topic in fmt.KINDS:
+        if fmt.is_known(message.topic):
             yield message
     if progress is not None:
         progress(total, total)
@@ -255,11 +255,8 @@ def _told(recording: Recording, progress: Progress | None) -> Iterator[RecordedM
 
 def _metadata(recording: Recording, topic: str) -> dict[str, str]:
     """Of a link's channel; none of others."""
-    for prefix in (fmt.CHUNKS, fmt.SENT):
-        if topic.startswith(prefix):
-            link = topic.removeprefix(prefix)
-            return {"link": link, "framing": recording.meta.links[link].value}
-    return {}
+    link = fmt.link_of(topic)
+    return {} if link is None else {"link": link, "framing": recording.meta.links[link].value}
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,7 +14,16 @@ from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
 from devices import recording_format as fmt
-from devices.recording_file import DAMAGE, LARGEST_RECORD, RecordingError, RecordingFile, chunk_records
+from devices.recording_file import (
+    DAMAGE,
+    LARGEST_RECORD,
+    RecordingError,
+    RecordingFile,
+    chunk_records,
+    most_records,
+    plain_json,
+)
+from gateway.errors import GatewayError
 from gateway.recording.reading import Recording
 
 _LONGEST_ID = 10
@@ -105,6 +113,9 @@ def recordings_in(folder: Path) -> Iterator[Recording | RecordingError]:
         except RecordingError as error:
             yield error
             continue
+        except GatewayError as error:
+            yield RecordingError(str(error))
+            continue
         shown.update(file.path for file in recording.parts.files)
         yield recording
 
@@ -135,7 +146,7 @@ def _newest_statistics(stream: BinaryIO, summary: Summary) -> dict[str, Any] | N
     stream.seek(max(holding, key=lambda index: index.message_end_time).chunk_start_offset)
     reader = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST_RECORD)
     chunk = next(iter(reader.records))
-    found = chunk_records(chunk) if isinstance(chunk, Chunk) else []
+    found = chunk_records(chunk, most_records(stream.tell())) if isinstance(chunk, Chunk) else []
     told = [part.data for part in found if isinstance(part, Message) and part.channel_id in numbers]
     return _plain(told[-1]) if told else None
 
@@ -151,8 +162,8 @@ def _by_reading(file: RecordingFile, figures: _Figures) -> None:
 def _plain(data: bytes) -> dict[str, Any]:
     """The object in a message; empty for what is none."""
     try:
-        found = json.loads(data)
-    except (ValueError, RecursionError):
+        found = plain_json(data)
+    except ValueError:
         return {}
     return found if isinstance(found, dict) else {}
 

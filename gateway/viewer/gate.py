@@ -7,6 +7,7 @@ passes on what may pass:
   cookie that stands for it, so that the token does not stay in the browser's address line.
 * A WebSocket only from the page itself: any other site open in the same browser could otherwise press its
   buttons (``Origin`` and ``Host`` must name the same place).
+* In no frame of another site.
 * Without a token only under a name of this machine, against names that are made to point here.
 """
 
@@ -23,16 +24,22 @@ from types import TracebackType
 from typing import Self
 
 from gateway.credentials import AccessToken, is_loopback
+from gateway.crowd import Crowd, CrowdedError
 from gateway.errors import OutputError
 
 LARGEST_HEAD = 16 * 1024
 """Bytes of a request, before its body; none has a body."""
 MOST_CLIENTS = 64
 """Connections at one time. A browser takes up to six while it loads."""
-PATIENCE_S = 10.0
-"""For a request to be told, and for the page's own server to answer."""
+MOST_OF_ONE_ADDRESS = 48
+"""Of those, with a request that is being answered."""
+FIRST_REQUEST_S = 3.0
+"""For a request to be told."""
 _LAST_WORDS_S = 1.0
 _BLOCK = 64 * 1024
+_NOT_FRAMED = "Content-Security-Policy: frame-ancestors 'none'", "X-Frame-Options: DENY"
+"""Within a frame of another site its buttons could be pressed by somebody who sees something else."""
+_CROWDED = "503 Service Unavailable", "too many connections are open already"
 _log = logging.getLogger(__name__)
 
 
@@ -46,6 +53,7 @@ class Refused(Exception):
                 "Content-Type: text/plain; charset=utf-8",
                 f"Content-Length: {len(text.encode()) + 1}",
                 "Connection: close",
+                *_NOT_FRAMED,
                 *headers,
                 "",
                 f"{text}\n",
@@ -146,6 +154,7 @@ class Gate:
         self._inner_port = inner_port
         self._door = door
         self._clients: set[asyncio.Task[None]] = set()
+        self._crowd: Crowd[asyncio.Task[None]] = Crowd(MOST_CLIENTS, MOST_OF_ONE_ADDRESS)
         self._server: asyncio.Server | None = None
 
     @property
@@ -181,25 +190,35 @@ class Gate:
         client.add_done_callback(self._clients.discard)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        client = asyncio.current_task()
+        assert client is not None
         try:
-            if len(self._clients) > MOST_CLIENTS:
-                raise Refused("503 Service Unavailable", f"{MOST_CLIENTS} connections are open already")
+            silent = self._crowd.enter(client, str(writer.get_extra_info("peername")[0]))
+            if silent is not None:
+                silent.cancel()
             await self._pass_on(reader, writer)
+        except CrowdedError:
+            with contextlib.suppress(OSError, TimeoutError):
+                await _answer(reader, writer, Refused(*_CROWDED).answer)
         except Refused as refused:
             with contextlib.suppress(OSError, TimeoutError):
                 await _answer(reader, writer, refused.answer)
         except (OSError, EOFError, TimeoutError) as error:
             _log.debug("a client of the page went: %r", error)
         finally:
+            self._crowd.leave(client)
             writer.close()
 
     async def _pass_on(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            async with asyncio.timeout(PATIENCE_S):
+            async with asyncio.timeout(FIRST_REQUEST_S):
                 head = await reader.readuntil(b"\r\n\r\n")
         except asyncio.LimitOverrunError:
             raise Refused("431 Request Header Fields Too Large", "the request is too long") from None
         request = Request(head)
+        client = asyncio.current_task()
+        assert client is not None
+        self._crowd.speak(client)
         self._door.admit(request)
         inner_reader, inner_writer = await asyncio.open_connection("127.0.0.1", self._inner_port)
         try:
@@ -207,6 +226,8 @@ class Gate:
             if request.is_websocket:
                 await _either(_copy(reader, inner_writer), _copy(inner_reader, writer))
             else:  # one request a connection: nothing that comes after it was looked at
+                answer = await inner_reader.readuntil(b"\r\n")
+                writer.write(answer + "".join(f"{line}\r\n" for line in _NOT_FRAMED).encode())
                 await _copy(inner_reader, writer)
         finally:
             inner_writer.close()

@@ -140,7 +140,7 @@ class LiveViewer:
             self._add_undrawn(self._wires, self._keeper, latest)
         posture = self._keeper.take(latest.pose)
         if self._panel.follow.value:
-            self._stage.follow(posture.place)
+            self._stage.follow(posture.place, latest.pose.t_ns * 1e-9)
         self._scene.draw(posture, is_stale, self._silent())
         if self._wires is not None:
             self._wires.draw(latest.pose.t_ns * 1e-9, posture)

@@ -56,7 +56,10 @@ def _row(module: str, segment: str, summary: JsonValue) -> tuple[str, ...]:
 
 def _number(summary: Mapping[str, JsonValue], name: str) -> float:
     value = summary.get(name)
-    return float(value) if isinstance(value, int | float) else 0.0
+    try:
+        return float(value) if isinstance(value, int | float) else 0.0
+    except OverflowError:  # JSON has integers of any length
+        return 0.0
 
 
 def _html_row(row: tuple[str, ...]) -> str:

@@ -91,7 +91,7 @@ class Playback:
         posture = self._keeper.take(pose)
         silent = silent_segments(pose.status, self._worn)
         if self._panel.follow.value:
-            self._stage.follow(posture.place)
+            self._stage.follow(posture.place, self._times_s[index])
         self._scene.draw(posture, is_stale=False, silent=silent)
         if self._wires is not None:
             self._add_undrawn(self._wires, before, index)

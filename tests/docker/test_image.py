@@ -22,7 +22,7 @@ NEEDED = ("buildah", "debootstrap")
 MISSING = [program for program in NEEDED if shutil.which(program) is None]
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.slow(reason="builds a root file system and the image, ten minutes and a network"),
     pytest.mark.timeout(3600),
     pytest.mark.skipif(bool(MISSING), reason=f"not installed: apt install {' '.join(MISSING)}"),
     pytest.mark.skipif(os.geteuid() != 0, reason="a root file system is made by root only"),

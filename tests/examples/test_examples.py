@@ -9,6 +9,7 @@ import importlib.util
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -18,6 +19,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from devices.emulators.local_broker import free_port
 from gateway.body.rig import load_rig
 from gateway.frames import SkeletonFrame
 from gateway.outputs import BridgeInfo, MqttSettings
@@ -107,12 +109,34 @@ async def test_node_subscriber(mosquitto, mqtt_js, until):
     shutil.copy(EXAMPLES / "node" / "subscribe.mjs", mqtt_js)
     async with MqttOutput(settings, SKELETON, INFO) as output:
         await until(lambda: output.is_connected)
-        command = ["node", "subscribe.mjs", f"mqtt://127.0.0.1:{mosquitto.port}", "3"]
+        command = ["node", "subscribe.mjs", f"mqtt://127.0.0.1:{mosquitto.port}", "3", "5"]
         lines = await lines_while_publishing(output, *command, cwd=mqtt_js)
     assert len(lines) == 3  # however many come at once
     topic, content_type, _, root, q = lines[0].split(" ", 4)
     assert (topic, content_type, root) == ("mocap/lab/pose", "application/json", "pelvis")
     np.testing.assert_allclose(json.loads(q), SKELETON.neutral, atol=1e-6)
+
+
+def test_every_example_receives_the_demo(mqtt_js, command, tmp_path):
+    """As the page of the examples says: against ``demo --keep``, over MQTT and over a WebSocket."""
+    port, websocket_port = free_port(), free_port()
+    options = ("--rig", "robot_arm_4", "--reconstructor", "independent", "--no-page")
+    ports = ("--port", port, "--websocket-port", websocket_port)
+    demo = command("demo", "--keep", *options, *ports)
+    demo.until_said("pose ")
+    shutil.copy(EXAMPLES / "node" / "subscribe.mjs", mqtt_js)
+    node = ["node", str(mqtt_js / "subscribe.mjs")]
+    python = [sys.executable, str(EXAMPLES / "python" / "subscribe.py"), "--port", str(port), "--count", "2"]
+    for typed in (
+        [*node, f"mqtt://127.0.0.1:{port}", "2"],
+        [*node, f"ws://127.0.0.1:{websocket_port}", "2"],
+        python,
+    ):
+        done = subprocess.run(typed, capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False)
+        assert done.returncode == 0, done.stderr
+        assert "demo" in done.stdout
+    demo.send_signal(signal.SIGINT)  # it ends the emulated suit, too
+    demo.wait()
 
 
 RAW_NODE = """import mqtt from "mqtt";
@@ -199,7 +223,7 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
         """Nothing."""
 
 
-def test_node_red_flow_is_wired_and_its_function_bends():
+def test_node_red_flow_is_wired_bends_and_asks_the_gateway_that_it_hears():
     flow = json.loads((EXAMPLES / "node_red" / "flow.json").read_text())
     nodes = {node["id"]: node for node in flow}
     assert len(nodes) == len(flow)
@@ -210,20 +234,30 @@ def test_node_red_flow_is_wired_and_its_function_bends():
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed")
-    function = nodes["mocap_bow"]["func"]
+    assert nodes["mocap_broker"]["protocolVersion"] == "4"  # which all brokers speak
+    assert nodes["mocap_ask"]["topic"] == ""  # that of the message
     poses = {"upright": SKELETON.neutral, "lying": [1.0, 0, 0, 0], "missing": None}
     payloads = {
         k: {"segments": {"thorax": None if q is None else list(map(float, q))}} for k, q in poses.items()
     }
-    program = f"""const f = new Function("msg", {json.dumps(function)});
-    const poses = {json.dumps(payloads)};
-    const out = {{}};
-    for (const [name, payload] of Object.entries(poses)) out[name] = f({{payload}})?.payload ?? null;
+    program = f"""
+    const kept = {{}}, warned = [], out = {{}};
+    const flow = {{ get: (name) => kept[name], set: (name, value) => {{ kept[name] = value; }} }};
+    const node = {{ warn: (text) => warned.push(text) }};
+    const bow = new Function("msg", "flow", "node", {json.dumps(nodes["mocap_bow"]["func"])});
+    const address = new Function("msg", "flow", "node", {json.dumps(nodes["mocap_address"]["func"])});
+    out.early = [address({{}}, flow, node), warned.length];
+    for (const [name, payload] of Object.entries({json.dumps(payloads)}))
+      out[name] = bow({{topic: "mocap/demo/pose", payload}}, flow, node)?.payload ?? null;
+    out.asked = address({{}}, flow, node).topic;
     console.log(JSON.stringify(out));"""
     done = subprocess.run(
         [node, "-e", program], capture_output=True, text=True, timeout=PATIENCE_S, check=True
     )
-    assert json.loads(done.stdout) == {"upright": 0, "lying": 90, "missing": None}
+    asked = "mocap/demo/bridge/request/recording/start"
+    assert json.loads(done.stdout) == {
+        "early": [None, 1], "upright": 0, "lying": 90, "missing": None, "asked": asked
+    }  # fmt: skip
 
 
 async def test_vmc_receiver(unused_port):

@@ -5,9 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from devices.emulators.imperfections import PRESETS
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
-from gateway.cli.demo_truth import SETTLING_S, Truth
-from gateway.cli.emulated_rig import dress, move
+from gateway.cli.demo_truth import SEED, SETTLING_S, Truth
+from gateway.emulation.rig import dress, move
+from gateway.pipeline import Pipeline
+from gateway.settings import GatewaySettings, LinkSettings
 
 RIG = "robot_arm_4"
 
@@ -42,3 +47,20 @@ def test_a_machine_that_did_not_keep_up_is_told(late_s, lost, expected_loss, sai
     note = truth.busy_note(stream(1000 - lost, lost), expected_loss)
     assert (note is None) == (said is None)
     assert said is None or said in note
+
+
+def test_the_demo_errs_by_a_few_degrees():
+    """Its suit and its settings, in simulated time: no machine is too busy for it."""
+    suit = load_rig("suit_17")
+    settings = GatewaySettings(links=[LinkSettings(name="suit", url="/dev/null")], rig="suit_17")
+    traffic = SuitTraffic(
+        move(dress(suit), suit.skeleton.name, SEED), SuitSettings(), PRESETS["typical"], SEED
+    )
+    pipeline, truth = Pipeline.from_settings(settings, suit), Truth(suit)
+    pipeline.add_link("suit", Framing.BYTE_STREAM)
+    for sent in traffic.transmissions(5.0):
+        for frame in pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), "suit")):
+            truth.add(received(suit, frame.time_ns * 1e-9, frame.q_wb, 0.0))
+    total, inclination, _ = np.nanmean(truth.errors_deg(), axis=0)
+    assert inclination < 3.0
+    assert total < 6.0

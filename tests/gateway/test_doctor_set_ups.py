@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import os
 import random
@@ -21,7 +20,6 @@ from gateway.doctor.host import disk, metrics_port
 from gateway.doctor.running import judge
 from gateway.outputs.messages import ModuleClockState, ModuleState
 from gateway.settings import LinkSettings, MetricsSettings, RecordingSettings
-from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -62,22 +60,17 @@ def pty():
     os.close(far)
 
 
-@contextlib.contextmanager
-def emulated(tmp_path, *options):
-    """An emulated suit of its own process, on a pseudo-terminal."""
-    port = tmp_path / "suit"
-    command = [sys.executable, "-m", "gateway", "emulate", "--on", "pty", "--link", str(port), *options]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    try:
-        deadline = time.monotonic() + PATIENCE_S
-        while not port.exists():
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        yield str(port)
-    finally:
-        process.terminate()
-        process.wait(PATIENCE_S)
+@pytest.fixture
+def emulated(command, tmp_path):
+    """``emulated(*options)``: the port of an emulated suit in a process of its own."""
+
+    def start(*options):
+        port = tmp_path / "suit"
+        suit = command("emulate", "--on", "pty", "--link", port, *options)
+        suit.until(port.exists, f"{port}")
+        return str(port)
+
+    return start
 
 
 def assert_named(finding, verdict, found, remedy):
@@ -251,18 +244,18 @@ def test_a_folder_that_cannot_be_written(tmp_path):
 # 9, 10 modules: ids in conflict, silent ones
 
 
-def test_modules_that_share_an_id(examined, tmp_path):
-    with emulated(tmp_path, "--rig", "robot_arm_4", "--id-conflict") as port:
-        findings = examined(url=port, rig="robot_arm_4", listen_s=0.5)
+def test_modules_that_share_an_id(examined, emulated):
+    port = emulated("--rig", "robot_arm_4", "--id-conflict")
+    findings = examined(url=port, rig="robot_arm_4", listen_s=0.5)
     assert_named(findings["modules: ids"], Verdict.BAD, "is shared by 2 devices", "modules assign")
     assert findings["suit: data"].verdict is Verdict.GOOD, findings["suit: data"]
 
 
-def test_modules_that_are_silent_and_strangers(examined, tmp_path):
-    with emulated(tmp_path, "--rig", "robot_arm_4") as port:
-        findings = examined(url=port, rig="suit_17", listen_s=0.5)
-        assert_named(findings["modules: heard"], Verdict.BAD, "never heard: ", "switch them on")
-        right = examined(url=port, rig="robot_arm_4", listen_s=0.5)
+def test_modules_that_are_silent_and_strangers(examined, emulated):
+    port = emulated("--rig", "robot_arm_4")
+    findings = examined(url=port, rig="suit_17", listen_s=0.5)
+    assert_named(findings["modules: heard"], Verdict.BAD, "never heard: ", "switch them on")
+    right = examined(url=port, rig="robot_arm_4", listen_s=0.5)
     assert right["modules: heard"].verdict is Verdict.GOOD
     assert "modules: ids" not in right
 
@@ -337,31 +330,24 @@ def test_states_of_a_running_gateway():
     assert all(f.remedy for f in found if f.verdict is not Verdict.GOOD)
 
 
-def test_a_running_gateway_is_asked(examined, mosquitto, tmp_path):
-    from tests.conftest import free_port  # noqa: PLC0415
+def test_a_running_gateway_is_asked(examined, emulated, command, mosquitto, tmp_path, unused_port):
+    port, findings = emulated("--rig", "robot_arm_4"), {}
+    options = {
+        "url": port,
+        "rig": "robot_arm_4",
+        "mqtt": {"port": mosquitto.port},
+        "metrics": {"port": unused_port},
+    }
+    assert examined(**options)["metrics"].verdict is Verdict.GOOD  # writes the configuration too
+    process = command("run", "-c", tmp_path / "gateway.yaml")
 
-    metrics = {"port": free_port()}
-    with emulated(tmp_path, "--rig", "robot_arm_4") as port:
-        options = {"url": port, "rig": "robot_arm_4", "mqtt": {"port": mosquitto.port}, "metrics": metrics}
-        assert examined(**options)["metrics"].verdict is Verdict.GOOD  # writes the configuration too
-        command = [sys.executable, "-m", "gateway", "run", "-c", str(tmp_path / "gateway.yaml")]
-        log = tmp_path / "gateway.log"
-        with log.open("wb") as stderr:
-            process = subprocess.Popen(command, stderr=stderr)
-        try:
-            deadline = time.monotonic() + 2 * PATIENCE_S
-            while True:
-                findings = examined(**options)
-                # states of modules are retained one by one, as they are heard
-                if "clocks" in findings and "with 5 modules" in findings["gateway"].found:
-                    break
-                said = "\n".join([*map(str, findings.values()), log.read_text()])
-                assert process.poll() is None, said
-                assert time.monotonic() < deadline, said
-                time.sleep(0.3)
-        finally:
-            process.terminate()
-            process.wait(PATIENCE_S)
+    def is_known():
+        findings.clear()
+        findings.update(examined(**options))
+        # states of modules are retained one by one, as they are heard
+        return "clocks" in findings and "with 5 modules" in findings["gateway"].found
+
+    process.until(is_known, "all modules")
     assert "is open in the running gateway" in findings["suit: port"].found
     assert "by the running gateway" in findings["metrics"].found
     assert "modules: heard" not in findings

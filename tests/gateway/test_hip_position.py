@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import yaml
 
-from benchmarks.video_truth import messages_of, ring_of_cameras, walking
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from devices.link import Chunk, Framing
 from gateway.accounting import balances_of, unaccounted
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
+from gateway.emulation.video_truth import messages_of, ring_of_cameras, walking
 from gateway.errors import SettingsError
 from gateway.frames import InertialReading, Quantity
 from gateway.pipeline import Pipeline
@@ -79,7 +79,6 @@ def test_the_hips_that_cameras_see_are_readings_of_the_device(seen):
     np.testing.assert_allclose(late, LATENCY_MS * 1e6, atol=2e3)
 
 
-@pytest.mark.slow  # compiling
 @pytest.mark.parametrize("reconstructor", ["articulated", "joint"])
 def test_the_root_is_where_the_cameras_see_the_hips(seen, reconstructor):
     folder, instants, truth = seen

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway import overload
-from gateway.overload import CALM_S_FIRST, LATE_S, LATE_TICKS, SHED, TICK_S, LoadWatch
+from gateway.overload import CALM_S_FIRST, CAUGHT_UP_S, LATE_S, LATE_TICKS, SHED, TICK_S, LoadWatch
 
 CHUNK_S = 0.01
 
@@ -41,8 +41,10 @@ def test_a_machine_that_keeps_up_gives_nothing_up():
 @pytest.mark.parametrize("enough", range(1, len(SHED)))
 def test_it_stops_at_the_first_stage_that_is_enough(enough):
     machine = Machine(costs(*[1.5] * enough, 0.3))
-    machine.run(4.0)
-    assert [stage for _, stage in machine.history][:enough] == list(range(1, enough + 1))
+    while machine.watch.stage < enough:
+        machine.run(CHUNK_S)
+    assert [stage for _, stage in machine.history] == list(range(1, enough + 1))
+    machine.run(CAUGHT_UP_S)
     assert machine.watch.stage == enough
     assert machine.watch.statistics()["shed"] == [stage.name for stage in SHED[1 : enough + 1]]
 
@@ -63,7 +65,34 @@ def test_a_backlog_that_only_drains_slowly_takes_no_more_than_it_must():
     assert machine.lag_s == 0.0
 
 
-def test_everything_comes_back_stage_by_stage_when_the_load_is_gone():
+@pytest.mark.parametrize("backlog_s", [0.5, 3.0, 60.0])
+def test_after_a_burst_all_comes_back_within_a_second_of_catching_up(backlog_s):
+    """What piled up while the process was stopped comes faster than it can be handled, for a while."""
+    machine = Machine(costs(2.0))
+    while machine.watch.stage < len(SHED) - 1:
+        machine.run(CHUNK_S)
+    machine.lag_s, machine.costs = max(machine.lag_s, backlog_s), costs(0.3)
+    while machine.lag_s > 0.0:
+        machine.run(CHUNK_S)
+    machine.run(1.0)
+    assert machine.watch.stage == 0
+    machine.run(60.0)
+    assert machine.watch.stage == 0
+
+
+def test_a_load_that_lasts_is_back_at_its_stage_at_once_when_all_was_given_back():
+    machine = Machine(costs(2.0, 2.0, 2.0, 2.0, 0.5))
+    while len(machine.history) < 6:
+        machine.run(CHUNK_S)
+    assert [stage for _, stage in machine.history] == [1, 2, 3, 4, 0, 4]
+    given_back_s, taken_s = machine.history[-2][0], machine.history[-1][0]
+    assert taken_s - given_back_s <= LATE_TICKS * TICK_S + 2 * TICK_S
+    machine.history.clear()
+    machine.run(CALM_S_FIRST - 1.0)
+    assert machine.history == []
+
+
+def test_everything_comes_back_stage_by_stage_when_a_load_that_lasted_is_gone():
     machine = Machine(costs(2.0, 2.0, 2.0, 2.0, 0.5))
     machine.run(10)
     top = machine.watch.stage
@@ -106,7 +135,7 @@ def test_one_link_that_keeps_up_does_not_hide_one_that_does_not():
 
 
 @given(st.lists(st.tuples(st.floats(0, 3), st.floats(0, 2)), max_size=300))
-def test_whatever_comes_it_goes_one_stage_at_a_time_and_never_faster_than_said(steps):
+def test_whatever_comes_nothing_is_taken_or_given_back_faster_than_said(steps):
     watch, now_s, before, changed_s = LoadWatch(), 0.0, 0, -1e9
     for lag_s, wait_s in steps:
         now_s += wait_s
@@ -114,7 +143,9 @@ def test_whatever_comes_it_goes_one_stage_at_a_time_and_never_faster_than_said(s
         assert has_changed == (watch.stage != before)
         assert 0 <= watch.stage < len(SHED)
         if has_changed:
-            assert abs(watch.stage - before) == 1
-            least_s = TICK_S * LATE_TICKS if watch.stage > before else CALM_S_FIRST
+            if watch.stage < before:
+                least_s = CAUGHT_UP_S if watch.stage == 0 else CALM_S_FIRST
+            else:
+                least_s = TICK_S * LATE_TICKS
             assert now_s - changed_s >= least_s - 1e-9
             before, changed_s = watch.stage, now_s

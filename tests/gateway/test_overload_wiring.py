@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
+from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.overload import SHED
 from gateway.service import Service
@@ -36,3 +39,19 @@ def test_each_stage_takes_what_it_says_and_gives_it_back(service, stage, caplog)
     assert service.statistics()["load"]["shed"] == [each.name for each in SHED[1 : stage + 1]]
     assert service.observer.health()["load"]["stage"] == stage
     assert service.observer.figures().load.stage == stage
+
+
+async def test_what_waits_in_the_system_counts_as_lag_also_where_none_of_it_becomes_a_pose(until):
+    settings = GatewaySettings(
+        gateway="lab", links=[{"name": "suit", "url": "tcp://127.0.0.1:1"}], rig="robot_arm_4"
+    )
+    service = Service(settings, load_rig("robot_arm_4"))
+    (link,) = service.links
+    watching = asyncio.create_task(service._watch_load())
+    link.counts.backlog_since_ns = gateway_time_ns() - 1_000_000_000
+    await until(lambda: service.load.stage >= 1)
+    service._note_lag(link, gateway_time_ns())  # a chunk that was read a moment ago does not hide it
+    assert service.load.worst_s > 1.0
+    link.counts.backlog_since_ns = None
+    await until(lambda: service.load.stage == 0)
+    watching.cancel()

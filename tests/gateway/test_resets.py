@@ -13,7 +13,7 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_body, load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import CALIBRATED_EVENT, RESET_EVENT, Pipeline
@@ -141,7 +141,7 @@ def _played(reconstructor, events):
     return frames
 
 
-@pytest.mark.parametrize("reconstructor", ["independent", pytest.param("joint", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("reconstructor", ["independent", "joint"])
 def test_every_reconstructor_is_reset_alike_and_repeatably(reconstructor):
     events = {120: (RESET_EVENT, {"kind": "heading", "facing": 1.0})}
     first, second = _played(reconstructor, events), _played(reconstructor, events)

@@ -33,7 +33,7 @@ class FakeLink:
         self._delay_s = delay_s
         self._error = error
 
-    async def write(self, data):
+    async def write(self, data, _to=()):
         if self._error is not None:
             raise self._error
         if self._delay_s:

@@ -1,8 +1,6 @@
 """``calibrate clocks`` as a user types it, on an emulated suit, and the table it writes in use."""
 
 import asyncio
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -14,12 +12,12 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from devices.link import Chunk, Framing, gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
 from gateway.clocks import load_clock_table
+from gateway.emulation.rig import dress, move
 from gateway.errors import SettingsError
 from gateway.pipeline import Pipeline
 from gateway.settings import load_gateway_settings
-from tests.patience import PATIENCE_S
+from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 
@@ -40,16 +38,7 @@ def write_config(folder, **changes):
     return folder / "gateway.yaml"
 
 
-def calibrate(*arguments):
-    return subprocess.Popen(
-        [sys.executable, "-m", "gateway", "calibrate", "clocks", *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-async def test_the_table_has_the_emulated_rates_and_the_pipeline_takes_it(tmp_path):
+async def test_the_table_has_the_emulated_rates_and_the_pipeline_takes_it(command, tmp_path):
     config = write_config(tmp_path)
     suit, traffic = emulated_traffic()
     emulated = EmulatedSuit(
@@ -58,12 +47,12 @@ async def test_the_table_has_the_emulated_rates_and_the_pipeline_takes_it(tmp_pa
     playing = asyncio.create_task(emulated.run())
     # a hitch of this machine by 1 ms is 100 ppm of such a minute
     shortened = ("--minutes", 2, "--minute-s", 10, "--settling-s", 3)
-    with calibrate("-c", config, *shortened) as process:
-        out, error = await asyncio.to_thread(process.communicate, timeout=3 * PATIENCE_S)
+    process = command("calibrate", "clocks", "-c", config, *shortened)
+    code = await process.ended()
     playing.cancel()
     await asyncio.gather(playing, return_exceptions=True)
-    assert process.returncode == 0, error
-    assert "robot_arm_4.clocks.yaml" in out
+    assert code == 0, process.report()
+    assert "robot_arm_4.clocks.yaml" in process.output
     table = load_clock_table(tmp_path / "robot_arm_4.clocks.yaml")
     skews = {i: 1e6 * traffic.senders[i].clock.skew for i in suit.module_ids}
     ranked = [skews[module] for module in table.ranking]
@@ -91,10 +80,9 @@ async def test_the_table_has_the_emulated_rates_and_the_pipeline_takes_it(tmp_pa
 
 
 def test_what_cannot_be_measured_is_one_line(tmp_path):
-    config = write_config(tmp_path)
-    with calibrate("-c", config, "-o", tmp_path / "no" / "such" / "table.yaml") as process:
-        _, error = process.communicate(timeout=3 * PATIENCE_S)
-    assert process.returncode == 1
+    config, table = write_config(tmp_path), tmp_path / "no" / "such" / "table.yaml"
+    code, _, error = typed_here(["calibrate", "clocks", "-c", config, "-o", table])
+    assert code == 1
     assert "there is no folder" in error
     assert len(error.strip().splitlines()) == 1
 

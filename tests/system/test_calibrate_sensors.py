@@ -15,7 +15,7 @@ from devices.emulators.transports import PtyTransport
 from devices.emulators.tumbling import TumblingMotion
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
 from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
@@ -52,7 +52,7 @@ def test_bad_input_is_answered_in_one_line(arguments, message):
     assert len(err.strip().splitlines()) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="the suit tumbles in its box for three times two minutes, in real time")
 @pytest.mark.timeout(300)
 async def test_a_suit_in_a_box_is_calibrated_into_a_rig_file_and_into_flash(tmp_path):
     suit = load_rig("arm_3")

@@ -8,13 +8,14 @@ import contextlib
 import numpy as np
 import pytest
 
-from devices.emulators.calibrating import calibration_motion, strapped_on, timetable
+from devices.calibration_script import timetable
+from devices.emulators.calibrating import calibration_motion, strapped_on
 from devices.emulators.emulated_suit import EmulatedSuit
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig
 from gateway.calibration.procedure import PROCEDURE
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
 from gateway.modules.operations import RequestError
 from gateway.modules.remote import remote_suit
 from gateway.outputs.settings import MqttSettings

@@ -24,7 +24,10 @@ from gateway.service import Service
 from gateway.settings import load_gateway_settings
 from tests.seen_walk import CAMERAS, seen_walk
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.slow(reason="compiles the reconstruction from heat maps: a minute"),
+]
 N = 24
 
 

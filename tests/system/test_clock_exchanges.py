@@ -11,7 +11,7 @@ from devices.emulators.imperfections import Imperfections
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
 from gateway.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S

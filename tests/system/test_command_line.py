@@ -1,6 +1,5 @@
 """The commands as a user types them, each in a process of its own where more than its words count."""
 
-import contextlib
 import json
 import os
 import re
@@ -19,45 +18,20 @@ from tests.typed_here import typed_here
 pytestmark = pytest.mark.system
 
 
-def gateway(*arguments, timeout=3 * PATIENCE_S):
-    """Exit code, standard output, standard error."""
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr
+@pytest.fixture
+def gateway(command):
+    """``gateway("watch", ...)``: exit code, standard output, standard error."""
+
+    def run_to_the_end(*arguments):
+        ended = command(*arguments)
+        return ended.wait(), ended.output, ended.errors
+
+    return run_to_the_end
 
 
-@contextlib.contextmanager
-def running(*arguments):
-    """A command in the background; its output in ``process.lines`` files."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "gateway", *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.terminate()
-            process.wait(PATIENCE_S)
-
-
-def stderr_until(process, pattern, timeout_s=2 * PATIENCE_S):
-    """Lines of standard error up to the one that matches."""
-    lines, deadline = [], time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
-        line = process.stderr.readline()
-        lines.append(line)
-        if re.search(pattern, line):
-            return lines
-        if not line and process.poll() is not None:
-            break
-    pytest.fail(f"'{pattern}' was not said:\n{''.join(lines)}")
+def url_of(emulator):
+    """Where an emulated suit is, once it says so."""
+    return json.loads(emulator.until_said('"url"'))["url"]
 
 
 def write_config(folder, port, url, **changes):
@@ -75,10 +49,11 @@ def write_config(folder, port, url, **changes):
 
 def test_the_shipped_configuration_is_good():
     config = Path(__file__).parents[2] / "config" / "gateway.yaml"
-    code, out, _ = gateway("config", "check", config)
-    assert code == 0
-    assert "is good" in out
-    assert "17 modules on body 'human_17'" in out
+    typed = [sys.executable, "-m", "gateway", "config", "check", str(config)]
+    done = subprocess.run(typed, capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert "is good" in done.stdout
+    assert "17 modules on body 'human_17'" in done.stdout
 
 
 def test_the_schema_describes_every_setting():
@@ -118,7 +93,7 @@ def test_a_wrong_configuration_is_one_clear_line(tmp_path, changes, said):
     assert "Traceback" not in err
 
 
-def test_a_wrong_link_ends_the_service_before_anything_is_opened(tmp_path):
+def test_a_wrong_link_ends_the_service_before_anything_is_opened(tmp_path, gateway):
     code, _, err = gateway("run", "-c", write_config(tmp_path, 1883, "serail:///dev/ttyUSB0"))
     assert code == 1
     assert err == "mocap-gateway: serail:///dev/ttyUSB0: unknown scheme 'serail'; did you mean 'serial'?\n"
@@ -132,33 +107,43 @@ def test_a_rig_with_an_unknown_segment_names_the_nearest(tmp_path):
     assert re.search(r"rig\.yaml: module 0 sits on 'left_tigh'.*did you mean 'left_thigh'", err)
 
 
-def test_absent_port_and_broker_are_said_once_and_awaited(tmp_path, unused_port):
+def test_absent_port_and_broker_are_said_once_and_awaited(tmp_path, command, unused_port):
     config = write_config(tmp_path, unused_port, "/dev/ttyABSENT")
-    with running("run", "-c", config) as process:
-        lines = stderr_until(process, "no MQTT broker at")
-        time.sleep(1.0)
-        process.send_signal(signal.SIGTERM)
-        _, rest = process.communicate(timeout=PATIENCE_S)
-    said = "".join(lines) + rest
-    assert process.returncode == 0
+    process = command("run", "-c", config)
+    process.until_said("no MQTT broker at")
+    time.sleep(1.0)  # for attempts that are to say nothing; a busy machine makes fewer
+    process.terminate()
+    assert process.wait() == 0
+    said = process.output + process.errors
     assert said.count("/dev/ttyABSENT: no such port; ports present") == 1
     assert said.count("is mosquitto running?") == 1
     assert "Traceback" not in said
 
 
-def test_a_busy_port_is_named_with_its_holder(tmp_path, unused_port):
-    suit = tmp_path / "suit"
-    with running("emulate", "--rig", "robot_arm_4", "--on", "pty", "--link", suit, "--json") as emulator:
-        assert json.loads(emulator.stdout.readline())["url"] == str(suit)
-        config = write_config(tmp_path, unused_port, suit)
-        with running("run", "-c", config) as first:
-            stderr_until(first, "suit: up")
-            with running("run", "-c", config) as second:
-                (line,) = [x for x in stderr_until(second, "suit: down") if "suit: down" in x]
+def test_a_busy_port_is_named_with_its_holder(tmp_path, command, unused_port):
+    emulator = command(
+        "emulate", "--rig", "robot_arm_4", "--on", "pty", "--link", tmp_path / "suit", "--json"
+    )
+    assert url_of(emulator) == str(tmp_path / "suit")
+    config = write_config(tmp_path, unused_port, tmp_path / "suit")
+    first = command("run", "-c", config)
+    first.until_said("suit: up")
+    line = command("run", "-c", config).until_said("suit: down")
     assert re.search(rf"(busy|in use|held).*{first.pid}", line), line
 
 
-def test_a_busy_broker_port_of_the_embedded_broker_is_one_line(tmp_path, mosquitto):
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_an_emulated_suit_takes_its_link_away(tmp_path, command, ending):
+    suit = tmp_path / "suit"
+    emulator = command("emulate", "--rig", "robot_arm_4", "--on", "pty", "--link", suit, "--json")
+    assert url_of(emulator) == str(suit)
+    assert suit.is_symlink()
+    emulator.send_signal(ending)
+    assert (emulator.wait(), emulator.errors) == (0, "")
+    assert not suit.is_symlink()
+
+
+def test_a_busy_broker_port_of_the_embedded_broker_is_one_line(tmp_path, gateway, mosquitto):
     config = write_config(
         tmp_path, mosquitto.port, "/dev/ttyABSENT", mqtt={"broker": "embedded", "port": mosquitto.port}
     )
@@ -168,16 +153,15 @@ def test_a_busy_broker_port_of_the_embedded_broker_is_one_line(tmp_path, mosquit
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("medium", ["pty", "slcan", pytest.param("tcp", marks=pytest.mark.slow)])
-def test_emulate_run_and_watch_work_together(tmp_path, mosquitto, unused_port, medium):
+@pytest.mark.parametrize("medium", ["pty", "slcan", "tcp"])
+def test_emulate_run_and_watch_work_together(tmp_path, command, gateway, mosquitto, unused_port, medium):
     where = ["--port", unused_port] if medium == "tcp" else ["--link", tmp_path / "suit"]
     emulate = ["emulate", "--rig", "robot_arm_4", "--on", medium, *where, "--json"]
-    with running(*emulate) as emulator:
-        url = json.loads(emulator.stdout.readline())["url"]
-        with running("run", "-c", write_config(tmp_path, mosquitto.port, url)):
-            code, out, err = gateway(
-                "watch", "--port", mosquitto.port, "--count", 20, "--json", "--timeout", 2 * PATIENCE_S
-            )
+    url = url_of(command(*emulate))
+    command("run", "-c", write_config(tmp_path, mosquitto.port, url))
+    code, out, err = gateway(
+        "watch", "--port", mosquitto.port, "--count", 20, "--json", "--timeout", 2 * PATIENCE_S
+    )
     assert code == 0, err
     poses = [json.loads(line) for line in out.splitlines()]
     assert len(poses) == 20
@@ -185,26 +169,19 @@ def test_emulate_run_and_watch_work_together(tmp_path, mosquitto, unused_port, m
     assert set(poses[-1]["status"].values()) <= {"measured", "interpolated", "held"}
 
 
-def test_the_demo_prints_poses_and_their_error(unused_port):
-    """In real time: what a machine that is too busy loses of it, it may try to do better. Where it never is
-    idle enough, and the demo says so each time, nothing is shown."""
-    errors = []
-    for _ in range(3):
-        code, out, err = gateway("demo", "--seconds", 8, "--port", unused_port)
-        assert code == 0, err
-        assert len(re.findall(r"^pose +\d+ .*latency", out, flags=re.MULTILINE)) >= 5
-        means = re.search(r"mean +│ +([\d.]+) │ +([\d.]+) │ +([\d.]+)", out).groups()
-        total, inclination, _ = map(float, means)
-        if inclination < 3.0 and total < 6.0:
-            return
-        errors.append((total, inclination, "this machine was too busy" in out))
-    told = f"wrong by so many degrees, of these by inclination, told that too busy: {errors}"
-    if all(is_told for _, _, is_told in errors):
-        pytest.skip(told)
-    pytest.fail(told)
+def test_the_demo_prints_poses_and_their_error(gateway, unused_port):
+    """In real time: a machine that does not keep up must be told to be the reason of what errs."""
+    code, out, err = gateway("demo", "--seconds", 5, "--port", unused_port)
+    assert code == 0, err
+    assert len(re.findall(r"^pose +\d+ .*latency", out, flags=re.MULTILINE)) >= 2
+    means = re.search(r"mean +│ +([\d.]+) │ +([\d.]+) │ +([\d.]+)", out).groups()
+    total, inclination, _ = map(float, means)
+    assert (inclination < 3.0 and total < 6.0) or "this machine was too busy" in out, out
 
 
-def test_a_recording_is_played_as_if_modules_sent_it(tmp_path, mosquitto, recording_set, unused_port):
+def test_a_recording_is_played_as_if_modules_sent_it(
+    tmp_path, command, gateway, mosquitto, recording_set, unused_port
+):
     trial = recording_set("ring_chain5") / "trial1"
     emulate = [
         "emulate",
@@ -217,15 +194,14 @@ def test_a_recording_is_played_as_if_modules_sent_it(tmp_path, mosquitto, record
         "--port",
         unused_port,
     ]
-    with running(*emulate, "--json") as emulator:
-        url = json.loads(emulator.stdout.readline())["url"]
-        config = write_config(
-            tmp_path, mosquitto.port, url, rig="chain_5", assembly={"rate_hz": 40}, clock={"mode": "shared"}
-        )
-        with running("run", "-c", config):
-            code, out, err = gateway(
-                "watch", "--port", mosquitto.port, "--count", 5, "--json", "--timeout", 2 * PATIENCE_S
-            )
+    url = url_of(command(*emulate, "--json"))
+    config = write_config(
+        tmp_path, mosquitto.port, url, rig="chain_5", assembly={"rate_hz": 40}, clock={"mode": "shared"}
+    )
+    command("run", "-c", config)
+    code, out, err = gateway(
+        "watch", "--port", mosquitto.port, "--count", 5, "--json", "--timeout", 2 * PATIENCE_S
+    )
     assert code == 0, err
     assert len(json.loads(out.splitlines()[-1])["segments"]) == 5
 

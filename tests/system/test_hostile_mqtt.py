@@ -164,13 +164,16 @@ WANTED = {
     "x" * 300: False,
     "mocap/lab/bridge/response/elsewhere": True,
     "my/answers": True,
+    "mysterious/answers": False,
+    "zigbee2mqtt/lamp/set": False,
 }
 
 
 @pytest.mark.parametrize("wanted", WANTED, ids=lambda topic: topic[:20])
 async def test_an_answer_goes_only_where_it_harms_nobody(mosquitto, wanted):
     async with under_fire(mosquitto, "5") as (responder, _, client, answers):
-        responder._settings = responder._settings.model_copy(update={"home_assistant": "homeassistant"})
+        allowed = {"response_topics": ("my", "my/answers/deeper")}
+        responder._settings = responder._settings.model_copy(update=allowed)
         properties = Properties(PacketTypes.PUBLISH)
         properties.ResponseTopic = wanted
         properties.ContentType = "image/png"

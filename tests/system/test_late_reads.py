@@ -17,8 +17,8 @@ from devices.emulators.transports import PtyTransport
 from devices.link import Chunk, gateway_time_ns
 from devices.serial_link import SerialLink
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
 from gateway.comparison import orientation_error
+from gateway.emulation.rig import dress, move
 from gateway.outputs.messages import PoseMessage
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.service import Service
@@ -26,7 +26,7 @@ from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
-    from tests.conftest import Mosquitto
+    from tests.fixtures.brokers import Mosquitto
 
 pytestmark = pytest.mark.system
 RIG = "robot_arm_4"

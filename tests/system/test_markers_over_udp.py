@@ -24,7 +24,7 @@ from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
-from tests.conftest import free_port
+from tests.fixtures.brokers import free_port
 from tests.marked_person import places_of, subject_file, y_up
 
 pytestmark = pytest.mark.system

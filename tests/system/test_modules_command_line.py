@@ -6,9 +6,6 @@ import asyncio
 import contextlib
 import json
 import signal
-import subprocess
-import sys
-from typing import ClassVar
 
 import pytest
 import yaml
@@ -24,71 +21,48 @@ from gateway.outputs.settings import MqttSettings
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
 from tests.patience import PATIENCE_S
-from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 
 RIG = "robot_arm_4"
-LONGEST_S = 100
-"""Of a command, on a machine that does much else."""
 
 
 @pytest.fixture(autouse=True)
-async def _state_of_its_own(tmp_path, monkeypatch):
+def _state_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    yield
-    while Typed.started:  # of a test that failed
-        process = Typed.started.pop()
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
 
 
 @pytest.fixture
-def suit_on_port(commanded_suit, tmp_path):
+def suit_on_port(commanded_suit, command, tmp_path):
     """``async with suit_on_port(stored_ids=…) as (suit, modules)``; ``modules("list")`` is typed."""
 
     @contextlib.asynccontextmanager
     async def start(**settings):
         port = tmp_path / "port"
         async with commanded_suit(RIG, PtyTransport(port), **settings) as suit:
-            yield suit, Typed("--link", str(port), "--rig", RIG)
+            yield suit, Typed(command, "--link", str(port), "--rig", RIG)
 
     return start
 
 
 class Typed:
-    """Types commands and sees what a user sees: in a process of its own where it reads what is typed or
-    is killed (``start``), else in a thread, as starting Python takes longer than most commands."""
+    """Types commands, each in a process of its own: the suit's event loop goes on meanwhile."""
 
-    started: ClassVar[list[asyncio.subprocess.Process]] = []
-
-    def __init__(self, *where):
+    def __init__(self, command, *where):
+        self._command = command
         self._where = where
 
-    async def start(self, *arguments):
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "gateway", "modules", *arguments, *self._where),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-        self.started.append(process)
-        return process
+    def start(self, *arguments):
+        return self._command("modules", *arguments, *self._where)
 
     async def __call__(self, *arguments):
-        typed = ["modules", *arguments, *self._where]
-        return await asyncio.wait_for(asyncio.to_thread(typed_here, typed), LONGEST_S)
-
-    async def in_a_process(self, *arguments):
-        process = await self.start(*arguments)
-        output, errors = await asyncio.wait_for(process.communicate(), LONGEST_S)
-        return process.returncode, output.decode(), errors.decode()
+        process = self.start(*arguments)
+        return await process.ended(), process.output, process.errors
 
 
 async def test_list_shows_every_module_and_names_a_conflict_with_its_remedy(suit_on_port):
     async with suit_on_port(has_relay=True) as (suit, modules):
-        code, output, errors = await modules.in_a_process("list", "--listen", "1")
+        code, output, errors = await modules("list", "--wide", "--listen", "1")
         assert (code, errors) == (0, "")
         for number, segment in enumerate(("link_1", "link_2", "link_3", "link_4")):
             (line,) = [line for line in output.splitlines() if suit.unique_id(number).hex() in line]
@@ -110,16 +84,16 @@ async def test_list_shows_every_module_and_names_a_conflict_with_its_remedy(suit
 
 async def test_a_busy_port_says_how_to_ask_the_gateway_that_holds_it(suit_on_port, until):
     async with suit_on_port() as (suit, modules):
-        holder = await modules.start("watch")
-        await until(lambda: suit.suit.counts.received_bytes > 0, LONGEST_S)  # it has the port, and asks
-        code, output, errors = await modules.in_a_process("list")
+        holder = modules.start("watch")
+        await until(lambda: suit.suit.counts.received_bytes > 0)  # it has the port, and asks
+        code, output, errors = await modules("list")
         holder.send_signal(signal.SIGINT)
-        _, complaints = await asyncio.wait_for(holder.communicate(), PATIENCE_S)
+        await holder.ended()
     assert (code, output) == (1, "")
     assert "is busy" in errors
     assert "--mqtt HOST:PORT" in errors
     assert len(errors.splitlines()) == 1
-    assert b"Traceback" not in complaints
+    assert "Traceback" not in holder.errors
 
 
 @pytest.mark.parametrize(
@@ -132,8 +106,8 @@ async def test_a_busy_port_says_how_to_ask_the_gateway_that_holds_it(suit_on_por
         (("-c", "absent.yaml"), "absent.yaml: no such file"),
     ],
 )
-async def test_a_suit_that_is_not_said_or_not_there_is_one_line(where, message):
-    code, output, errors = await Typed(*where)("list")
+async def test_a_suit_that_is_not_said_or_not_there_is_one_line(command, where, message):
+    code, output, errors = await Typed(command, *where)("list")
     assert (code, output) == (1, "")
     assert message in errors
     assert len(errors.splitlines()) == 1
@@ -170,7 +144,7 @@ async def test_identify_set_show_and_undo(suit_on_port):
         assert suit.traffic.device(2).settings["label"] == ""
 
 
-async def test_backup_and_restore(suit_on_port, tmp_path):
+async def test_backup_and_restore(suit_on_port, command, tmp_path):
     file = tmp_path / "suit.yaml"
     async with suit_on_port() as (suit, modules):
         code, output, _ = await modules("backup", str(file))
@@ -183,12 +157,28 @@ async def test_backup_and_restore(suit_on_port, tmp_path):
         assert "module_id 9 → 1" in output
         assert suit.ids()[1] == 1
         assert suit.traffic.device(1).settings["label"] == ""
-    (tmp_path / "other.yaml").write_text("links: []\n")
-    code, _, errors = await Typed("--link", "/dev/null", "--rig", RIG)(
-        "restore", str(tmp_path / "other.yaml")
-    )
-    assert code == 1
-    assert "no backup of modules" in errors
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("links: []", "it has no settings by unique id"),
+        ("modules: [{id: 0, segment: pelvis}]", "it has no settings by unique id"),
+        (
+            "modules: {3: {label: x}}",
+            "under 'modules:' '3' is no unique id: 24 hexadecimal digits",
+        ),
+        (f"modules: {{'{'0' * 24}': [label]}}", f"under '{'0' * 24}:' it has no settings by name"),
+    ],
+)
+async def test_what_is_no_backup_is_said_in_plain_words(tmp_path, command, content, message):
+    file = tmp_path / "other.yaml"
+    file.write_text(content)
+    code, output, errors = await Typed(command, "--link", "/dev/null", "--rig", RIG)("restore", str(file))
+    assert (code, output) == (1, "")
+    assert f"{file} is no file that `modules backup` wrote: " in errors
+    assert message in errors
+    assert len(errors.splitlines()) == 1
 
 
 class Fitter:
@@ -199,30 +189,35 @@ class Fitter:
         self.lines = []
 
     async def work(self):
-        async for raw in self._process.stdout:
-            line = raw.decode().strip()
-            self.lines.append(line)
-            if "module on the " in line:
-                segment = line.partition("module on the ")[2].replace(" ", "_")
-                if self._keys and self._keys[0][0] == segment:
-                    self._type(self._keys.pop(0)[1])
-                else:
-                    self._suit.traffic.tap(self._wearers[segment], self._suit.soon_s(0.1))
-            elif "do it?" in line:
-                self._type("y")
-        return await self._process.wait()
+        """Do what every line asks for until the command ends; return its exit code."""
+        while True:
+            has_ended = self._process.returncode is not None  # before the look: no line comes after it
+            whole, _, _ = self._process.output.rpartition("\n")
+            for line in whole.splitlines()[len(self.lines) :]:
+                self.lines.append(line.strip())
+                self._answer(line)
+            if has_ended:
+                return self._process.returncode
+            await asyncio.sleep(0.01)
 
-    def _type(self, key):
-        self._process.stdin.write(f"{key}\n".encode())
+    def _answer(self, line):
+        if "module on the " in line:
+            segment = line.strip().partition("module on the ")[2].replace(" ", "_")
+            if self._keys and self._keys[0][0] == segment:
+                self._process.type(self._keys.pop(0)[1])
+            else:
+                self._suit.traffic.tap(self._wearers[segment], self._suit.soon_s(0.1))
+        elif "do it?" in line:
+            self._process.type("y")
 
 
 async def test_assign_sets_swapped_and_doubled_modules_right(suit_on_port):
     wearers = {"link_1": 0, "link_2": 1, "link_3": 2, "link_4": 3}
     async with suit_on_port(stored_ids={0: 1, 1: 0, 3: 2}) as (suit, modules):
-        process = await modules.start("assign", "--allow-writes")
+        process = modules.start("assign", "--allow-writes")
         fitter = Fitter(suit, process, wearers)
-        code = await asyncio.wait_for(fitter.work(), LONGEST_S)
-        assert code == 0, await process.stderr.read()
+        code = await asyncio.wait_for(fitter.work(), PATIENCE_S)
+        assert code == 0, process.report()
         assert suit.ids() == {n: n for n in range(4)}
     text = "\n".join(fitter.lines)
     assert "conflict: module id 2 is shared by" in text
@@ -230,13 +225,30 @@ async def test_assign_sets_swapped_and_doubled_modules_right(suit_on_port):
     assert "was tapped: it becomes module 0, and module 0" in text
 
 
+async def test_assign_is_tried_against_an_emulator_that_is_told_what_to_shake(tmp_path, command):
+    port = tmp_path / "port"
+    emulator = command("emulate", "--rig", RIG, "--link", port, "--json")
+    await emulator.until_it_says('"url"')
+    assigning = Typed(command, "--link", str(port), "--rig", RIG).start(
+        "assign", "--segment", "link_4", "--allow-writes", "--yes"
+    )
+    await assigning.until_it_says("shake or tap the module on the link 4")
+    for line in ("wink link 3", "shake link 7", "shake link 3"):
+        emulator.type(line)
+    assert await assigning.ended() == 0
+    assert "was shaken: it becomes module 3, and module 3" in assigning.output
+    assert "'wink' is unknown; type shake NAME" in emulator.errors
+    assert "no module is on 'link 7' (did you mean 'link_" in emulator.errors
+    assert len(emulator.output.splitlines()) == 1
+
+
 async def test_assign_with_skip_undo_and_redo(suit_on_port):
     wearers = {"link_1": 0, "link_2": 1, "link_3": 2, "link_4": 3}
     async with suit_on_port(stored_ids={0: 1, 1: 0}) as (suit, modules):
-        process = await modules.start("assign", "--allow-writes", "--yes")
+        process = modules.start("assign", "--allow-writes", "--yes")
         keys = [("link_2", "u"), ("link_3", "s"), ("link_4", "q")]
         fitter = Fitter(suit, process, wearers, keys)
-        code = await asyncio.wait_for(fitter.work(), LONGEST_S)
+        code = await asyncio.wait_for(fitter.work(), PATIENCE_S)
         assert code == 1  # two were skipped
         assert suit.ids() == {n: n for n in range(4)}
     text = "\n".join(fitter.lines)
@@ -249,10 +261,10 @@ async def test_assign_by_name_without_shaking_survives_a_module_that_restarts(su
     async with suit_on_port(stored_ids={0: 1, 1: 0}) as (suit, modules):
         suit.traffic.device(0).power_cut = PowerCut(Verb.COMMIT, moment=Moment.IN_FLASH, flash_step=10)
         one = ("assign", "--segment", "link_1", "--device", suit.unique_id(0).hex())
-        code, _, errors = await modules.in_a_process(*one)
+        code, _, errors = await modules(*one)
         assert code == 1
         assert "allow_device_writes: true" in errors
-        code, output, errors = await modules.in_a_process(*one, "--yes", "--allow-writes")
+        code, output, errors = await modules(*one, "--yes", "--allow-writes")
         assert (code, errors) == (0, "")
         assert f"link_1: {suit.unique_id(0).hex()} is module 0 now" in output
         assert suit.ids() == {n: n for n in range(4)}
@@ -261,7 +273,7 @@ async def test_assign_by_name_without_shaking_survives_a_module_that_restarts(su
 async def test_a_segment_that_gives_no_sign_is_skipped_in_time(suit_on_port):
     async with suit_on_port() as (_, modules):
         timed = ("--allow-writes", "--yes", "--timeout", "1", "--segment", "link_1")
-        code, output, _ = await modules.in_a_process("assign", *timed)
+        code, output, _ = await modules("assign", *timed)
     assert code == 1
     assert "nothing moved in time: skipped" in output
     assert "not assigned: link_1" in output
@@ -278,12 +290,10 @@ async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_
         relay.happen(0.0, relay.stop)
         await until(lambda: relay.card.recording is None)
         (entry,) = relay.card.entries()
-        process = await modules.start("card", "download", "1", str(target))
-        async with asyncio.timeout(PATIENCE_S):
-            while not partial.exists() or partial.stat().st_size < 5000:
-                await asyncio.sleep(0.005)
+        process = modules.start("card", "download", "1", str(target))
+        await process.until_so(lambda: partial.exists() and partial.stat().st_size >= 5000, "half the file")
         process.kill()
-        await process.wait()
+        await process.ended()
         came = partial.stat().st_size
         assert 0 < came < entry.size
         assert not target.exists()
@@ -305,13 +315,13 @@ async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_
         mqtt=MqttSettings(broker="embedded", port=0),
     )
     service = Service(settings, load_rig(RIG))
-    await asyncio.wait_for(service.run(), LONGEST_S)
+    await asyncio.wait_for(service.run(), PATIENCE_S)
     assert set(service.pipeline.stream.modules) == {0, 1, 2, 3}
     assert all(record.lost == 0 for record in service.pipeline.stream.modules.values())
     assert service.pipeline.skeleton_frames > 150
 
 
-async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, mosquitto):
+async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, command, mosquitto):
     settings = GatewaySettings(
         gateway="lab",
         links=[LinkSettings(name="suit", url="/dev/null")],
@@ -320,19 +330,20 @@ async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, mosq
         mqtt=MqttSettings(port=mosquitto.port),
         allow_device_writes=True,
     )
-    async with commanded_suit(RIG) as suit:
+    # Suit and gateway share this event loop: at so few samples it has time for both on a busy machine, too.
+    async with commanded_suit(RIG, sampling_rate_hz=25.0) as suit:
         service = Service(settings, load_rig(RIG), links=[suit.link])
         serving = asyncio.create_task(service.run())
         async with asyncio.timeout(PATIENCE_S):
             while not service.requests.is_connected:
                 await asyncio.sleep(0.01)
-        modules = Typed("--mqtt", f"127.0.0.1:{mosquitto.port}")
+        modules = Typed(command, "--mqtt", f"127.0.0.1:{mosquitto.port}")
         code, output, errors = await modules("list", "--listen", "1")
         assert (code, errors) == (0, "")
         assert suit.unique_id(3).hex() in output
-        process = await modules.start("assign", "--segment", "link_2", "--yes")
+        process = modules.start("assign", "--segment", "link_2", "--yes")
         fitter = Fitter(suit, process, {"link_2": 2})
-        assert await asyncio.wait_for(fitter.work(), LONGEST_S) == 0
+        assert await asyncio.wait_for(fitter.work(), PATIENCE_S) == 0
         assert suit.ids() == {0: 0, 1: 2, 2: 1, 3: 3}
         code, _, errors = await modules("set", "7", "label=x")
         assert code == 1

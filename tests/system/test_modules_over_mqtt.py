@@ -16,6 +16,7 @@ from paho.mqtt.properties import Properties
 from devices.device_errors import DeviceError
 from firmware_protocol import RELAY
 from gateway.body.rig import load_rig
+from gateway.modules.motion import MotionDetector
 from gateway.modules.operations import RequestError
 from gateway.modules.remote import remote_suit
 from gateway.outputs.request_messages import LARGEST_REQUEST, ResponseMessage
@@ -136,6 +137,7 @@ async def test_a_list_is_answered_with_its_transaction_while_poses_go_on(served,
         ("modules/identify", {"device": "17"}, "no device '17' answers; there are: 0 ("),
         ("modules/set", {"device": "0", "settings": {"label": "x"}}, "'allow_device_writes: true'"),
         ("modules/assign", {"ids": {"00" * 12: 1}}, "'allow_device_writes: true'"),
+        ("modules/assign", {"ids": {"3": 1}}, "'3' is no unique id: 24 hexadecimal digits (0-9, a-f)"),
         ("modules/undo", {}, "there is no change to undo"),
     ],
 )
@@ -168,9 +170,10 @@ async def test_settings_are_changed_and_taken_back(served):
 async def test_mqtt5_response_topic_and_correlation_are_honoured_where_harmless(served):
     async with served(protocol="5") as (_, _, mqtt), app(mqtt, aiomqtt.ProtocolVersion.V5) as asking:
         properties = Properties(PacketTypes.PUBLISH)
-        properties.ResponseTopic, properties.CorrelationData = "answers/mine", b"\x01\x02"
+        mine = "mocap/lab/bridge/response/mine"
+        properties.ResponseTopic, properties.CorrelationData = mine, b"\x01\x02"
         request = {"device": "0", "seconds": 1}
-        response, answered = await asking.ask("modules/identify", request, "answers/mine", properties)
+        response, answered = await asking.ask("modules/identify", request, mine, properties)
         assert response.status == "ok"
         assert answered.CorrelationData == b"\x01\x02"
         # Nobody has a pose of another make published by the gateway.
@@ -199,6 +202,62 @@ async def test_a_flood_of_requests_is_answered_and_stalls_nothing(served):
         told = [answer.error for answer in refused if "too many requests" not in answer.error]
         assert all("answer" in error for error in told)  # of the module itself, on a busy machine
         assert len(refused) < 30
+
+
+@pytest.mark.parametrize(
+    ("verb", "data"), [("modules/list", {"listen_s": 30}), ("modules/motion", {"seconds": 120})]
+)
+async def test_a_long_request_holds_up_no_short_ones(served, monkeypatch, verb, data):
+    monkeypatch.setattr(MotionDetector, "decide", lambda *_: None)  # the arm itself moves
+    async with (
+        served(allow_device_writes=True) as (_, service, mqtt),
+        app(mqtt) as asking,
+        app(mqtt) as waiting,
+    ):
+        long = asyncio.create_task(waiting.ask(verb, data))
+        async with asyncio.timeout(PATIENCE_S):
+            while not service.requests.statistics()["waiting"]:
+                await asyncio.sleep(0.01)
+        for short, payload in (
+            ("gateway/info", {}),
+            ("recording/status", {}),
+            ("modules/identify", {"device": "0"}),
+            ("modules/set", {"device": "1", "settings": {"label": "left"}}),
+            ("modules/undo", {}),
+        ):
+            response, _ = await asking.ask(short, payload)
+            assert response.status == "ok", response.error
+        assert not long.done()
+        long.cancel()
+
+
+async def test_requests_that_change_modules_are_carried_out_in_order(served):
+    async with served(allow_device_writes=True) as (_, _, mqtt), app(mqtt) as asking:
+        wanted = [{"device": "1", "settings": {"label": str(k)}, "transaction": k} for k in range(6)]
+        answers = []
+        for each in wanted[:-1]:
+            topic = "mocap/lab/bridge/request/modules/set"
+            await asking._client.publish(topic, orjson.dumps(each), qos=1)
+        answers.append((await asking.ask("modules/set", wanted[-1]))[0])
+        while len(answers) < len(wanted):
+            async with asyncio.timeout(PATIENCE_S):
+                message = await anext(aiter(asking._client.messages))
+            answers.append(ResponseMessage.model_validate_json(message.payload))
+        assert [answer.transaction for answer in answers] == list(range(6))
+        assert [answer.data["before"]["label"] for answer in answers] == ["", "0", "1", "2", "3", "4"]
+
+
+async def test_who_is_heard_and_not_in_the_rig_is_said_once_with_what_to_do(
+    served, monkeypatch, caplog, until
+):
+    monkeypatch.setattr("gateway.service.REPORT_INTERVAL_S", 0.1)
+    caplog.set_level(logging.INFO, "gateway.service")
+    async with served(stored_ids={2: 9}):
+        await until(lambda: "heard, but not in the rig: module 9" in caplog.text)
+        await until(lambda: "from 3 of the rig's 4 modules" in caplog.text)
+        reports = caplog.text.count("poses/s")
+        await until(lambda: caplog.text.count("poses/s") > reports + 3)
+    assert caplog.text.count("not in the rig") == 1
 
 
 async def test_a_retained_request_is_not_carried_out(served):

@@ -18,7 +18,8 @@ from gateway.outputs.subscriber import BrokerUnreachableError
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
-    from tests.conftest import Mosquitto, PoseSource
+    from tests.fixtures.brokers import Mosquitto
+    from tests.fixtures.poses import PoseSource
 
 Until = Callable[..., Awaitable[None]]
 AnnouncedDeath = Callable[[str, MqttSettings], Awaitable[None]]

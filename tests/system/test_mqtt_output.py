@@ -6,6 +6,7 @@ import asyncio
 import logging
 import shutil
 import subprocess
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from statistics import median
@@ -26,7 +27,8 @@ from gateway.outputs.settings import PASSWORD_VARIABLE, PoseFormat
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
-    from tests.conftest import Mosquitto, PoseSource
+    from tests.fixtures.brokers import Mosquitto
+    from tests.fixtures.poses import PoseSource
 
 Until = Callable[..., Awaitable[None]]
 
@@ -135,6 +137,35 @@ async def test_what_is_queued_is_published_before_the_stop(
             received = [(await anext(aiter(poses))).pose.seq for _ in range(50)]
     assert received == list(range(50))
     assert (output.counters.published, output.counters.dropped) == (50, 0)
+
+
+async def test_a_burst_is_published_whole_to_a_broker_that_takes_it(
+    mosquitto: Mosquitto, pose_source: PoseSource, until: Until
+) -> None:
+    """A machine that was busy hands over many chunks at once: the broker is as quick as ever."""
+    settings = MqttSettings(port=mosquitto.port)
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+        await until(lambda: output.is_connected)
+        for sequence in range(300):
+            output.offer(pose_source.frame(sequence))
+        await until(lambda: output.counters.published == 300)
+        assert output.counters.dropped == 0
+
+
+async def test_a_loop_with_much_to_do_publishes_every_pose(
+    mosquitto: Mosquitto, pose_source: PoseSource, until: Until
+) -> None:
+    """Each message once took several turns of the loop, of which each has samples to handle."""
+    settings = MqttSettings(port=mosquitto.port, queue_length=8)
+    async with MqttOutput(settings, pose_source.skeleton, pose_source.info()) as output:
+        await until(lambda: output.is_connected)
+        for sequence in range(60):
+            output.offer(pose_source.frame(sequence))
+            output.offer(pose_source.frame(sequence))
+            time.sleep(0.02)  # noqa: ASYNC251 - what a turn of a busy loop takes
+            await asyncio.sleep(0)
+        assert output.counters.published > 100
+        await until(lambda: output.counters.published == 120)
 
 
 async def test_poses_arrive_soon_and_all_of_them(

@@ -28,7 +28,8 @@ from gateway.outputs.mqtt import MqttOutput
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
-    from tests.conftest import Mosquitto, PoseSource
+    from tests.fixtures.brokers import Mosquitto
+    from tests.fixtures.poses import PoseSource
 
 pytestmark = pytest.mark.system
 

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.offline import orientations, solve
-from benchmarks.scoring import score
 from devices.emulators.emulated_suit import EmulatedSuit
 from devices.emulators.recording_formats import read_ring_chain5
 from devices.emulators.recordings import play
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig
+from gateway.emulation.recordings import orientations, score, solve
 
 pytestmark = pytest.mark.system
 
@@ -49,7 +48,7 @@ async def test_a_subscriber_sees_the_same_errors_as_an_offline_run(
     emulated = EmulatedSuit(play(recording), transport, speed=None, is_byte_by_byte=is_byte_by_byte)
     async with gateway_on(str(port), "chain_5", reconstructor, recording.sampling_rate_hz) as running:
         await emulated.run()
-        await running.until_quiet()
+        await running.until_quiet(emulated.counts.sent_bytes)
     poses = [received.pose for received in running.received]
     assert len(poses) == len(offline)
 

@@ -9,7 +9,6 @@ import json
 import random
 import re
 import signal
-import sys
 import time
 
 import aiomqtt
@@ -29,23 +28,20 @@ pytestmark = pytest.mark.system
 
 RIG = "robot_arm_4"
 MB = 10**6
+FIFTY = pytest.mark.slow(reason="fifty recordings in real time; one of them is always tried")
 
 
-@contextlib.asynccontextmanager
-async def emulated(tmp_path, *options):
-    """An emulated arm on a pseudo-terminal, as a process of its own; gives the port's path."""
-    port = tmp_path / "port"
-    arguments = ["emulate", "--rig", RIG, "--on", "pty", "--link", str(port), "--json", *options]
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "gateway", *arguments, stdout=asyncio.subprocess.PIPE
-    )
-    try:
-        assert await process.stdout.readline()
-        yield port
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            process.terminate()
-        await process.wait()
+@pytest.fixture
+def emulated(command, tmp_path):
+    """``await emulated(*options)``: the port of an emulated arm in a process of its own."""
+
+    async def start(*options):
+        port = tmp_path / "port"
+        suit = command("emulate", "--rig", RIG, "--on", "pty", "--link", port, "--json", *options)
+        await suit.until_it_says('"url"')
+        return port
+
+    return start
 
 
 def settings_for(port, folder, broker_port, **recording):
@@ -75,11 +71,11 @@ async def running(settings):
             await serving
 
 
-async def test_a_recording_from_the_start_replays_bit_for_bit(tmp_path, mosquitto, until):
-    async with emulated(tmp_path, "--imperfections", "typical") as port:
-        settings = settings_for(port, tmp_path / "kept", mosquitto.port, at_start=True)
-        async with running(settings) as service:
-            await until(lambda: service.pipeline.skeleton_frames > 280)
+async def test_a_recording_from_the_start_replays_bit_for_bit(tmp_path, emulated, mosquitto, until):
+    port = await emulated("--imperfections", "typical")
+    settings = settings_for(port, tmp_path / "kept", mosquitto.port, at_start=True)
+    async with running(settings) as service:
+        await until(lambda: service.pipeline.skeleton_frames > 280)
     status = service.recording.status()
     assert (status["state"], status["ended"], status["lost"]) == ("off", "stopped", {})
     recording = open_recording(status["file"])
@@ -95,10 +91,9 @@ async def test_a_recording_from_the_start_replays_bit_for_bit(tmp_path, mosquitt
     assert last["skeleton_frames"] == service.pipeline.skeleton_frames
 
 
-async def test_requests_start_and_stop_recordings(tmp_path, mosquitto, until):
+async def test_requests_start_and_stop_recordings(tmp_path, emulated, mosquitto, until):
     async with (
-        emulated(tmp_path) as port,
-        running(settings_for(port, tmp_path / "kept", mosquitto.port)) as service,
+        running(settings_for(await emulated(), tmp_path / "kept", mosquitto.port)) as service,
         aiomqtt.Client("127.0.0.1", mosquitto.port) as client,
     ):
         await client.subscribe("mocap/lab/bridge/response/recording/#")
@@ -145,86 +140,90 @@ async def test_requests_start_and_stop_recordings(tmp_path, mosquitto, until):
     assert sum(1 for _ in recording.skeleton_frames()) > 20
 
 
-async def test_the_live_stream_goes_on_when_the_disk_is_full(tmp_path, mosquitto, monkeypatch, caplog, until):
+async def test_the_live_stream_goes_on_when_the_disk_is_full(
+    tmp_path, emulated, mosquitto, monkeypatch, caplog, until
+):
     free = [10_000 * MB]
     monkeypatch.setattr(
         files.SessionFiles.__init__,
         "__kwdefaults__",
         {**files.SessionFiles.__init__.__kwdefaults__, "free": lambda _: free[0]},
     )
-    async with emulated(tmp_path) as port:
-        settings = settings_for(port, tmp_path / "kept", mosquitto.port, at_start=True, min_free_mb=500)
-        async with running(settings) as service:
-            free[0] = 100 * MB
-            await until(lambda: not service.recording.is_recording)
-            before = service.pipeline.skeleton_frames, service.mqtt.counters.published
-            await until(lambda: service.pipeline.skeleton_frames > before[0] + 50)
-            await until(lambda: service.mqtt.counters.published > before[1] + 50)
-            status = service.recording.status()
+    port = await emulated()
+    settings = settings_for(port, tmp_path / "kept", mosquitto.port, at_start=True, min_free_mb=500)
+    async with running(settings) as service:
+        free[0] = 100 * MB
+        await until(lambda: not service.recording.is_recording)
+        before = service.pipeline.skeleton_frames, service.mqtt.counters.published
+        await until(lambda: service.pipeline.skeleton_frames > before[0] + 50)
+        await until(lambda: service.mqtt.counters.published > before[1] + 50)
+        status = service.recording.status()
     assert "100 MB free, less than min_free_mb 500" in status["ended"]
     assert "recording has stopped" in caplog.text
     assert "The live stream goes on" in caplog.text
     assert open_recording(status["file"]).defect is None
 
 
-async def start_recorder(tmp_path, settings, *options):
-    config = tmp_path / "gateway.yaml"
-    config.write_text(yaml.safe_dump(settings.model_dump(mode="json", exclude_none=True)))
-    return await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "gateway", "record", "-c", str(config), "--name", "cli", *options),
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-    )
+@pytest.fixture
+def recorder(command, tmp_path):
+    """``recorder(settings, *options)``: ``mocap-gateway record`` under way."""
+
+    def start(settings, *options):
+        config = tmp_path / "gateway.yaml"
+        config.write_text(yaml.safe_dump(settings.model_dump(mode="json", exclude_none=True)))
+        return command("record", "-c", config, "--name", "cli", *options)
+
+    return start
 
 
 async def written_beyond(folder, size, process):
-    """Wait until a recording in the folder is so large; its path."""
-    async with asyncio.timeout(2 * PATIENCE_S):
-        while True:
-            for path in folder.glob("*.mcap"):
-                if path.stat().st_size > size:
-                    return path
-            assert process.returncode is None, await process.stderr.read()
-            await asyncio.sleep(0.02)
+    """Wait until the recording in the folder is so large; its path."""
+
+    def large():
+        return [path for path in folder.glob("*.mcap") if path.stat().st_size > size]
+
+    await process.until_so(large, f"a recording of {size} bytes")
+    return large()[0]
 
 
-async def test_record_ends_with_a_whole_file_on_ctrl_c(tmp_path, mosquitto):
+async def test_record_ends_with_a_whole_file_on_ctrl_c(tmp_path, emulated, recorder, mosquitto):
     folder = tmp_path / "kept"
-    async with emulated(tmp_path, "--imperfections", "typical") as port:
-        process = await start_recorder(tmp_path, settings_for(port, folder, mosquitto.port))
-        path = await written_beyond(folder, 100_000, process)
-        process.send_signal(signal.SIGINT)
-        output, _ = await asyncio.wait_for(process.communicate(), PATIENCE_S)
-    assert process.returncode == 0
-    assert re.search(rb"_cli\.mcap: [\d.]+ s, [\d.]+ MB, \d+ chunks, \d+ poses", output)
+    port = await emulated("--imperfections", "typical")
+    process = recorder(settings_for(port, folder, mosquitto.port))
+    path = await written_beyond(folder, 100_000, process)
+    process.send_signal(signal.SIGINT)
+    assert await process.ended() == 0
+    assert re.search(r"_cli\.mcap: [\d.]+ s, [\d.]+ MB, \d+ chunks, \d+ poses", process.output)
     assert verify(open_recording(path)).is_identical
     assert open_recording(path).defect is None
 
 
-@pytest.mark.parametrize("kills", [1, pytest.param(50, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])])
-async def test_a_kill_at_any_moment_costs_no_more_than_the_flush_interval(tmp_path, mosquitto, kills):
+@pytest.mark.parametrize("kills", [1, pytest.param(50, marks=[FIFTY, pytest.mark.timeout(1200)])])
+async def test_a_kill_at_any_moment_costs_no_more_than_the_flush_interval(
+    tmp_path, emulated, recorder, mosquitto, kills
+):
     flush_ms = 200
     moments, late = random.Random(5), []
-    async with emulated(tmp_path, "--imperfections", "typical") as port:
-        for attempt in range(kills):
-            folder = tmp_path / f"kept{attempt}"
-            settings = settings_for(port, folder, mosquitto.port, flush_ms=flush_ms)
-            process = await start_recorder(tmp_path, settings, "--quiet")
-            path = await written_beyond(folder, 20_000, process)
-            await asyncio.sleep(moments.uniform(0, 1.0))
-            process.kill()
-            killed_ns = time.time_ns()
-            await process.wait()
-            recording = open_recording(path)
-            chunks = list(recording.chunks())
-            anchor = recording.meta.begun_utc_ns - recording.meta.begun_ns
-            lost_ms = (killed_ns - (chunks[-1].arrived_ns + anchor)) * 1e-6
-            # The suit speaks every 10 ms. One kill may meet a machine that is busy; many are to meet none.
-            late.append(lost_ms - flush_ms - 12)
-            assert -1 < lost_ms <= 3 * flush_ms
-            assert verify(recording).is_identical
-            assert recover_in_place(path).messages > len(chunks)
-            again = open_recording(path)
-            assert list(again.chunks()) == chunks
-            assert again.defect is None
+    port = await emulated("--imperfections", "typical")
+    for attempt in range(kills):
+        folder = tmp_path / f"kept{attempt}"
+        settings = settings_for(port, folder, mosquitto.port, flush_ms=flush_ms)
+        process = recorder(settings, "--quiet")
+        path = await written_beyond(folder, 20_000, process)
+        await asyncio.sleep(moments.uniform(0, 1.0))
+        process.kill()
+        killed_ns = time.time_ns()
+        await process.ended()
+        recording = open_recording(path)
+        chunks = list(recording.chunks())
+        anchor = recording.meta.begun_utc_ns - recording.meta.begun_ns
+        lost_ms = (killed_ns - (chunks[-1].arrived_ns + anchor)) * 1e-6
+        # The suit speaks every 10 ms. One kill may meet a machine that is busy; many are to meet none.
+        late.append(lost_ms - flush_ms - 12)
+        assert -1 < lost_ms <= 3 * flush_ms
+        assert verify(recording).is_identical
+        assert recover_in_place(path).messages > len(chunks)
+        again = open_recording(path)
+        assert list(again.chunks()) == chunks
+        assert again.defect is None
     assert kills == 1 or max(late) <= 0

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import ast
 import asyncio
-import contextlib
 import os
 import shutil
 import subprocess
-import sys
 import urllib.error
 import urllib.request
 
@@ -18,7 +16,8 @@ import pytest
 
 from gateway.errors import GatewayError
 from gateway.settings import load_gateway_settings
-from tests.conftest import REPOSITORY, free_port
+from tests.fixtures.brokers import free_port
+from tests.fixtures.processes import REPOSITORY
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
@@ -67,29 +66,13 @@ def set_up(mosquitto, tmp_path, request):
     return configured, written, places
 
 
-def command(*arguments):
-    return (sys.executable, "-m", "gateway", *map(str, arguments))
-
-
 def assert_kept(*texts):
     for text in texts:
         for secret in (PASSWORD, METRICS, URL_SECRET):
             assert secret.encode() not in text, f"'{secret}' stands in {text[:2000]!r}"
 
 
-@contextlib.asynccontextmanager
-async def writing_to(path, *arguments):
-    """A command under way, both its outputs in a file."""
-    with path.open("wb") as file:
-        process = await asyncio.create_subprocess_exec(
-            *command(*arguments), stdout=file, stderr=file, env={**os.environ, "COLUMNS": "300"}
-        )
-    try:
-        yield
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            process.terminate()
-        await process.wait()
+WIDE = {"COLUMNS": "300"}
 
 
 def fetched(port, path):
@@ -126,31 +109,38 @@ async def heard(port, topic, seconds):
             return messages
 
 
-async def test_nothing_that_a_gateway_writes_holds_a_secret(set_up, until):
+async def test_nothing_that_a_gateway_writes_holds_a_secret(set_up, command):
     configured, written, places = set_up
-    log = written / "log"
-    async with writing_to(log, "run", "-c", configured()):
-        await until(lambda: b"connected to the MQTT broker" in log.read_bytes(), 60)
-        messages = await heard(places["port"], "#", 2.0)
-        paths = ("/metrics", "/healthz", "/elsewhere")
-        served = [await asyncio.to_thread(fetched, places["metrics"], path) for path in paths]
+    process = command("run", "-c", configured(), environment=WIDE)
+    await process.until_it_says("connected to the MQTT broker")
+    messages = await heard(places["port"], "#", 2.0)
+    paths = ("/metrics", "/healthz", "/elsewhere")
+    served = [await asyncio.to_thread(fetched, places["metrics"], path) for path in paths]
+    process.terminate()
+    await process.ended()
     assert any(orjson.loads(text).get("status") == "ok" for text in messages if text.startswith(b"{"))
     assert b"mocap_skeleton_frames" in served[0]
     recordings = list(written.glob("*.mcap"))
     assert recordings
+    assert_kept(process.output.encode(), process.errors.encode())
     assert_kept(*messages, *served, *(path.read_bytes() for path in written.iterdir()))
 
 
-async def test_what_is_said_of_wrong_credentials_does_not_repeat_them(set_up, tmp_path, until):
+async def test_what_is_said_of_wrong_credentials_does_not_repeat_them(set_up, command, tmp_path):
     configured, *_ = set_up
     wrong = tmp_path / "wrong"
     wrong.write_text(f"{URL_SECRET}\n")
     config = configured(password=wrong)
     for verb in ("run", "doctor"):
-        said = tmp_path / f"{verb}.log"
-        async with writing_to(said, verb, "-c", config):
-            await until(lambda said=said: b"refuses user" in b" ".join(said.read_bytes().split()), 60)
-        assert_kept(said.read_bytes())
+        process = command(verb, "-c", config, environment=WIDE)
+        await process.until_so(lambda: "refuses user" in " ".join(all_of(process).split()), "a refusal")  # noqa: B023 - awaited here
+        process.terminate()
+        await process.ended()
+        assert_kept(all_of(process).encode())
+
+
+def all_of(process):
+    return process.output + process.errors
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
 
 pytestmark = pytest.mark.system
 
@@ -51,7 +51,7 @@ async def stream_over(medium, gateway_on, folder, port):
         sending = asyncio.create_task(emulated.run()) if medium not in ON_A_BUS else None
         await running.until_link_is_up()
         await (sending or emulated.run())
-        await running.until_quiet()
+        await running.until_quiet(emulated.counts.sent_bytes if medium in {"serial", "tcp"} else 0)
         assert not any(running.service.pipeline.stream.dropped["suit"].values())
     poses = [received.pose for received in running.received]
     return [(p.seq, p.t_ns - poses[0].t_ns, p.segments, p.status) for p in poses]

@@ -12,8 +12,8 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move, sunlight
 from gateway.comparison import orientation_error, rmse_deg
+from gateway.emulation.rig import dress, move, sunlight
 
 pytestmark = pytest.mark.system
 
@@ -42,7 +42,7 @@ async def test_a_subscriber_gets_headings_by_the_sun(gateway_on, tmp_path):
     emulated = EmulatedSuit(SuitTraffic(motion, lit), PtyTransport(port), speed=None, duration_s=SECONDS)
     async with gateway_on(str(port), str(rig), "independent") as running:
         await emulated.run()
-        await running.until_quiet()
+        await running.until_quiet(emulated.counts.sent_bytes)
         told = running.service.pipeline.statistics()["light"]
         clock = running.service.pipeline.stream.modules[0].clock.figures()
     poses = [received.pose for received in running.received]

@@ -16,7 +16,7 @@ from devices.emulators.transports import PtyTransport, SlcanTransport
 from devices.link import Chunk, Framing
 from firmware_protocol import InertialSample
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
 from gateway.pipeline import Pipeline
 from gateway.service import Service
 from gateway.settings import GatewaySettings
@@ -72,15 +72,14 @@ class Capture:
         self.inputs.append(chunk)
         self._sent(chunk)
 
-    async def run(self, seconds):
+    async def run(self):
         """The last health message over MQTT."""
         tasks = [asyncio.create_task(self.emulated.run()), asyncio.create_task(self.service.run())]
         try:
             async with loop_lateness() as self.machine:
-                await asyncio.sleep(seconds)
-            async with asyncio.timeout(2 * PATIENCE_S):
-                while len(self.frames) <= 250 or min(self.answered()) < 250:
-                    await asyncio.sleep(0.05)
+                async with asyncio.timeout(2 * PATIENCE_S):
+                    while len(self.frames) <= 250 or min(self.answered()) < 250:
+                        await asyncio.sleep(0.05)
             async with (
                 asyncio.timeout(PATIENCE_S),
                 aiomqtt.Client("127.0.0.1", self.settings.mqtt.port) as client,
@@ -128,7 +127,7 @@ class Capture:
 async def test_samples_belong_to_the_triggers(tmp_path, mosquitto, medium, caplog):
     capture = Capture(tmp_path, mosquitto.port, medium, {ON_OWN_TIMER: 2})
     with caplog.at_level(logging.WARNING):
-        statistics = await capture.run(4.0)
+        statistics = await capture.run()
     timer, triggers = statistics["trigger_timer"], statistics["triggers"]
     assert timer["sent"] + timer["skipped"] > 200
     assert 0 < timer["jitter_rms_us"] <= timer["worst_jitter_us"]

@@ -26,12 +26,18 @@ def write(tmp_path, segment="link_2", extra="", more=""):
     return path
 
 
+UNMEASURED = {"wifi_10": {"head", "girdle", "hand", "foot"}}
+"""Segments, by their last word, that a rig of few modules leaves bare, as its first lines say."""
+
+
 @pytest.mark.parametrize("path", sorted((shipped_folder() / "rigs").glob("*.yaml")), ids=lambda p: p.stem)
 def test_shipped_rigs_load_and_dress_every_segment_or_say_what_it_follows(path):
     suit = load_rig(path.stem)
     ruled = {rule.segment for rule in suit.skeleton.interpolations}
     bare = set(np.flatnonzero(suit.module_of_segment < 0).tolist()) - ruled
-    assert {suit.skeleton.segment_names[s].split("_")[-1] for s in bare} <= {"toes"}
+    assert {suit.skeleton.segment_names[s].split("_")[-1] for s in bare} <= UNMEASURED.get(
+        path.stem, {"toes"}
+    )
     assert len(suit.module_ids) == np.count_nonzero(suit.module_of_segment >= 0)
     np.testing.assert_allclose(np.linalg.norm(suit.sensor_to_segment, axis=1), 1)
 

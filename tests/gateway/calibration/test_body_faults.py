@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from devices.calibration_script import PERIOD_S, timetable
 from devices.emulators.bodies import emulated_body
-from devices.emulators.calibrating import PERIOD_S, WearerFaults, calibration_motion, strapped_on, timetable
+from devices.emulators.calibrating import WearerFaults, calibration_motion, strapped_on
 from devices.emulators.ideal_sensors import sense
 from gateway.body.rig import load_rig
 from gateway.calibration.body_session import BodySession
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
 from gateway.errors import GatewayError
 from gateway.frames import ImuFrame, Status
 

@@ -20,7 +20,7 @@ from gateway.body.rig import load_rig
 from gateway.calibration.corrections import SensorCorrections
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_session import SensorSession, combined
-from gateway.cli.emulated_rig import dress
+from gateway.emulation.rig import dress
 from gateway.errors import SettingsError
 from gateway.frames import InertialReading
 from gateway.pipeline import Pipeline

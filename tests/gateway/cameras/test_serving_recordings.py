@@ -4,11 +4,11 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from benchmarks.video_truth import messages_of, ring_of_cameras, walking
 from devices.cameras.heat_map_messages import HeatMapReceiver
 from devices.cameras.pictures import CameraError
 from gateway.cameras.camera_process import CameraTask
 from gateway.cameras.serving import Served, serve
+from gateway.emulation.video_truth import messages_of, ring_of_cameras, walking
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.recording.video import video_suit, write_solved_video
 

@@ -5,9 +5,9 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from benchmarks.video_truth import messages_of, ring_of_cameras, walking
 from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps
 from gateway.cameras.steering import AHEAD, Steering
+from gateway.emulation.video_truth import messages_of, ring_of_cameras, walking
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.regions import person_region
 from gateway.reconstruction.video.sides import pairs_of

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from benchmarks.clock_relay import relay_errors
-from benchmarks.clock_simulation import Crystal
 from gateway.clocks import EstimatedClock, floor_filter
+from gateway.emulation.clock_simulation import Crystal, relay_errors
 
 CYCLE_S, LATENCY_S = 0.010, 0.002
 

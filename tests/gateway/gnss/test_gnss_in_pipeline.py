@@ -14,7 +14,7 @@ from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_gnss import without_position_devices
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
 from gateway.gnss import GnssParams
 from gateway.pipeline import Pipeline
 from gateway.stream import ClockMode

@@ -64,25 +64,6 @@ async def test_with_the_token_all_of_it(token):
         assert (status, json.loads(text)) == (200, HEALTH)
 
 
-async def test_clients_that_only_hold_connections_open_are_bounded(monkeypatch):
-    monkeypatch.setattr(metrics_server, "MOST_CLIENTS", 2)
-    async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH) as server:
-        idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(2)]
-        await asyncio.sleep(0.5)
-        with pytest.raises((OSError, urllib.error.URLError)):
-            await get(server.port, "/healthz")
-        for _, writer in idle:
-            writer.close()
-        for _ in range(300):
-            try:
-                assert (await get(server.port, "/healthz"))[0] == 200
-                break
-            except OSError:
-                await asyncio.sleep(0.1)
-        else:
-            pytest.fail("the places of clients that left were not given back")
-
-
 async def test_a_client_that_tells_its_request_byte_by_byte_is_hung_up_on(monkeypatch):
     monkeypatch.setattr(metrics_server, "LONGEST_REQUEST_S", 0.3)
     async with MetricsServer("127.0.0.1", 0, figures, lambda: HEALTH) as server:

@@ -15,8 +15,8 @@ from devices.emulators import SuitSettings, SuitTraffic
 from devices.emulators.imperfections import TYPICAL
 from devices.link import Chunk, Framing, SentChunk
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
 from gateway.cli.main import app
+from gateway.emulation.rig import dress, move
 from gateway.pipeline import Pipeline
 from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.recorder import Recorder, Sink

@@ -13,6 +13,7 @@ from devices.link import Framing
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.cli.main import app, main
 from gateway.recording import open_recording
+from tests.typed_here import typed_here
 
 
 def typed(*arguments):
@@ -89,6 +90,8 @@ def test_recover_beside_and_in_place(record):
     code, output = typed("recover", path)
     beside = path.with_name(f"{path.stem}.recovered.mcap")
     assert (code, "was not closed" in output, open_recording(beside).defect) == (0, True, None)
+    assert "mocap-gateway recover" in typed("info", path)[1]
+    assert "mocap-gateway recover" not in output  # it has just been done
     assert typed("recover", path, "--in-place")[0] == 0
     assert "nothing was wrong with it" in typed("recover", path, "--in-place")[1]
 
@@ -145,6 +148,33 @@ def test_what_cannot_be_is_said_in_a_line(
     lines = capsys.readouterr().err.strip().splitlines()
     assert error in lines[-1]
     assert len(lines) == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("export", "{file}", "--to", "bvh", "-o", "absent/walk.bvh"),
+        ("export", "{file}", "--to", "csv", "-o", "a_file/walk.csv"),
+        ("replay", "{file}", "--reconstructor", "independent", "--output", "absent/solved.mcap"),
+    ],
+)
+def test_an_output_that_cannot_be_written_is_one_line_with_a_remedy(record, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a_file").touch()
+    file = record()
+    code, _, errors = typed_here([argument.format(file=file) for argument in arguments])
+    (line,) = [line for line in errors.splitlines() if line.startswith("mocap-gateway: ")]
+    assert code == 1
+    assert "Traceback" not in errors
+    assert arguments[-1].partition("/")[0] in line
+    assert "folder" in line or "another place" in line
+
+
+def test_an_output_without_ending_is_a_folder(record, tmp_path):
+    file = record()
+    code, _, _ = typed_here(["export", file, "--to", "bvh", "-o", tmp_path / "new" / "folder"])
+    assert code == 0
+    assert (tmp_path / "new" / "folder" / f"{file.stem}.bvh").is_file()
 
 
 def test_compare_says_how_far_two_sources_agree(record, tmp_path):

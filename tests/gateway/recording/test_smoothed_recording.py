@@ -9,8 +9,6 @@ from gateway.errors import GatewayError
 from gateway.recording import open_recording
 from gateway.recording.solving import recorded_source, solve, verify, write_solved
 
-SLOW = [pytest.mark.slow, pytest.mark.timeout(600)]
-
 
 def test_smoothing_what_has_no_covariances_says_what_would_do(record, typed):
     with pytest.raises(GatewayError, match="for the methods joint and outward: add --reconstructor joint"):
@@ -30,8 +28,6 @@ def by_joint():
 
 
 class TestSmoothed:
-    pytestmark = SLOW
-
     def test_the_result_is_a_recording_like_any_other(self, record, by_joint, tmp_path):
         recording, target = open_recording(record()), tmp_path / "smoothed.mcap"
         told = []

@@ -180,7 +180,7 @@ def test_a_body_far_away_stands_in_the_middle_and_so_does_its_name(unused_port):
         stage = Stage(server)
         scene = BodyScene(server, stage, SKELETON)
         drawn = PostureKeeper(SKELETON).take(pose(position={"pelvis": (100.25, -40.5, 1.0)}))
-        stage.follow(drawn.place)
+        stage.follow(drawn.place, 7.0)
         scene.draw(drawn, is_stale=False, silent=["head"])
         np.testing.assert_allclose(stage.middle, [100.25, -40.5, 0.0])
         nodes = server.scene._handle_from_node_name
@@ -189,7 +189,25 @@ def test_a_body_far_away_stands_in_the_middle_and_so_does_its_name(unused_port):
         assert nodes["/body/names/head"].text == "head: no data"
         assert not nodes["/body/names/pelvis"].visible
         np.testing.assert_allclose(nodes["/floor"].position, [-0.25, -(-40.5 % SECTION_M), 0.0], atol=1e-9)
-        stage.follow(drawn.place + np.array([1.0, 0.0, 0.0]))
+        stage.follow(drawn.place + np.array([1.0, 0.0, 0.0]), 7.05)
         assert 100.25 < stage.middle[0] < 101.0  # smoothly from now on
+    finally:
+        server.stop()
+
+
+@pytest.mark.parametrize("pictures_hz", [2.0, 60.0])
+def test_a_body_that_walks_stays_in_view_however_few_pictures_are_drawn(pictures_hz, unused_port):
+    viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+    from gateway.viewer.stage import Stage  # noqa: PLC0415 - needs the extra
+
+    server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
+    try:
+        stage, speed_m_s = Stage(server), 1.5
+        for time_s in np.arange(0.0, 10.0, 1.0 / pictures_hz):
+            place = np.array([speed_m_s * time_s, 0.0, 1.0])
+            stage.follow(place, time_s)
+        assert place[0] - stage.middle[0] < 0.5
+        stage.follow(np.zeros(3), 0.0)  # a recording that begins again
+        assert stage.middle[0] == 0.0
     finally:
         server.stop()

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from devices.emulators.motions import BodyMotion
 from devices.marker_files import read_markers
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_rig import dress, move
+from gateway.emulation.rig import dress, move
 from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.outputs.exporters import FORMATS, Axes, take_of

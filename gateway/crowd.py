@@ -1,0 +1,64 @@
+"""Who is connected to a server at one time: those who say nothing make room for those who come. Sans-I/O."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from typing import Generic, TypeVar
+
+_Visitor = TypeVar("_Visitor")
+
+
+class CrowdedError(Exception):
+    """There is no room, and nobody silent whose place could be taken."""
+
+
+class Crowd(Generic[_Visitor]):
+    """Connections, each silent until its request is whole. May be used from several threads.
+
+    Whoever opens connections and says nothing could hold all places otherwise. The place that is taken is the
+    oldest of the address that holds most silent ones, so that a flood from one address pushes out its own.
+    """
+
+    def __init__(self, most: int, most_of_one: int) -> None:
+        """most: connections at one time; most_of_one: of one address, with a request being answered."""
+        self._most = most
+        self._most_of_one = most_of_one
+        self._silent: dict[_Visitor, str] = {}  # the oldest first
+        self._speaking: dict[_Visitor, str] = {}
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._silent) + len(self._speaking)
+
+    def enter(self, visitor: _Visitor, address: str) -> _Visitor | None:
+        """Take a connection in. Returns the one to hang up on for it, if it took the place of one.
+
+        Raises ``CrowdedError`` when all places are taken by requests that are being answered.
+        """
+        with self._lock:
+            displaced = None
+            if len(self) >= self._most:
+                if not self._silent:
+                    raise CrowdedError
+                held = Counter(self._silent.values())
+                displaced = max(self._silent, key=lambda silent: held[self._silent[silent]])
+                del self._silent[displaced]
+            self._silent[visitor] = address
+            return displaced
+
+    def speak(self, visitor: _Visitor) -> None:
+        """A connection's request is whole. Raises ``CrowdedError`` when its address has too many already."""
+        with self._lock:
+            address = self._silent.pop(visitor, None)
+            if address is None:
+                return  # it was hung up on
+            if Counter(self._speaking.values())[address] >= self._most_of_one:
+                raise CrowdedError
+            self._speaking[visitor] = address
+
+    def leave(self, visitor: _Visitor) -> None:
+        """A connection has ended."""
+        with self._lock:
+            self._silent.pop(visitor, None)
+            self._speaking.pop(visitor, None)

@@ -1,0 +1,70 @@
+"""Poses on their way to a broker: bursts are kept whole; of what a slow broker holds up, only the newest."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+
+from gateway.frames import SkeletonFrame
+
+LONGEST_BURST = 512
+"""Poses kept for a broker that takes them: five seconds' worth at 100 Hz, for a machine that was held up."""
+LONGEST_HOLD_S = 0.1
+"""A publication, or a queued pose, that waited for the broker for longer shows a slow one."""
+
+
+class PoseQueue:
+    """A bounded queue that tells a burst of our own from a broker that is slow.
+
+    The measure is the time that publications spent waiting for the broker while a pose was queued. Where the
+    process itself was held up, poses come many at once and the broker takes them as quickly.
+    """
+
+    def __init__(self, length: int, clock: Callable[[], float] = time.monotonic) -> None:
+        """length: poses kept while the broker is slow or away; clock in s."""
+        self.dropped = 0
+        """Poses that gave way to newer ones."""
+        self.has_broker = False
+        """Whether somebody takes poses out; set by the owner."""
+        self._length = length
+        self._clock = clock
+        self._poses: deque[tuple[SkeletonFrame, float]] = deque()
+        self._waited_s = 0.0
+        self._waiting_since: float | None = None
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    def put(self, frame: SkeletonFrame) -> None:
+        """Add a pose; the oldest give way where there are too many. Never waits."""
+        waiting_s = 0.0 if self._waiting_since is None else self._clock() - self._waiting_since
+        waited_s = self._waited_s + waiting_s
+        self._poses.append((frame, waited_s))
+        longest_s = max(waiting_s, waited_s - self._poses[0][1])
+        is_held_up = not self.has_broker or longest_s > LONGEST_HOLD_S
+        self._shorten(self._length if is_held_up else max(self._length, LONGEST_BURST))
+
+    def take(self) -> SkeletonFrame:
+        """Take out the oldest pose. Raises ``IndexError`` when there is none."""
+        return self._poses.popleft()[0]
+
+    def keep_newest(self) -> None:
+        """Drop all poses but the newest."""
+        self._shorten(1)
+
+    @contextlib.contextmanager
+    def waiting_for_broker(self) -> Iterator[None]:
+        """Count the time spent within as the broker's."""
+        since = self._waiting_since = self._clock()
+        try:
+            yield
+        finally:
+            self._waited_s += self._clock() - since
+            self._waiting_since = None
+
+    def _shorten(self, length: int) -> None:
+        while len(self._poses) > length:
+            self._poses.popleft()
+            self.dropped += 1

@@ -1,0 +1,97 @@
+"""A file that cannot be written whole is not written at all."""
+
+from __future__ import annotations
+
+import os
+from datetime import UTC, datetime
+
+import pytest
+
+from devices.link import Framing
+from devices.recording_writer import RecordingWriter, session_record
+from gateway.calibration.mounting import history, keep, restore
+from gateway.calibration.rig_file import write_calibrated_rig
+from gateway.errors import GatewayError
+from gateway.settings_files import shipped_folder
+from gateway.whole_files import write_whole
+
+NOW = datetime(2026, 5, 1, tzinfo=UTC)
+
+
+@pytest.fixture
+def full_disk(monkeypatch):
+    """From its call on nothing can be written any more, though files can be made."""
+
+    def fill():
+        def fails(*_):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "write", fails)
+        monkeypatch.setattr(os, "fsync", fails)
+
+    return fill
+
+
+def names(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def test_a_file_is_replaced_whole_with_its_mode_and_through_a_link(tmp_path):
+    file, link = tmp_path / "rig.yaml", tmp_path / "link.yaml"
+    write_whole(file, b"first")
+    assert file.stat().st_mode & 0o777 == 0o666 & ~_mask()
+    file.chmod(0o640)
+    link.symlink_to(file)
+    write_whole(link, b"second")
+    assert file.read_bytes() == b"second"
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert link.is_symlink()
+    assert names(tmp_path) == ["link.yaml", "rig.yaml"]
+
+
+def _mask():
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def test_a_full_disk_leaves_the_file_as_it_was(tmp_path, full_disk):
+    file = tmp_path / "rig.yaml"
+    file.write_bytes(b"before")
+    full_disk()
+    with pytest.raises(OSError, match="No space"):
+        write_whole(file, b"after")
+    assert file.read_bytes() == b"before"
+    assert names(tmp_path) == ["rig.yaml"]
+
+
+def test_a_rig_that_cannot_be_kept_leaves_no_empty_version(tmp_path, full_disk):
+    rig = tmp_path / "mine.yaml"
+    rig.write_text("before")
+    full_disk()
+    with pytest.raises(GatewayError, match="the earlier rig cannot be kept: No space"):
+        keep(rig, NOW)
+    assert history(rig) == []
+    assert names(tmp_path) == ["mine.yaml"]
+
+
+def test_a_rig_that_cannot_be_written_stays_what_it_was(tmp_path, full_disk):
+    rig = tmp_path / "mine.yaml"
+    rig.write_text("older")
+    keep(rig, NOW)
+    rig.write_text("newer")
+    full_disk()
+    with pytest.raises(GatewayError, match="No space"):
+        restore(rig)
+    source = shipped_folder() / "rigs" / "single.yaml"
+    with pytest.raises(GatewayError, match="cannot be written: No space"):
+        write_calibrated_rig(source, rig, {})
+    assert rig.read_text() == "newer"
+
+
+def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path, full_disk):
+    full_disk()
+    session = session_record({"suit": Framing.BYTE_STREAM})
+    with pytest.raises(OSError, match="No space"):
+        RecordingWriter(tmp_path / "walk.mcap", session, {"rig.yaml": b"body: single"}, 1)
+    assert names(tmp_path) == []

@@ -1,0 +1,184 @@
+"""A changed configuration that cannot run leaves the old service at work, which says why."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+
+import pytest
+import yaml
+
+from gateway.cli import run
+from gateway.errors import GatewayError
+from gateway.service import Service
+from tests.system.test_observability import fetch
+
+pytestmark = pytest.mark.system
+
+
+@contextlib.contextmanager
+def taken_port():
+    """A port that somebody else listens at."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        yield listener.getsockname()[1]
+
+
+class Running:
+    """A supervisor, as ``run`` has one, in the test's event loop."""
+
+    def __init__(self, file, changes):
+        self.file, self.base = file, changes
+        self.write()
+        self.supervisor = run._Supervisor(file, run._load(file))
+        self.task = None
+
+    def write(self, **changes):
+        self.file.write_text(yaml.safe_dump({**self.base, **changes}))
+
+    @property
+    def service(self):
+        return self.supervisor._service
+
+    async def reload(self, **changes):
+        self.write(**changes)
+        await self.supervisor._read_anew(switch_after_s=0.0)
+
+
+@pytest.fixture
+async def gateway(mosquitto, tmp_path, unused_port, until, monkeypatch):
+    """A running gateway with metrics and a recording, read from a file."""
+    monkeypatch.setattr(run, "set_up_logging", lambda *_: None)  # that of the tests stays
+    settings = {
+        "gateway": f"reloaded_{os.getpid()}",
+        "links": [{"name": "suit", "url": str(tmp_path / "absent")}],
+        "rig": "single",
+        "reconstructor": "independent",
+        "mqtt": {"port": mosquitto.port},
+        "metrics": {"port": unused_port},
+        "recording": {"folder": str(tmp_path / "recordings"), "at_start": True, "min_free_mb": 0},
+    }
+    running = Running(tmp_path / "gateway.yaml", settings)
+    running.task = asyncio.create_task(running.supervisor.run())
+    await until(lambda: running.service.mqtt.is_connected)
+    yield running
+    running.supervisor._stop()
+    await running.task
+
+
+def impossible(case, gateway, tmp_path):
+    """A change that cannot run, and what is said of it."""
+    mqtt, recording = gateway.base["mqtt"], gateway.base["recording"]
+    if case == "no such folder":
+        (tmp_path / "file").write_text("")
+        return {
+            "recording": {**recording, "folder": str(tmp_path / "file" / "in")}
+        }, "recordings cannot go to"
+    if case == "too little disk":
+        return {"recording": {**recording, "min_free_mb": 1e9}}, "MB free, less than"
+    if case == "no such recording to replay":
+        return {"links": [{"name": "suit", "url": f"recording://{tmp_path}/absent.mcap"}]}, "absent.mcap"
+    absent = str(tmp_path / "password")
+    return {"mqtt": {**mqtt, "username": "suit", "password_file": absent}}, "cannot read password_file"
+
+
+@pytest.mark.parametrize(
+    "case", ["no such folder", "too little disk", "no such recording to replay", "no password file"]
+)
+async def test_what_cannot_be_opened_leaves_the_old_service_at_work(gateway, tmp_path, case, caplog):
+    change, words = impossible(case, gateway, tmp_path)
+    before = gateway.service
+    with pytest.raises(GatewayError, match=words):
+        await gateway.reload(**change)
+    assert "the old one stays" in caplog.text
+    await assert_at_work(gateway, before)
+
+
+@pytest.mark.parametrize("what", ["metrics", "embedded", "websocket"])
+async def test_a_port_that_is_taken_leaves_the_old_service_at_work(gateway, what, unused_port):
+    before = gateway.service
+    with taken_port() as port:
+        changes = {
+            "metrics": {"metrics": {"port": port}},
+            "embedded": {"mqtt": {"broker": "embedded", "port": port}},
+            "websocket": {"mqtt": {"broker": "embedded", "port": 0, "websocket_port": port}},
+        }
+        with pytest.raises(GatewayError, match=f"{port}"):
+            await gateway.reload(**changes[what])
+    await assert_at_work(gateway, before)
+
+
+async def assert_at_work(gateway, service):
+    assert gateway.service is service
+    assert service.can_flow
+    assert service.mqtt.is_connected
+    assert service.recording.is_recording
+    status, _, _ = await fetch(service.observer.metrics.port, "/healthz")
+    assert status == 200
+
+
+async def test_a_broker_that_refuses_us_leaves_the_old_service_at_work(gateway):
+    """One that is away is waited for; one that says no will say so for ever."""
+
+    async def refuse(reader, writer):
+        await reader.read(1)
+        writer.write(bytes([0x20, 2, 0, 5]))  # CONNACK of MQTT 3.1.1: not authorised
+        await writer.drain()
+        writer.close()
+
+    server = await asyncio.start_server(refuse, "127.0.0.1", 0)
+    before, port = gateway.service, server.sockets[0].getsockname()[1]
+    with pytest.raises(GatewayError, match=f"127.0.0.1:{port} refuses clients without a name"):
+        await gateway.reload(mqtt={"port": port})
+    server.close()
+    await assert_at_work(gateway, before)
+
+
+async def test_the_same_ports_and_others_are_taken_over(gateway, until):
+    port = gateway.base["metrics"]["port"]
+    before = gateway.service
+    await gateway.reload(assembly={"rate_hz": 50})
+    await until(lambda: gateway.service is not before and gateway.service.has_begun)
+    assert gateway.service.observer.metrics.port == port
+    await until(lambda: gateway.service.mqtt.is_connected)
+    between = gateway.service
+    await gateway.reload(metrics={"port": 0})
+    await until(lambda: gateway.service is not between and gateway.service.has_begun)
+    status, _, _ = await fetch(gateway.service.observer.metrics.port, "/healthz")
+    assert status == 200
+
+
+async def test_an_embedded_broker_is_handed_over(gateway, until):
+    await gateway.reload(mqtt={"broker": "embedded", "port": 0})
+    await until(
+        lambda: gateway.service.settings.mqtt.broker == "embedded" and gateway.service.mqtt.is_connected
+    )
+    before = gateway.service
+    process = before.mqtt._broker.pid
+    await gateway.reload(mqtt={"broker": "embedded", "port": 0, "decimals": 3})
+    await until(lambda: gateway.service is not before and gateway.service.mqtt.is_connected)
+    assert gateway.service.mqtt._broker.pid == process
+    assert before.mqtt._broker is None
+
+
+async def test_what_only_fails_as_it_starts_brings_the_old_configuration_back(
+    gateway, until, monkeypatch, caplog
+):
+    """Whatever was free a moment ago may be taken now."""
+    before = gateway.service
+    start = Service.run
+
+    async def failing(self):
+        if self.settings.assembly.rate_hz == 50:
+            raise GatewayError("the port was taken meanwhile")
+        await start(self)
+
+    monkeypatch.setattr(Service, "run", failing)
+    await gateway.reload(assembly={"rate_hz": 50})
+    await until(lambda: gateway.service is not before and gateway.service.mqtt.is_connected)
+    assert gateway.service.settings == before.settings
+    assert "the port was taken meanwhile" in caplog.text
+    assert not gateway.task.done()
