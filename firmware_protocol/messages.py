@@ -32,6 +32,9 @@ RESULTS = {
 }
 """How a command ended."""
 
+DEVICE_INFO_INTERVAL_S = 5.0
+"""A device says who it is after a reset, and then so often."""
+
 
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:

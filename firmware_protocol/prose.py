@@ -1,5 +1,7 @@
 """The parts of ``README.md`` that no declaration holds: explanation, rules and history."""
 
+from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
+
 INTRODUCTION = """\
 # Wire protocol, version 1
 
@@ -88,7 +90,7 @@ frames of another kind may interrupt it. Leave automatic retransmission on. A re
 piece gives up that wire frame, counts it once and goes on at the next `index` 0.
 """
 
-RULES = """\
+RULES = f"""\
 ## Rules for firmware authors
 
 1. **Time is the moment of sampling.** Read the timer in the data-ready interrupt, not when sending. The
@@ -111,7 +113,8 @@ RULES = """\
 8. **Module ids** are 0 to 63, unique in a suit. 254 is the relay. 255 addresses every module and is never
    a sender. Two modules of one id can share a radio until one is told another, by its unique id; on a CAN
    bus they cannot, for their identifiers would collide: set the id of a new module before it joins.
-9. **Say who you are.** Send `DeviceInfo` after a reset and every ten seconds, `Health` every second.
+9. **Say who you are.** Send `DeviceInfo` after a reset and every {DEVICE_INFO_INTERVAL_S:g} s, `Health`
+   every second.
 10. **A triggered sample has the trigger's number** as its `sequence`, and its `triggered` bit set. A module
     that misses a trigger sends nothing for it, so the gap shows. A trigger that comes twice is obeyed once.
     While a module samples on triggers (setting `mode` 3) it sends no other samples of that kind.
