@@ -228,6 +228,7 @@ def _notice_early_hang_up(client: aiomqtt.Client) -> None:
             told(*arguments)
         else:
             client._connected.set_exception(aiomqtt.MqttError("it hung up before it had answered"))
+            client._connected.exception()  # told here: where nobody waits any more, asyncio need not complain
 
     client._client.on_disconnect = disconnected
 

@@ -26,8 +26,7 @@ class PoseQueue:
         """length: poses kept while the broker is slow or away; clock in s."""
         self.dropped = 0
         """Poses that gave way to newer ones."""
-        self.has_broker = False
-        """Whether somebody takes poses out; set by the owner."""
+        self._has_broker = False
         self._length = length
         self._clock = clock
         self._poses: deque[tuple[SkeletonFrame, float]] = deque()
@@ -37,13 +36,24 @@ class PoseQueue:
     def __len__(self) -> int:
         return len(self._poses)
 
+    @property
+    def has_broker(self) -> bool:
+        """Tell whether somebody takes poses out; set by the owner. Without, only the newest are kept."""
+        return self._has_broker
+
+    @has_broker.setter
+    def has_broker(self, has_broker: bool) -> None:
+        self._has_broker = has_broker
+        if not has_broker:
+            self._shorten(self._length)
+
     def put(self, frame: SkeletonFrame) -> None:
         """Add a pose; the oldest give way where there are too many. Never waits."""
         waiting_s = 0.0 if self._waiting_since is None else self._clock() - self._waiting_since
         waited_s = self._waited_s + waiting_s
         self._poses.append((frame, waited_s))
         longest_s = max(waiting_s, waited_s - self._poses[0][1])
-        is_held_up = not self.has_broker or longest_s > LONGEST_HOLD_S
+        is_held_up = not self._has_broker or longest_s > LONGEST_HOLD_S
         self._shorten(self._length if is_held_up else max(self._length, LONGEST_BURST))
 
     def take(self) -> SkeletonFrame:

@@ -55,6 +55,15 @@ def test_a_broker_that_is_slow_with_each_pose_does_not_lengthen_the_queue():
     assert queue.dropped > 700
 
 
+def test_of_a_burst_the_newest_are_kept_when_the_broker_is_lost():
+    queue, _ = queue_of()
+    for k in range(9):
+        queue.put(k)
+    queue.has_broker = False
+    assert [queue.take() for _ in range(len(queue))] == [5, 6, 7, 8]
+    assert queue.dropped == 5
+
+
 def test_without_a_broker_only_the_newest_are_kept_and_on_request_the_last():
     queue, _ = queue_of(has_broker=False)
     for k in range(10):
