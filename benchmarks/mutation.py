@@ -35,14 +35,9 @@ CORE = (
     "firmware_protocol",
 )
 NEAR = {
-    "gateway/reconstruction": (
-        "tests/golden",
-        "tests/gateway/reconstruction",
-        "tests/accuracy",
-        "tests/gateway",
-    ),
-    "gateway/clocks": ("tests/gateway/clocks", "tests/golden", "tests/gateway"),
-    "gateway": ("tests/gateway", "tests/golden"),
+    "gateway/reconstruction": ("tests/golden", "tests/gateway/reconstruction", "tests/accuracy"),
+    "gateway/clocks": ("tests/gateway/clocks", "tests/golden"),
+    "gateway": ("tests/golden", "tests/gateway/test_*.py"),
     "firmware_protocol": ("tests/firmware_protocol", "tests/golden", "tests/devices"),
 }
 """Where the tests stand that know most of a change, by the beginning of the changed file's path."""
@@ -120,18 +115,20 @@ def _sources(place: Path) -> list[Path]:
     return sorted(place.rglob("*.py")) if place.is_dir() else [place]
 
 
-def stages(file: str) -> Iterator[list[str]]:
+def stages(file: str, is_near_only: bool) -> Iterator[list[str]]:
     """Yield arguments of pytest: the tests near a file, then the others, those in real time last."""
     near = next(tests for begin, tests in NEAR.items() if file.startswith(begin))
-    present = [test for test in near if (REPOSITORY / test).exists()]
-    for place in present:
-        yield [place]
-    seen = [f"--ignore={place}" for place in present]
-    yield [*seen, "--ignore=tests/system", "tests"]
-    yield ["tests/system"]
+    seen = []
+    for pattern in near:
+        places = sorted(str(path.relative_to(REPOSITORY)) for path in REPOSITORY.glob(pattern))
+        seen += [f"--ignore={place}" for place in places]
+        yield places
+    if not is_near_only:
+        yield [*seen, "--ignore=tests/system", "tests"]
+        yield ["tests/system"]
 
 
-def judge(mutation: Mutation, tree: Path) -> str | None:
+def judge(mutation: Mutation, tree: Path, is_near_only: bool) -> str | None:
     """Run the tests on a changed copy of the tree; return the first that fails, None if all pass."""
     path = tree / mutation.file
     text = path.read_text()
@@ -141,7 +138,7 @@ def judge(mutation: Mutation, tree: Path) -> str | None:
     lines[mutation.line - 1] = line[: mutation.column] + mutation.new + line[end:]
     path.write_text("".join(lines))
     try:
-        for arguments in stages(mutation.file):
+        for arguments in stages(mutation.file, is_near_only):
             failed = _first_failure(tree, arguments)
             if failed is not None:
                 return failed
@@ -184,6 +181,9 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=50, help="how many changes (default 50)")
     parser.add_argument("--seed", type=int, default=20, help="of the sample (default 20)")
     parser.add_argument("--part", default="1/1", help="K/N: the K-th of N parts, to run several side by side")
+    parser.add_argument(
+        "--near", action="store_true", help="only the tests near a change: quick, finds fewer"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the outcomes to FILE, one a line")
     arguments = parser.parse_args()
     part, parts = (int(number) for number in arguments.part.split("/"))
@@ -193,7 +193,7 @@ def main() -> None:
         tree = copy_of_the_tree(Path(folder))
         for number, mutation in enumerate(drawn, 1):
             begun_s = time.monotonic()
-            found = judge(mutation, tree)
+            found = judge(mutation, tree, arguments.near)
             survived += found is None
             taken = f"{time.monotonic() - begun_s:.0f} s"
             print(f"{number}/{len(drawn)} {mutation}  {found or 'SURVIVED'}  ({taken})", flush=True)
