@@ -6,6 +6,8 @@ BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Where this is set, every worker and every command of the tests would compile all of the sources anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test test-all attack test-socketcan lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
