@@ -1,0 +1,162 @@
+"""``python -m benchmarks.structure``: how the tree stands: files, rooms, knots of imports, kinds of source.
+
+A room is a folder or a module directly in ``gateway/``. Every import counts, those inside functions too, but
+not those for types alone. A knot is a set of rooms each of which imports, by way of others, all of the rest.
+
+A frame of the emulated suit is followed from ``Pipeline.feed`` to its MQTT payload, by the calls of Python
+functions and the files they stand in.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import re
+import statistics
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import FrameType
+
+from devices.emulators import Imperfections, SuitSettings, SuitTraffic
+from devices.emulators.motions import generic_motion
+from devices.link import Chunk, Framing
+from gateway.assembly import AssemblyParams
+from gateway.body.rig import load_rig
+from gateway.emulation.rig import dress
+from gateway.outputs.pose_publications import PosePublications
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.topics import Topics
+from gateway.pipeline import Pipeline
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PACKAGES = ("firmware_protocol", "devices", "gateway", "benchmarks", "tests")
+HUB = ("pipeline.py", "service.py", "accounting.py", "observability.py")
+"""Where nothing should ask for the kind of a source (in ``gateway/`` or a room of that name)."""
+KINDS = re.compile(r"gnss|marker|heat_map|hip|sun|light|fused|camera|trigger|optical|video", re.IGNORECASE)
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Yield the dotted names that a file imports at run time."""
+    yield from _imports(ast.parse(path.read_text()))
+
+
+def _imports(node: ast.AST) -> Iterator[str]:
+    if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        return
+    if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+        yield from (f"{node.module}.{alias.name}" for alias in node.names)
+    elif isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    for child in ast.iter_child_nodes(node):
+        yield from _imports(child)
+
+
+def room(path: Path) -> str:
+    """Name the room of a file in ``gateway/``."""
+    return path.relative_to(REPOSITORY / "gateway").parts[0].removesuffix(".py")
+
+
+def rooms() -> dict[str, dict[str, set[str]]]:
+    """Return, by room, the rooms that it imports, each with the places where."""
+    found: dict[str, dict[str, set[str]]] = {}
+    for path in _sources("gateway"):
+        own = found.setdefault(room(path), defaultdict(set))
+        for name in imports(path):
+            parts = name.split(".")
+            if parts[0] == "gateway" and len(parts) > 1 and parts[1] != room(path):
+                own[parts[1]].add(str(path.relative_to(REPOSITORY)))
+    return {name: {to: at for to, at in edges.items() if to in found} for name, edges in found.items()}
+
+
+def knots(graph: Mapping[str, Mapping[str, object]]) -> list[list[str]]:
+    """Return the strongly connected components of a graph that have more than one member, largest first."""
+    reach = {name: _reachable(graph, name) for name in graph}
+    left, found = set(graph), []
+    while left:
+        name = min(left)
+        knot = {name} | {other for other in reach[name] if name in reach[other]}
+        left -= knot
+        found.append(sorted(knot))
+    return sorted((knot for knot in found if len(knot) > 1), key=len, reverse=True)
+
+
+def _reachable(graph: Mapping[str, Mapping[str, object]], start: str) -> set[str]:
+    seen: set[str] = set()
+    waiting = [start]
+    while waiting:
+        for name in graph[waiting.pop()]:
+            if name not in seen:
+                seen.add(name)
+                waiting.append(name)
+    return seen
+
+
+def kind_tests() -> Counter[str]:
+    """Count, by file of the hub, the conditions that name a kind of source."""
+    found: Counter[str] = Counter()
+    for path in _sources("gateway"):
+        if path.name in HUB:
+            for node in ast.walk(ast.parse(path.read_text())):
+                test = getattr(node, "test", None) if isinstance(node, ast.If | ast.IfExp) else None
+                found[path.name] += test is not None and bool(KINDS.search(ast.unparse(test)))
+    return found
+
+
+def _sources(package: str) -> list[Path]:
+    return sorted((REPOSITORY / package).rglob("*.py"))
+
+
+def calls_of_a_frame() -> tuple[float, int]:
+    """Count calls per frame of the project's functions, and their files, from bytes to the MQTT payload.
+
+    Of 17 modules at 100 Hz over one serial line, ``joint``, in the second second.
+    """
+    suit = load_rig(REPOSITORY / "config" / "rigs" / "suit_17.yaml")
+    pipeline = Pipeline(suit, AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000), "joint")
+    pipeline.add_link("suit", Framing.BYTE_STREAM)
+    publications = PosePublications(MqttSettings(), suit.skeleton, Topics("mocap", "demo"))
+    traffic = SuitTraffic(generic_motion(dress(suit), 1), SuitSettings(), Imperfections(), 1)
+    calls: Counter[str] = Counter()
+    n_frames = 0
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        name = frame.f_code.co_filename
+        if event == "call" and name.startswith(str(REPOSITORY)) and "benchmarks" not in name:
+            calls[name] += 1
+
+    for sent in traffic.transmissions(2.0):
+        chunk = Chunk(sent.data, round(sent.time_s * 1e9), "suit")
+        is_counted = sent.time_s > 1.0
+        sys.setprofile(note if is_counted else None)
+        poses = pipeline.feed(chunk)
+        for pose in poses:
+            list(publications.of(pose))
+        sys.setprofile(None)
+        n_frames += len(poses) * is_counted
+    return calls.total() / n_frames, len(calls)
+
+
+def main() -> None:
+    """Print how the tree stands."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.structure", description=__doc__)
+    parser.parse_args()
+    for package in PACKAGES:
+        lines = [len(path.read_text().splitlines()) for path in _sources(package)]
+        print(
+            f"{package}: {len(lines)} files, {sum(lines)} lines, "
+            f"median {statistics.median(lines):.0f}, longest {max(lines)}"
+        )
+    graph = rooms()
+    print(f"gateway/: {len(list((REPOSITORY / 'gateway').glob('*.py')))} modules at its root")
+    for knot in knots(graph) or [[]]:
+        print(f"knot of {len(knot)} rooms: {', '.join(knot)}" if knot else "no knot of imports")
+    for name, count in kind_tests().items():
+        print(f"{name}: {count} conditions name a kind of source")
+    calls, files = calls_of_a_frame()
+    print(f"a frame: {calls:.0f} calls in {files} files from bytes to payload")
+
+
+if __name__ == "__main__":
+    main()
