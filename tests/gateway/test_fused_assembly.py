@@ -89,9 +89,12 @@ def test_a_reference_that_never_comes_is_replaced():
     assert frames[-1].status[0] == Status.MISSING
 
 
-def test_what_is_no_use_is_counted():
+def test_every_reading_is_counted_as_taken_or_as_no_use():
     assembler = FusedAssembler((1, 2, 3), PARAMS, 1)
+    assert assembler.taken == 0
     run(assembler, 5)
+    assert assembler.taken == 3 * 5
     assert assembler.add(FusedReading(9, 0, 0, orientation(0)), 0) == []
     assert assembler.add(FusedReading(2, 1, 13 * MS, orientation(0)), 60 * MS) == []
     assert assembler.lost == {Lost.UNKNOWN_MODULE: 1, Lost.LATE: 1}
+    assert assembler.taken == 3 * 5
