@@ -21,7 +21,7 @@ from gateway.analysis.trust import told as told_notes
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
-from gateway.outputs.exporters import Axes, take_of
+from gateway.recording.exporters import Axes, take_of
 from gateway.recording import SkeletonArrays
 
 Tell = Callable[[str], Callable[[int, int], None]]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.floor import Source
 from gateway.analysis.muscles import MuscleResult
-from gateway.outputs.exporters.tables import write_csv_columns, write_parquet_columns
+from gateway.recording.exporters.tables import write_csv_columns, write_parquet_columns
 
 Columns = dict[str, NDArray[Any]]
 _SOURCES = np.array([source.name.lower() for source in Source])

@@ -27,7 +27,7 @@ from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.cli.compiling import told_when_compiling
 from gateway.cli.demo_truth import SEED, SETTLING_S, Truth
-from gateway.cli.pose_table import PoseView
+from gateway.viewer.pose_table import PoseView
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose

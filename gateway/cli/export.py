@@ -14,7 +14,7 @@ from rich.table import Table
 
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
-from gateway.outputs.exporters import FORMATS, Axes, Take, take_of
+from gateway.recording.exporters import FORMATS, Axes, Take, take_of
 from gateway.recording import open_recording
 from gateway.recording.solving import smoothed_arrays
 

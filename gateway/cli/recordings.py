@@ -16,7 +16,7 @@ from rich.text import Text
 
 from devices.recording_file import RecordingError
 from gateway.cli.modules_table import wide_console
-from gateway.cli.printable import printable
+from gateway.viewer.printable import printable
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.recording import RecordingMeta, open_recording

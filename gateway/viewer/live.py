@@ -12,7 +12,7 @@ from typing import Any
 import viser
 
 from devices.link import gateway_time_ns
-from gateway.cli.pose_table import STALE_AFTER_S, PoseView
+from gateway.viewer.pose_table import STALE_AFTER_S, PoseView
 from gateway.errors import GatewayError
 from gateway.modules.remote import remote_suit
 from gateway.outputs.messages import BodyMessage, MarkersMessage

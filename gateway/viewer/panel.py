@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 
-from gateway.cli.pose_table import attitude
+from gateway.viewer.pose_table import attitude
 from gateway.outputs.messages import PoseMessage
 from gateway.viewer.appearance import legend
 from gateway.viewer.history import History

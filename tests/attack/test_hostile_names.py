@@ -14,8 +14,8 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from gateway.body.rig import load_rig
-from gateway.cli.pose_table import PoseView, joint_table
-from gateway.cli.printable import printable
+from gateway.viewer.pose_table import PoseView, joint_table
+from gateway.viewer.printable import printable
 from gateway.cli.watch import Watch, watch_poses
 from gateway.outputs.messages import BodyMessage, PoseMessage, describe_body
 from gateway.outputs.settings import MqttSettings

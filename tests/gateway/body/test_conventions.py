@@ -10,7 +10,7 @@ import pytest
 
 from gateway.body.joint_angles import JointAngles
 from gateway.body.rig import load_body
-from gateway.cli.pose_table import attitude
+from gateway.viewer.pose_table import attitude
 from gateway.geometry import quaternion
 
 PAGE = Path(__file__).parents[3] / "docs" / "conventions.md"

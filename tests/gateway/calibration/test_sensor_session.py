@@ -17,7 +17,7 @@ from devices.link import Chunk, Framing
 from firmware_protocol.device_settings import factory_settings
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
-from gateway.calibration.corrections import SensorCorrections
+from gateway.body.corrections import SensorCorrections
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_session import SensorSession, combined
 from gateway.emulation.rig import dress

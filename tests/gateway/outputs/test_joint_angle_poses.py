@@ -8,7 +8,7 @@ import pytest
 
 from gateway.body.joint_angles import JointAngles, posture
 from gateway.body.rig import load_body
-from gateway.cli.pose_table import joint_table
+from gateway.viewer.pose_table import joint_table
 from gateway.frames import SkeletonFrame
 from gateway.outputs.messages import BodyMessage, PoseMessage, describe_body
 from gateway.outputs.pose_encoding import PoseEncoder

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from gateway.cli.pose_table import PoseView, attitude
+from gateway.viewer.pose_table import PoseView, attitude
 from gateway.outputs.messages import PoseMessage
 from gateway.outputs.subscriber import ReceivedPose
 

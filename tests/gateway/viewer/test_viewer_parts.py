@@ -28,7 +28,7 @@ from gateway.viewer.appearance import (
     silent_segments,
     status_summary,
 )
-from gateway.viewer.bones import BONE_FACES, BONE_VERTICES, bones_of
+from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.viewer.history import History
 from gateway.viewer.module_table import module_rows, module_table
 from gateway.viewer.pace import pictures

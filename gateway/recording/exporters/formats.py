@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.outputs.exporters import bvh, c3d, gltf, opensim, tables, trc
-from gateway.outputs.exporters.take import Axes, Take
+from gateway.recording.exporters import bvh, c3d, gltf, opensim, tables, trc
+from gateway.recording.exporters.take import Axes, Take
 
 
 @dataclass(frozen=True)

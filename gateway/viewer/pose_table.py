@@ -9,7 +9,7 @@ from typing import NamedTuple
 from rich.table import Table
 from rich.text import Text
 
-from gateway.cli.printable import printable
+from gateway.viewer.printable import printable
 from gateway.outputs.messages import PoseMessage, Quaternion
 from gateway.outputs.subscriber import ReceivedPose
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from gateway.frames import FloatArray
-from gateway.outputs.exporters.opensim_names import COORDINATES
-from gateway.outputs.exporters.take import Take, rotation
+from gateway.recording.exporters.opensim_names import COORDINATES
+from gateway.recording.exporters.take import Take, rotation
 
 _VERSION = "4.5"
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.outputs.exporters.take import Take, rotation
-from gateway.viewer.bones import BONE_FACES, BONE_VERTICES, bones_of
+from gateway.recording.exporters.take import Take, rotation
+from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 
 _FLOAT, _UNSIGNED_INT, _UNSIGNED_SHORT = 5126, 5125, 5123
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963

@@ -17,7 +17,7 @@ from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
 from gateway.errors import GatewayError
 from gateway.frames import Status
-from gateway.outputs.exporters import FORMATS, Axes, take_of
+from gateway.recording.exporters import FORMATS, Axes, take_of
 from gateway.recording import SkeletonArrays
 from gateway.recording.arrays import MarkerArrays
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
-from gateway.outputs.exporters.take import Take, rotation
+from gateway.recording.exporters.take import Take, rotation
 
 ORDER: Final = "ZXY"
 """Of the rotation channels: intrinsic, as BVH multiplies them."""

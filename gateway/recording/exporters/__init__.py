@@ -4,7 +4,7 @@
 the length unit that were asked for. ``FORMATS`` names the formats.
 """
 
-from gateway.outputs.exporters.formats import FORMATS, Format
-from gateway.outputs.exporters.take import Axes, Take, take_of
+from gateway.recording.exporters.formats import FORMATS, Format
+from gateway.recording.exporters.take import Axes, Take, take_of
 
 __all__ = ["FORMATS", "Axes", "Format", "Take", "take_of"]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import Status
-from gateway.outputs.exporters.take import Take, markers_of
+from gateway.recording.exporters.take import Take, markers_of
 
 _LENGTHS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 _STATUS = np.array([status.name.lower() for status in Status])

@@ -9,7 +9,7 @@ import numpy as np
 from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.outputs.exporters.take import Take, markers_of, rotation
+from gateway.recording.exporters.take import Take, markers_of, rotation
 
 _UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 

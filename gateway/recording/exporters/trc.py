@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.outputs.exporters.take import Take, markers_of
+from gateway.recording.exporters.take import Take, markers_of
 
 _UNITS = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
 
