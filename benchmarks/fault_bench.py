@@ -27,9 +27,9 @@ from devices.emulators.motions import BodyMotion
 from devices.emulators.transports import PtyTransport
 from devices.emulators.transports.transport import Transport
 from devices.link import Framing, gateway_time_ns
-from gateway.accounting import unaccounted
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice, WornSuit
+from gateway.contract.balances import unaccounted
 from gateway.emulation.rig import dress, move
 from gateway.emulation.simulation import suit_17
 from gateway.frames import SkeletonFrame, Status, StatusArray

@@ -16,6 +16,7 @@ from benchmarks import slow_broker
 from benchmarks.figures import Figure, Report, table
 from benchmarks.synthetic_poses import INFO, RATE_HZ, frames_of, skeleton_of_size
 from devices.emulators.local_broker import mosquitto
+from gateway.contract.topics import Topics
 from gateway.frames import SkeletonFrame
 from gateway.outputs import MqttSettings, PoseSubscriber
 from gateway.outputs.mqtt import MqttOutput
@@ -23,7 +24,6 @@ from gateway.outputs.output import Output
 from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.outputs.side_settings import OutputsSettings
-from gateway.outputs.topics import Topics
 
 SECONDS = 3.0
 REPEATS = 3

@@ -18,10 +18,10 @@ from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
+from gateway.contract.topics import Topics
 from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.settings import MqttSettings, PoseFormat, PoseMap
 from gateway.outputs.thinning import Thinning
-from gateway.outputs.topics import Topics
 from gateway.outputs.vmc import VmcEncoder
 from gateway.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, LoadWatch
 from gateway.pipeline import LOAD_EVENT, Pipeline

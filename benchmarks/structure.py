@@ -24,10 +24,10 @@ from devices.emulators.motions import generic_motion
 from devices.link import Chunk, Framing
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
+from gateway.contract.topics import Topics
 from gateway.emulation.rig import dress
 from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.topics import Topics
 from gateway.pipeline import Pipeline
 
 REPOSITORY = Path(__file__).resolve().parents[1]

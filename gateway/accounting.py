@@ -17,36 +17,16 @@ its power nobody can know; nor what it sent before its first one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 
 from devices.link_counts import LinkCounts
 from gateway.assembly import FrameAssembler, Lost
+from gateway.contract.balances import Balance
+from gateway.contract.messages import OutputCounters
 from gateway.losses import Cause
-from gateway.outputs.messages import OutputCounters
 from gateway.pipeline import Pipeline
 from gateway.recording.recorder import RecorderBalance
 from gateway.stream import SAMPLE_KINDS
-
-__all__ = ["Balance", "balances_of", "unaccounted"]
-
-
-@dataclass(frozen=True)
-class Balance:
-    """One total, and what became of it."""
-
-    name: str
-    total: int
-    parts: Mapping[str, int]
-
-    @property
-    def unaccounted(self) -> int:
-        """Total less all parts: 0, or the gateway has a defect."""
-        return self.total - sum(self.parts.values())
-
-    def summary(self) -> dict[str, object]:
-        """For the health message."""
-        return {"total": self.total, "parts": dict(self.parts), "unaccounted": self.unaccounted}
 
 
 def balances_of(
@@ -67,11 +47,6 @@ def balances_of(
         parts = {"written": recording.written, "lost": recording.lost, "waiting": recording.waiting}
         balances.append(Balance("recorded_chunks", recording.handed, parts))
     return balances
-
-
-def unaccounted(balances: Sequence[Balance]) -> dict[str, int]:
-    """By name: what is left over, where that is anything but 0."""
-    return {balance.name: balance.unaccounted for balance in balances if balance.unaccounted}
 
 
 def _stream(pipeline: Pipeline) -> Iterator[Balance]:

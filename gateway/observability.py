@@ -11,11 +11,11 @@ from typing import Any
 
 from devices.link import Link, gateway_time_ns
 from devices.reconnect import LinkState, ReconnectingLink
-from gateway.accounting import Balance, unaccounted
 from gateway.body.skeleton import WornSuit
 from gateway.clocks import AnchorWatch
+from gateway.contract.balances import Balance, unaccounted
+from gateway.contract.messages import BridgeInfo, UtcAnchor
 from gateway.modules.module_states import ModuleStates
-from gateway.outputs.messages import BridgeInfo, UtcAnchor
 from gateway.outputs.metrics import GatewayFigures, LinkFigures
 from gateway.outputs.metrics_server import MetricsServer
 from gateway.outputs.mqtt import MqttOutput

@@ -6,36 +6,11 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
-
+from gateway.contract.requests import GATEWAY_REQUESTS
 from gateway.errors import GatewayError, nearest
 from gateway.outputs.mqtt import MqttOutput
 
 Reload = Callable[[], Awaitable[None]]
-
-
-class _Request(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class InfoRequest(_Request):
-    """What the gateway is and runs: as on ``bridge/info``."""
-
-
-class HealthRequest(_Request):
-    """Its counters, now: as on ``bridge/health``."""
-
-
-class ReloadRequest(_Request):
-    """Read the configuration anew. A wrong one is told, and the old one stays."""
-
-
-REQUESTS: dict[str, type[BaseModel]] = {
-    "info": InfoRequest,
-    "health": HealthRequest,
-    "reload": ReloadRequest,
-}
-"""Verb to the data it takes."""
 
 
 class OwnRequests:
@@ -49,8 +24,8 @@ class OwnRequests:
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
         """Raises ``GatewayError`` with what would do."""
-        if verb not in REQUESTS:
-            raise GatewayError(f"there is no request 'gateway/{verb}'{nearest(verb, REQUESTS)}")
+        if verb not in GATEWAY_REQUESTS:
+            raise GatewayError(f"there is no request 'gateway/{verb}'{nearest(verb, GATEWAY_REQUESTS)}")
         if data:
             raise GatewayError(f"gateway/{verb} takes no data, not '{next(iter(data))}'")
         if verb == "reload":

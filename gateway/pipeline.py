@@ -20,9 +20,8 @@ from typing import Any, NamedTuple
 
 from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly import AssemblyParams, FrameAssembler
-from gateway.body.skeleton import WornSuit
 from gateway.body.corrections import SensorCorrections
-from gateway.calibration.mounting import remounted
+from gateway.body.skeleton import WornSuit, remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.despiking import Despiker
 from gateway.errors import GatewayError, SettingsError

@@ -16,10 +16,12 @@ from devices.link_counts import LinkCounts
 from devices.marker_file_link import MarkerFileLink
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
-from gateway.accounting import Balance, balances_of
+from gateway.accounting import balances_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.cameras.broker_link import link_of
+from gateway.contract.balances import Balance
+from gateway.contract.messages import BridgeInfo, ModuleInfo
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.host_sender import HostSender
@@ -32,7 +34,6 @@ from gateway.modules.session import connect_client
 from gateway.modules.strangers import Strangers
 from gateway.observability import Observer
 from gateway.outputs.connection import first_to_end
-from gateway.outputs.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder, in_turn

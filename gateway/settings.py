@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from gateway.assembly import AssemblyParams
 from gateway.body.skeleton import WornSuit
+from gateway.contract.requests import RECORDING_NAME
 from gateway.credentials import AccessToken, token_for
 from gateway.errors import SettingsError, nearest
 from gateway.log_format import LogFormat
@@ -17,10 +18,6 @@ from gateway.outputs.side_settings import OutputsSettings
 from gateway.reconstruction import OFFLINE, OPTICAL, RECONSTRUCTORS, RootMode, RootSettings
 from gateway.settings_files import load_settings
 from gateway.stream import ClockMode
-
-RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
-"""Nothing that could mean another folder."""
-
 
 METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
 """Environment variable that may hold the token of metrics and health."""

@@ -10,11 +10,11 @@ import orjson
 import ormsgpack
 import paho.mqtt.client as paho
 
-from gateway.outputs import topics
-from gateway.outputs.contract import json_schemas, topic_pattern
-from gateway.outputs.messages import PUBLICATIONS, Message
-from gateway.outputs.properties import JSON, MSGPACK
-from gateway.outputs.request_messages import ResponseMessage
+from gateway.contract import topics
+from gateway.contract.documents import json_schemas, topic_pattern
+from gateway.contract.messages import PUBLICATIONS, Message
+from gateway.contract.properties import JSON, MSGPACK
+from gateway.contract.request_messages import ResponseMessage
 from tests.patience import PATIENCE_S
 
 _BARRIER = "contract-watch/barrier"

@@ -14,12 +14,11 @@ from paho.mqtt.properties import Properties
 from pydantic import BaseModel, ValidationError
 
 from gateway.body.rig import load_rig
-from gateway.calibration import verbs as calibration_verbs
+from gateway.contract.messages import BridgeInfo
+from gateway.contract.request_messages import ResponseMessage
+from gateway.contract.requests import CALIBRATION_REQUESTS, MODULE_REQUESTS, RESET_REQUESTS
 from gateway.errors import GatewayError
-from gateway.modules import verbs as module_verbs
-from gateway.outputs.messages import BridgeInfo
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.request_messages import ResponseMessage
 from gateway.outputs.requests import RequestResponder
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
@@ -59,9 +58,9 @@ class _Gateway:
         families = {
             "gateway": OwnRequests(MqttOutput(MqttSettings(), suit.skeleton, info)).perform,
             "recording": RecordingControl(settings, suit, {}, dict, dict).perform,
-            "modules": _validating(module_verbs.REQUESTS),
-            "calibration": _validating(calibration_verbs.REQUESTS),
-            "reset": _validating(calibration_verbs.RESET_REQUESTS),
+            "modules": _validating(MODULE_REQUESTS),
+            "calibration": _validating(CALIBRATION_REQUESTS),
+            "reset": _validating(RESET_REQUESTS),
         }
         self.client = _Client()
         self.responder = RequestResponder(MqttSettings(), _GATEWAY, families)

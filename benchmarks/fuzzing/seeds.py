@@ -28,12 +28,12 @@ from firmware_protocol import CanFrame, pack_can_records
 from firmware_protocol.device_settings import factory_settings
 from firmware_protocol.flash_slots import encode_slot
 from gateway.body.rig import load_rig
+from gateway.contract.messages import BridgeInfo, BridgeState, ModuleInfo, describe_body
+from gateway.contract.topics import Topics
 from gateway.frames import SkeletonFrame
-from gateway.outputs.messages import BridgeInfo, BridgeState, ModuleInfo, describe_body
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.settings import MqttSettings, PoseMap
-from gateway.outputs.topics import Topics
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings, LinkSettings

@@ -112,7 +112,7 @@ _ALL = (
         "requests over MQTT, up to what carries them out",
         "requests",
         (
-            "gateway.outputs.request_messages",
+            "gateway.contract.request_messages",
             "gateway.outputs.requests",
             "gateway.own_requests",
             "gateway.recording.control",
@@ -123,7 +123,7 @@ _ALL = (
         "published",
         "what a subscriber takes from the broker",
         "requests",
-        ("gateway.outputs.subscriber", "gateway.outputs.topics"),
+        ("gateway.outputs.subscriber", "gateway.contract.topics"),
         2048,
     ),
     Target(

@@ -9,15 +9,15 @@ import numpy as np
 
 from gateway.agreement.agreement import Agreement
 from gateway.agreement.tracks import TELLING, Tracks
-from gateway.errors import GatewayError
-from gateway.frames import FloatArray
-from gateway.outputs.messages import (
+from gateway.contract.messages import (
     STATUS_NAMES,
     BodyMessage,
     ComparedSegment,
     ComparisonMessage,
     PoseMessage,
 )
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray
 
 _TELLING = frozenset(STATUS_NAMES[status] for status in TELLING)
 

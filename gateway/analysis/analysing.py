@@ -21,8 +21,8 @@ from gateway.analysis.trust import told as told_notes
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
-from gateway.recording.exporters import Axes, take_of
 from gateway.recording import SkeletonArrays
+from gateway.recording.exporters import Axes, take_of
 
 Tell = Callable[[str], Callable[[int, int], None]]
 """What is begun, to what is then told how far it is."""

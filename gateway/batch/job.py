@@ -13,8 +13,8 @@ from pathlib import Path
 import gateway
 from devices.link import LinkError
 from gateway.errors import GatewayError
-from gateway.recording.exporters import FORMATS, Axes, take_of
 from gateway.recording import Recording, open_recording
+from gateway.recording.exporters import FORMATS, Axes, take_of
 from gateway.recording.solving import Source, recorded_source, write_solved
 from gateway.recording.suit_snapshot import decode_suit
 from gateway.report import gather, write_report

@@ -7,7 +7,8 @@ indexed by segment.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from devices.calibration import SensorCalibration
 from gateway.body.camera import Camera
 from gateway.body.joints import Joint
 from gateway.body.markers import BodyMarkers
+from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray, Quantity
 
 
@@ -159,3 +161,17 @@ def field_dip_deg(field: FloatArray) -> float:
     """Its angle below the horizontal; field: (3,) ENU."""
     east, north, up = field
     return float(np.degrees(np.arctan2(-up, np.hypot(east, north))))
+
+
+def remounted(suit: WornSuit, event: Mapping[str, Any]) -> WornSuit:
+    """The suit with its modules as a ``calibrated`` event says. Raises ``GatewayError``."""
+    rotations, places = suit.sensor_to_segment.copy(), suit.lever_arms.copy()
+    try:
+        for name, mounting in event["modules"].items():
+            if name not in suit.skeleton.segment_names:
+                raise GatewayError(f"the calibration is of another body: this one has no segment '{name}'")
+            segment = suit.skeleton.index(name)
+            rotations[segment], places[segment] = mounting["sensor_to_segment"], mounting["position"]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise GatewayError(f"the event of a calibration cannot be read: {error!r}") from error
+    return replace(suit, sensor_to_segment=rotations, lever_arms=places)

@@ -16,8 +16,8 @@ from gateway.calibration.body_result import BodyResult, ModuleResult
 from gateway.calibration.body_session import BodySession
 from gateway.calibration.mounting import history, mounting_event, restore, worn_rig, write_mounted_rig
 from gateway.calibration.quality import Quality
-from gateway.calibration.verbs import (
-    REQUESTS,
+from gateway.contract.requests import (
+    CALIBRATION_REQUESTS,
     RESET_REQUESTS,
     AcceptCalibrationRequest,
     BeginCalibrationRequest,
@@ -87,10 +87,10 @@ class CalibrationControl:
         }
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        """As ``gateway.calibration.verbs`` says. Raises ``GatewayError``."""
+        """As ``gateway.contract.requests`` says. Raises ``GatewayError``."""
         if verb not in self._verbs:
             raise GatewayError(f"there is no request 'calibration/{verb}'{nearest(verb, self._verbs)}")
-        parsed(REQUESTS[verb], f"calibration/{verb}", data)
+        parsed(CALIBRATION_REQUESTS[verb], f"calibration/{verb}", data)
         found = self._verbs[verb](data)
         answer: dict[str, Any] = await found if asyncio.iscoroutine(found) else found
         return answer

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
-from dataclasses import replace
+from collections.abc import Collection
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from gateway.body.rig import RigFile
-from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import ModuleResult
 from gateway.calibration.rig_file import write_rig
 from gateway.errors import GatewayError
@@ -32,20 +30,6 @@ def mounting_event(modules: Collection[ModuleResult]) -> dict[str, Any]:
             if module.sensor_to_segment is not None
         }
     }
-
-
-def remounted(suit: WornSuit, event: Mapping[str, Any]) -> WornSuit:
-    """The suit with its modules as a ``calibrated`` event says. Raises ``GatewayError``."""
-    rotations, places = suit.sensor_to_segment.copy(), suit.lever_arms.copy()
-    try:
-        for name, mounting in event["modules"].items():
-            if name not in suit.skeleton.segment_names:
-                raise GatewayError(f"the calibration is of another body: this one has no segment '{name}'")
-            segment = suit.skeleton.index(name)
-            rotations[segment], places[segment] = mounting["sensor_to_segment"], mounting["position"]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise GatewayError(f"the event of a calibration cannot be read: {error!r}") from error
-    return replace(suit, sensor_to_segment=rotations, lever_arms=places)
 
 
 def write_mounted_rig(

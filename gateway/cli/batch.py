@@ -15,8 +15,8 @@ from gateway.body.rig import load_rig
 from gateway.cli.export import Unit, units_per_m
 from gateway.cli.progress import progress_bar
 from gateway.errors import SettingsError, nearest
-from gateway.recording.exporters import Axes
 from gateway.reconstruction import RECONSTRUCTORS
+from gateway.recording.exporters import Axes
 from gateway.recording.suit_snapshot import encode_suit
 from gateway.report.drawing import require_matplotlib
 

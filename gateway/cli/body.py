@@ -20,8 +20,8 @@ from gateway.body.joints import WORLD, Joint
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
+from gateway.contract.messages import describe_body
 from gateway.errors import GatewayError
-from gateway.outputs.messages import describe_body
 from gateway.settings_files import find_file, load_yaml, shipped_folder
 
 body_app = typer.Typer(help="Bodies: segments, joints, lengths.", no_args_is_help=True)

@@ -16,12 +16,12 @@ from gateway.agreement import Agreement, agreement
 from gateway.agreement.live import PoseWindow, comparison_message
 from gateway.agreement.time_alignment import SHORTEST_OVERLAP_S
 from gateway.cli.compare import HEADS, notes, rows
+from gateway.contract.messages import ComparisonMessage
+from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
 from gateway.outputs.connection import broker_connection, explain, unique_identifier
-from gateway.outputs.messages import ComparisonMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
-from gateway.outputs.topics import Topics
 
 _EVERY_S = 1.0
 

@@ -27,7 +27,6 @@ from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.cli.compiling import told_when_compiling
 from gateway.cli.demo_truth import SEED, SETTLING_S, Truth
-from gateway.viewer.pose_table import PoseView
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
@@ -35,6 +34,7 @@ from gateway.reconstruction import FUSED, readiness
 from gateway.service import Service
 from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
 from gateway.stream import ClockMode
+from gateway.viewer.pose_table import PoseView
 
 GATEWAY = "demo"
 

@@ -14,8 +14,8 @@ from rich.table import Table
 
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
-from gateway.recording.exporters import FORMATS, Axes, Take, take_of
 from gateway.recording import open_recording
+from gateway.recording.exporters import FORMATS, Axes, Take, take_of
 from gateway.recording.solving import smoothed_arrays
 
 FormatName = StrEnum("FormatName", {name: name for name in FORMATS})  # type: ignore[misc]  # from the list

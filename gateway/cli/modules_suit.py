@@ -13,12 +13,12 @@ import typer
 
 from gateway.body.rig import load_rig
 from gateway.cli.option_groups import with_options
+from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.remote import remote_suit
 from gateway.modules.session import suit_session
 from gateway.outputs.settings import MqttSettings, TlsSettings
-from gateway.outputs.topics import ANY_GATEWAY
 from gateway.settings import load_gateway_settings
 
 _SUIT = "Which suit"
@@ -70,7 +70,7 @@ class SuitChoice:
 
 
 class Operations(Protocol):
-    """What carries out the verbs of ``gateway.modules.verbs``."""
+    """What carries out the verbs of ``gateway.contract.requests``."""
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]: ...
 

@@ -24,9 +24,9 @@ from gateway.cli.replay import speed_of
 from gateway.cli.replay_live import QUEUE, Brake, tell_outcome
 from gateway.cli.replay_live import play as play_link
 from gateway.errors import GatewayError
-from gateway.recording.exporters import FORMATS
 from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
+from gateway.recording.exporters import FORMATS
 from gateway.recording.optical import (
     SolvedTrial,
     optical_settings,

@@ -16,13 +16,13 @@ from rich.text import Text
 
 from devices.recording_file import RecordingError
 from gateway.cli.modules_table import wide_console
-from gateway.viewer.printable import printable
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
 from gateway.recording import RecordingMeta, open_recording
 from gateway.recording.recovery import recover as recover_file
 from gateway.recording.recovery import recover_in_place
 from gateway.recording.summary import RecordingSummary, recordings_in, summarise
+from gateway.viewer.printable import printable
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for a script.")]
 

@@ -39,9 +39,9 @@ from gateway.cli.video_sources import (
     people_of,
 )
 from gateway.errors import GatewayError
-from gateway.recording.exporters import FORMATS
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.weights import weights_of
+from gateway.recording.exporters import FORMATS
 from gateway.recording.video import (
     SolvedVideo,
     video_subject,

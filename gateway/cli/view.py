@@ -14,10 +14,10 @@ import typer
 from devices.extras import how_to_add
 from gateway.cli.broker_options import BrokerChoice, with_broker
 from gateway.cli.progress import progress_bar
+from gateway.contract.topics import ANY_GATEWAY
 from gateway.credentials import AccessToken, token_for
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.topics import ANY_GATEWAY
 from gateway.recording import open_recording
 
 if TYPE_CHECKING:

@@ -16,11 +16,11 @@ from rich.text import Text
 
 from devices.link import gateway_time_ns
 from gateway.cli.broker_options import BrokerChoice, with_broker
-from gateway.viewer.pose_table import PoseView, joint_table
-from gateway.viewer.printable import printable
+from gateway.contract.topics import ANY_GATEWAY
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
-from gateway.outputs.topics import ANY_GATEWAY
+from gateway.viewer.pose_table import PoseView, joint_table
+from gateway.viewer.printable import printable
 
 _REFRESH_S = 0.1
 

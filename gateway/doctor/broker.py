@@ -11,11 +11,11 @@ from collections.abc import Iterator
 import aiomqtt
 import numpy as np
 
+from gateway.contract.request_messages import ResponseMessage
+from gateway.contract.topics import Topics
 from gateway.doctor.findings import Finding, Surroundings, bad, good, warning
 from gateway.outputs.connection import broker_connection, explain, unique_identifier
-from gateway.outputs.request_messages import ResponseMessage
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.topics import Topics
 
 ROUNDS = 5
 PINGS_A_ROUND = 20

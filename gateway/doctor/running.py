@@ -8,11 +8,11 @@ from collections.abc import Iterator, Mapping
 
 from pydantic import ValidationError
 
+from gateway.contract.messages import BridgeState, ModuleState
+from gateway.contract.topics import BRIDGE_STATE, Topics
 from gateway.doctor.findings import Finding, bad, good, warning
 from gateway.outputs.connection import broker_connection, unique_identifier
-from gateway.outputs.messages import BridgeState, ModuleState
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.topics import BRIDGE_STATE, Topics
 
 LONGEST_DELAY_US = 5000.0
 """Mean delay of arrivals above the least, beyond which a module's data come in clumps."""

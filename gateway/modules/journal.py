@@ -20,8 +20,8 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from devices.configure import Change
+from gateway.contract.requests import UniqueId
 from gateway.errors import GatewayError
-from gateway.modules.verbs import UniqueId
 from gateway.whole_files import write_whole
 
 _log = logging.getLogger(__name__)

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gateway.body.skeleton import WornSuit
+from gateway.contract.messages import Message, ModuleAvailability, ModuleState
+from gateway.contract.topics import MODULE_AVAILABILITY, MODULE_STATE
 from gateway.modules.summary import clock_state, count_module_samples, module_names
-from gateway.outputs.messages import Message, ModuleAvailability, ModuleState
-from gateway.outputs.topics import MODULE_AVAILABILITY, MODULE_STATE
 from gateway.statistics import ModuleRecord
 from gateway.stream import Stream
 

@@ -22,12 +22,12 @@ from devices.setting_values import encoded_setting
 from firmware_protocol.commands import ALL_FILES, Verb
 from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
 from gateway.body.skeleton import WornSuit
+from gateway.contract import requests
+from gateway.contract.messages import plain_json
 from gateway.errors import GatewayError, nearest
-from gateway.modules import verbs
 from gateway.modules.journal import Entry, Journal, JournalError
 from gateway.modules.motion_watch import MotionWatch
 from gateway.modules.summary import count_samples, segments_of, summarise
-from gateway.outputs.messages import plain_json
 from gateway.stream import Stream
 
 _log = logging.getLogger(__name__)
@@ -51,7 +51,7 @@ class RequestError(GatewayError):
 
 
 class ModuleOperations:
-    """All verbs of ``verbs.REQUESTS``, asked for at any time.
+    """All verbs of ``requests.MODULE_REQUESTS``, asked for at any time.
 
     What speaks with modules is done one after another, in order. Waiting for samples or for a motion is not:
     that goes on beside it.
@@ -94,7 +94,7 @@ class ModuleOperations:
         if verb not in self._verbs:
             raise RequestError(f"there is no request 'modules/{verb}'{nearest(verb, self._verbs)}")
         try:
-            request = verbs.REQUESTS[verb].model_validate(data)
+            request = requests.MODULE_REQUESTS[verb].model_validate(data)
         except ValidationError as error:
             raise RequestError(f"modules/{verb}: {_first_problem(error)}") from error
         try:
@@ -107,7 +107,7 @@ class ModuleOperations:
             raise RequestError(str(error)) from error
         return plain_json(answer)
 
-    async def _list(self, request: verbs.ListRequest) -> Plain:
+    async def _list(self, request: requests.ListRequest) -> Plain:
         before = count_samples(self._stream, gateway_time_ns())
         roster, _ = await asyncio.gather(self._in_turn(self._discover), asyncio.sleep(request.listen_s))
         await self._hear_descriptions(roster)
@@ -124,16 +124,16 @@ class ModuleOperations:
                 return
             await asyncio.sleep(_LOOK_S)
 
-    async def _identify(self, request: verbs.IdentifyRequest) -> Plain:
+    async def _identify(self, request: requests.IdentifyRequest) -> Plain:
         device = await self._find(request.device)
         await self.configurator.identify(device.unique_id, request.seconds)
         return _named(device)
 
-    async def _read(self, request: verbs.ReadRequest) -> Plain:
+    async def _read(self, request: requests.ReadRequest) -> Plain:
         device = await self._find(request.device)
         return _named(device) | {"settings": await self.configurator.read_all(device.unique_id)}
 
-    async def _set(self, request: verbs.SetRequest) -> Plain:
+    async def _set(self, request: requests.SetRequest) -> Plain:
         self._refuse_unless_allowed("changing settings")
         device = await self._find(request.device)
         uid, settings = device.unique_id, request.settings
@@ -145,11 +145,11 @@ class ModuleOperations:
         written = await self._recorded({uid: settings}, lambda: self.configurator.write(uid, settings))
         return _named(device) | {"before": dict(written.before), "after": dict(written.after)}
 
-    async def _assign(self, request: verbs.AssignRequest) -> Plain:
+    async def _assign(self, request: requests.AssignRequest) -> Plain:
         changes = await self._assign_ids({bytes.fromhex(uid): module for uid, module in request.ids.items()})
         return {"changes": list(map(_change, changes))}
 
-    async def _separate(self, _request: verbs.SeparateRequest) -> Plain:
+    async def _separate(self, _request: requests.SeparateRequest) -> Plain:
         roster = await self._discover()
         ids: dict[bytes, int] = {}
         for conflict in roster.conflicts:
@@ -160,7 +160,7 @@ class ModuleOperations:
                 ids[uid] = spare
         return {"changes": list(map(_change, await self._assign_ids(ids) if ids else []))}
 
-    async def _undo(self, _request: verbs.UndoRequest) -> Plain:
+    async def _undo(self, _request: requests.UndoRequest) -> Plain:
         entry = await asyncio.to_thread(self._journal.last)
         if entry is None:
             raise RequestError("there is no change to undo")
@@ -170,7 +170,7 @@ class ModuleOperations:
         await self._settle(entry, await self._left_over(entry.changes, restored))
         return _restored(restored)
 
-    async def _await_motion(self, request: verbs.MotionRequest) -> Plain:
+    async def _await_motion(self, request: requests.MotionRequest) -> Plain:
         motion = await self._motion.next(request.seconds, request.continues)
         if motion is None:
             return {"module": None}
@@ -183,10 +183,10 @@ class ModuleOperations:
             )
         return _named(found[0]) | {"sign": motion.sign}
 
-    async def _backup(self, _request: verbs.BackupRequest) -> Plain:
+    async def _backup(self, _request: requests.BackupRequest) -> Plain:
         return {"modules": await read_backup(self.configurator, await self._discover())}
 
-    async def _restore(self, request: verbs.RestoreRequest) -> Plain:
+    async def _restore(self, request: requests.RestoreRequest) -> Plain:
         self._refuse_unless_allowed("restoring settings")
         wanted = {bytes.fromhex(text): settings for text, settings in request.modules.items()}
         present = await self.configurator.present_ids(wanted)
@@ -198,27 +198,27 @@ class ModuleOperations:
         restored.absent += [uid for uid in wanted if uid not in present]
         return _restored(restored)
 
-    async def _card_list(self, request: verbs.CardListRequest) -> Plain:
+    async def _card_list(self, request: requests.CardListRequest) -> Plain:
         device = await self._find(request.device)
         files = await Card(self._client, device.unique_id).files()
         return _named(device) | {"files": [file._asdict() for file in files]}
 
-    async def _card_start(self, request: verbs.CardStartRequest) -> Plain:
+    async def _card_start(self, request: requests.CardStartRequest) -> Plain:
         device = await self._find(request.device)
         await self._client.ask(device.unique_id, Verb.START)
         return _named(device)
 
-    async def _card_stop(self, request: verbs.CardStopRequest) -> Plain:
+    async def _card_stop(self, request: requests.CardStopRequest) -> Plain:
         device = await self._find(request.device)
         await self._client.ask(device.unique_id, Verb.STOP)
         return _named(device)
 
-    async def _card_read(self, request: verbs.CardReadRequest) -> Plain:
+    async def _card_read(self, request: requests.CardReadRequest) -> Plain:
         device = await self._find(request.device)
         data = await Card(self._client, device.unique_id).read(request.file, request.offset, request.length)
         return {"data": base64.b64encode(data).decode()}
 
-    async def _card_erase(self, request: verbs.CardEraseRequest) -> Plain:
+    async def _card_erase(self, request: requests.CardEraseRequest) -> Plain:
         device = await self._find(request.device)
         await Card(self._client, device.unique_id).erase(ALL_FILES if request.file is None else request.file)
         return _named(device)

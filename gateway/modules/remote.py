@@ -12,15 +12,15 @@ import aiomqtt
 import orjson
 from pydantic import ValidationError
 
+from gateway.contract import topics
+from gateway.contract.messages import BridgeState
+from gateway.contract.request_messages import ResponseMessage
+from gateway.contract.topics import ANY_GATEWAY, Topics
 from gateway.errors import GatewayError
 from gateway.modules.operations import Plain, RequestError
-from gateway.outputs import topics
 from gateway.outputs.connection import broker_connection, explain, unique_identifier
-from gateway.outputs.messages import BridgeState
-from gateway.outputs.request_messages import ResponseMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError
-from gateway.outputs.topics import ANY_GATEWAY, Topics
 
 _RETAINED_S = 1.0
 """Time for the retained states of gateways to come."""

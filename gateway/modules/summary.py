@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from devices.roster import Conflict, Device, Roster
 from firmware_protocol.kinds import Kind
 from gateway.body.skeleton import WornSuit
-from gateway.outputs.messages import ModuleClockState
+from gateway.contract.messages import ModuleClockState
 from gateway.statistics import ModuleRecord
 from gateway.stream import Stream
 

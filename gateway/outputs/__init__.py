@@ -6,13 +6,13 @@ and ``topics`` where it is published. Reading order: ``messages``, ``topics``, `
 ``side_outputs``, ``latest``, ``datagrams``, ``unity``, ``vmc``, ``lsl``.
 """
 
+from gateway.contract.messages import BridgeInfo, ModuleInfo, PoseMessage
+from gateway.contract.topics import Topics
 from gateway.credentials import CredentialError
 from gateway.outputs.broker_process import BrokerProcess, EmbeddedBrokerError
-from gateway.outputs.messages import BridgeInfo, ModuleInfo, PoseMessage
 from gateway.outputs.output import Output
 from gateway.outputs.settings import MqttSettings, PoseMap, TlsSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
-from gateway.outputs.topics import Topics
 
 __all__ = [
     "BridgeInfo",

@@ -7,8 +7,8 @@ from typing import Any
 
 import orjson
 
-from gateway.outputs.messages import BridgeInfo
-from gateway.outputs.topics import Topics
+from gateway.contract.messages import BridgeInfo
+from gateway.contract.topics import Topics
 
 _SENSORS: dict[str, dict[str, Any]] = {
     "battery": {

@@ -6,9 +6,9 @@ import asyncio
 import logging
 from typing import Protocol
 
+from gateway.contract.messages import OutputCounters
 from gateway.frames import SkeletonFrame
 from gateway.outputs.connection import end_tasks
-from gateway.outputs.messages import OutputCounters
 from gateway.outputs.thinning import Thinning
 
 _log = logging.getLogger(__name__)

@@ -14,8 +14,8 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoM
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from gateway.accounting import Balance
-from gateway.outputs.messages import BridgeInfo, ModuleState, OutputCounters, UtcAnchor
+from gateway.contract.balances import Balance
+from gateway.contract.messages import BridgeInfo, ModuleState, OutputCounters, UtcAnchor
 from gateway.overload import LoadWatch
 
 _MODULE = ("module", "segment")

@@ -22,6 +22,19 @@ from pydantic import TypeAdapter
 
 from devices.link import gateway_time_ns
 from gateway.body.skeleton import Skeleton
+from gateway.contract.messages import (
+    AccountBalance,
+    BridgeHealth,
+    BridgeInfo,
+    BridgeState,
+    Message,
+    OutputCounters,
+    UtcAnchor,
+    describe_body,
+    plain_json,
+)
+from gateway.contract.properties import JSON, properties_of
+from gateway.contract.topics import BRIDGE_INFO, Topics
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
@@ -38,25 +51,12 @@ from gateway.outputs.connection import (
     unique_identifier,
 )
 from gateway.outputs.home_assistant import discovery
-from gateway.outputs.messages import (
-    AccountBalance,
-    BridgeHealth,
-    BridgeInfo,
-    BridgeState,
-    Message,
-    OutputCounters,
-    UtcAnchor,
-    describe_body,
-    plain_json,
-)
 from gateway.outputs.own_topics import PublishRights, TwinWatch
 from gateway.outputs.pose_publications import Outgoing, PosePublications
 from gateway.outputs.pose_queue import PoseQueue
-from gateway.outputs.properties import JSON, properties_of
 from gateway.outputs.retained import RetainedMessages
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.thinning import Thinning
-from gateway.outputs.topics import BRIDGE_INFO, Topics
 
 logger = logging.getLogger(__name__)
 

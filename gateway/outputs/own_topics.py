@@ -15,7 +15,7 @@ from typing import Literal
 import orjson
 from paho.mqtt.reasoncodes import ReasonCode
 
-from gateway.outputs.topics import Topics
+from gateway.contract.topics import Topics
 
 _log = logging.getLogger(__name__)
 

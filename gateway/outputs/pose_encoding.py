@@ -14,8 +14,8 @@ import orjson
 import ormsgpack
 
 from gateway.body.joint_angles import JointAngles
+from gateway.contract.messages import STATUS_NAMES
 from gateway.frames import FloatArray, SkeletonFrame, StatusArray
-from gateway.outputs.messages import STATUS_NAMES
 from gateway.outputs.settings import PoseMap
 
 _ATTRIBUTES: dict[PoseMap, str] = {

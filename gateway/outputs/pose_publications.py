@@ -9,13 +9,13 @@ from paho.mqtt.properties import Properties
 
 from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
+from gateway.contract.properties import JSON, MSGPACK, properties_of
+from gateway.contract.topics import Topics
 from gateway.frames import SkeletonFrame
 from gateway.outputs.marker_encoding import markers_message
 from gateway.outputs.pose_encoding import PoseEncoder, as_json, as_msgpack, segment_messages
-from gateway.outputs.properties import JSON, MSGPACK, properties_of
 from gateway.outputs.settings import MqttSettings, PoseFormat, PoseMap
 from gateway.outputs.thinning import Thinning
-from gateway.outputs.topics import Topics
 
 
 class Outgoing(NamedTuple):

@@ -21,8 +21,16 @@ from pydantic import JsonValue
 
 from devices.device_errors import DeviceError
 from devices.link import LinkError
+from gateway.contract import topics
+from gateway.contract.properties import JSON, properties_of
+from gateway.contract.request_messages import (
+    RequestProblem,
+    ResponseMessage,
+    Transaction,
+    parse_request,
+)
+from gateway.contract.topics import Topics
 from gateway.errors import GatewayError, nearest
-from gateway.outputs import topics
 from gateway.outputs.connection import (
     Backoff,
     broker_connection,
@@ -31,15 +39,7 @@ from gateway.outputs.connection import (
     unique_identifier,
 )
 from gateway.outputs.incoming import Allowance
-from gateway.outputs.properties import JSON, properties_of
-from gateway.outputs.request_messages import (
-    RequestProblem,
-    ResponseMessage,
-    Transaction,
-    parse_request,
-)
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.topics import Topics
 
 _log = logging.getLogger(__name__)
 

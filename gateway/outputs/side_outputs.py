@@ -7,11 +7,11 @@ from collections.abc import AsyncIterator
 
 from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
+from gateway.contract.messages import OutputCounters
 from gateway.frames import SkeletonFrame
 from gateway.outputs.datagrams import DatagramSink
 from gateway.outputs.latest import LatestOutput, Sink
 from gateway.outputs.lsl import LslSink
-from gateway.outputs.messages import OutputCounters
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.outputs.side_settings import OutputsSettings, UdpJsonSettings

@@ -21,16 +21,8 @@ import aiomqtt
 from pydantic import ValidationError
 
 from devices.link import gateway_time_ns
-from gateway.errors import GatewayError
-from gateway.outputs import topics
-from gateway.outputs.connection import (
-    Backoff,
-    broker_connection,
-    end_tasks,
-    explain,
-    unique_identifier,
-)
-from gateway.outputs.messages import (
+from gateway.contract import topics
+from gateway.contract.messages import (
     BodyMessage,
     BridgeHealth,
     BridgeInfo,
@@ -38,8 +30,16 @@ from gateway.outputs.messages import (
     MarkersMessage,
     PoseMessage,
 )
+from gateway.contract.topics import ANY_GATEWAY, Topics
+from gateway.errors import GatewayError
+from gateway.outputs.connection import (
+    Backoff,
+    broker_connection,
+    end_tasks,
+    explain,
+    unique_identifier,
+)
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.topics import ANY_GATEWAY, Topics
 
 logger = logging.getLogger(__name__)
 

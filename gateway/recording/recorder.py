@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 from devices import recording_format as fmt
 from devices.link import Chunk, Framing, SentChunk, gateway_time_ns
+from gateway.contract.messages import plain_json
 from gateway.frames import SkeletonFrame
-from gateway.outputs.messages import plain_json
 from gateway.recording.marker_encoding import encode_markers_of
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 

@@ -12,13 +12,12 @@ from typing import Any
 import viser
 
 from devices.link import gateway_time_ns
-from gateway.viewer.pose_table import STALE_AFTER_S, PoseView
+from gateway.contract.messages import BodyMessage, MarkersMessage
+from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
 from gateway.modules.remote import remote_suit
-from gateway.outputs.messages import BodyMessage, MarkersMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
-from gateway.outputs.topics import ANY_GATEWAY
 from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.live_markers import LiveMarkers
 from gateway.viewer.marker_points import MarkerInstant
@@ -26,6 +25,7 @@ from gateway.viewer.module_table import module_rows, module_table
 from gateway.viewer.muscle_wires import MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
+from gateway.viewer.pose_table import STALE_AFTER_S, PoseView
 from gateway.viewer.posture import PostureKeeper, skeleton_of
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.stage import Stage

@@ -7,7 +7,7 @@ from collections import OrderedDict
 import numpy as np
 import viser
 
-from gateway.outputs.messages import MarkersMessage
+from gateway.contract.messages import MarkersMessage
 from gateway.outputs.subscriber import ReceivedPose
 from gateway.viewer.marker_points import NO_MARKERS, MarkerInstant, MarkerScene, instant_of
 from gateway.viewer.stage import Stage

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 
 from pydantic import JsonValue
 
-from gateway.outputs.messages import BridgeHealth, BridgeInfo
+from gateway.contract.messages import BridgeHealth, BridgeInfo
 
 _COLUMNS = ("id", "segment", "lost %", "ppm", "± µs", "bat. %")
 _LOSSY_PERCENT = 1.0

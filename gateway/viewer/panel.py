@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 
-from gateway.viewer.pose_table import attitude
-from gateway.outputs.messages import PoseMessage
+from gateway.contract.messages import PoseMessage
 from gateway.viewer.appearance import legend
 from gateway.viewer.history import History
 from gateway.viewer.marker_points import MarkerInstant
+from gateway.viewer.pose_table import attitude
 
 PLOT_SPAN_S = 10.0
 _LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")

@@ -7,8 +7,8 @@ import bisect
 import viser
 
 from gateway.body.joint_angles import JointAngles
+from gateway.contract.messages import PoseMessage
 from gateway.frames import SkeletonFrame, Status
-from gateway.outputs.messages import PoseMessage
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays

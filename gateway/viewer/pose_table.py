@@ -9,9 +9,9 @@ from typing import NamedTuple
 from rich.table import Table
 from rich.text import Text
 
-from gateway.viewer.printable import printable
-from gateway.outputs.messages import PoseMessage, Quaternion
+from gateway.contract.messages import PoseMessage, Quaternion
 from gateway.outputs.subscriber import ReceivedPose
+from gateway.viewer.printable import printable
 
 STALE_AFTER_S = 1.0
 """Age of the last pose from which on the table says that no data comes."""

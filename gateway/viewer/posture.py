@@ -8,8 +8,8 @@ import numpy as np
 
 from gateway.body.kinematics import joint_positions, lowest_point
 from gateway.body.skeleton import Skeleton
+from gateway.contract.messages import BodyMessage, PoseMessage
 from gateway.frames import FloatArray
-from gateway.outputs.messages import BodyMessage, PoseMessage
 
 
 @dataclass(frozen=True)

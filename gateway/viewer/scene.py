@@ -7,11 +7,11 @@ from collections.abc import Collection
 import numpy as np
 import viser
 
+from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.viewer.appearance import segment_colours
-from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
 

@@ -17,8 +17,8 @@ from pathlib import Path
 import aiomqtt
 import pytest
 
+from gateway.contract.messages import PoseMessage
 from gateway.outputs.connection import broker_connection
-from gateway.outputs.messages import PoseMessage
 from gateway.outputs.settings import MqttSettings, TlsSettings
 from tests.patience import PATIENCE_S
 

@@ -13,11 +13,12 @@ from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit
 from devices.link import Chunk, Framing
 from firmware_protocol import InertialSample
-from gateway.accounting import balances_of, unaccounted
+from gateway.accounting import balances_of
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
+from gateway.contract.balances import unaccounted
+from gateway.contract.messages import OutputCounters
 from gateway.despiking import Despiker
-from gateway.outputs.messages import OutputCounters
 from gateway.pipeline import Pipeline
 from gateway.stream import ClockMode
 

@@ -11,9 +11,10 @@ import pytest
 
 from devices.link import Chunk, Framing
 from firmware_protocol import InertialSample, LightSample, LocalMeasurement, encode_frame, wire_frame
-from gateway.accounting import balances_of, unaccounted
+from gateway.accounting import balances_of
 from gateway.assembly import MOST_WAITING, AssemblyParams, FrameAssembler, Lost
 from gateway.body.rig import load_rig
+from gateway.contract.balances import unaccounted
 from gateway.frames import InertialReading, LocalReading, Quantity
 from gateway.pipeline import Pipeline
 

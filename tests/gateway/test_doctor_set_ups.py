@@ -15,10 +15,10 @@ import tty
 import pytest
 import yaml
 
+from gateway.contract.messages import ModuleClockState, ModuleState
 from gateway.doctor import Surroundings, Verdict, examine_file
 from gateway.doctor.host import disk, metrics_port
 from gateway.doctor.running import judge
-from gateway.outputs.messages import ModuleClockState, ModuleState
 from gateway.settings import LinkSettings, MetricsSettings, RecordingSettings
 
 pytestmark = pytest.mark.system

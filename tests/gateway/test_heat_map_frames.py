@@ -5,9 +5,10 @@ import pytest
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from devices.link import Chunk, Framing
-from gateway.accounting import balances_of, unaccounted
+from gateway.accounting import balances_of
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
+from gateway.contract.balances import unaccounted
 from gateway.errors import GatewayError, SettingsError
 from gateway.pipeline import Pipeline
 from gateway.recording.reading import open_recording

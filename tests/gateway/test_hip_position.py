@@ -6,9 +6,10 @@ import yaml
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from devices.link import Chunk, Framing
-from gateway.accounting import balances_of, unaccounted
+from gateway.accounting import balances_of
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
+from gateway.contract.balances import unaccounted
 from gateway.emulation.video_truth import messages_of, ring_of_cameras, walking
 from gateway.errors import SettingsError
 from gateway.frames import InertialReading, Quantity

@@ -6,9 +6,10 @@ import pytest
 
 from devices.link import Chunk, Framing
 from firmware_protocol import LightSample, PressureSample, encode_frame, wire_frame
-from gateway.accounting import balances_of, unaccounted
+from gateway.accounting import balances_of
 from gateway.assembly import AssemblyParams
 from gateway.body.rig import load_rig
+from gateway.contract.balances import unaccounted
 from gateway.frames import LightReading, LocalReading, Quantity
 from gateway.pipeline import Pipeline
 from gateway.stream import Stream

@@ -8,10 +8,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from devices.link import Chunk, Framing
-from gateway.accounting import balances_of, unaccounted
+from gateway.accounting import balances_of
 from gateway.assembly import AssemblyParams
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import WorldSettings, load_body, worn_without_modules
+from gateway.contract.balances import unaccounted
 from gateway.pipeline import LOAD_EVENT, Pipeline
 from gateway.reconstruction import OPTICAL
 

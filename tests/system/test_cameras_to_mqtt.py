@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from devices.reconnect import LinkState
-from gateway.accounting import unaccounted
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
 from gateway.cameras.broker_link import TOPIC
 from gateway.cameras.broker_outlet import BrokerOutlet
 from gateway.cameras.serving import Outlet
+from gateway.contract.balances import unaccounted
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber

@@ -9,8 +9,8 @@ import orjson
 from scipy.spatial.transform import Rotation
 
 from gateway.cli.compare_live import Live, run_live
+from gateway.contract.messages import BodyMessage, BodySegment, ComparisonMessage, PoseMessage
 from gateway.outputs.connection import broker_connection
-from gateway.outputs.messages import BodyMessage, BodySegment, ComparisonMessage, PoseMessage
 from gateway.outputs.settings import MqttSettings
 from tests.patience import PATIENCE_S
 

@@ -18,8 +18,8 @@ from devices.link import Chunk, gateway_time_ns
 from devices.serial_link import SerialLink
 from gateway.body.rig import load_rig
 from gateway.comparison import orientation_error
+from gateway.contract.messages import PoseMessage
 from gateway.emulation.rig import dress, move
-from gateway.outputs.messages import PoseMessage
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.service import Service
 from gateway.settings import GatewaySettings

@@ -22,9 +22,9 @@ from gateway.analysis.live import GRAVITY, LiveMuscles
 from gateway.analysis.muscles import find_muscles
 from gateway.analysis.smooth_motion import smooth_motion
 from gateway.body.rig import load_rig
-from gateway.outputs.messages import BridgeState, PoseMessage, describe_body
+from gateway.contract.messages import BridgeState, PoseMessage, describe_body
+from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.topics import Topics
 from gateway.viewer import muscle_wires
 from gateway.viewer.live import LiveViewer
 

@@ -11,10 +11,10 @@ import numpy as np
 import orjson
 import pytest
 
-from gateway.accounting import unaccounted
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
+from gateway.contract.balances import unaccounted
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion

@@ -16,10 +16,10 @@ from paho.mqtt.properties import Properties
 from devices.device_errors import DeviceError
 from firmware_protocol import RELAY
 from gateway.body.rig import load_rig
+from gateway.contract.request_messages import LARGEST_REQUEST, ResponseMessage
 from gateway.modules.motion import MotionDetector
 from gateway.modules.operations import RequestError
 from gateway.modules.remote import remote_suit
-from gateway.outputs.request_messages import LARGEST_REQUEST, ResponseMessage
 from gateway.outputs.settings import MqttSettings
 from gateway.service import Service
 from gateway.settings import GatewaySettings, LinkSettings

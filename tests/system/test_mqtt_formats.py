@@ -114,9 +114,9 @@ async def test_home_assistant_finds_diagnostics_and_nothing_else(mosquitto, pose
 
 def test_values_of_home_assistant_are_those_of_the_state():
     """Its templates name fields of the message that they are rendered with."""
+    from gateway.contract.messages import ModuleClockState, ModuleState  # noqa: PLC0415
+    from gateway.contract.topics import Topics  # noqa: PLC0415
     from gateway.outputs.home_assistant import discovery  # noqa: PLC0415
-    from gateway.outputs.messages import ModuleClockState, ModuleState  # noqa: PLC0415
-    from gateway.outputs.topics import Topics  # noqa: PLC0415
 
     jinja2 = pytest.importorskip("jinja2")
     info = BridgeInfo(

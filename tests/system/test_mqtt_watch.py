@@ -22,8 +22,8 @@ import pytest
 from rich.console import Console
 
 from gateway.cli.watch import Watch, watch_poses
+from gateway.contract.messages import PoseMessage
 from gateway.outputs import MqttSettings
-from gateway.outputs.messages import PoseMessage
 from gateway.outputs.mqtt import MqttOutput
 from tests.patience import PATIENCE_S
 

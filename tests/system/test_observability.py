@@ -20,10 +20,10 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from prometheus_client.parser import text_string_to_metric_families as parse_text
 
 from gateway.body.rig import load_rig
+from gateway.contract.messages import BridgeHealth, BridgeInfo, ModuleState, PoseMessage
 from gateway.errors import OutputError
 from gateway.observability import Observer
 from gateway.outputs.connection import broker_connection
-from gateway.outputs.messages import BridgeHealth, BridgeInfo, ModuleState, PoseMessage
 from gateway.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S, loop_lateness

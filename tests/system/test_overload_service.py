@@ -11,8 +11,8 @@ import pytest
 
 from devices.reconnect import LinkState
 from gateway import overload
-from gateway.accounting import unaccounted
 from gateway.body.rig import load_rig
+from gateway.contract.balances import unaccounted
 from gateway.overload import SHED
 from gateway.recording import open_recording
 from gateway.recording.solving import verify

@@ -10,10 +10,10 @@ import pytest
 
 from devices.emulators.qtm_stand_in import QtmStandIn
 from devices.marker_files import MarkerTrial
-from gateway.accounting import unaccounted
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
+from gateway.contract.balances import unaccounted
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm

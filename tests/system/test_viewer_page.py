@@ -9,10 +9,10 @@ import aiomqtt
 import pytest
 
 from gateway.body.rig import load_rig
+from gateway.contract.messages import BridgeState, PoseMessage, describe_body
+from gateway.contract.topics import Topics
 from gateway.credentials import AccessToken
-from gateway.outputs.messages import BridgeState, PoseMessage, describe_body
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.topics import Topics
 from gateway.viewer.gate import Door, Gate
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")

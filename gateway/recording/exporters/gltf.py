@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.extras import how_to_add
+from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.recording.exporters.take import Take, rotation
-from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 
 _FLOAT, _UNSIGNED_INT, _UNSIGNED_SHORT = 5126, 5125, 5123
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963

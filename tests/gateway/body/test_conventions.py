@@ -10,8 +10,8 @@ import pytest
 
 from gateway.body.joint_angles import JointAngles
 from gateway.body.rig import load_body
-from gateway.viewer.pose_table import attitude
 from gateway.geometry import quaternion
+from gateway.viewer.pose_table import attitude
 
 PAGE = Path(__file__).parents[3] / "docs" / "conventions.md"
 ROW = re.compile(r"\| ([\w ]+) \| `(\w+)` \| ([+-])([enu]) \| `(\w+)` `(\w+)` \| (\w+) (grows|falls) \|")

@@ -16,8 +16,8 @@ from devices.emulators.tumbling import TumblingMotion
 from devices.link import Chunk, Framing
 from firmware_protocol.device_settings import factory_settings
 from gateway.assembly import AssemblyParams
-from gateway.body.rig import load_rig
 from gateway.body.corrections import SensorCorrections
+from gateway.body.rig import load_rig
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_session import SensorSession, combined
 from gateway.emulation.rig import dress

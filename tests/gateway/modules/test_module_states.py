@@ -7,8 +7,8 @@ from devices.link import Chunk, Framing
 from firmware_protocol import DeviceInfo, Health, InertialSample, wire_frame
 from firmware_protocol.framing import encode_frame
 from gateway.body.rig import load_rig
+from gateway.contract.messages import ModuleAvailability, ModuleState
 from gateway.modules.module_states import ModuleStates
-from gateway.outputs.messages import ModuleAvailability, ModuleState
 from gateway.stream import Stream
 
 SECOND_NS = 10**9

@@ -8,11 +8,11 @@ import pytest
 
 from gateway.body.joint_angles import JointAngles, posture
 from gateway.body.rig import load_body
-from gateway.viewer.pose_table import joint_table
+from gateway.contract.messages import BodyMessage, PoseMessage, describe_body
 from gateway.frames import SkeletonFrame
-from gateway.outputs.messages import BodyMessage, PoseMessage, describe_body
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
+from gateway.viewer.pose_table import joint_table
 
 BODY = load_body("lower_body_7")
 

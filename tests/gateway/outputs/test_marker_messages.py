@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
+from gateway.contract.messages import MarkersMessage
+from gateway.contract.topics import Topics
 from gateway.frames import MarkerFit, SkeletonFrame, Status
 from gateway.geometry import quaternion
 from gateway.outputs.marker_encoding import markers_message
-from gateway.outputs.messages import MarkersMessage
 from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.topics import Topics
 from gateway.recording.marker_encoding import decode_markers, encode_markers_of
 from gateway.resets import Resets
 

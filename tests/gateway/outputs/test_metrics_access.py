@@ -10,9 +10,9 @@ import urllib.request
 
 import pytest
 
+from gateway.contract.messages import BridgeInfo
 from gateway.credentials import AccessToken
 from gateway.outputs import metrics_server
-from gateway.outputs.messages import BridgeInfo
 from gateway.outputs.metrics import GatewayFigures
 from gateway.outputs.metrics_server import MetricsServer
 from tests.patience import PATIENCE_S

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
+from gateway.contract.topics import Topics
 from gateway.outputs.own_topics import FORGET_S, PublishRights, TwinWatch
-from gateway.outputs.topics import Topics
 
 TOPICS = Topics("mocap", "lab")
 GOOD = ReasonCode(PacketTypes.PUBACK, "Success")

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.contract.messages import PoseMessage
 from gateway.frames import SkeletonFrame, Status
-from gateway.outputs.messages import PoseMessage
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 

@@ -9,9 +9,9 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from gateway.viewer.pose_table import PoseView, attitude
-from gateway.outputs.messages import PoseMessage
+from gateway.contract.messages import PoseMessage
 from gateway.outputs.subscriber import ReceivedPose
+from gateway.viewer.pose_table import PoseView, attitude
 
 STANDING_EAST = Rotation.from_quat([0.7071, 0, 0, 0.7071])  # x anterior, y superior, z right
 MS = 1_000_000

@@ -12,10 +12,10 @@ from pydantic import ValidationError
 from pythonosc.osc_packet import OscPacket
 
 from gateway.body.rig import load_rig
+from gateway.contract.messages import PoseMessage
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
 from gateway.outputs.latest import LatestOutput
-from gateway.outputs.messages import PoseMessage
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.outputs.side_settings import OutputsSettings
 from gateway.outputs.unity import t_pose

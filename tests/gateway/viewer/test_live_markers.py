@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.outputs.messages import MarkersMessage, PoseMessage
+from gateway.contract.messages import MarkersMessage, PoseMessage
 from gateway.outputs.subscriber import ReceivedPose
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")

@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
+from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.body.kinematics import joint_positions, lowest_point
 from gateway.body.rig import load_rig
-from gateway.geometry import quaternion
-from gateway.outputs.messages import (
+from gateway.contract.messages import (
     BridgeHealth,
     BridgeInfo,
     ModuleInfo,
@@ -19,6 +19,7 @@ from gateway.outputs.messages import (
     PoseMessage,
     describe_body,
 )
+from gateway.geometry import quaternion
 from gateway.viewer.appearance import (
     COLOURS,
     STALE,
@@ -28,7 +29,6 @@ from gateway.viewer.appearance import (
     silent_segments,
     status_summary,
 )
-from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.viewer.history import History
 from gateway.viewer.module_table import module_rows, module_table
 from gateway.viewer.pace import pictures

@@ -17,9 +17,9 @@ from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
 from gateway.errors import GatewayError
 from gateway.frames import Status
-from gateway.recording.exporters import FORMATS, Axes, take_of
 from gateway.recording import SkeletonArrays
 from gateway.recording.arrays import MarkerArrays
+from gateway.recording.exporters import FORMATS, Axes, take_of
 
 LARGEST_ANGLE = 1e-4  # rad
 LARGEST_DISTANCE = 1e-4  # m

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.outputs.messages import PUBLICATIONS
-from gateway.outputs.topics import ANY_GATEWAY, Topics
+from gateway.contract.messages import PUBLICATIONS
+from gateway.contract.topics import ANY_GATEWAY, Topics
 
 
 def test_topics_are_those_of_the_contract() -> None:

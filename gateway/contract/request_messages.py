@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import orjson
 from pydantic import Field, JsonValue
 
-from gateway.outputs.messages import Message
+from gateway.contract.messages import Message
 
 LARGEST_REQUEST = 64 * 1024
 """Bytes; longer ones are refused unread."""

@@ -10,8 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from gateway.body.skeleton import Skeleton
-from gateway.frames import Status
-from gateway.outputs.messages import (
+from gateway.contract.messages import (
     PUBLICATIONS,
     STATUS_NAMES,
     BodyMessage,
@@ -22,6 +21,7 @@ from gateway.outputs.messages import (
     describe_body,
     plain_json,
 )
+from gateway.frames import Status
 
 
 def test_status_names_of_the_schema_are_those_of_the_frames() -> None:

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable, Mapping
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from gateway.outputs.messages import Publication
-from gateway.outputs.properties import JSON, MSGPACK
+from gateway.contract.messages import Publication
+from gateway.contract.properties import JSON, MSGPACK
 
 _HEAD = """# MQTT reference
 
-Written by `python -m gateway.outputs.contract docs/mqtt`, never by hand. For programs:
+Written by `python -m gateway.contract.documents docs/mqtt`, never by hand. For programs:
 [asyncapi.yaml](asyncapi.yaml) (AsyncAPI 3) and one JSON Schema a message in [schemas/](schemas).
 
 All topics lie below `<base_topic>/<gateway>/`, `mocap/gateway1/` unless configured otherwise. Payloads are

@@ -17,9 +17,9 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, field_validator, m
 
 from gateway.body.joints import WORLD, Joint
 from gateway.body.skeleton import Skeleton
+from gateway.contract import topics
+from gateway.contract.properties import JSON, MSGPACK
 from gateway.frames import Status
-from gateway.outputs import topics
-from gateway.outputs.properties import JSON, MSGPACK
 
 _LONGEST_SEGMENT = 1e4
 """Metres, of a robot or a crane; beyond, coordinates of a picture overflow."""

@@ -1,6 +1,6 @@
 """The MQTT contract as documents, from the one place it is declared: JSON Schemas and AsyncAPI 3.
 
-``PUBLICATIONS`` (``messages``) and the request models are the source; ``python -m gateway.outputs.contract
+``PUBLICATIONS`` (``messages``) and the request models are the source; ``python -m gateway.contract.documents
 docs/mqtt`` writes all of it, and a test holds the files equal to what would be written.
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,30 +16,17 @@ import yaml
 from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, models_json_schema
 
-from gateway.calibration.verbs import REQUESTS as CALIBRATION_REQUESTS
-from gateway.calibration.verbs import RESET_REQUESTS
-from gateway.modules.verbs import REQUESTS as MODULE_REQUESTS
-from gateway.outputs import topics
-from gateway.outputs.contract_text import reference_page
-from gateway.outputs.messages import PUBLICATIONS, Message, Publication
-from gateway.outputs.properties import JSON
-from gateway.outputs.request_messages import LONGEST_TRANSACTION, ResponseMessage
-from gateway.own_requests import REQUESTS as OWN_REQUESTS
-from gateway.recording.verbs import REQUESTS as RECORDING_REQUESTS
+from gateway.contract import topics
+from gateway.contract.messages import PUBLICATIONS, Message, Publication
+from gateway.contract.properties import JSON
+from gateway.contract.reference_page import reference_page
+from gateway.contract.request_messages import LONGEST_TRANSACTION, ResponseMessage
+from gateway.contract.requests import REQUEST_FAMILIES
 
 Schema = dict[str, Any]
 
 VERSION = "1.0.0"
 """Of the contract: the first number changes when an app must be changed."""
-
-REQUEST_FAMILIES: Mapping[str, Mapping[str, type[BaseModel]]] = {
-    "gateway": OWN_REQUESTS,
-    "modules": MODULE_REQUESTS,
-    "recording": RECORDING_REQUESTS,
-    "calibration": CALIBRATION_REQUESTS,
-    "reset": RESET_REQUESTS,
-}
-"""What may be asked of a gateway, ``bridge/request/<family>/<verb>``, and the data it takes."""
 
 _ROOT = "{base_topic}/{gateway}"
 _PARAMETERS: dict[str, Schema] = {
@@ -136,7 +122,7 @@ def files() -> dict[str, bytes]:
         f"schemas/{name}.json": orjson.dumps(schema, option=options)
         for name, schema in json_schemas().items()
     }
-    head = "# Written by `python -m gateway.outputs.contract docs/mqtt`, never by hand.\n"
+    head = "# Written by `python -m gateway.contract.documents docs/mqtt`, never by hand.\n"
     document = yaml.safe_dump(asyncapi(), sort_keys=False, allow_unicode=True, width=110)
     written["asyncapi.yaml"] = (head + document).encode()
     written["README.md"] = reference_page(PUBLICATIONS, request_models(), _request_name).encode()

@@ -12,10 +12,10 @@ import pytest
 import yaml
 
 from gateway.body.rig import load_rig
+from gateway.contract.documents import asyncapi, files, json_schemas, topic_pattern, write
+from gateway.contract.messages import PUBLICATIONS
+from gateway.contract.requests import REQUEST_FAMILIES
 from gateway.frames import SkeletonFrame
-from gateway.outputs import contract
-from gateway.outputs.contract import REQUEST_FAMILIES, asyncapi, files, json_schemas, topic_pattern
-from gateway.outputs.messages import PUBLICATIONS
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.service import Service
@@ -25,7 +25,7 @@ FOLDER = Path(__file__).resolve().parents[3] / "docs" / "mqtt"
 
 
 def test_the_files_on_disk_are_what_the_models_say():
-    remedy = "run: python -m gateway.outputs.contract docs/mqtt"
+    remedy = "run: python -m gateway.contract.documents docs/mqtt"
     written = files()
     on_disk = {path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*") if path.is_file()}
     assert on_disk == set(written), remedy
@@ -36,7 +36,7 @@ def test_the_files_on_disk_are_what_the_models_say():
 def test_writing_removes_schemas_of_messages_that_are_gone(tmp_path):
     (tmp_path / "schemas").mkdir()
     (tmp_path / "schemas" / "Gone.json").write_text("{}")
-    contract.write(tmp_path)
+    write(tmp_path)
     assert sorted(path.name for path in (tmp_path / "schemas").iterdir()) == sorted(
         f"{name}.json" for name in json_schemas()
     )

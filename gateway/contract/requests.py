@@ -1,0 +1,294 @@
+"""What may be asked of a gateway, ``bridge/request/<family>/<verb>``, and with which data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
+
+from firmware_protocol import MAX_MODULE
+
+RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
+"""Nothing that could mean another folder."""
+
+
+class Request(BaseModel):
+    """The data of a request: unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class InfoRequest(Request):
+    """What the gateway is and runs: as on ``bridge/info``."""
+
+
+class HealthRequest(Request):
+    """Its counters, now: as on ``bridge/health``."""
+
+
+class ReloadRequest(Request):
+    """Read the configuration anew. A wrong one is told, and the old one stays."""
+
+
+GATEWAY_REQUESTS: dict[str, type[Request]] = {
+    "info": InfoRequest,
+    "health": HealthRequest,
+    "reload": ReloadRequest,
+}
+"""Verb to the data it takes."""
+
+
+DeviceName = Annotated[
+    str,
+    Field(min_length=1, max_length=24, description="module id, 'relay', or the beginning of a unique id"),
+]
+UniqueId = Annotated[str, Field(pattern=r"^[0-9a-f]{24}$", description="12 bytes, hexadecimal")]
+ModuleId = Annotated[int, Field(ge=0, le=MAX_MODULE)]
+SettingName = Annotated[str, Field(max_length=40)]
+
+LARGEST_READ = 8 * 1024
+"""Most bytes of a card file in one answer."""
+
+
+class ListRequest(Request):
+    """Who is there, and how each fares."""
+
+    listen_s: float = Field(
+        default=2.0, ge=0.5, le=30, description="how long rates and losses are measured, s"
+    )
+
+
+class IdentifyRequest(Request):
+    """Make a device blink."""
+
+    device: DeviceName
+    seconds: int = Field(default=5, ge=0, le=255, description="0 stops it")
+
+
+class ReadRequest(Request):
+    """All settings of a device."""
+
+    device: DeviceName
+
+
+class SetRequest(Request):
+    """Change settings of a device."""
+
+    device: DeviceName
+    settings: dict[SettingName, JsonValue] = Field(min_length=1, max_length=32)
+
+
+class AssignRequest(Request):
+    """Give devices module ids."""
+
+    ids: dict[UniqueId, ModuleId] = Field(min_length=1, max_length=64)
+
+
+class SeparateRequest(Request):
+    """Give all but one of the devices that share a module id a free one."""
+
+
+class UndoRequest(Request):
+    """Write back what stood there before the last change."""
+
+
+class MotionRequest(Request):
+    """Which module is shaken or tapped."""
+
+    seconds: float = Field(default=20.0, ge=0.5, le=120, description="how long to wait for it")
+    continues: bool = Field(default=False, description="what has moved since the last request counts too")
+
+
+class BackupRequest(Request):
+    """All settings of all modules."""
+
+
+class RestoreRequest(Request):
+    """Write a backup back."""
+
+    modules: dict[UniqueId, dict[SettingName, JsonValue]] = Field(max_length=64)
+
+
+class CardListRequest(Request):
+    """The files on a memory card."""
+
+    device: DeviceName = "relay"
+
+
+class CardStartRequest(Request):
+    """Begin to record on a card, in a new file."""
+
+    device: DeviceName = "relay"
+
+
+class CardStopRequest(Request):
+    """End the recording on a card."""
+
+    device: DeviceName = "relay"
+
+
+class CardReadRequest(Request):
+    """A piece of a file on a memory card."""
+
+    device: DeviceName = "relay"
+    file: int = Field(ge=0, lt=0xFFFF)
+    offset: int = Field(ge=0, lt=2**32)
+    length: int = Field(ge=1, le=LARGEST_READ)
+
+
+class CardEraseRequest(Request):
+    """Erase files of a memory card."""
+
+    device: DeviceName = "relay"
+    file: int | None = Field(default=None, ge=0, lt=0xFFFF, description="none: all of them")
+
+
+MODULE_REQUESTS: dict[str, type[Request]] = {
+    "list": ListRequest,
+    "identify": IdentifyRequest,
+    "read": ReadRequest,
+    "set": SetRequest,
+    "assign": AssignRequest,
+    "separate": SeparateRequest,
+    "undo": UndoRequest,
+    "motion": MotionRequest,
+    "backup": BackupRequest,
+    "restore": RestoreRequest,
+    "card_list": CardListRequest,
+    "card_start": CardStartRequest,
+    "card_stop": CardStopRequest,
+    "card_read": CardReadRequest,
+    "card_erase": CardEraseRequest,
+}
+"""Verb to the data it takes."""
+
+
+class StartRecordingRequest(Request):
+    """Begin to record."""
+
+    name: str | None = Field(
+        default=None,
+        pattern=RECORDING_NAME,
+        description="added to the file's name, which begins with the time",
+    )
+
+
+class StopRecordingRequest(Request):
+    """End the recording."""
+
+
+class RecordingStatusRequest(Request):
+    """Whether and where is being recorded, and how it goes."""
+
+
+RECORDING_REQUESTS: dict[str, type[Request]] = {
+    "start": StartRecordingRequest,
+    "stop": StopRecordingRequest,
+    "status": RecordingStatusRequest,
+}
+"""Verb to the data it takes."""
+
+
+SegmentName = Annotated[str, Field(max_length=40)]
+
+
+class BeginCalibrationRequest(Request):
+    """Begin a body calibration; one under way is given up. Answers with the steps to do."""
+
+    field: bool = Field(default=True, description="magnetometers tell headings; false: only the movements do")
+
+
+class CalibrationStepRequest(Request):
+    """Do a step: counts down, then records. Answers at once; `calibration/status` says how far it is."""
+
+    step: str = Field(max_length=40, description="one of the steps that `calibration/begin` told")
+    countdown_s: float = Field(default=3.0, ge=0, le=30, description="time to get ready, s")
+    seconds: float | None = Field(default=None, ge=1, le=120, description="how long; none: as planned")
+    segments: list[SegmentName] | None = Field(
+        default=None, max_length=64, description="only these are done again; none: all"
+    )
+
+
+class CalibrationStatusRequest(Request):
+    """How far it is, and what every module does at the moment."""
+
+
+class CalibrationResultRequest(Request):
+    """What the steps done so far give: a score for each module, and why when it is not good."""
+
+
+class AcceptCalibrationRequest(Request):
+    """Use the result from now on, and keep it in a rig file where one is named."""
+
+    segments: list[SegmentName] | None = Field(
+        default=None, max_length=64, description="only these; none: all that are not poor"
+    )
+    poor: bool = Field(default=False, description="take poor results too")
+    save: bool = Field(
+        default=False,
+        description="write the configuration's rig file too, or `<rig>.worn.yaml` for a shipped one",
+    )
+
+
+class CancelCalibrationRequest(Request):
+    """Give it up; nothing changes."""
+
+
+class CalibrationHistoryRequest(Request):
+    """Earlier versions of the rig file that `accept` writes."""
+
+
+class RestoreCalibrationRequest(Request):
+    """Put an earlier version of the rig file back, and wear the suit by it."""
+
+    version: str | None = Field(default=None, max_length=40, description="as listed; none: the newest")
+
+
+CALIBRATION_REQUESTS: dict[str, type[Request]] = {
+    "begin": BeginCalibrationRequest,
+    "step": CalibrationStepRequest,
+    "status": CalibrationStatusRequest,
+    "result": CalibrationResultRequest,
+    "accept": AcceptCalibrationRequest,
+    "cancel": CancelCalibrationRequest,
+    "history": CalibrationHistoryRequest,
+    "restore": RestoreCalibrationRequest,
+}
+"""Verb to the data it takes."""
+
+
+class HeadingResetRequest(Request):
+    """Turn the world so that the wearer faces a direction."""
+
+    facing_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="heading afterwards, anticlockwise from east"
+    )
+
+
+class FullResetRequest(Request):
+    """Heading and mounting at once: stand in the N-pose."""
+
+    facing_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="heading afterwards, anticlockwise from east"
+    )
+
+
+class MountingResetRequest(Request):
+    """Take every segment to be in the neutral posture now: stand in the N-pose."""
+
+
+RESET_REQUESTS: dict[str, type[Request]] = {
+    "heading": HeadingResetRequest,
+    "full": FullResetRequest,
+    "mounting": MountingResetRequest,
+}
+
+
+REQUEST_FAMILIES: Mapping[str, Mapping[str, type[Request]]] = {
+    "gateway": GATEWAY_REQUESTS,
+    "modules": MODULE_REQUESTS,
+    "recording": RECORDING_REQUESTS,
+    "calibration": CALIBRATION_REQUESTS,
+    "reset": RESET_REQUESTS,
+}
