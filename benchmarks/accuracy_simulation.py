@@ -11,7 +11,6 @@ from benchmarks.figures import Figure, Report, table
 from benchmarks.peers import NO_FIELD, solved
 from devices.emulators.motions import BodyMotion, robot_arm_motion
 from gateway.body.skeleton import WornSuit
-from gateway.comparison import coverage_percent, orientation_error, rmse_deg
 from gateway.emulation.fast_arm import (
     ALL_ON,
     IDEAL,
@@ -28,6 +27,7 @@ from gateway.emulation.recordings import SMOOTHED
 from gateway.emulation.rig import dress
 from gateway.emulation.simulation import ALREADY_MOVING, PLACEMENTS, arm, errors_deg, ideal_frames
 from gateway.frames import FloatArray, ImuFrame
+from gateway.geometry.comparison import coverage_percent, orientation_error, rmse_deg
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor, StartingPose
 
 RATES_HZ = (100.0, 200.0, 400.0, 800.0, 1600.0)

@@ -9,8 +9,8 @@ from typing import Protocol
 from devices.command_client import host_bytes
 from devices.emulators.delivery import Transmission
 from devices.link import Chunk, Framing, SentChunk
+from gateway.service.synchronisation import UNEVENNESS, question
 from gateway.settings import ClockSettings
-from gateway.synchronisation import UNEVENNESS, question
 
 STEP_S = 0.01
 

@@ -11,7 +11,7 @@ from devices.emulators.calibrating import WearerFaults, calibration_motion, stra
 from devices.emulators.imperfections import TYPICAL, Imperfections
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import BodyResult
@@ -19,7 +19,7 @@ from gateway.calibration.body_session import BodySession
 from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, ImuFrame
 from gateway.pipeline import Pipeline
-from gateway.stream import ClockMode
+from gateway.sources.stream import ClockMode
 
 LINK = "simulated"
 RATE_HZ = 60.0

@@ -34,7 +34,7 @@ from gateway.emulation.clock_simulation import (
     transport_limit_us,
 )
 from gateway.frames import FloatArray
-from gateway.stream import ClockMode, Stream
+from gateway.sources.stream import ClockMode, Stream
 
 SEED = 4
 MODULES = 17

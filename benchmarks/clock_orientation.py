@@ -19,16 +19,16 @@ from devices.emulators import Imperfections, SuitSettings, SuitTraffic, generic_
 from devices.emulators.motions import BodyMotion
 from devices.link import Chunk, Framing
 from firmware_protocol import FrameDecoder, PacketDecoder
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching
 from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, SkeletonFrame
-from gateway.host_sender import HostSender
 from gateway.pipeline import Pipeline
-from gateway.stream import ClockMode
-from gateway.synchronisation import Synchroniser
+from gateway.service.host_sender import HostSender
+from gateway.service.synchronisation import Synchroniser
+from gateway.sources.stream import ClockMode
 
 RIG = "robot_arm_4"
 LINK = "suit"

@@ -33,7 +33,7 @@ from gateway.contract.balances import unaccounted
 from gateway.emulation.rig import dress, move
 from gateway.emulation.simulation import suit_17
 from gateway.frames import SkeletonFrame, Status, StatusArray
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 
 METHOD = "independent"

@@ -14,10 +14,10 @@ from devices.emulators.recording_formats import read_broad
 from devices.emulators.recordings import Recording
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.comparison import orientation_error, rmse_deg
 from gateway.emulation.recordings import imu_frames, orientations, reference_at
 from gateway.frames import FloatArray, ImuFrame
 from gateway.geometry import quaternion, rotation_matrix
+from gateway.geometry.comparison import orientation_error, rmse_deg
 from gateway.reconstruction import create_reconstructor
 
 UNAIDED = "per sample, unaided"

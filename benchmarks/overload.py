@@ -15,7 +15,7 @@ from benchmarks.figures import Figure, Report, table
 from benchmarks.speed_growth import enlarged_suit
 from devices.emulators.paced_writer import ticks
 from devices.link import Chunk, Framing
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.contract.topics import Topics
@@ -23,9 +23,9 @@ from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.settings import MqttSettings, PoseFormat, PoseMap
 from gateway.outputs.thinning import Thinning
 from gateway.outputs.vmc import VmcEncoder
-from gateway.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, LoadWatch
 from gateway.pipeline import LOAD_EVENT, Pipeline
-from gateway.stream import ClockMode
+from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, LoadWatch
+from gateway.sources.stream import ClockMode
 
 LINK = "suit"
 MODULES = (17, 34, 63)

@@ -22,7 +22,7 @@ from types import FrameType
 from devices.emulators import Imperfections, SuitSettings, SuitTraffic
 from devices.emulators.motions import generic_motion
 from devices.link import Chunk, Framing
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.contract.topics import Topics
 from gateway.emulation.rig import dress

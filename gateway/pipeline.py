@@ -6,7 +6,7 @@
 ``Pipeline`` is sans-I/O and deterministic: fed the same chunks with the same arrival times, and told in
 the same order what the gateway sent and when (``sent``) and what was asked of it (``event``), it gives the
 same skeleton frames, bit for bit.
-``gateway.service`` puts links before it and outputs after.
+``gateway.service.service`` puts links before it and outputs after.
 """
 
 from __future__ import annotations
@@ -19,19 +19,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from devices.link import Chunk, Framing, SentChunk
-from gateway.assembly import AssemblyParams, FrameAssembler
+from gateway.assembly.frame_assembler import AssemblyParams, FrameAssembler
+from gateway.assembly.fused_assembler import FusedAssembler
+from gateway.assembly.heat_map_frames import NO_CAMERAS, HeatMapFrames
+from gateway.assembly.marker_frames import MarkerFrames
 from gateway.body.corrections import SensorCorrections
 from gateway.body.skeleton import WornSuit, remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
-from gateway.despiking import Despiker
 from gateway.errors import GatewayError, SettingsError
 from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, SkeletonFrame
-from gateway.fused_assembly import FusedAssembler
-from gateway.gnss import GnssParams, GnssReceiver
-from gateway.heat_map_frames import NO_CAMERAS, HeatMapFrames
-from gateway.hip_position import HipPosition
-from gateway.light import SunCompass
-from gateway.marker_frames import MarkerFrames
 from gateway.reconstruction import (
     FUSED,
     NO_CONTACTS,
@@ -45,9 +41,13 @@ from gateway.reconstruction import (
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.warm_up import warm_up
 from gateway.reconstruction.reconstructor import Reconstructor
-from gateway.resets import Resets
+from gateway.reconstruction.resets import Resets
 from gateway.settings import GatewaySettings, fitting_suit
-from gateway.stream import ClockMode, Reading, Stream
+from gateway.sources.despiking import Despiker
+from gateway.sources.gnss import GnssParams, GnssReceiver
+from gateway.sources.hip_position import HipPosition
+from gateway.sources.light import SunCompass
+from gateway.sources.stream import ClockMode, Reading, Stream
 
 FRAMES_AT_A_TIME = 256
 """Of a recording: enough that a call costs nothing, few enough to stay in the processor's cache."""

@@ -7,17 +7,17 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.skeleton import WornSuit
 from gateway.contract.requests import RECORDING_NAME
-from gateway.credentials import AccessToken, token_for
 from gateway.errors import SettingsError, nearest
-from gateway.log_format import LogFormat
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.side_settings import OutputsSettings
 from gateway.reconstruction import OFFLINE, OPTICAL, RECONSTRUCTORS, RootMode, RootSettings
-from gateway.settings_files import load_settings
-from gateway.stream import ClockMode
+from gateway.sources.stream import ClockMode
+from gateway.support.credentials import AccessToken, token_for
+from gateway.support.log_format import LogFormat
+from gateway.support.settings_files import load_settings
 
 METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
 """Environment variable that may hold the token of metrics and health."""

@@ -1,11 +1,30 @@
-"""Imports run one way: firmware_protocol <- devices <- gateway."""
+"""Imports run one way: firmware_protocol <- devices <- gateway, and between the rooms of gateway."""
 
 import ast
 import pathlib
 import sys
 
+import pytest
+
 ROOT = pathlib.Path(__file__).parent.parent
 LAYERS = ["firmware_protocol", "devices", "gateway"]  # each may import those before it
+ROOMS = [
+    *("errors", "frames", "support", "geometry", "body", "clocks", "contract"),
+    *("reconstruction", "assembly", "sources", "settings", "pipeline"),
+    *(
+        "outputs",
+        "modules",
+        "calibration",
+        "recording",
+        "imports",
+        "agreement",
+        "report",
+        "analysis",
+        "batch",
+    ),
+    *("cameras", "service", "emulation", "doctor", "viewer", "cli", "__main__"),
+]
+"""Folders and modules directly in ``gateway/``: each may import those before it."""
 
 
 def imported_roots(path):
@@ -24,6 +43,30 @@ def test_packages_import_only_downwards():
                 assert name not in LAYERS[level + 1 :], f"{path}:{line} imports {name}"
 
 
+def rooms_imported(path):
+    """Yield line and room of each import from the gateway, wherever it stands in a file."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "gateway":
+            inner = node.module.split(".")[1:]
+            yield from ((node.lineno, inner[0] if inner else alias.name) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            dotted = (alias.name.split(".") for alias in node.names)
+            yield from ((node.lineno, name[1]) for name in dotted if name[0] == "gateway" and name[1:])
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_import_only_those_before_them(room):
+    folder = ROOT / "gateway" / room
+    for path in folder.rglob("*.py") if folder.is_dir() else [folder.with_suffix(".py")]:
+        for line, name in rooms_imported(path):
+            assert name in ROOMS[: ROOMS.index(room) + 1], f"{path}:{line} imports {name}, which comes later"
+
+
+def test_every_room_has_its_place():
+    found = {path.stem for path in (ROOT / "gateway").iterdir() if path.suffix == ".py" or path.is_dir()}
+    assert found - {"__init__", "__pycache__"} == set(ROOMS)
+
+
 def test_the_wire_needs_only_the_standard_library_and_cobs():
     allowed = set(sys.stdlib_module_names) | {"cobs", "firmware_protocol"}
     for path in (ROOT / "firmware_protocol").rglob("*.py"):
@@ -33,12 +76,9 @@ def test_the_wire_needs_only_the_standard_library_and_cobs():
 
 def test_nothing_below_the_shell_reads_a_clock():
     sans_io = [*(ROOT / "firmware_protocol").rglob("*.py")]
-    for part in ("geometry", "body", "clocks", "reconstruction"):
+    for part in ("geometry", "body", "clocks", "reconstruction", "assembly", "sources"):
         sans_io += (ROOT / "gateway" / part).rglob("*.py")
-    sans_io += [
-        ROOT / "gateway" / f"{name}.py"
-        for name in ("pipeline", "stream", "assembly", "despiking", "statistics", "frames")
-    ]
+    sans_io += [ROOT / "gateway" / f"{name}.py" for name in ("pipeline", "frames")]
     for path in sans_io:
         for line, name in imported_roots(path):
             assert name not in {"time", "asyncio", "socket", "threading"}, f"{path}:{line} imports {name}"

@@ -22,8 +22,8 @@ from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.requests import RequestResponder
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
-from gateway.own_requests import OwnRequests
 from gateway.recording.control import RecordingControl
+from gateway.service.own_requests import OwnRequests
 from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
 
 _GATEWAY = "fuzzed"

@@ -37,7 +37,7 @@ from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings, LinkSettings
-from gateway.settings_files import shipped_folder
+from gateway.support.settings_files import shipped_folder
 
 _VECTORS = Path(firmware_protocol.__file__).parent / "vectors"
 _DATA = Path(os.environ.get("MOCAP_DATA", CORPORA.parent.parent.parent.parent / "shared" / "data"))

@@ -49,7 +49,7 @@ _WIRE = (
     "firmware_protocol.packets",
     "firmware_protocol.relay",
 )
-_SETTINGS = ("gateway.settings", "gateway.settings_files")
+_SETTINGS = ("gateway.settings", "gateway.support.settings_files")
 _SHEETS = (
     "devices.vendor_formats.gaps",
     "devices.vendor_formats.labels",
@@ -87,21 +87,21 @@ _ALL = (
     ),
     Target("flash_slots", "settings in a module's flash", "wire", ("firmware_protocol.flash_slots",), 2048),
     Target("markers", "markers of an optical system, as JSON", "wire", ("devices.marker_messages",), 2048),
-    Target("gnss", "NMEA and UBX of a satellite receiver", "wire", ("gateway.gnss.sentences",), 2048),
+    Target("gnss", "NMEA and UBX of a satellite receiver", "wire", ("gateway.sources.gnss.sentences",), 2048),
     Target("card_file", "a memory card's file, to a recording", "wire", ("devices.card_recording",), 4096),
     Target("gateway_file", "gateway.yaml", "configuration", _SETTINGS, 4096),
     Target(
         "rig_file",
         "rig files",
         "configuration",
-        ("gateway.body.rig", "gateway.body.anthropometry", "gateway.settings_files"),
+        ("gateway.body.rig", "gateway.body.anthropometry", "gateway.support.settings_files"),
         4096,
     ),
     Target(
         "body_file",
         "body files",
         "configuration",
-        ("gateway.body.rig", "gateway.body.joint_file", "gateway.settings_files"),
+        ("gateway.body.rig", "gateway.body.joint_file", "gateway.support.settings_files"),
         4096,
     ),
     Target("clock_table", "clock tables", "configuration", ("gateway.clocks.table",), 2048),
@@ -114,7 +114,7 @@ _ALL = (
         (
             "gateway.contract.request_messages",
             "gateway.outputs.requests",
-            "gateway.own_requests",
+            "gateway.service.own_requests",
             "gateway.recording.control",
         ),
         2048,

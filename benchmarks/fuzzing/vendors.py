@@ -14,7 +14,7 @@ from devices.vendor_formats.movella_dot import read_movella_dot
 from devices.vendor_formats.mvnx import read_mvnx
 from devices.vendor_formats.ximu3 import read_ximu3
 from devices.vendor_formats.xsens_text import read_xsens_text
-from gateway.settings_files import load_settings
+from gateway.support.settings_files import load_settings
 
 PARTS = b"\n=====\n"
 """Between the files of one input."""

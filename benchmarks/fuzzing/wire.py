@@ -50,7 +50,7 @@ from firmware_protocol import (
 )
 from firmware_protocol.flash_slots import SLOT_MAGIC, SLOT_SIZE
 from firmware_protocol.messages import ANYONE
-from gateway.gnss.sentences import GnssDecoder
+from gateway.sources.gnss.sentences import GnssDecoder
 
 _SCRATCH = Path(tempfile.mkdtemp(prefix="mocap-fuzz-"))
 _PATIENCE_NS = 50_000_000

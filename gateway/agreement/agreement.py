@@ -17,9 +17,9 @@ from gateway.agreement.world_alignment import (
     aligned,
     place_aligned,
 )
-from gateway.comparison import orientation_error
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
+from gateway.geometry.comparison import orientation_error
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from gateway.analysis.inertia import NO_MASS_KG, BodyInertia
 from gateway.body.rig import Vector
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
-from gateway.settings_files import load_settings
+from gateway.support.settings_files import load_settings
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from gateway.analysis.muscle_curves import Curves
 from gateway.errors import GatewayError, SettingsError, nearest
 from gateway.frames import FloatArray
-from gateway.settings_files import load_settings
+from gateway.support.settings_files import load_settings
 
 
 class _Strict(BaseModel):

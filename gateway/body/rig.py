@@ -29,7 +29,7 @@ from gateway.body.skeleton import (
 )
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
-from gateway.settings_files import find_file, load_settings, load_yaml
+from gateway.support.settings_files import find_file, load_settings, load_yaml
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]

@@ -18,7 +18,7 @@ from gateway.body.markers import BodyMarkers
 from gateway.body.rig import BodyFile, Vector, WorldSettings, skeleton_of, worn_without_modules
 from gateway.body.skeleton import Skeleton, VideoSetUp, WornSuit
 from gateway.errors import SettingsError, nearest
-from gateway.settings_files import load_settings
+from gateway.support.settings_files import load_settings
 
 _DIGITS = 9
 

@@ -27,7 +27,7 @@ from gateway.body.camera_entries import CameraEntry, entry_of
 from gateway.calibration.cameras_import import import_cameras
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
-from gateway.settings_files import load_settings
+from gateway.support.settings_files import load_settings
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 _NEAREST_M, _FARTHEST_M = 0.02, 500.0

@@ -26,7 +26,7 @@ from gateway.contract.requests import (
 )
 from gateway.errors import GatewayError, nearest
 from gateway.pipeline import CALIBRATED_EVENT, RESET_EVENT, Pipeline
-from gateway.settings_files import find_file
+from gateway.support.settings_files import find_file
 
 STILL = np.radians(6.0)
 """Angular rate below which a module counts as still in the live display, rad/s."""

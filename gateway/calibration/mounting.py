@@ -12,8 +12,8 @@ from gateway.body.rig import RigFile
 from gateway.calibration.body_result import ModuleResult
 from gateway.calibration.rig_file import write_rig
 from gateway.errors import GatewayError
-from gateway.settings_files import load_settings, load_yaml, shipped_folder
-from gateway.whole_files import write_whole
+from gateway.support.settings_files import load_settings, load_yaml, shipped_folder
+from gateway.support.whole_files import write_whole
 
 _DATE = r"\d{8}T\d{6}Z"
 

@@ -13,8 +13,8 @@ from devices.calibration import SensorCalibration
 from gateway.body.rig import RigFile
 from gateway.body.sensor_entries import CalibrationEntry
 from gateway.errors import GatewayError
-from gateway.settings_files import load_settings, load_yaml
-from gateway.whole_files import write_whole
+from gateway.support.settings_files import load_settings, load_yaml
+from gateway.support.whole_files import write_whole
 
 
 def write_calibrated_rig(

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from devices.cameras.heat_map_messages import HeatMapReceiver
+from gateway.assembly.heat_map_frames import heat_maps_of
 from gateway.body.camera import Camera
 from gateway.cameras.synchronisation import signed_distances, synchronisation_of
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
-from gateway.heat_map_frames import heat_maps_of
 from gateway.reconstruction.video.initial import rays_through
 from gateway.reconstruction.video.projection import camera_model
 

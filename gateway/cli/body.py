@@ -22,7 +22,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
 from gateway.contract.messages import describe_body
 from gateway.errors import GatewayError
-from gateway.settings_files import find_file, load_yaml, shipped_folder
+from gateway.support.settings_files import find_file, load_yaml, shipped_folder
 
 body_app = typer.Typer(help="Bodies: segments, joints, lengths.", no_args_is_help=True)
 

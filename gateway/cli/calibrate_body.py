@@ -29,7 +29,7 @@ from gateway.cli.body_tables import live_table, modules_of, result_table
 from gateway.errors import GatewayError
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
-from gateway.settings_files import find_file
+from gateway.support.settings_files import find_file
 
 _REFRESH_S = 0.1
 _UNHEARD_S = 10.0

@@ -15,7 +15,7 @@ from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
 from gateway.cli.progress import progress_bar
 from gateway.errors import GatewayError
-from gateway.video_extra import require_video_extra
+from gateway.support.video_extra import require_video_extra
 
 if TYPE_CHECKING:
     from gateway.calibration.boards import Board

@@ -29,7 +29,7 @@ from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import suit_session
 from gateway.settings import load_gateway_settings
-from gateway.settings_files import find_file
+from gateway.support.settings_files import find_file
 
 _REFRESH_S = 0.25
 _UNHEARD_S = 10.0

@@ -31,9 +31,9 @@ from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction import FUSED, readiness
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
-from gateway.stream import ClockMode
+from gateway.sources.stream import ClockMode
 from gateway.viewer.pose_table import PoseView
 
 GATEWAY = "demo"

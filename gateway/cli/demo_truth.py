@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.comparison import orientation_error, rmse_deg
 from gateway.emulation.rig import dress, move
 from gateway.frames import FloatArray
+from gateway.geometry.comparison import orientation_error, rmse_deg
 from gateway.outputs.subscriber import ReceivedPose
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
 
 SETTLING_S = 3.0
 """Left out of the error: filters start anywhere."""

@@ -8,7 +8,7 @@ from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit
 from devices.emulators.suit_traffic import SuitTraffic
 from gateway.errors import GatewayError
-from gateway.settings_files import load_settings
+from gateway.support.settings_files import load_settings
 
 
 def faulty(traffic: SuitTraffic, path: Path) -> FaultySuit:

@@ -13,7 +13,7 @@ import yaml
 from devices.device_backup import parse_unique_id
 from gateway.cli.modules_suit import Operations, SuitChoice, run_with_suit, with_suit
 from gateway.errors import GatewayError
-from gateway.settings_files import load_yaml
+from gateway.support.settings_files import load_yaml
 
 Device = Annotated[str, typer.Argument(help="Module id, 'relay', or the beginning of a unique id.")]
 

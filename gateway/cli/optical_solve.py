@@ -34,7 +34,7 @@ from gateway.recording.optical import (
     write_published_trial,
     write_solved_trial,
 )
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import load_gateway_settings
 
 Subject = Annotated[str, typer.Option("--subject", "-s", help="Subject file of `optical fit`.")]

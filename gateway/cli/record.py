@@ -17,9 +17,9 @@ from gateway.body.rig import load_rig
 from gateway.cli.compiling import told_when_compiling
 from gateway.cli.preparing import make_ready
 from gateway.cli.run import until_signal
-from gateway.log_format import set_up_logging
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
+from gateway.support.log_format import set_up_logging
 
 REFRESH_S = 0.5
 

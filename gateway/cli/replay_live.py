@@ -14,7 +14,7 @@ from gateway.cli.progress import progress_bar
 from gateway.cli.run import until_signal
 from gateway.recording import Recording
 from gateway.recording.solving import Source, with_recorded_table
-from gateway.service import Service
+from gateway.service.service import Service
 
 QUEUE = 512
 """Poses that may wait for the broker; reading goes on while no more than half of them do."""

@@ -14,11 +14,11 @@ from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli.compiling import told_when_compiling
 from gateway.errors import GatewayError
-from gateway.log_format import set_up_logging
 from gateway.reconstruction import readiness
-from gateway.service import Service
-from gateway.service_manager import feed_watchdog, notify
+from gateway.service.service import Service
+from gateway.service.systemd import feed_watchdog, notify
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
+from gateway.support.log_format import set_up_logging
 
 log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import typer
 
 from gateway.cli.lazy_commands import LazyCommand, LazyGroup
-from gateway.video_extra import require_video_extra
+from gateway.support.video_extra import require_video_extra
 
 
 class _VideoCommands(LazyGroup):

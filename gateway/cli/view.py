@@ -15,10 +15,10 @@ from devices.extras import how_to_add
 from gateway.cli.broker_options import BrokerChoice, with_broker
 from gateway.cli.progress import progress_bar
 from gateway.contract.topics import ANY_GATEWAY
-from gateway.credentials import AccessToken, token_for
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
 from gateway.recording import open_recording
+from gateway.support.credentials import AccessToken, token_for
 
 if TYPE_CHECKING:
     import viser

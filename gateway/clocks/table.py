@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
-from gateway.settings_files import load_settings
+from gateway.support.settings_files import load_settings
 
 MINUTE_S = 60.0
 

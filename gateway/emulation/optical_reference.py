@@ -14,9 +14,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
-from gateway.comparison import orientation_error, rmse_deg
 from gateway.emulation.recordings import reference_at
 from gateway.frames import FloatArray
+from gateway.geometry.comparison import orientation_error, rmse_deg
 
 LONGEST_LAG_S = 0.05
 LAG_STEP_S = 0.001

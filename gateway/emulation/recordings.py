@@ -20,16 +20,16 @@ from devices.emulators.recording_formats import METAL_TABLE_S
 from devices.emulators.recordings import Recording, ReferenceTrack, play
 from devices.link import Chunk, Framing
 from gateway.agreement.world_alignment import align_world, aligned
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.comparison import coverage_percent, orientation_error, rmse_deg
 from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
+from gateway.geometry.comparison import coverage_percent, orientation_error, rmse_deg
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import create_reconstructor
 from gateway.reconstruction.reconstructor import update_many
 from gateway.reconstruction.smoothing import Smoother
-from gateway.stream import ClockMode
+from gateway.sources.stream import ClockMode
 
 LINK = "recording"
 SMOOTHED = "joint, smoothed"

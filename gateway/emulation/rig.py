@@ -20,7 +20,7 @@ from devices.emulators.motions import (
 from devices.emulators.tumbling import TumblingMotion
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import Quantity
-from gateway.light import sun_direction
+from gateway.sources.light import sun_direction
 
 LOCAL_RATE_HZ = 100.0
 

@@ -14,7 +14,7 @@ from devices.vendor_formats.sheets import FormatError
 from devices.vendor_formats.ximu3 import folders_of, read_ximu3
 from devices.vendor_formats.xsens_text import read_xsens_text
 from gateway.errors import GatewayError
-from gateway.settings_files import load_settings
+from gateway.support.settings_files import load_settings
 
 _HEAD_BYTES = 8192
 

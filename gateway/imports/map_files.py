@@ -9,7 +9,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import parse
 
 from gateway.errors import GatewayError
-from gateway.settings_files import load_yaml
+from gateway.support.settings_files import load_yaml
 
 
 def read_maps(texts: list[str]) -> dict[str, str]:

@@ -22,7 +22,7 @@ from gateway.recording.reading import Progress
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings, LinkSettings
-from gateway.stream import ClockMode
+from gateway.sources.stream import ClockMode
 
 LINK = "imported"
 _FIRST_NS = 10**9

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from devices.configure import Change
 from gateway.contract.requests import UniqueId
 from gateway.errors import GatewayError
-from gateway.whole_files import write_whole
+from gateway.support.whole_files import write_whole
 
 _log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ import logging
 from devices.link import Chunk
 from firmware_protocol import ReceivedPacket
 from firmware_protocol.messages import Event, LogLine
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
 
 _log = logging.getLogger(__name__)
 

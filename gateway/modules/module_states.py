@@ -15,8 +15,8 @@ from gateway.body.skeleton import WornSuit
 from gateway.contract.messages import Message, ModuleAvailability, ModuleState
 from gateway.contract.topics import MODULE_AVAILABILITY, MODULE_STATE
 from gateway.modules.summary import clock_state, count_module_samples, module_names
-from gateway.statistics import ModuleRecord
-from gateway.stream import Stream
+from gateway.sources.statistics import ModuleRecord
+from gateway.sources.stream import Stream
 
 _RATE_WINDOW_NS = 2_000_000_000
 _RATE_FROM_NS = 900_000_000

@@ -9,7 +9,7 @@ from firmware_protocol import InertialSample, InertialSampleFine, ReceivedPacket
 from firmware_protocol.messages import Event
 from gateway.errors import GatewayError
 from gateway.modules.motion import Motion, MotionDetector
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
 
 _POLL_S = 0.05
 _IDLE_S = 60.0

@@ -28,7 +28,7 @@ from gateway.errors import GatewayError, nearest
 from gateway.modules.journal import Entry, Journal, JournalError
 from gateway.modules.motion_watch import MotionWatch
 from gateway.modules.summary import count_samples, segments_of, summarise
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
 
 _log = logging.getLogger(__name__)
 

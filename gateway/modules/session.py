@@ -16,7 +16,7 @@ from devices.udp_link import UdpLink
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
 from gateway.modules.operations import ModuleOperations
-from gateway.stream import ClockMode, Stream
+from gateway.sources.stream import ClockMode, Stream
 
 _LISTENED_S = 1.2
 """On UDP only those who were heard can be asked; modules that do not sample tell their health each second."""

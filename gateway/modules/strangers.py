@@ -5,8 +5,8 @@ from __future__ import annotations
 from firmware_protocol import RELAY
 from gateway.body.skeleton import WornSuit
 from gateway.modules.summary import module_names
-from gateway.statistics import ModuleRecord
-from gateway.stream import Stream
+from gateway.sources.statistics import ModuleRecord
+from gateway.sources.stream import Stream
 
 
 class Strangers:

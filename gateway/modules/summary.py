@@ -11,8 +11,8 @@ from devices.roster import Conflict, Device, Roster
 from firmware_protocol.kinds import Kind
 from gateway.body.skeleton import WornSuit
 from gateway.contract.messages import ModuleClockState
-from gateway.statistics import ModuleRecord
-from gateway.stream import Stream
+from gateway.sources.statistics import ModuleRecord
+from gateway.sources.stream import Stream
 
 SAMPLE_KINDS = (
     Kind.INERTIAL_SAMPLE,

@@ -8,11 +8,11 @@ and ``topics`` where it is published. Reading order: ``messages``, ``topics``, `
 
 from gateway.contract.messages import BridgeInfo, ModuleInfo, PoseMessage
 from gateway.contract.topics import Topics
-from gateway.credentials import CredentialError
 from gateway.outputs.broker_process import BrokerProcess, EmbeddedBrokerError
 from gateway.outputs.output import Output
 from gateway.outputs.settings import MqttSettings, PoseMap, TlsSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
+from gateway.support.credentials import CredentialError
 
 __all__ = [
     "BridgeInfo",

@@ -8,10 +8,10 @@ import os
 import sys
 from collections.abc import Sequence
 
-from gateway.credentials import AccessToken
 from gateway.errors import OutputError
 from gateway.outputs.connection import Backoff
 from gateway.outputs.settings import WEBSOCKET_TOKEN_VARIABLE
+from gateway.support.credentials import AccessToken
 
 logger = logging.getLogger(__name__)
 

@@ -24,10 +24,10 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from gateway.credentials import CredentialError
 from gateway.errors import OutputError
 from gateway.outputs.incoming import LARGEST_MESSAGE, MOST_MESSAGES, Inbox, refuse_huge_packets
 from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, TlsSettings
+from gateway.support.credentials import CredentialError
 
 if TYPE_CHECKING:  # paho has the name for type checkers only
     from paho.mqtt.client import SocketLike

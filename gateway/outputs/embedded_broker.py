@@ -34,8 +34,8 @@ from amqtt.contexts import BrokerConfig, ListenerConfig, ListenerType
 from amqtt.errors import BrokerError
 from amqtt.session import Session
 
-from gateway.credentials import AccessToken, CredentialError, is_loopback, read_secret
 from gateway.outputs.settings import WEBSOCKET_TOKEN_VARIABLE
+from gateway.support.credentials import AccessToken, CredentialError, is_loopback, read_secret
 
 HOST = "127.0.0.1"
 

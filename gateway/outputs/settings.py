@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gateway.credentials import AccessToken, read_secret
+from gateway.support.credentials import AccessToken, read_secret
 
 PASSWORD_VARIABLE = "MOCAP_MQTT_PASSWORD"
 """Environment variable that may hold the broker password."""

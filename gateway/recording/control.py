@@ -18,7 +18,7 @@ from gateway.recording.files import Contents, SessionFiles, prepare_folder
 from gateway.recording.recorder import Recorder, RecorderBalance, Sink
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
-from gateway.supervision import kept_running
+from gateway.support.supervision import kept_running
 
 STATISTICS_INTERVAL_S = 5.0
 WATCH_INTERVAL_S = 0.5

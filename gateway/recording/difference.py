@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.comparison import orientation_error
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray
+from gateway.geometry.comparison import orientation_error
 from gateway.recording.arrays import SkeletonArrays
 
 

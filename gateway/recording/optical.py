@@ -18,11 +18,11 @@ from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
 from devices.marker_files.naming import spelt
 from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
+from gateway.assembly.marker_frames import MarkerFrames
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, MarkerFit, SkeletonFrame
-from gateway.marker_frames import MarkerFrames
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import BOTH_WAYS, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.both_ways import solve_both_ways

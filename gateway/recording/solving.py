@@ -20,9 +20,9 @@ from devices.link import Chunk, SentChunk
 from devices.recording_file import RecordedMessage, RecordingError
 from devices.recording_writer import DerivedRecordingWriter, session_record
 from gateway.body.skeleton import WornSuit
-from gateway.comparison import orientation_error
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
+from gateway.geometry.comparison import orientation_error
 from gateway.pipeline import InputEvent, Pipeline
 from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.recording.marker_encoding import frame_messages

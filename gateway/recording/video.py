@@ -16,13 +16,13 @@ from devices import recording_format as fmt
 from devices.cameras.heat_map_messages import retimed
 from devices.link import Chunk, Framing
 from devices.recording_writer import DerivedRecordingWriter
+from gateway.assembly.heat_map_frames import heat_map_frame
 from gateway.body.camera import Camera
 from gateway.body.camera_entries import entry_of
 from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.body.subject_file import subject_content
 from gateway.errors import GatewayError
-from gateway.heat_map_frames import heat_map_frame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import OPTICAL
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set

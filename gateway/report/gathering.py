@@ -15,7 +15,7 @@ from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.recording.reading import Progress, RecordedEvent, RecordedStatistics, Recording
 from gateway.recording.solving import recorded_source, recording_pipeline
 from gateway.recording.summary import RecordingSummary, summarise
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
 
 _MOST_BINS = 400
 """Of time: more cannot be seen."""

@@ -23,9 +23,9 @@ from collections.abc import Coroutine
 from types import TracebackType
 from typing import Self
 
-from gateway.credentials import AccessToken, is_loopback
-from gateway.crowd import Crowd, CrowdedError
 from gateway.errors import OutputError
+from gateway.support.credentials import AccessToken, is_loopback
+from gateway.support.crowd import Crowd, CrowdedError
 
 LARGEST_HEAD = 16 * 1024
 """Bytes of a request, before its body; none has a body."""

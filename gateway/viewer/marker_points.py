@@ -10,10 +10,10 @@ import viser
 from numpy.typing import NDArray
 
 from devices.link import Chunk, Framing
+from gateway.assembly.marker_frames import MarkerFrames
 from gateway.body.markers import BodyMarkers
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
-from gateway.marker_frames import MarkerFrames
 from gateway.recording import Recording, SkeletonArrays
 from gateway.recording.arrays import MarkerArrays
 from gateway.viewer.appearance import Colour, chips

@@ -12,7 +12,6 @@ from simulated_body import angular_error_deg, arm, imu_frames, instants, simulat
 from devices.emulators.motions import generic_motion
 from devices.emulators.recording_formats import METAL_TABLE_S, read_repoimu_pendulum, read_ring_chain5
 from gateway.body.rig import load_rig
-from gateway.comparison import orientation_error
 from gateway.emulation.fast_arm import (
     IDEAL,
     Switches,
@@ -28,6 +27,7 @@ from gateway.emulation.recordings import imu_frames as recorded_frames
 from gateway.emulation.rig import dress
 from gateway.emulation.simulation import errors_deg
 from gateway.frames import Status
+from gateway.geometry.comparison import orientation_error
 from gateway.reconstruction import update_many
 from gateway.reconstruction.inertial.joint import ChainSettings, JointReconstructor
 

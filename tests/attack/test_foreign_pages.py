@@ -11,10 +11,10 @@ import aiomqtt
 import pytest
 import websockets
 
-from gateway.credentials import AccessToken
 from gateway.outputs import BrokerProcess, MqttSettings
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.embedded_broker import admits
+from gateway.support.credentials import AccessToken
 from tests.patience import PATIENCE_S
 
 REQUEST = "mocap/lab/bridge/request/recording/start"

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.crowd import Crowd, CrowdedError
-from gateway.outputs import metrics_server
-from gateway.outputs.metrics_server import MetricsServer
+from gateway.service import metrics_server
+from gateway.service.metrics_server import MetricsServer
+from gateway.support.crowd import Crowd, CrowdedError
 from gateway.viewer import gate
 from gateway.viewer.gate import Door, Gate
 from tests.patience import PATIENCE_S

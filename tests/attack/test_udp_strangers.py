@@ -18,7 +18,7 @@ from gateway.emulation.rig import dress, move
 from gateway.modules.journal import Journal
 from gateway.modules.session import suit_session
 from gateway.outputs.settings import MqttSettings
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
 from tests.running_suit import running
 from tests.typed_here import typed_here

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.air_velocity import air_velocity
+from gateway.sources.air_velocity import air_velocity
 
 
 @given(v=st.lists(st.floats(-40, 40), min_size=3, max_size=3), celsius=st.floats(-40, 45))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.assembly import AssemblyParams, FrameAssembler, Lost
+from gateway.assembly.frame_assembler import AssemblyParams, FrameAssembler, Lost
 from gateway.frames import Clipped, InertialReading, LocalReading, Quantity, Status
 
 MS = 1_000_000

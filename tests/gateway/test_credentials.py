@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.credentials import AccessToken, CredentialError, is_loopback, read_secret, token_for
 from gateway.settings import METRICS_TOKEN_VARIABLE, MetricsSettings
+from gateway.support.credentials import AccessToken, CredentialError, is_loopback, read_secret, token_for
 
 TOKEN = "0123456789abcdef"
 

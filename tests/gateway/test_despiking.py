@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gateway.despiking import Despiker, SpikeLimits
 from gateway.frames import InertialReading
+from gateway.sources.despiking import Despiker, SpikeLimits
 
 
 def reading(sequence, value, module=0, magnetic=(10.0, 20.0, 30.0)):

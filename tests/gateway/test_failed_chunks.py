@@ -6,7 +6,7 @@ import logging
 
 from devices.link import Chunk
 from gateway.body.rig import load_rig
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
 
 

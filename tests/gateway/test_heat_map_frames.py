@@ -5,7 +5,6 @@ import pytest
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from devices.link import Chunk, Framing
-from gateway.accounting import balances_of
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
 from gateway.contract.balances import unaccounted
@@ -22,6 +21,7 @@ from gateway.recording.video import (
     write_offline_video,
     write_solved_video,
 )
+from gateway.service.accounting import balances_of
 from tests.seen_walk import CAMERAS, seen_walk
 
 RATE = 60.0

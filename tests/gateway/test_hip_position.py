@@ -6,7 +6,6 @@ import yaml
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from devices.link import Chunk, Framing
-from gateway.accounting import balances_of
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
 from gateway.contract.balances import unaccounted
@@ -17,6 +16,7 @@ from gateway.pipeline import Pipeline
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.recording.suit_snapshot import decode_suit, encode_suit
 from gateway.recording.video import video_subject, video_suit
+from gateway.service.accounting import balances_of
 from gateway.settings import GatewaySettings, LinkSettings
 
 CAMERAS = ring_of_cameras(3)

@@ -6,13 +6,13 @@ import pytest
 
 from devices.link import Chunk, Framing
 from firmware_protocol import LightSample, PressureSample, encode_frame, wire_frame
-from gateway.accounting import balances_of
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
 from gateway.frames import LightReading, LocalReading, Quantity
 from gateway.pipeline import Pipeline
-from gateway.stream import Stream
+from gateway.service.accounting import balances_of
+from gateway.sources.stream import Stream
 
 LINK = "suit"
 LIGHT = LightSample((0.5, 0.0, 0.25, 0.0, 1.0, 0.0))

@@ -8,13 +8,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from devices.link import Chunk, Framing
-from gateway.accounting import balances_of
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import WorldSettings, load_body, worn_without_modules
 from gateway.contract.balances import unaccounted
 from gateway.pipeline import LOAD_EVENT, Pipeline
 from gateway.reconstruction import OPTICAL
+from gateway.service.accounting import balances_of
 
 BODY = load_body("human_17")
 LABELS = ("a", "b", "c", "d")
@@ -58,7 +58,7 @@ def test_messages_of_two_links_good_and_bad_leave_nothing_over(messages):
     frames = next(each for each in balances_of(gateway) if each.name == "frames")
     assert (frames.total, frames.parts["reconstructed"], frames.parts["left_out"]) == (readable, poses, 0)
     assert poses == readable
-    dropped = gateway.statistics()["markers"]["dropped"]
+    dropped = gateway.sources.statistics()["markers"]["dropped"]
     assert sum(dropped.values()) == len(messages) - readable
 
 

@@ -11,8 +11,8 @@ import threading
 import psutil
 import pytest
 
-from gateway import memory
-from gateway.memory import POOL_THREADS, bound_memory, give_back
+from gateway.support import memory
+from gateway.support.memory import POOL_THREADS, bound_memory, give_back
 
 
 def pool_threads() -> set[threading.Thread]:
@@ -37,7 +37,7 @@ async def test_all_threads_of_the_pool_are_there_from_the_start():
 
 LARGE_BLOCK = """
 import asyncio, ctypes
-from gateway.memory import bound_memory
+from gateway.support.memory import bound_memory
 
 class Heap(ctypes.Structure):
     names = "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost"

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway import overload
-from gateway.overload import CALM_S_FIRST, CAUGHT_UP_S, LATE_S, LATE_TICKS, SHED, TICK_S, LoadWatch
+from gateway.service import overload
+from gateway.service.overload import CALM_S_FIRST, CAUGHT_UP_S, LATE_S, LATE_TICKS, SHED, TICK_S, LoadWatch
 
 CHUNK_S = 0.01
 

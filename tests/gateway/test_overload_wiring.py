@@ -8,8 +8,8 @@ import pytest
 
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.overload import SHED
-from gateway.service import Service
+from gateway.service.overload import SHED
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.clocks import EstimatedClock
-from gateway.losses import Cause, LinkLosses
-from gateway.statistics import ModuleRecord, SequenceCounter
+from gateway.sources.losses import Cause, LinkLosses
+from gateway.sources.statistics import ModuleRecord, SequenceCounter
 
 LINK = LinkLosses()
 

@@ -19,7 +19,7 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.samples import FusedSample, LightSample, PassThrough, PressureSample
 from gateway.modules.module_log import MOST_LINES, ModuleLog
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
 
 MODULE = 3
 FROM_MODULES = [

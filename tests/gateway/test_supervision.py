@@ -3,11 +3,11 @@
 import asyncio
 import logging
 
-from gateway import supervision
 from gateway.body.rig import load_rig
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
-from gateway.supervision import kept_running
+from gateway.support import supervision
+from gateway.support.supervision import kept_running
 from tests.patience import PATIENCE_S
 
 

@@ -16,7 +16,7 @@ from firmware_protocol import (
     wire_frame,
 )
 from gateway.clocks import TriggerAnswers
-from gateway.stream import ClockMode, Stream
+from gateway.sources.stream import ClockMode, Stream
 
 MS = 1_000_000
 START_NS = 1_800_000_000_000_000_000

@@ -13,10 +13,10 @@ from firmware_protocol import (
     wire_frame,
 )
 from gateway.clocks import TriggerAnswers
-from gateway.host_sender import HostSender
-from gateway.precise_alarm import PreciseAlarm
-from gateway.stream import ClockMode, Stream
-from gateway.triggering import Triggerer
+from gateway.service.host_sender import HostSender
+from gateway.service.triggering import Triggerer
+from gateway.sources.stream import ClockMode, Stream
+from gateway.support.precise_alarm import PreciseAlarm
 from tests.patience import PATIENCE_S
 
 MS = 1_000_000

@@ -12,8 +12,8 @@ from devices.recording_writer import RecordingWriter, session_record
 from gateway.calibration.mounting import history, keep, restore
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.errors import GatewayError
-from gateway.settings_files import shipped_folder
-from gateway.whole_files import write_whole
+from gateway.support.settings_files import shipped_folder
+from gateway.support.whole_files import write_whole
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
 

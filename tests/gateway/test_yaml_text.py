@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from devices.emulators.fault_plan import FaultPlan
-from gateway import yaml_text
 from gateway.errors import SettingsError
 from gateway.settings import load_gateway_settings
-from gateway.settings_files import load_settings, load_yaml
+from gateway.support import yaml_text
+from gateway.support.settings_files import load_settings, load_yaml
 
 LAUGHS = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12)

@@ -17,7 +17,7 @@ from gateway.body.rig import load_rig
 from gateway.outputs import connection, mqtt
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import (
     AssemblySettings,
     ClockSettings,

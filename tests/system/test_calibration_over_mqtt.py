@@ -21,7 +21,7 @@ from gateway.modules.remote import remote_suit
 from gateway.outputs.settings import MqttSettings
 from gateway.recording import open_recording
 from gateway.recording.solving import verify
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
 from tests.patience import PATIENCE_S
 

@@ -20,7 +20,7 @@ from gateway.outputs.connection import broker_connection
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.recording.video import video_subject, video_suit
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import load_gateway_settings
 from tests.seen_walk import CAMERAS, seen_walk
 

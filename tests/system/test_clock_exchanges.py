@@ -12,7 +12,7 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S
 

@@ -12,10 +12,10 @@ from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig
-from gateway.comparison import orientation_error
 from gateway.emulation.rig import dress, move
+from gateway.geometry.comparison import orientation_error
 from gateway.outputs.subscriber import PoseSubscriber
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S
 

@@ -17,11 +17,11 @@ from devices.emulators.transports import PtyTransport
 from devices.link import Chunk, gateway_time_ns
 from devices.serial_link import SerialLink
 from gateway.body.rig import load_rig
-from gateway.comparison import orientation_error
 from gateway.contract.messages import PoseMessage
 from gateway.emulation.rig import dress, move
+from gateway.geometry.comparison import orientation_error
 from gateway.outputs.subscriber import PoseSubscriber
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S
 

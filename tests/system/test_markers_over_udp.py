@@ -22,7 +22,7 @@ from gateway.geometry import rotation_matrix as rm
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
 from tests.fixtures.brokers import free_port
 from tests.marked_person import places_of, subject_file, y_up

@@ -18,7 +18,7 @@ from firmware_protocol.commands import Verb
 from gateway.body.rig import load_rig
 from gateway.cli.main import app
 from gateway.outputs.settings import MqttSettings
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
 from tests.patience import PATIENCE_S
 

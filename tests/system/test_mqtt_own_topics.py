@@ -14,7 +14,7 @@ from gateway.errors import OutputError
 from gateway.outputs import MqttSettings, PoseSubscriber, own_topics
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import PASSWORD_VARIABLE
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 
 pytestmark = pytest.mark.system

@@ -22,9 +22,9 @@ from prometheus_client.parser import text_string_to_metric_families as parse_tex
 from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeHealth, BridgeInfo, ModuleState, PoseMessage
 from gateway.errors import OutputError
-from gateway.observability import Observer
 from gateway.outputs.connection import broker_connection
-from gateway.service import Service
+from gateway.service.observability import Observer
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S, loop_lateness
 
@@ -226,7 +226,7 @@ async def test_health_tells_what_stands_in_the_way(commanded_suit, mosquitto, un
 
 
 async def test_an_event_loop_that_is_stuck_is_unhealthy(commanded_suit, mosquitto, until, monkeypatch):
-    monkeypatch.setattr("gateway.outputs.metrics_server.PATIENCE_S", 0.2)
+    monkeypatch.setattr("gateway.service.metrics_server.PATIENCE_S", 0.2)
     async with (
         commanded_suit() as suit,
         gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),

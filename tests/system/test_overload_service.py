@@ -10,13 +10,13 @@ import time
 import pytest
 
 from devices.reconnect import LinkState
-from gateway import overload
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
-from gateway.overload import SHED
 from gateway.recording import open_recording
 from gateway.recording.solving import verify
-from gateway.service import Service
+from gateway.service import overload
+from gateway.service.overload import SHED
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from tests.system.test_observability import fetch
 

@@ -18,7 +18,7 @@ from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import load_gateway_settings
 from tests.marked_person import places_of, subject_file, y_up
 

@@ -20,7 +20,7 @@ from gateway.outputs.settings import MqttSettings
 from gateway.recording import files, open_recording
 from gateway.recording.recovery import recover_in_place
 from gateway.recording.solving import verify
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
 from tests.patience import PATIENCE_S
 

@@ -12,7 +12,7 @@ import yaml
 
 from gateway.cli import run
 from gateway.errors import GatewayError
-from gateway.service import Service
+from gateway.service.service import Service
 from tests.system.test_observability import fetch
 
 pytestmark = pytest.mark.system

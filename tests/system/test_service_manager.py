@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from gateway.service_manager import notify, watchdog_interval_s
+from gateway.service.systemd import notify, watchdog_interval_s
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system

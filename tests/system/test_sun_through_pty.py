@@ -12,8 +12,8 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import PtyTransport
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
-from gateway.comparison import orientation_error, rmse_deg
 from gateway.emulation.rig import dress, move, sunlight
+from gateway.geometry.comparison import orientation_error, rmse_deg
 
 pytestmark = pytest.mark.system
 

@@ -18,7 +18,7 @@ from firmware_protocol import InertialSample
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
 from gateway.pipeline import Pipeline
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S, loop_lateness
 

@@ -11,8 +11,8 @@ import pytest
 from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeState, PoseMessage, describe_body
 from gateway.contract.topics import Topics
-from gateway.credentials import AccessToken
 from gateway.outputs.settings import MqttSettings
+from gateway.support.credentials import AccessToken
 from gateway.viewer.gate import Door, Gate
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
-from gateway.settings_files import find_file, load_settings
+from gateway.support.settings_files import find_file, load_settings
 
 Line = tuple[str, str]
 Axis = Literal["x", "y", "z"]

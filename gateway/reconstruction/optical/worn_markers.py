@@ -12,7 +12,7 @@ from devices.marker_files.naming import spelt
 from gateway.body.part import reduced
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.marker_set import MarkerSet, PointRule, load_marker_set, names_in
-from gateway.settings_files import shipped_folder
+from gateway.support.settings_files import shipped_folder
 
 _ENOUGH = 6
 """Markers of a set that trials must have for the set to be taken unasked."""

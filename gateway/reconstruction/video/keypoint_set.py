@@ -13,7 +13,7 @@ from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest
-from gateway.settings_files import find_file, load_settings
+from gateway.support.settings_files import find_file, load_settings
 
 SIGMA = 0.025
 """How far a network's keypoint strays from its place on the body when a map is as high as it can be, m."""

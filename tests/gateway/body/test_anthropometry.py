@@ -6,7 +6,7 @@ import pytest
 from gateway.body.anthropometry import LENGTH_OF_STATURE, MASS_OF_BODY, Subject, scaled, segment_masses
 from gateway.body.rig import load_body, load_rig
 from gateway.errors import SettingsError
-from gateway.settings_files import shipped_folder
+from gateway.support.settings_files import shipped_folder
 
 HUMAN = load_body("human_17")
 

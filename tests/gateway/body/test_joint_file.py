@@ -4,7 +4,7 @@ import pytest
 
 from gateway.body.rig import load_body, load_rig
 from gateway.errors import SettingsError
-from gateway.settings_files import shipped_folder
+from gateway.support.settings_files import shipped_folder
 
 BODY = """
 name: two

@@ -9,7 +9,7 @@ from gateway.body.rig import load_body, load_rig
 from gateway.body.skeleton import field_vector
 from gateway.errors import SettingsError
 from gateway.frames import Quantity
-from gateway.settings_files import shipped_folder
+from gateway.support.settings_files import shipped_folder
 
 RIG = """
 body: robot_arm_4

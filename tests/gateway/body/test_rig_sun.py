@@ -9,7 +9,7 @@ from gateway.errors import SettingsError
 from gateway.frames import Quantity
 from gateway.recording.suit_files import rig_of
 from gateway.recording.suit_snapshot import decode_suit, encode_suit
-from gateway.settings_files import find_file
+from gateway.support.settings_files import find_file
 
 SLANTED = [[1, 0, 0.2], [-1, 0, 0.2], [0, 1, 0.2], [0, -1, 0.2], [0, 0, 1], [0, 0, -1]]
 

@@ -15,7 +15,7 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.tumbling import TumblingMotion
 from devices.link import Chunk, Framing
 from firmware_protocol.device_settings import factory_settings
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.corrections import SensorCorrections
 from gateway.body.rig import load_rig
 from gateway.calibration.rig_file import write_calibrated_rig
@@ -24,8 +24,8 @@ from gateway.emulation.rig import dress
 from gateway.errors import SettingsError
 from gateway.frames import InertialReading
 from gateway.pipeline import Pipeline
-from gateway.settings_files import find_file
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
+from gateway.support.settings_files import find_file
 
 SEED = 4
 SECONDS = 80.0

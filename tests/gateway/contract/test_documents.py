@@ -18,7 +18,7 @@ from gateway.contract.requests import REQUEST_FAMILIES
 from gateway.frames import SkeletonFrame
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 
 FOLDER = Path(__file__).resolve().parents[3] / "docs" / "mqtt"

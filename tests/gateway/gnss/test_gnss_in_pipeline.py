@@ -11,13 +11,13 @@ from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
 from devices.emulators.imperfections import Imperfections
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.assembly import AssemblyParams
+from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.cli.emulated_gnss import without_position_devices
 from gateway.emulation.rig import dress, move
-from gateway.gnss import GnssParams
 from gateway.pipeline import Pipeline
-from gateway.stream import ClockMode
+from gateway.sources.gnss import GnssParams
+from gateway.sources.stream import ClockMode
 
 SECONDS = 6.0
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from gateway.light import CellArray
+from gateway.sources.light import CellArray
 
 FACES = np.vstack([[axis, -axis] for axis in np.eye(3)])
 SLANTED = np.array([[1, 0, 0.3], [-1, 0.2, 0.3], [0, 1, 0.3], [0.1, -1, 0.3], [0, 0, 1], [0.2, 0.1, -1.0]])

@@ -10,7 +10,7 @@ from devices.emulators.light_sampler import LightSampler, Shade, Sunlight
 from gateway.body.rig import load_rig
 from gateway.frames import ImuFrame, LightReading
 from gateway.geometry import rotation_matrix
-from gateway.light import Rejected, SunCompass, sun_direction
+from gateway.sources.light import Rejected, SunCompass, sun_direction
 
 MORNING_NS = round(datetime(2026, 6, 21, 7, 0, tzinfo=UTC).timestamp()) * 10**9
 SUIT = load_rig("robot_arm_4_sun")

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from gateway.light import sun_direction
+from gateway.sources.light import sun_direction
 
 PUBLISHED = [
     # Reda & Andreas, NREL/TP-560-34302, table A5.1: zenith and azimuth, topocentric, with refraction

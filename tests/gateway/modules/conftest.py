@@ -12,7 +12,7 @@ from gateway.body.rig import load_rig
 from gateway.modules.journal import Journal
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
 
 
 @pytest.fixture

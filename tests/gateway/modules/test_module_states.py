@@ -9,7 +9,7 @@ from firmware_protocol.framing import encode_frame
 from gateway.body.rig import load_rig
 from gateway.contract.messages import ModuleAvailability, ModuleState
 from gateway.modules.module_states import ModuleStates
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
 
 SECOND_NS = 10**9
 SAMPLE = InertialSample((0.0, 0.0, 9.8), (0.0, 0.0, 0.0), (20.0, 0.0, -40.0))

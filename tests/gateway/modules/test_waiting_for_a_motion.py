@@ -9,7 +9,7 @@ from firmware_protocol import ReceivedPacket
 from firmware_protocol.messages import Event
 from gateway.modules import motion_watch
 from gateway.modules.motion_watch import MotionWatch
-from gateway.stream import Stream
+from gateway.sources.stream import Stream
 from tests.patience import PATIENCE_S
 
 TAP = 2

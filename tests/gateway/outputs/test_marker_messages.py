@@ -19,8 +19,8 @@ from gateway.geometry import quaternion
 from gateway.outputs.marker_encoding import markers_message
 from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.settings import MqttSettings
+from gateway.reconstruction.resets import Resets
 from gateway.recording.marker_encoding import decode_markers, encode_markers_of
-from gateway.resets import Resets
 
 BODY = load_body("human_17")
 LABELS = ("LASI", "RASI", "SACR")

@@ -11,10 +11,10 @@ import urllib.request
 import pytest
 
 from gateway.contract.messages import BridgeInfo
-from gateway.credentials import AccessToken
-from gateway.outputs import metrics_server
-from gateway.outputs.metrics import GatewayFigures
-from gateway.outputs.metrics_server import MetricsServer
+from gateway.service import metrics_server
+from gateway.service.metrics import GatewayFigures
+from gateway.service.metrics_server import MetricsServer
+from gateway.support.credentials import AccessToken
 from tests.patience import PATIENCE_S
 
 TOKEN = "0123456789abcdef"

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from gateway.credentials import CredentialError
 from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings
+from gateway.support.credentials import CredentialError
 
 SECRET = "correct horse battery"
 

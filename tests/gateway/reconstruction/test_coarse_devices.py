@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gateway.body.skeleton import WornSuit
-from gateway.comparison import orientation_error
 from gateway.emulation.fast_arm import sampled
 from gateway.emulation.random_chains import RandomChain, drawn
 from gateway.frames import Quantity
+from gateway.geometry.comparison import orientation_error
 from gateway.reconstruction.inertial.chain_state import N_READINGS, Noise, initial_state
 from gateway.reconstruction.inertial.joint import JointReconstructor
 from gateway.reconstruction.inertial.local_rows import (

@@ -9,11 +9,11 @@ from devices.emulators.ideal_sensors import POSITION, VELOCITY, measure_point
 from devices.emulators.motions import generic_motion
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice
-from gateway.comparison import orientation_error
 from gateway.emulation.rig import dress
 from gateway.emulation.simulation import ideal_frames
 from gateway.frames import LocalReading, Quantity, Status
 from gateway.geometry import quaternion
+from gateway.geometry.comparison import orientation_error
 from gateway.reconstruction import create_reconstructor, update_many
 
 N, DEVICE, POINT = 1000, 60, np.array([0.0, 0.02, 0.05])

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gateway.comparison import orientation_error
 from gateway.emulation.fast_arm import sampled
 from gateway.emulation.random_chains import drawn
 from gateway.frames import FloatArray
+from gateway.geometry.comparison import orientation_error
 from gateway.reconstruction.inertial.joint import ChainReconstructor, JointReconstructor, OutwardReconstructor
 from gateway.reconstruction.reconstructor import update_many
 

@@ -7,12 +7,12 @@ import pytest
 
 from devices.emulators.motions import robot_arm_motion
 from gateway.body.rig import load_rig
-from gateway.comparison import orientation_error, rmse_deg
 from gateway.emulation.rig import dress
 from gateway.emulation.simulation import ideal_frames
 from gateway.errors import SettingsError
 from gateway.frames import Quantity, SunSight
 from gateway.geometry import quaternion
+from gateway.geometry.comparison import orientation_error, rmse_deg
 from gateway.reconstruction import RECONSTRUCTORS, create_reconstructor, update_many
 
 RATE_HZ, SECONDS = 100.0, 12.0

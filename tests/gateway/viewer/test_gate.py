@@ -7,7 +7,7 @@ import contextlib
 
 import pytest
 
-from gateway.credentials import AccessToken
+from gateway.support.credentials import AccessToken
 from gateway.viewer import gate
 from gateway.viewer.gate import Door, Gate, Refused, Request
 from tests.patience import PATIENCE_S

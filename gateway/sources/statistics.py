@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from firmware_protocol import DeviceInfo, Health
 from gateway.clocks import ModuleClock, unwrap
-from gateway.losses import Cause, LinkLosses
+from gateway.sources.losses import Cause, LinkLosses
 
 SEQUENCE_BITS = 16
 _REMEMBERED = 256
@@ -170,7 +170,7 @@ class ModuleRecord:
 
     @property
     def lost_by(self) -> dict[str, int]:
-        """Lost packets by cause (``gateway.losses``)."""
+        """Lost packets by cause (``gateway.sources.losses``)."""
         return {
             cause.name.lower(): sum(counter.lost_by[cause] for counter in self.sequences.values())
             for cause in Cause

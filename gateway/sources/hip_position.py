@@ -7,10 +7,10 @@ from typing import Self
 import numpy as np
 
 from devices.link import Chunk
+from gateway.assembly.heat_map_frames import HeatMapFrames
 from gateway.body.skeleton import CameraPosition, WornSuit
 from gateway.frames import LocalReading, Quantity
 from gateway.geometry import rotation_matrix
-from gateway.heat_map_frames import HeatMapFrames
 from gateway.reconstruction.video.reconstructor import VideoPose
 
 HIPS = ("left_hip", "right_hip")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from devices.geodesy import LocalPlane, geodetic
-from gateway.gnss.receiver import GnssParams, GnssReceiver
-from gateway.gnss.sentences import Fix, GnssDecoder, GnssDefect
+from gateway.sources.gnss.receiver import GnssParams, GnssReceiver
+from gateway.sources.gnss.sentences import Fix, GnssDecoder, GnssDefect
 
 __all__ = ["Fix", "GnssDecoder", "GnssDefect", "GnssParams", "GnssReceiver", "LocalPlane", "geodetic"]

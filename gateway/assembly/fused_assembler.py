@@ -10,7 +10,7 @@ from collections import Counter
 
 import numpy as np
 
-from gateway.assembly import AssemblyParams, Lost
+from gateway.assembly.frame_assembler import AssemblyParams, Lost
 from gateway.clocks import Datum, ReferenceInstants
 from gateway.frames import FusedReading, ImuFrame, Status
 from gateway.geometry.quaternion import slerp

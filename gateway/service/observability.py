@@ -16,12 +16,12 @@ from gateway.clocks import AnchorWatch
 from gateway.contract.balances import Balance, unaccounted
 from gateway.contract.messages import BridgeInfo, UtcAnchor
 from gateway.modules.module_states import ModuleStates
-from gateway.outputs.metrics import GatewayFigures, LinkFigures
-from gateway.outputs.metrics_server import MetricsServer
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.side_outputs import SideOutputs
-from gateway.overload import LoadWatch
 from gateway.pipeline import Pipeline
+from gateway.service.metrics import GatewayFigures, LinkFigures
+from gateway.service.metrics_server import MetricsServer
+from gateway.service.overload import LoadWatch
 from gateway.settings import GatewaySettings
 
 log = logging.getLogger(__name__)

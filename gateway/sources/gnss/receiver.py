@@ -10,7 +10,7 @@ import numpy as np
 from devices.geodesy import LocalPlane
 from devices.link import Chunk
 from gateway.frames import FloatArray, LocalReading, Quantity
-from gateway.gnss.sentences import Fix, GnssDecoder
+from gateway.sources.gnss.sentences import Fix, GnssDecoder
 
 DATING_WINDOW_NS = 60_000_000_000
 """The least delay of that time tells how the receiver's time stands to the gateway's."""

@@ -16,7 +16,7 @@ from prometheus_client.registry import Collector
 
 from gateway.contract.balances import Balance
 from gateway.contract.messages import BridgeInfo, ModuleState, OutputCounters, UtcAnchor
-from gateway.overload import LoadWatch
+from gateway.service.overload import LoadWatch
 
 _MODULE = ("module", "segment")
 _PER_MODULE_COUNTERS = {

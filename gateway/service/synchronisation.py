@@ -1,4 +1,4 @@
-"""Two-way time exchanges with the modules, while capturing: the I/O shell of ``gateway.exchanges``.
+"""Two-way time exchanges with the modules, while capturing: the I/O shell of ``gateway.sources.exchanges``.
 
 Every so often all modules are asked what time they have. Those whose firmware answers get clocks whose
 offset is free of the transport's delay, to a bound that is published; the others lose nothing.
@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 from devices.link import Link, gateway_time_ns
 from firmware_protocol import BROADCAST, SyncRequest, WireFrame, wire_frame
-from gateway.host_sender import HostSender
+from gateway.service.host_sender import HostSender
 
 UNEVENNESS = 0.9, 1.1
 """Parts of the interval that questions are apart: in step with nothing, so that answers wait now longer, now

@@ -32,7 +32,6 @@ from firmware_protocol import (
     SyncResponse,
 )
 from firmware_protocol.kinds import FROM_HOST
-from gateway.air_velocity import air_velocity
 from gateway.clocks import (
     ClockTable,
     EstimatedClock,
@@ -45,10 +44,11 @@ from gateway.clocks import (
     TriggerAnswers,
     warm_up,
 )
-from gateway.exchanges import TimeExchanges
 from gateway.frames import Clipped, FusedReading, InertialReading, LightReading, LocalReading, Quantity
-from gateway.losses import Cause, LinkLosses
-from gateway.statistics import ModuleRecord
+from gateway.sources.air_velocity import air_velocity
+from gateway.sources.exchanges import TimeExchanges
+from gateway.sources.losses import Cause, LinkLosses
+from gateway.sources.statistics import ModuleRecord
 
 Reading = InertialReading | FusedReading | LocalReading | LightReading
 

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from devices.link import Link, gateway_time_ns
 from firmware_protocol import BROADCAST, SamplingTrigger, wire_frame
 from gateway.clocks import Trigger, TriggerAnswers, TriggerTimer
-from gateway.host_sender import HostSender
-from gateway.precise_alarm import PreciseAlarm
+from gateway.service.host_sender import HostSender
+from gateway.support.precise_alarm import PreciseAlarm
 
 log = logging.getLogger(__name__)
 

@@ -20,13 +20,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from devices.link_counts import LinkCounts
-from gateway.assembly import FrameAssembler, Lost
+from gateway.assembly.frame_assembler import FrameAssembler, Lost
 from gateway.contract.balances import Balance
 from gateway.contract.messages import OutputCounters
-from gateway.losses import Cause
 from gateway.pipeline import Pipeline
 from gateway.recording.recorder import RecorderBalance
-from gateway.stream import SAMPLE_KINDS
+from gateway.sources.losses import Cause
+from gateway.sources.stream import SAMPLE_KINDS
 
 
 def balances_of(

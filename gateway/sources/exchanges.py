@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from devices.link import Chunk, SentChunk
 from firmware_protocol import ReceivedPacket, SyncResponse
 from gateway.clocks import EstimatedClock, SyncExchanges
-from gateway.statistics import ModuleRecord
+from gateway.sources.statistics import ModuleRecord
 
 
 class TimeExchanges:

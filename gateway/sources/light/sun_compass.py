@@ -16,8 +16,8 @@ import numpy as np
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame, LightReading, SunSight
 from gateway.geometry import rotation_matrix
-from gateway.light.cells import CellArray, CellSolution
-from gateway.light.sun_position import sun_direction
+from gateway.sources.light.cells import CellArray, CellSolution
+from gateway.sources.light.sun_position import sun_direction
 
 CARRIED_S = 0.05
 SILENT_S = 3.0

@@ -25,10 +25,10 @@ from typing import Any, Self, TypeVar
 
 from prometheus_client.exposition import choose_encoder
 
-from gateway.credentials import AccessToken
-from gateway.crowd import Crowd, CrowdedError
 from gateway.errors import OutputError
-from gateway.outputs.metrics import GatewayFigures, registry_of
+from gateway.service.metrics import GatewayFigures, registry_of
+from gateway.support.credentials import AccessToken
+from gateway.support.crowd import Crowd, CrowdedError
 
 log = logging.getLogger(__name__)
 

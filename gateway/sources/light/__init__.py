@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from gateway.light.cells import CellArray, CellSolution
-from gateway.light.sun_compass import Rejected, SunCompass
-from gateway.light.sun_position import sun_direction
+from gateway.sources.light.cells import CellArray, CellSolution
+from gateway.sources.light.sun_compass import Rejected, SunCompass
+from gateway.sources.light.sun_position import sun_direction
 
 __all__ = ["CellArray", "CellSolution", "Rejected", "SunCompass", "sun_direction"]

@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from gateway import yaml_text
 from gateway.errors import SettingsError, nearest
+from gateway.support import yaml_text
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -16,7 +16,6 @@ from devices.link_counts import LinkCounts
 from devices.marker_file_link import MarkerFileLink
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, carried_links
-from gateway.accounting import balances_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.cameras.broker_link import link_of
@@ -24,29 +23,30 @@ from gateway.contract.balances import Balance
 from gateway.contract.messages import BridgeInfo, ModuleInfo
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
-from gateway.host_sender import HostSender
-from gateway.losses import Cause
-from gateway.memory import bound_memory, give_back
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.module_log import ModuleLog
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
 from gateway.modules.strangers import Strangers
-from gateway.observability import Observer
 from gateway.outputs.connection import first_to_end
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder, in_turn
 from gateway.outputs.side_outputs import SideOutputs
-from gateway.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWatch
-from gateway.own_requests import OwnRequests
 from gateway.pipeline import INPUT_EVENTS, LOAD_EVENT, Pipeline
 from gateway.recording.control import RecordingControl
+from gateway.service.accounting import balances_of
+from gateway.service.host_sender import HostSender
+from gateway.service.observability import Observer
+from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWatch
+from gateway.service.own_requests import OwnRequests
+from gateway.service.synchronisation import Synchroniser
+from gateway.service.triggering import Triggerer
 from gateway.settings import GatewaySettings, fitting_suit
-from gateway.stream import ClockMode, Stream
-from gateway.supervision import kept_running
-from gateway.synchronisation import Synchroniser
-from gateway.triggering import Triggerer
+from gateway.sources.losses import Cause
+from gateway.sources.stream import ClockMode, Stream
+from gateway.support.memory import bound_memory, give_back
+from gateway.support.supervision import kept_running
 
 log = logging.getLogger(__name__)
 
@@ -136,7 +136,7 @@ class Service:
         )
 
     def balances(self) -> list[Balance]:
-        """Where every sample, pose and chunk went (see ``gateway.accounting``)."""
+        """Where every sample, pose and chunk went (see ``gateway.service.accounting``)."""
         outputs = {"mqtt": self.mqtt.counters, **self.side.counters}
         return balances_of(self.pipeline, outputs, self.recording.balance, self._link_counts)
 

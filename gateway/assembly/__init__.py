@@ -1,0 +1,1 @@
+"""Readings of many modules, markers or cameras to one instant: frames."""
