@@ -10,18 +10,8 @@ ROOT = pathlib.Path(__file__).parent.parent
 LAYERS = ["firmware_protocol", "devices", "gateway"]  # each may import those before it
 ROOMS = [
     *("errors", "frames", "support", "geometry", "body", "clocks", "contract"),
-    *("reconstruction", "assembly", "sources", "settings", "pipeline"),
-    *(
-        "outputs",
-        "modules",
-        "calibration",
-        "recording",
-        "imports",
-        "agreement",
-        "report",
-        "analysis",
-        "batch",
-    ),
+    *("reconstruction", "assembly", "sources", "outputs", "settings", "pipeline"),
+    *("modules", "calibration", "recording", "imports", "agreement", "report", "analysis", "batch"),
     *("cameras", "service", "emulation", "doctor", "viewer", "cli", "__main__"),
 ]
 """Folders and modules directly in ``gateway/``: each may import those before it."""

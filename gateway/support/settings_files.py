@@ -25,8 +25,8 @@ _LONGEST_LINE = 400
 
 def shipped_folder() -> Path:
     """The shipped configuration: ``config/`` of the source tree, or its copy in an installed package."""
-    in_tree = Path(__file__).parent.parent / "config"
-    return in_tree if (in_tree / "bodies").is_dir() else Path(__file__).parent / "shipped_config"
+    in_tree = Path(__file__).parents[2] / "config"
+    return in_tree if (in_tree / "bodies").is_dir() else Path(__file__).parents[1] / "shipped_config"
 
 
 def find_file(name: str, kind: str, beside: Path | None = None) -> Path:

@@ -99,7 +99,7 @@ def test_the_gateways_count_of_losses_is_the_suits_own(kind):
     plan = FaultPlan.model_validate({"faults": [{"kind": kind, "at": 0.5, "lasts": 1.0, **share}]})
     suit, gateway = faulty(plan, Framing.BYTE_STREAM), pipeline(Framing.BYTE_STREAM)
     fed(suit, gateway, 2.0)
-    befallen, records = suit.link.counts[kind], gateway.sources.stream.modules.values()
+    befallen, records = suit.link.counts[kind], gateway.stream.modules.values()
     assert befallen > 10
     samples = [record.sequences[InertialSample.KIND] for record in records]
     sent = sum(sender.sequences[InertialSample.KIND] for sender in suit.traffic.senders.values())
@@ -108,7 +108,7 @@ def test_the_gateways_count_of_losses_is_the_suits_own(kind):
     if kind == "duplication":
         assert (lost, repeated) == (0, befallen)
     elif kind == "bit_errors":
-        damaged = sum(gateway.sources.stream.dropped[LINK].values())
+        damaged = sum(gateway.stream.dropped[LINK].values())
         # A bit of a delimiter joins two wire frames into one bad one.
         assert befallen <= lost <= 2 * befallen
         assert damaged >= befallen * 0.9
@@ -130,9 +130,9 @@ def test_restart_is_no_gap_and_what_was_sent_before_it_stays_counted():
     plan = FaultPlan.model_validate({"faults": [{"kind": "reset", "at": 2.5, "lasts": 0.3, "module": 2}]})
     suit, gateway = faulty(plan, Framing.BYTE_STREAM), pipeline(Framing.BYTE_STREAM)
     fed(suit, gateway, 4.0)
-    assert gateway.sources.stream.restarts()[2] == 1
-    assert sum(module.lost for module in gateway.sources.stream.modules.values()) == 0
-    received = sum(module.received for module in gateway.sources.stream.modules.values())
+    assert gateway.stream.restarts()[2] == 1
+    assert sum(module.lost for module in gateway.stream.modules.values()) == 0
+    received = sum(module.received for module in gateway.stream.modules.values())
     assert received == suit.traffic.counts["sent"]
 
 

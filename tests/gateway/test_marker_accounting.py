@@ -58,7 +58,7 @@ def test_messages_of_two_links_good_and_bad_leave_nothing_over(messages):
     frames = next(each for each in balances_of(gateway) if each.name == "frames")
     assert (frames.total, frames.parts["reconstructed"], frames.parts["left_out"]) == (readable, poses, 0)
     assert poses == readable
-    dropped = gateway.sources.statistics()["markers"]["dropped"]
+    dropped = gateway.statistics()["markers"]["dropped"]
     assert sum(dropped.values()) == len(messages) - readable
 
 

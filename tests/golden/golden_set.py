@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from devices.link import Chunk, SentChunk
+from gateway.assembly.heat_map_frames import heat_map_frame
+from gateway.assembly.marker_frames import MarkerFrames
 from gateway.frames import MarkerFrame, SkeletonFrame
-from gateway.heat_map_frames import heat_map_frame
-from gateway.marker_frames import MarkerFrames
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.published_trial import published_trial
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set

@@ -18,8 +18,8 @@ import numpy as np
 from devices import recording_format as fmt
 from devices.recording_file import RecordingParts
 from devices.recording_writer import DerivedRecordingWriter, session_record
-from gateway.comparison import orientation_error
 from gateway.frames import FloatArray, MarkerFit, SkeletonFrame
+from gateway.geometry.comparison import orientation_error
 from gateway.recording.marker_encoding import decode_markers, frame_messages
 from gateway.recording.skeleton_encoding import decode_skeleton_frame
 

@@ -48,9 +48,9 @@ from gateway.reconstruction import OPTICAL
 from gateway.recording.reading import RecordedEvent
 from gateway.recording.suit_snapshot import encode_suit
 from gateway.recording.video import video_settings, video_suit
+from gateway.service.synchronisation import question
 from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings, LinkSettings
-from gateway.stream import ClockMode
-from gateway.synchronisation import question
+from gateway.sources.stream import ClockMode
 from tests.seen_walk import CAMERAS, seen_walk
 
 Item = Chunk | SentChunk | RecordedEvent

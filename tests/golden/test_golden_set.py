@@ -15,7 +15,7 @@ from gateway.reconstruction import OFFLINE, OPTICAL, RECONSTRUCTORS
 from gateway.reconstruction.smoothing import SMOOTHED as CAN_BE_SMOOTHED
 from gateway.recording import open_recording
 from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
-from gateway.stream import ClockMode
+from gateway.sources.stream import ClockMode
 from tests.golden.__main__ import main, record, renew
 from tests.golden.golden_set import FOLDER, METHODS, SMOOTHED, Case, cases, fed_live
 from tests.golden.poses import (
