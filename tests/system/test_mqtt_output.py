@@ -18,9 +18,10 @@ import ormsgpack
 import pytest
 
 from devices.link import gateway_time_ns
+from gateway.contract import topics
 from gateway.contract.messages import PUBLICATIONS, ModuleAvailability, ModuleState
 from gateway.contract.properties import MSGPACK
-from gateway.outputs import BrokerUnreachableError, MqttSettings, PoseMap, PoseSubscriber, TlsSettings, topics
+from gateway.outputs import BrokerUnreachableError, MqttSettings, PoseMap, PoseSubscriber, TlsSettings
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import PASSWORD_VARIABLE, PoseFormat
