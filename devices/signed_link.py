@@ -48,7 +48,8 @@ def read_key(path: Path) -> bytes:
         key = b""
     if len(key) != KEY_SIZE:
         raise ValueError(
-            f"{path} holds no key of {2 * KEY_SIZE} hexadecimal digits: mocap-gateway config key FILE makes one"
+            f"{path} does not begin with a key of {2 * KEY_SIZE} hexadecimal digits: "
+            "mocap-gateway config key FILE makes one"
         )
     return key
 

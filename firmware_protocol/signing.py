@@ -37,7 +37,7 @@ SIGNATURE_FIELDS = (
     WireField(
         name="count", code="s", count=COUNT_SIZE, sentence="A whole number that the signer counts upwards."
     ),
-    WireField(name="tag", code="s", count=TAG_SIZE, sentence="Keyed BLAKE2s, as above."),
+    WireField(name="tag", code="s", count=TAG_SIZE, sentence="Keyed BLAKE2s, as below."),
 )
 SIGNATURE_SIZE = sum(f.size for f in SIGNATURE_FIELDS)
 SENT_SIGNATURE_SIZE = SIGNATURE_SIZE + 2
