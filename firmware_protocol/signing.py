@@ -49,6 +49,7 @@ WINDOW = 1024
 _SIGNED_SIZE = SIGNATURE_SIZE - TAG_SIZE
 _COUNT_AT = _SIGNED_SIZE - COUNT_SIZE
 _WINDOW_MASK = (1 << WINDOW) - 1
+_HOST = bytes(_COUNT_AT - 1)
 
 
 class SignedFrames:
@@ -76,6 +77,7 @@ class SignedFrames:
         """Whether what was opened last held something outdated, but rightly signed: its signer has lost
         count, and finds it again by anything that is signed here (``sign(DELIMITER)`` will do)."""
         self._floor = count
+        self._is_host = signer == HOST_SIGNER
         self._keyed = blake2s(key=key, digest_size=TAG_SIZE)
         self._head = bytes([MARK]) + signer.to_bytes(_COUNT_AT - 1, "little")
         self._newest: dict[bytes, tuple[int, int]] = {}
@@ -121,13 +123,10 @@ class SignedFrames:
     def _signed(self, frame: bytes) -> bytes:
         count = self.count + 1
         signed = self._head + count.to_bytes(COUNT_SIZE, "little")
-        self.count = count
-        return bytes(cobs.encode(signed + self._tag(signed, frame))) + DELIMITER + frame
-
-    def _tag(self, signed: bytes, frame: bytes) -> bytes:
         keyed = self._keyed.copy()
         keyed.update(signed + frame)
-        return keyed.digest()
+        self.count = count
+        return bytes(cobs.encode(signed + keyed.digest())) + DELIMITER + frame
 
     def _open(self, data: bytes) -> tuple[bytes, bytes]:
         """What is right of whole blocks, and the bytes after the last of them."""
@@ -137,27 +136,31 @@ class SignedFrames:
         while (end := data.find(DELIMITER, begin) + 1) > 0:
             block = data[begin:end]
             begin = end
-            signature, self._signature = self._signature, None
-            if signature is not None:
-                defect = self._verify(signature, block)
-                if defect is None:
-                    if len(block) > 1:
-                        opened.append(block)
-                    continue
+            signature = self._signature
+            if signature is None:
+                if len(block) > 1:
+                    self._signature = signature = _signature_in(block)
+                    if signature is None:
+                        self.dropped[Defect.UNSIGNED] += 1
+                continue
+            defect = self._verify(signature, block)
+            if defect is not None:
                 self._signature = _signature_in(block)  # the wire frame of the one before was lost
                 self.dropped[defect] += 1
-            elif len(block) > 1:
-                self._signature = _signature_in(block)
-                if self._signature is None:
-                    self.dropped[Defect.UNSIGNED] += 1
+                continue
+            self._signature = None
+            if len(block) > 1:
+                opened.append(block)
         return b"".join(opened), data[begin:]
 
     def _verify(self, signature: bytes, frame: bytes) -> Defect | None:
         signed = signature[:_SIGNED_SIZE]
-        if not hmac.compare_digest(self._tag(signed, frame), signature[_SIGNED_SIZE:]):
+        keyed = self._keyed.copy()
+        keyed.update(signed + frame)
+        if not hmac.compare_digest(keyed.digest(), signature[_SIGNED_SIZE:]):
             return Defect.BAD_SIGNATURE
         signer = signed[1:_COUNT_AT]
-        if (self.signer == HOST_SIGNER) == (not any(signer)):
+        if (signer == _HOST) == self._is_host:
             return Defect.BAD_SIGNATURE  # our own, sent back
         return self._note(signer, int.from_bytes(signed[_COUNT_AT:], "little"))
 
@@ -183,7 +186,7 @@ def _signature_in(block: bytes) -> bytes | None:
     if len(block) != SENT_SIGNATURE_SIZE:
         return None
     try:
-        signature = bytes(cobs.decode(block[:-1]))
+        signature: bytes = cobs.decode(block[:-1])
     except cobs.DecodeError:
         return None
     return signature if len(signature) == SIGNATURE_SIZE and signature[0] == MARK else None
