@@ -241,7 +241,5 @@ def _unknown_scheme(url: str, scheme: str) -> str:
 
 def _nearest(word: str, known: Iterable[str]) -> str:
     known = list(known)
-    if not known:
-        return "; there are none here"
     near = difflib.get_close_matches(word, known, 1)
     return f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(known)}"

@@ -152,7 +152,7 @@ def all_of(process):
     ("changes", "said"),
     [
         ({"url": f"tcp://user:{URL_SECRET}@127.0.0.1:1"}, "leave out what stands before the @"),
-        ({"url": "udp://:7000?key_file=/k, carries: markers"}, "key_file is for links of modules"),
+        ({"url": '"udp://:7000?key_file=/k", carries: markers'}, "key_file is for links of modules"),
         ({"port": f"1883, password: {PASSWORD}"}, "a password does not belong in the settings"),
         ({"token": f"[{METRICS}]"}, "token_file"),
         ({"token": "/nowhere/at/all"}, "cannot read metrics.token_file /nowhere/at/all"),
