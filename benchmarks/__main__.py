@@ -15,6 +15,7 @@ SUITES = (
     "beginnings",
     "chains",
     "speed",
+    "signing",
     "latency",
     "outputs",
     "viewer",

@@ -6,6 +6,7 @@
 ``tcp://host:port`` (also ``socket://``)                  TCP connection made by the gateway
 ``udp://host:port``, ``udp://:port``                      datagrams received (this computer's only)
 ``udp://0.0.0.0:port?peers=192.168.4.0/24,10.0.0.7``      the same from these addresses alone
+``udp://…?key_file=/path``, ``tcp://…?key_file=/path``     the same, signed in both directions
 ``slcan:///dev/ttyACM0?bitrate=1000000&fd=1``             CAN adapter that speaks slcan
 ``can://socketcan/can0?fd=1``                             CAN interface of the Linux kernel
 ``can://virtual/suit``, ``can://pcan/PCAN_USBBUS1``       any other interface of python-can
@@ -24,6 +25,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
@@ -33,6 +35,7 @@ from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink
 from devices.rfc2217_link import Rfc2217Link
 from devices.serial_link import DEFAULT_BAUD, SerialLink
+from devices.signed_link import SignedLink, read_key
 from devices.slcan_link import SlcanLink
 from devices.socketcan_link import SocketCanLink
 from devices.tcp_link import TcpLink
@@ -101,6 +104,10 @@ def _networks(text: str) -> tuple[Network, ...]:
         raise ValueError(f"addresses are needed, such as 192.168.4.0/24,10.0.0.7 ({error})") from error
 
 
+def _key(text: str) -> bytes:
+    return read_key(Path(text))
+
+
 def _version(text: str) -> str:
     if not re.fullmatch(r"1\.[1-9]?[0-9]", text):
         raise ValueError("a version of the protocol is needed, such as 1.20")
@@ -123,11 +130,17 @@ def _rfc2217(parts: SplitResult, parameters: dict[str, Any], name: str | None) -
 
 
 def _tcp(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
-    return TcpLink(_host(parts), _port(parts), name=name, **parameters)
+    key = parameters.pop("key_file", None)
+    return _signed(TcpLink(_host(parts), _port(parts), name=name, **parameters), key)
 
 
 def _udp(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
-    return UdpLink(parts.hostname or LOOPBACK, _port(parts), name=name, **parameters)
+    key = parameters.pop("key_file", None)
+    return _signed(UdpLink(parts.hostname or LOOPBACK, _port(parts), name=name, **parameters), key)
+
+
+def _signed(link: Link, key: bytes | None) -> Link:
+    return link if key is None else SignedLink(link, key)
 
 
 def _slcan(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
@@ -168,9 +181,9 @@ _CAN_PARAMETERS = {"bitrate": _whole_number, "fd": _flag, "data_bitrate": _whole
 _SCHEMES = {
     "serial": _Scheme("serial:///dev/ttyUSB0?baud=1000000", _serial, {"baud": _whole_number}),
     "rfc2217": _Scheme("rfc2217://host:port?baud=1000000", _rfc2217, {"baud": _whole_number}),
-    "tcp": _Scheme("tcp://host:port", _tcp, {}),
-    "socket": _Scheme("socket://host:port", _tcp, {}),
-    "udp": _Scheme("udp://host:port", _udp, {"peers": _networks}),
+    "tcp": _Scheme("tcp://host:port", _tcp, {"key_file": _key}),
+    "socket": _Scheme("socket://host:port", _tcp, {"key_file": _key}),
+    "udp": _Scheme("udp://host:port", _udp, {"peers": _networks, "key_file": _key}),
     "slcan": _Scheme(
         "slcan:///dev/ttyACM0?bitrate=1000000&fd=1", _slcan, {"baud": _whole_number, **_CAN_PARAMETERS}
     ),
@@ -228,7 +241,5 @@ def _unknown_scheme(url: str, scheme: str) -> str:
 
 def _nearest(word: str, known: Iterable[str]) -> str:
     known = list(known)
-    if not known:
-        return "; there are none here"
     near = difflib.get_close_matches(word, known, 1)
     return f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(known)}"

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from firmware_protocol import Defect
+
 # asm-generic/ioctls.h, linux/serial.h (struct serial_icounter_struct: eleven counters and room), and
 # asm-generic/socket.h; Python's modules lack them.
 _TIOCGICOUNT = 0x545D
@@ -48,6 +50,8 @@ class LinkCounts:
     """Bytes that the reader has not asked for yet."""
     refused: int = 0
     """Datagrams of senders that the link was told to take nothing from; not among what was taken."""
+    unverified: Counter[Defect] = field(default_factory=Counter)
+    """Wire frames that a signed link dropped for their signatures, by reason; among what was handed."""
     before: Counter[LostBefore] = field(default_factory=Counter)
     """What the system says that it lost."""
     backlog_since_ns: int | None = None
@@ -70,7 +74,9 @@ class LinkCounts:
         """For the health message."""
         before = {place.name.lower(): count for place, count in self.before.items()}
         refused = {"refused": self.refused} if self.refused else {}
-        return {"taken": self.taken, "handed": self.handed, "behind": self.behind, **refused, **before}
+        unverified = {defect.name.lower(): count for defect, count in self.unverified.items()}
+        taken = {"taken": self.taken, "handed": self.handed, "behind": self.behind}
+        return {**taken, **refused, **unverified, **before}
 
 
 class SystemCount:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import inspect
 import sys
+from zlib import crc32
 
-from firmware_protocol import can_framing
+from firmware_protocol import can_framing, signing
 from firmware_protocol.document_commands import (
     command_section,
     flash_section,
@@ -29,6 +30,7 @@ from firmware_protocol.framing import (
     serialize,
 )
 from firmware_protocol.golden_defects import GOOD
+from firmware_protocol.golden_signing import KEY
 from firmware_protocol.kinds import CAN_PRIORITY, FROM_HOST, LOWEST_CAN_PRIORITY, Kind
 from firmware_protocol.packets import PACKETS, Packet
 from firmware_protocol.prose import (
@@ -39,6 +41,7 @@ from firmware_protocol.prose import (
     INTRODUCTION,
     RELAY,
     RULES,
+    SIGNING,
     VECTORS,
     WORKED_EXAMPLE,
 )
@@ -54,6 +57,7 @@ def render() -> str:
         f"The largest wire frame is {MAX_FRAME_SIZE} bytes before stuffing.",
         BYTE_STREAM,
         _worked_example(),
+        _signing_section(),
         "## Kinds",
         _kind_table(),
         "A receiver accepts a body of exactly the length that its kind and mask demand. It counts kinds that "
@@ -128,6 +132,19 @@ def _worked_example() -> str:
         pieces="\n".join(
             f"{piece.identifier:08x}  {piece.data.hex(' ')}" for piece in can_framing.fragment(GOOD)
         ),
+    )
+
+
+def _signing_section() -> str:
+    signer = crc32(b"module 3's chip")
+    sent = encode_frame(GOOD)
+    return SIGNING.format(
+        key_size=signing.KEY_SIZE,
+        tag_size=signing.TAG_SIZE,
+        window=signing.WINDOW,
+        signature=fixed_table(signing.SIGNATURE_FIELDS),
+        signer=signer,
+        sent=signing.SignedFrames(KEY, signer).sign(sent).removesuffix(sent).hex(" "),
     )
 
 

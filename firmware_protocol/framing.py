@@ -74,6 +74,10 @@ class Defect(Enum):
     TRUNCATED = "an entry or record runs past the end of what carries it"
     FOREIGN = "the CAN frame is somebody else's: short identifier, remote, error or other version"
     LOST_FRAGMENT = "a CAN piece was lost, repeated or out of order"
+    UNSIGNED = "the link is signed, and this came without a signature"
+    BAD_SIGNATURE = "the signature fits neither the key nor the bytes, or is the receiver's own"
+    REPLAYED = "the count of the signature has come before"
+    OUTDATED = "the count of the signature is older than the window or the receiver's start"
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,10 +18,11 @@ from firmware_protocol.golden_commands import command_vectors, setting_vectors
 from firmware_protocol.golden_defects import defect_vectors
 from firmware_protocol.golden_examples import FRAMES
 from firmware_protocol.golden_forms import frame_vector
+from firmware_protocol.golden_signing import signing_vectors
 
 VECTORS = Path(__file__).parent / "vectors"
 
-FILES = ("packets", "defects", "commands", "settings")
+FILES = ("packets", "defects", "commands", "settings", "signing")
 
 
 def packet_vectors() -> dict[str, Any]:
@@ -32,7 +33,7 @@ def packet_vectors() -> dict[str, Any]:
 
 def write(folder: Path) -> None:
     """Writes every file of vectors into a folder."""
-    contents = (packet_vectors(), defect_vectors(), command_vectors(), setting_vectors())
+    contents = (packet_vectors(), defect_vectors(), command_vectors(), setting_vectors(), signing_vectors())
     for name, content in zip(FILES, contents, strict=True):
         text = json.dumps(content, indent=1, ensure_ascii=False)
         (folder / f"{name}.json").write_text(text + "\n", encoding="utf-8")

@@ -124,6 +124,46 @@ RULES = f"""\
 13. **Try the golden vectors** on the target before the first capture.
 """
 
+SIGNING = """\
+### Signed links
+
+On TCP and UDP a link can be signed, in both directions, with one key of {key_size} bytes that the
+gateway and the modules of the link have. Unsigned links know nothing of it. Before each wire frame goes
+a signature, stuffed and ended by a zero byte like one; the wire frame itself stays as it is. Before
+stuffing a signature is
+
+{signature}
+
+The tag is BLAKE2s (RFC 7693) with the key and a digest of {tag_size} bytes, over mark, signer and
+count, and then the wire frame *as sent*: stuffed, with its zero byte. A relay signs its batches itself.
+In a datagram a wire frame lies whole, with its signature.
+
+- **Refused**, and counted: what has no signature, a wrong one, or a count that came before. A receiver
+  keeps for each signer the newest count and which of those before it have come: the host {window}, a
+  module 64 of the host's. So a datagram that was overtaken still passes, once. A module takes only what
+  the host (signer 0) signed, the host only what others did. A module with a key obeys nothing that is
+  unsigned.
+- **Counting.** Each end adds one for each wire frame that it signs, and takes over the other end's
+  count where a right signature has a higher one. The host begins at its time, in steps of 16 µs since
+  1970, and takes nothing older than its own start.
+- **A module without a clock** begins at 0, after each restart too. Its first wire frames are refused as
+  outdated; the host answers with a signature before an empty wire frame (one zero byte), whose count
+  the module takes over. From then on it is heard. So it need not store what it has signed, and what
+  somebody recorded of it before is worth nothing.
+- **Commands across restarts.** Before it obeys a `Command`, a module stores the host's newest count,
+  and after a restart takes nothing up to it. Time requests and triggers need not be stored: sent again,
+  they are answered and change nothing.
+- **The host's clock** may be wrong. If it was set back between two runs, what was recorded since that
+  earlier time can be sent again.
+
+In C: `mocap_signing`, `mocap_sign`, `mocap_signed_decoder_push`. The signature of the worked example,
+by module {signer:#010x}, its first, with the key 00 01 02 … 1f:
+
+```
+{sent}
+```
+"""
+
 VECTORS = """\
 ## Golden vectors
 
@@ -135,6 +175,9 @@ strings are in the order of sending. `identifier` is the 29-bit number without f
 
 `vectors/commands.json`: for each verb the arguments and the payload, as values and bytes, and command and
 acknowledgement on every link.
+
+`vectors/signing.json`: a key, tags of bytes of all lengths about a block, and signed wire frames of both
+directions: what is taken of them, dropped for which reason, and the receiver's count afterwards.
 
 `vectors/settings.json`: for each setting the factory value and another, as value and bytes, and the image
 of a slot.
@@ -150,6 +193,7 @@ HISTORY = """\
 | --- | --- |
 | 1 | First version: kinds 0x10, 0x11, 0x18, 0x20, 0x30, 0x31. |
 | 1 | Kinds added: 0x12, 0x19 to 0x1B, 0x32, 0x33, 0x40 to 0x42, 0x50, 0x51, 0x5E, 0x5F. |
+| 1 | Signatures before wire frames, on links that have a key. |
 
 A change that an old receiver would misread takes a new version number. A new kind does not: receivers
 count and skip kinds they do not know. Kind numbers are never given a second meaning.

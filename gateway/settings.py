@@ -36,8 +36,9 @@ class LinkSettings(_Strict):
     url: str = Field(
         min_length=1,
         description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
-        "can://socketcan/can0, tcp://host:port, udp://host:port, qtm://host, markers:///path/walk.c3d, "
-        "recording:///path/to/file.mcap; of heat maps also mqtt:///topic, at the broker of section mqtt",
+        "can://socketcan/can0, tcp://host:port, udp://host:port (signed: ?key_file=…), qtm://host, "
+        "markers:///path/walk.c3d, recording:///path/to/file.mcap; of heat maps also mqtt:///topic, at the "
+        "broker of section mqtt",
     )
     carries: Literal["suit", "gnss", "markers", "heat_maps"] = Field(
         default="suit",
@@ -76,6 +77,8 @@ class LinkSettings(_Strict):
             raise ValueError(f"carries: {scheme}:// carries markers and nothing else: leave 'carries' out")
         if scheme == "mqtt" and self.carries != "heat_maps":
             raise ValueError("carries: mqtt:// carries heat maps only: write 'carries: heat_maps'")
+        if "key_file=" in self.url and self.carries != "suit":
+            raise ValueError("url: key_file is for links of modules: nothing else is signed")
         return self
 
     @model_validator(mode="after")

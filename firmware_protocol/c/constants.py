@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from enum import IntEnum
 from itertools import pairwise
 
-from firmware_protocol import can_framing, commands, flash_slots, framing, relay
+from firmware_protocol import can_framing, commands, flash_slots, framing, relay, signing
 from firmware_protocol.c.conversions import function, return_if
 from firmware_protocol.c.spelling import c_name, comment, define, heading, macro_name
 from firmware_protocol.fields import WireField
@@ -66,6 +66,12 @@ def _limits() -> Iterable[tuple[str, int, str]]:
         ("max_frame_size", framing.MAX_FRAME_SIZE, "before stuffing"),
         ("max_body_size", framing.MAX_BODY_SIZE, ""),
         ("max_stuffed_size", framing.MAX_STUFFED_SIZE, "without delimiter"),
+        ("key_size", signing.KEY_SIZE, "of a signed link"),
+        ("tag_size", signing.TAG_SIZE, ""),
+        ("signature_mark", signing.MARK, ""),
+        ("signature_size", signing.SIGNATURE_SIZE, "mark, signer, count, tag"),
+        ("sent_signature_size", signing.SENT_SIGNATURE_SIZE, "stuffed, with its delimiter"),
+        ("host_signer", signing.HOST_SIGNER, ""),
         ("relay_entry_size", _size(relay.ENTRY_FIELDS), "before the body of an entry"),
         ("relay_max_entry_body_size", relay.MAX_ENTRY_BODY_SIZE, ""),
         ("can_head_size", _HEAD_SIZE, "sequence, module_time_us, body_length"),

@@ -26,6 +26,7 @@ def header_source() -> str:
         _part("bytes"),
         _part("text"),
         _part("framing"),
+        _part("signing"),
         packets_source(),
         _part("relay"),
         _part("can"),

@@ -19,6 +19,9 @@
  *
  * Receive: give each byte to mocap_frame_decoder_push(), each CAN frame to mocap_can_decoder_push().
  *
+ * On a signed link (UDP, TCP), with a mocap_signing for both directions: mocap_sign() makes what is sent
+ * before each wire frame; each byte received goes to mocap_signed_decoder_push() instead.
+ *
  * Encoders return the number of bytes written, 0 when the value cannot be sent or does not fit.
  * Decoders return MOCAP_GOOD or why the bytes were refused; pointers in what they decode point into
  * the bytes decoded.
@@ -59,6 +62,12 @@ extern "C" {
 #define MOCAP_MAX_FRAME_SIZE 4096u /* before stuffing */
 #define MOCAP_MAX_BODY_SIZE 4083u
 #define MOCAP_MAX_STUFFED_SIZE 4113u /* without delimiter */
+#define MOCAP_KEY_SIZE 32u /* of a signed link */
+#define MOCAP_TAG_SIZE 8u
+#define MOCAP_SIGNATURE_MARK 129u
+#define MOCAP_SIGNATURE_SIZE 19u /* mark, signer, count, tag */
+#define MOCAP_SENT_SIGNATURE_SIZE 21u /* stuffed, with its delimiter */
+#define MOCAP_HOST_SIGNER 0u
 #define MOCAP_RELAY_ENTRY_SIZE 9u /* before the body of an entry */
 #define MOCAP_RELAY_MAX_ENTRY_BODY_SIZE 255u
 #define MOCAP_CAN_HEAD_SIZE 7u /* sequence, module_time_us, body_length */
@@ -113,10 +122,18 @@ typedef enum {
     /* the CAN frame is somebody else's: short identifier, remote, error or other version */
     MOCAP_FOREIGN = 11,
     /* a CAN piece was lost, repeated or out of order */
-    MOCAP_LOST_FRAGMENT = 12
+    MOCAP_LOST_FRAGMENT = 12,
+    /* the link is signed, and this came without a signature */
+    MOCAP_UNSIGNED = 13,
+    /* the signature fits neither the key nor the bytes, or is the receiver's own */
+    MOCAP_BAD_SIGNATURE = 14,
+    /* the count of the signature has come before */
+    MOCAP_REPLAYED = 15,
+    /* the count of the signature is older than the window or the receiver's start */
+    MOCAP_OUTDATED = 16
 } mocap_defect;
 
-#define MOCAP_DEFECTS 13u /* how many counters there are */
+#define MOCAP_DEFECTS 17u /* how many counters there are */
 
 /* What a wire frame carries. */
 typedef enum {
@@ -553,6 +570,263 @@ static inline bool mocap_frame_decoder_push(mocap_frame_decoder *decoder, uint8_
     }
     decoder->buffer[decoder->size++] = byte;
     return false;
+}
+
+/* ---- Signed wire frames ------------------------------------------------------------------------- */
+
+#define MOCAP_LARGEST_COUNT 0xFFFFFFFFFFFFull /* 48 bits */
+
+/* Keyed BLAKE2s (RFC 7693) with a digest of MOCAP_TAG_SIZE bytes. */
+typedef struct {
+    uint32_t state[8];
+    uint32_t length; /* bytes taken, the block of the key among them */
+    uint8_t block[64];
+    uint8_t filled; /* bytes in the block that are not yet in the state */
+} mocap_blake2s;
+
+static inline uint32_t mocap_rotate_right(uint32_t v, unsigned bits) {
+    return v >> bits | v << (32u - bits);
+}
+
+static inline void mocap_blake2s_mix(uint32_t v[16], const uint8_t *places, uint32_t x, uint32_t y) {
+    uint32_t a = v[places[0]], b = v[places[1]], c = v[places[2]], d = v[places[3]];
+    a += b + x;
+    d = mocap_rotate_right(d ^ a, 16u);
+    c += d;
+    b = mocap_rotate_right(b ^ c, 12u);
+    a += b + y;
+    d = mocap_rotate_right(d ^ a, 8u);
+    c += d;
+    b = mocap_rotate_right(b ^ c, 7u);
+    v[places[0]] = a;
+    v[places[1]] = b;
+    v[places[2]] = c;
+    v[places[3]] = d;
+}
+
+static inline uint32_t mocap_blake2s_start(unsigned word) {
+    static const uint32_t start[8] = {
+        0x6A09E667u, 0xBB67AE85u, 0x3C6EF372u, 0xA54FF53Au,
+        0x510E527Fu, 0x9B05688Cu, 0x1F83D9ABu, 0x5BE0CD19u,
+    };
+    return start[word];
+}
+
+static inline void mocap_blake2s_compress(mocap_blake2s *hash, bool is_last) {
+    static const uint8_t places[8][4] = {
+        {0, 4, 8, 12}, {1, 5, 9, 13}, {2, 6, 10, 14}, {3, 7, 11, 15},
+        {0, 5, 10, 15}, {1, 6, 11, 12}, {2, 7, 8, 13}, {3, 4, 9, 14},
+    };
+    static const uint8_t order[10][16] = {
+        {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15},
+        {14, 10, 4, 8, 9, 15, 13, 6, 1, 12, 0, 2, 11, 7, 5, 3},
+        {11, 8, 12, 0, 5, 2, 15, 13, 10, 14, 3, 6, 7, 1, 9, 4},
+        {7, 9, 3, 1, 13, 12, 11, 14, 2, 6, 5, 10, 4, 0, 15, 8},
+        {9, 0, 5, 7, 2, 4, 10, 15, 14, 1, 11, 12, 6, 8, 3, 13},
+        {2, 12, 6, 10, 0, 11, 8, 3, 4, 13, 7, 5, 15, 14, 1, 9},
+        {12, 5, 1, 15, 14, 13, 4, 10, 0, 7, 6, 3, 9, 2, 8, 11},
+        {13, 11, 7, 14, 12, 1, 3, 9, 5, 0, 15, 4, 8, 6, 2, 10},
+        {6, 15, 14, 9, 11, 3, 0, 8, 12, 2, 13, 7, 1, 4, 10, 5},
+        {10, 2, 8, 4, 7, 6, 1, 5, 15, 11, 9, 14, 3, 12, 13, 0},
+    };
+    uint32_t v[16], words[16];
+    unsigned i, round;
+    for (i = 0u; i < 16u; ++i) {
+        words[i] = mocap_get_u32(hash->block + 4u * i);
+        v[i] = i < 8u ? hash->state[i] : mocap_blake2s_start(i - 8u);
+    }
+    v[12] ^= hash->length; /* a wire frame is far from 2^32 bytes */
+    if (is_last) {
+        v[14] = ~v[14];
+    }
+    for (round = 0u; round < 10u; ++round) {
+        for (i = 0u; i < 8u; ++i) {
+            mocap_blake2s_mix(v, places[i], words[order[round][2u * i]], words[order[round][2u * i + 1u]]);
+        }
+    }
+    for (i = 0u; i < 8u; ++i) {
+        hash->state[i] ^= v[i] ^ v[i + 8u];
+    }
+    hash->filled = 0u;
+}
+
+/* The last block waits until it is known that it is the last one. */
+static inline void mocap_blake2s_put(mocap_blake2s *hash, const uint8_t *data, size_t size) {
+    size_t i;
+    for (i = 0u; i < size; ++i) {
+        if (hash->filled == 64u) {
+            mocap_blake2s_compress(hash, false);
+        }
+        hash->block[hash->filled++] = data[i];
+        ++hash->length;
+    }
+}
+
+static inline void mocap_blake2s_begin(mocap_blake2s *hash, const uint8_t key[MOCAP_KEY_SIZE]) {
+    unsigned i;
+    for (i = 0u; i < 8u; ++i) {
+        hash->state[i] = mocap_blake2s_start(i);
+    }
+    hash->state[0] ^= 0x01010000u | MOCAP_KEY_SIZE << 8 | MOCAP_TAG_SIZE;
+    memset(hash->block, 0, sizeof hash->block);
+    memcpy(hash->block, key, MOCAP_KEY_SIZE);
+    hash->length = hash->filled = 64u;
+}
+
+static inline void mocap_blake2s_end(mocap_blake2s *hash, uint8_t tag[MOCAP_TAG_SIZE]) {
+    uint8_t words[8];
+    memset(hash->block + hash->filled, 0, sizeof hash->block - hash->filled);
+    mocap_blake2s_compress(hash, true);
+    (void)mocap_put_u32(mocap_put_u32(words, hash->state[0]), hash->state[1]);
+    memcpy(tag, words, MOCAP_TAG_SIZE);
+}
+
+/* A module's end of a signed link: its key, what it has counted, and what the host has. */
+typedef struct {
+    uint8_t key[MOCAP_KEY_SIZE];
+    uint32_t signer;
+    uint64_t count;       /* newest that was signed, or heard where that was higher */
+    uint64_t host_newest; /* store it before a command is obeyed, and begin with it after a restart */
+    uint64_t host_oldest; /* nothing up to this is taken */
+    uint64_t host_seen;   /* of the 64 counts up to the newest those that came, the newest lowest */
+} mocap_signing;
+
+/* signer: CRC-32 of the unique id, never MOCAP_HOST_SIGNER. count: `host_newest` as stored; else 0. */
+static inline void mocap_signing_begin(mocap_signing *signing, const uint8_t key[MOCAP_KEY_SIZE],
+        uint32_t signer, uint64_t count) {
+    memset(signing, 0, sizeof *signing);
+    memcpy(signing->key, key, MOCAP_KEY_SIZE);
+    signing->signer = signer;
+    signing->count = signing->host_newest = signing->host_oldest = count;
+}
+
+/* Begins the tag with what of a signature is signed: all before the tag itself. */
+static inline void mocap_signing_hash(const mocap_signing *signing, mocap_blake2s *hash,
+        const uint8_t signature[MOCAP_SIGNATURE_SIZE]) {
+    mocap_blake2s_begin(hash, signing->key);
+    mocap_blake2s_put(hash, signature, MOCAP_SIGNATURE_SIZE - MOCAP_TAG_SIZE);
+}
+
+/* Signs a wire frame as mocap_encode_frame() made it. Send the signature first, then the wire frame;
+ * both in one datagram. Returns MOCAP_SENT_SIGNATURE_SIZE, or 0 when the key has been used up. */
+static inline size_t mocap_sign(mocap_signing *signing, const uint8_t *sent, size_t size,
+        uint8_t signature[MOCAP_SENT_SIGNATURE_SIZE]) {
+    uint8_t raw[MOCAP_SIGNATURE_SIZE];
+    uint8_t *p = mocap_put_u32(mocap_put_u8(raw, MOCAP_SIGNATURE_MARK), signing->signer);
+    mocap_blake2s hash;
+    mocap_stuffer stuffer;
+    if (signing->count >= MOCAP_LARGEST_COUNT) {
+        return 0u;
+    }
+    ++signing->count;
+    p = mocap_put_u32(p, (uint32_t)(signing->count & 0xFFFFFFFFu));
+    p = mocap_put_u16(p, (uint16_t)(signing->count >> 32));
+    mocap_signing_hash(signing, &hash, raw);
+    mocap_blake2s_put(&hash, sent, size);
+    mocap_blake2s_end(&hash, p);
+    mocap_stuff_begin(&stuffer, signature);
+    mocap_stuff(&stuffer, raw, sizeof raw);
+    return mocap_stuff_end(&stuffer);
+}
+
+/* Whether a count of the host's, rightly signed, is new. */
+static inline mocap_defect mocap_signing_note(mocap_signing *signing, uint64_t count) {
+    if (count > signing->host_newest) {
+        const uint64_t ahead = count - signing->host_newest;
+        signing->host_seen = (ahead < 64u ? signing->host_seen << ahead : 0u) | 1u;
+        signing->host_newest = count;
+        signing->count = signing->count > count ? signing->count : count;
+        return MOCAP_GOOD;
+    }
+    if (count <= signing->host_oldest || signing->host_newest - count >= 64u) {
+        return MOCAP_OUTDATED;
+    }
+    if ((signing->host_seen >> (signing->host_newest - count) & 1u) != 0u) {
+        return MOCAP_REPLAYED;
+    }
+    signing->host_seen |= (uint64_t)1u << (signing->host_newest - count);
+    return MOCAP_GOOD;
+}
+
+/* Takes signed wire frames of the host from single bytes; all else is dropped and counted. */
+typedef struct {
+    mocap_frame_decoder frames; /* its `accepted` and `dropped` count for both */
+    mocap_signing *signing;
+    mocap_blake2s hash; /* of the signature and of the wire frame so far */
+    uint8_t signature[MOCAP_SIGNATURE_SIZE];
+    bool has_signature;
+} mocap_signed_decoder;
+
+/* `buffer` as for mocap_frame_decoder_init(). */
+static inline void mocap_signed_decoder_init(mocap_signed_decoder *decoder, mocap_signing *signing,
+        uint8_t *buffer, size_t capacity) {
+    memset(decoder, 0, sizeof *decoder);
+    mocap_frame_decoder_init(&decoder->frames, buffer, capacity);
+    decoder->signing = signing;
+}
+
+/* Why a whole wire frame is not to be believed; MOCAP_GOOD if it is. */
+static inline mocap_defect mocap_signed_decoder_verify(mocap_signed_decoder *decoder) {
+    const uint8_t delimiter = MOCAP_DELIMITER;
+    const uint8_t *p = decoder->signature + MOCAP_SIGNATURE_SIZE - MOCAP_TAG_SIZE;
+    uint8_t tag[MOCAP_TAG_SIZE], wrong = 0u;
+    size_t i;
+    mocap_blake2s_put(&decoder->hash, &delimiter, 1u);
+    mocap_blake2s_end(&decoder->hash, tag);
+    for (i = 0u; i < MOCAP_TAG_SIZE; ++i) { /* as long for a wrong tag as for a right one */
+        wrong |= (uint8_t)(tag[i] ^ p[i]);
+    }
+    if (wrong != 0u || mocap_get_u32(decoder->signature + 1) != MOCAP_HOST_SIGNER) {
+        return MOCAP_BAD_SIGNATURE;
+    }
+    return mocap_signing_note(decoder->signing,
+            mocap_get_u32(decoder->signature + 5) | (uint64_t)mocap_get_u16(decoder->signature + 9) << 32);
+}
+
+/* Takes the bytes before a delimiter for a signature, if they are one. */
+static inline bool mocap_signed_decoder_take(mocap_signed_decoder *decoder) {
+    uint8_t *bytes = decoder->frames.buffer;
+    size_t size = decoder->frames.size;
+    decoder->frames.size = 0u;
+    decoder->has_signature = size == MOCAP_SENT_SIGNATURE_SIZE - 1u && mocap_unstuff(bytes, size, &size)
+            && size == MOCAP_SIGNATURE_SIZE && bytes[0] == MOCAP_SIGNATURE_MARK;
+    if (decoder->has_signature) {
+        memcpy(decoder->signature, bytes, MOCAP_SIGNATURE_SIZE);
+        mocap_signing_hash(decoder->signing, &decoder->hash, decoder->signature);
+    }
+    return decoder->has_signature;
+}
+
+static inline bool mocap_signed_decoder_end(mocap_signed_decoder *decoder, mocap_wire_frame *frame) {
+    mocap_defect defect = MOCAP_UNSIGNED;
+    if (decoder->frames.skipping) { /* overlong, and counted */
+        decoder->has_signature = false;
+        return mocap_frame_decoder_end(&decoder->frames, frame);
+    }
+    if (decoder->has_signature) {
+        decoder->has_signature = false;
+        defect = mocap_signed_decoder_verify(decoder);
+        if (defect == MOCAP_GOOD) {
+            return mocap_frame_decoder_end(&decoder->frames, frame);
+        }
+        (void)mocap_signed_decoder_take(decoder); /* the wire frame of the one before was lost */
+    } else if (decoder->frames.size == 0u || mocap_signed_decoder_take(decoder)) {
+        return false;
+    }
+    ++decoder->frames.dropped[defect];
+    return false;
+}
+
+/* True when this byte completes a rightly signed wire frame; its body is good until the next push. */
+static inline bool mocap_signed_decoder_push(mocap_signed_decoder *decoder, uint8_t byte,
+        mocap_wire_frame *frame) {
+    if (byte == MOCAP_DELIMITER) {
+        return mocap_signed_decoder_end(decoder, frame);
+    }
+    if (decoder->has_signature) {
+        mocap_blake2s_put(&decoder->hash, &byte, 1u);
+    }
+    return mocap_frame_decoder_push(&decoder->frames, byte, frame);
 }
 
 /* ---- Packets: the bodies of wire frames ---------------------------------------------------------- */

@@ -30,6 +30,8 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import (
     CanBusTransport,
     PtyTransport,
+    SignedTcpTransport,
+    SignedUdpTransport,
     SlcanTransport,
     TcpTransport,
     Transport,
@@ -77,6 +79,7 @@ def emulate(
     host: options.Host = "127.0.0.1",
     channel: options.Channel = "vcan0",
     fd: options.Fd = False,
+    key_file: options.KeyFile = None,
     imperfections: options.Imperfections = "typical",
     rate: options.Rate = 100.0,
     mode: options.Mode = SamplingMode.RAW,
@@ -125,7 +128,12 @@ def emulate(
     if motion is MotionKind.CALIBRATION:
         start_ns = begin_of_script(start_ns)
     try:
-        _play(source, _transport(on, link, port, host, channel, fd), as_json, seconds, receiver, start_ns)
+        transport = (
+            _transport(on, link, port, host, channel, fd)
+            if key_file is None
+            else _signed_transport(on, port, host, key_file)
+        )
+        _play(source, transport, as_json, seconds, receiver, start_ns)
     except (OSError, can.CanError) as error:
         raise GatewayError(f"the emulated suit cannot speak on {on}: {error}; {_REMEDIES[on]}") from error
 
@@ -181,6 +189,17 @@ def _transport(on: Medium, link: Path | None, port: int, host: str, channel: str
     if on is Medium.CAN:
         return CanBusTransport(channel, "socketcan", fd=fd)
     return PtyTransport(link) if on is Medium.PTY else SlcanTransport(link)
+
+
+def _signed_transport(on: Medium, port: int, host: str, key_file: Path) -> Transport:
+    if on not in {Medium.TCP, Medium.UDP}:
+        raise GatewayError(f"--key-file: nothing is signed on {on}; take --on tcp or --on udp")
+    try:
+        if on is Medium.TCP:
+            return SignedTcpTransport(key_file, port)
+        return SignedUdpTransport(key_file, port, host)
+    except ValueError as error:
+        raise GatewayError(f"--key-file: {error}") from error
 
 
 def _play(

@@ -54,6 +54,12 @@ Port = Annotated[
 Host = Annotated[str, typer.Option(help="udp: the gateway's address.")]
 Channel = Annotated[str, typer.Option(help="can: SocketCAN interface.")]
 Fd = Annotated[bool, typer.Option("--fd", help="can, slcan: CAN FD frames.")]
+KeyFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="tcp, udp: sign with the key in this file (mocap-gateway config key), obey signed commands only."
+    ),
+]
 Imperfections = Annotated[str, typer.Option(help=f"How bad it is: {', '.join(PRESETS)}.")]
 Rate = Annotated[float, typer.Option(min=1, max=4000, help="Samples of each module a second.")]
 Mode = Annotated[

@@ -136,7 +136,7 @@ class _Commands(LazyGroup):
         "body": LazyCommand("gateway.cli.body:body_app", "Bodies: segments, joints, lengths."),
         "config": LazyCommand(
             "gateway.cli.configuration:config_app",
-            "Check a configuration file, or show what may stand in one.",
+            "Check a configuration file, show what may stand in one, make a key.",
         ),
     }
 

@@ -49,6 +49,7 @@ def _readability(urls: Mapping[str, str], operations: ModuleOperations) -> Itera
         dropped: Counter[Defect] = stream.dropped.get(name, Counter())
         garbled = sum(dropped[defect] for defect in _GARBLED)
         yield from _line(f"{name}: data", url, garbled, received)
+        yield from _signatures(f"{name}: signatures", operations.unverified(name))
 
 
 def _line(subject: str, url: str, garbled: int, received: int) -> Iterator[Finding]:
@@ -70,6 +71,14 @@ def _line(subject: str, url: str, garbled: int, received: int) -> Iterator[Findi
         yield warning(subject, found, remedy)
     else:
         yield good(subject, found)
+
+
+def _signatures(subject: str, unverified: Mapping[Defect, int]) -> Iterator[Finding]:
+    """Of a signed link. Modules that have no count yet are told it: that is nothing to find."""
+    for defect, count in unverified.items():
+        if defect is not Defect.OUTDATED:
+            remedy = "give every module that may send there the key of the link; find out who else sends"
+            yield warning(subject, f"{count:,} wire frames dropped ({defect.name}): {defect.value}", remedy)
 
 
 def _presence(found: ModuleList, suit: WornSuit) -> Iterator[Finding]:

@@ -17,8 +17,10 @@ from devices.device_backup import Restored, read_backup, restore_backup
 from devices.device_errors import DeviceError, UnfinishedError, WritesLockedError
 from devices.id_plan import plan_moves, spare_id
 from devices.link import LinkError, gateway_time_ns
+from devices.reconnect import ReconnectingLink
 from devices.roster import Device, Roster
 from devices.setting_values import encoded_setting
+from firmware_protocol import Defect
 from firmware_protocol.commands import ALL_FILES, Verb
 from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
 from gateway.body.skeleton import WornSuit
@@ -88,6 +90,11 @@ class ModuleOperations:
     def stream(self) -> Stream:
         """What the suit's links say."""
         return self._stream
+
+    def unverified(self, link: str) -> Mapping[Defect, int]:
+        """What a signed link dropped for its signatures, by reason."""
+        found = self._client.links[link]
+        return found.counts.unverified if isinstance(found, ReconnectingLink) else {}
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> Plain:
         """Do what a verb asks. Raises ``RequestError``, ``DeviceError`` or ``LinkError``."""

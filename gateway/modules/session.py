@@ -12,7 +12,6 @@ from devices.endpoints import link_from_url
 from devices.link import Link, LinkError
 from devices.reconnect import ReconnectingLink
 from devices.replay_link import carried_links
-from devices.udp_link import UdpLink
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
 from gateway.modules.operations import ModuleOperations
@@ -52,7 +51,7 @@ async def suit_session(
                 stream.add_link(name, framing)
             readers.append(asyncio.create_task(_read(link, stream), name=f"link {link.name}"))
         stack.push_async_callback(_end, readers)
-        if any(isinstance(link.link, UdpLink) for link in links):
+        if any(url.startswith("udp:") for url in urls.values()):
             await asyncio.sleep(_LISTENED_S)
         yield ModuleOperations(stream, client, suit, journal)
 

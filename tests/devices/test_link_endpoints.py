@@ -59,7 +59,7 @@ WRONG = [
     ("tcp://host:abc", "Port could not be cast"),
     ("tcp://host:1/path", "'/path' after the port means nothing"),
     ("tcp://[::1", "is no URL"),
-    ("tcp://host:1?nodelay=1", "unknown parameter 'nodelay'; there are none here"),
+    ("tcp://host:1?nodelay=1", "unknown parameter 'nodelay'; known: key_file"),
     ("slcan:///dev/ttyACM0?bitrate=900000", "no bit rate 900000; the nearest is 800000"),
     ("slcan:///dev/ttyACM0?fd=maybe", "fd=maybe: 1 or 0 is needed"),
     ("can://virtul/suit", "unknown CAN interface 'virtul': did you mean 'virtual'"),

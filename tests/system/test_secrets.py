@@ -23,6 +23,7 @@ from tests.patience import PATIENCE_S
 pytestmark = pytest.mark.system
 
 PASSWORD, METRICS, URL_SECRET = "broker-pw-5fa1", "metrics-token-c0ffee-1", "link-pw-77aa"
+LINK_KEY = "5eed" * 16
 CONFIG = """
 gateway: lab
 links: [{{name: suit, url: {url}}}]
@@ -57,10 +58,13 @@ def set_up(mosquitto, tmp_path, request):
         "metrics": free_port(),
         "folder": written,
     }
+    (tmp_path / "key").touch(0o600)
+    (tmp_path / "key").write_text(LINK_KEY + "\n")
+    url = f'"tcp://127.0.0.1:1?key_file={tmp_path / "key"}"'
 
     def configured(**changes):
         config = tmp_path / "gateway.yaml"
-        config.write_text(CONFIG.format(**({**places, "url": "tcp://127.0.0.1:1"} | changes)))
+        config.write_text(CONFIG.format(**({**places, "url": url} | changes)))
         return config
 
     return configured, written, places
@@ -68,8 +72,9 @@ def set_up(mosquitto, tmp_path, request):
 
 def assert_kept(*texts):
     for text in texts:
-        for secret in (PASSWORD, METRICS, URL_SECRET):
+        for secret in (PASSWORD, METRICS, URL_SECRET, LINK_KEY):
             assert secret.encode() not in text, f"'{secret}' stands in {text[:2000]!r}"
+        assert bytes.fromhex(LINK_KEY) not in text
 
 
 WIDE = {"COLUMNS": "300"}
@@ -147,6 +152,7 @@ def all_of(process):
     ("changes", "said"),
     [
         ({"url": f"tcp://user:{URL_SECRET}@127.0.0.1:1"}, "leave out what stands before the @"),
+        ({"url": '"udp://:7000?key_file=/k", carries: markers'}, "key_file is for links of modules"),
         ({"port": f"1883, password: {PASSWORD}"}, "a password does not belong in the settings"),
         ({"token": f"[{METRICS}]"}, "token_file"),
         ({"token": "/nowhere/at/all"}, "cannot read metrics.token_file /nowhere/at/all"),

@@ -8,6 +8,7 @@ from devices.emulators.transports.can_bus_transport import CanBusTransport
 from devices.emulators.transports.loopback_transport import LoopbackTransport
 from devices.emulators.transports.memory_transport import MemoryTransport
 from devices.emulators.transports.pty_transport import PtyTransport
+from devices.emulators.transports.signed_transport import SignedTcpTransport, SignedUdpTransport
 from devices.emulators.transports.slcan_transport import SlcanTransport
 from devices.emulators.transports.tcp_transport import TcpTransport
 from devices.emulators.transports.transport import DatagramTransport, Transport
@@ -19,6 +20,8 @@ __all__ = [
     "LoopbackTransport",
     "MemoryTransport",
     "PtyTransport",
+    "SignedTcpTransport",
+    "SignedUdpTransport",
     "SlcanTransport",
     "TcpTransport",
     "Transport",

@@ -1,0 +1,192 @@
+"""Signed wire frames on a byte stream: a signature before each, by a key that both ends have. Sans-I/O.
+
+Before the stuffed wire frame, which stays as it is, goes a block, stuffed and delimited like one::
+
+    [mark:1] [signer:4] [count:6] [tag:8]
+
+The tag is keyed BLAKE2s (RFC 7693) over mark, signer, count, and the wire frame as sent: stuffed, with its
+delimiter. Nothing is parsed before its tag was found right. Both ends count what they sign upwards, and take
+no count twice. Neither needs a clock for that: each takes over the other's count where that is higher.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections import Counter
+from hashlib import blake2s
+
+from cobs import cobs
+
+from firmware_protocol.fields import WireField
+from firmware_protocol.framing import DELIMITER, MAX_STUFFED_SIZE, Defect
+
+KEY_SIZE = 32
+TAG_SIZE = 8
+COUNT_SIZE = 6
+MARK = 0x81
+"""No wire frame begins so: its first byte is the version."""
+HOST_SIGNER = 0
+
+SIGNATURE_FIELDS = (
+    WireField(name="mark", code="B", sentence=f"{MARK}: this is a signature, and no wire frame."),
+    WireField(
+        name="signer",
+        code="I",
+        sentence="Who signs. 0: the host. A module: CRC-32 of its unique id; never 0.",
+    ),
+    WireField(
+        name="count", code="s", count=COUNT_SIZE, sentence="A whole number that the signer counts upwards."
+    ),
+    WireField(name="tag", code="s", count=TAG_SIZE, sentence="Keyed BLAKE2s, as below."),
+)
+SIGNATURE_SIZE = sum(f.size for f in SIGNATURE_FIELDS)
+SENT_SIGNATURE_SIZE = SIGNATURE_SIZE + 2
+"""As sent: stuffed, with its delimiter."""
+
+WINDOW = 1024
+"""Counts by which a wire frame may come behind its signer's newest: datagrams overtake one another."""
+
+_SIGNED_SIZE = SIGNATURE_SIZE - TAG_SIZE
+_COUNT_AT = _SIGNED_SIZE - COUNT_SIZE
+_WINDOW_MASK = (1 << WINDOW) - 1
+_HOST = bytes(_COUNT_AT - 1)
+
+
+class SignedFrames:
+    """One end of a signed byte stream: signs what it sends, opens what comes.
+
+    Bytes from the wire are untrusted: ``open`` and ``feed`` never raise, they count what they drop.
+    """
+
+    def __init__(self, key: bytes, signer: int = HOST_SIGNER, count: int = 0) -> None:
+        """
+        signer: who this end is; ``HOST_SIGNER`` hears all others, others hear it alone.
+        count: what comes must be above it, and what is sent goes on from it. The host gives the time; a
+        module the newest count that it has stored.
+
+        Raises ValueError for a key of another size than 32 bytes.
+        """
+        if len(key) != KEY_SIZE:
+            raise ValueError(f"a key has {KEY_SIZE} bytes, not {len(key)}")
+        self.signer = signer
+        self.count = count
+        """Newest that was signed or, where it was higher, found right."""
+        self.dropped: Counter[Defect] = Counter()
+        """What was dropped, by reason."""
+        self.owes_count = False
+        """Whether what was opened last held something outdated, but rightly signed: its signer has lost
+        count, and finds it again by anything that is signed here (``sign(DELIMITER)`` will do)."""
+        self._floor = count
+        self._is_host = signer == HOST_SIGNER
+        self._keyed = blake2s(key=key, digest_size=TAG_SIZE)
+        self._head = bytes([MARK]) + signer.to_bytes(_COUNT_AT - 1, "little")
+        self._newest: dict[bytes, tuple[int, int]] = {}
+        """By signer, its newest count, and which of those before it came: one bit each, newest lowest."""
+        self._partial, self._skipping = b"", False
+        self._signature: bytes | None = None  # of the wire frame that comes next
+
+    def sign(self, data: bytes) -> bytes:
+        """Whole wire frames as sent, each with its signature before it.
+
+        Raises OverflowError after 2^48 of them: the key has been used up.
+        """
+        *frames, rest = data.split(DELIMITER)
+        return b"".join([self._signed(frame + DELIMITER) for frame in frames]) + rest
+
+    def open(self, datagram: bytes) -> bytes:
+        """The wire frames of a datagram whose signatures are right and new, as sent. Keeps nothing."""
+        self._signature = None
+        opened, rest = self._open(datagram)
+        if rest:
+            self.dropped[Defect.UNSIGNED] += 1
+        return opened
+
+    def feed(self, chunk: bytes) -> bytes:
+        """The same of a stream in chunks of any size. Holds at most one stuffed wire frame between them."""
+        if self._skipping:
+            _, delimiter, chunk = chunk.partition(DELIMITER)
+            self._skipping = not delimiter
+        opened, self._partial = self._open(self._partial + chunk if self._partial else chunk)
+        if self._skipping or len(self._partial) > MAX_STUFFED_SIZE:
+            self._skip()
+        return opened
+
+    def restart(self) -> None:
+        """Forget an unfinished wire frame: a new connection begins. Counts stay."""
+        self._partial, self._signature, self._skipping = b"", None, False
+
+    def _skip(self) -> None:
+        if not self._skipping:
+            self.dropped[Defect.OVERLONG] += 1
+        self._partial, self._signature, self._skipping = b"", None, True
+
+    def _signed(self, frame: bytes) -> bytes:
+        count = self.count + 1
+        signed = self._head + count.to_bytes(COUNT_SIZE, "little")
+        keyed = self._keyed.copy()
+        keyed.update(signed + frame)
+        self.count = count
+        return bytes(cobs.encode(signed + keyed.digest())) + DELIMITER + frame
+
+    def _open(self, data: bytes) -> tuple[bytes, bytes]:
+        """What is right of whole blocks, and the bytes after the last of them."""
+        opened: list[bytes] = []
+        begin = 0
+        self.owes_count = False
+        while (end := data.find(DELIMITER, begin) + 1) > 0:
+            block = data[begin:end]
+            begin = end
+            signature = self._signature
+            if signature is None:
+                if len(block) > 1:
+                    self._signature = signature = _signature_in(block)
+                    if signature is None:
+                        self.dropped[Defect.UNSIGNED] += 1
+                continue
+            defect = self._verify(signature, block)
+            if defect is not None:
+                self._signature = _signature_in(block)  # the wire frame of the one before was lost
+                self.dropped[defect] += 1
+                continue
+            self._signature = None
+            if len(block) > 1:
+                opened.append(block)
+        return b"".join(opened), data[begin:]
+
+    def _verify(self, signature: bytes, frame: bytes) -> Defect | None:
+        signed = signature[:_SIGNED_SIZE]
+        keyed = self._keyed.copy()
+        keyed.update(signed + frame)
+        if not hmac.compare_digest(keyed.digest(), signature[_SIGNED_SIZE:]):
+            return Defect.BAD_SIGNATURE
+        signer = signed[1:_COUNT_AT]
+        if (signer == _HOST) == self._is_host:
+            return Defect.BAD_SIGNATURE  # our own, sent back
+        return self._note(signer, int.from_bytes(signed[_COUNT_AT:], "little"))
+
+    def _note(self, signer: bytes, count: int) -> Defect | None:
+        newest, seen = self._newest.get(signer, (self._floor, 0))
+        ahead = count - newest
+        if ahead > 0:
+            seen = (seen << ahead | 1) & _WINDOW_MASK if ahead < WINDOW else 1
+            self._newest[signer] = count, seen
+            self.count = max(self.count, count)
+            return None
+        if count <= self._floor or ahead <= -WINDOW:
+            self.owes_count = True
+            return Defect.OUTDATED
+        if seen >> -ahead & 1:
+            return Defect.REPLAYED
+        self._newest[signer] = newest, seen | 1 << -ahead
+        return None
+
+
+def _signature_in(block: bytes) -> bytes | None:
+    """The signature that a delimited block holds; None: it is something else."""
+    if len(block) != SENT_SIGNATURE_SIZE:
+        return None
+    try:
+        signature: bytes = cobs.decode(block[:-1])
+    except cobs.DecodeError:
+        return None
+    return signature if len(signature) == SIGNATURE_SIZE and signature[0] == MARK else None
