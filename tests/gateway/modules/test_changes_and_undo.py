@@ -113,8 +113,9 @@ async def test_an_undo_that_one_module_refuses_can_be_asked_for_again(operated):
         assert noted(journal) == {}
 
 
-async def test_a_module_that_falls_silent_while_written_is_kept_for_undo(operated):
+async def test_a_module_that_falls_silent_while_written_is_kept_for_undo(operated, monkeypatch):
     async with operated() as (suit, operations, journal):
+        monkeypatch.setattr("devices.transactions.SINGLE_WAITS_S", (0.1, 0.2, 0.3))
         operations.configurator._restart_patience_s = 0.0
         suit.traffic.device(2).power_cut = PowerCut(Verb.COMMIT, off_s=600.0)
         with pytest.raises(DeviceError, match=r"does not answer.*or perhaps"):
