@@ -133,7 +133,8 @@ class Configurator:
         for _ in range(_ATTEMPTS):
             if not missing:
                 return Change(unique_id, before, after)
-            self.roster = None
+            if "module_id" in missing:
+                self.roster = None
             failure = await self._stage_and_commit(unique_id, missing)
             after = await self._patiently(partial(self.read_committed, unique_id, wanted))
             missing = {

@@ -19,7 +19,7 @@ from gateway.modules.motion_watch import AmbiguousMotionError
 from gateway.modules.operations import RequestError
 
 _STILL_S = 2.0
-_LOOK_S = 1.0
+_LOOK_S = 0.5
 _LISTED_S = 0.5
 """The shortest: who is there is asked for, and not how many samples each sends."""
 _SIGNS = {

@@ -86,6 +86,15 @@ async def test_what_is_written_is_committed_and_reads_back(configured):
         assert await configurator.read(one, change.before) == change.before
 
 
+async def test_who_is_there_is_looked_for_anew_after_an_id_was_changed_and_not_after_a_label(configured):
+    async with configured() as (suit, configurator):
+        roster = await configurator.discover()
+        await configurator.write(suit.unique_id(1), {"label": "left shank"})
+        assert configurator.roster is roster
+        await configurator.write(suit.unique_id(1), {"label": "shank", "module_id": 9})
+        assert configurator.roster is None
+
+
 async def test_what_somebody_else_has_staged_is_neither_believed_nor_committed(configured):
     async with configured() as (suit, configurator):
         one = suit.unique_id(1)
