@@ -256,7 +256,7 @@ async def test_who_is_heard_and_not_in_the_rig_is_said_once_with_what_to_do(
 
 
 async def test_a_retained_request_is_not_carried_out(served):
-    async with served() as (_, service, mqtt), aiomqtt.Client(mqtt.host, mqtt.port) as client:
+    async with served() as (_, _, mqtt), aiomqtt.Client(mqtt.host, mqtt.port) as client:
         await client.publish("mocap/lab/bridge/request/modules/identify", b"{}", qos=1, retain=True)
     answered = []
     async with served() as (_, _, mqtt), aiomqtt.Client(mqtt.host, mqtt.port) as client:
