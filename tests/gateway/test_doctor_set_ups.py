@@ -17,8 +17,9 @@ import yaml
 
 from gateway.doctor import Surroundings, Verdict, examine_file
 from gateway.doctor.host import disk, metrics_port
-from gateway.doctor.running import judge
+from gateway.doctor.running import judge, module_states
 from gateway.outputs.messages import ModuleClockState, ModuleState
+from gateway.outputs.settings import MqttSettings
 from gateway.settings import LinkSettings, MetricsSettings, RecordingSettings
 
 pytestmark = pytest.mark.system
@@ -339,7 +340,12 @@ def test_a_running_gateway_is_asked(examined, emulated, command, mosquitto, tmp_
         "metrics": {"port": unused_port},
     }
     assert examined(**options)["metrics"].verdict is Verdict.GOOD  # writes the configuration too
-    process = command("run", "-c", tmp_path / "gateway.yaml")
+    # One of its own: the doctor's is written anew at each look.
+    own = tmp_path / "running.yaml"
+    own.write_text((tmp_path / "gateway.yaml").read_text())
+    process = command("run", "-c", own)
+    asked = MqttSettings(port=mosquitto.port)
+    process.until(lambda: len(asyncio.run(module_states(asked, "lab")) or ()) == 5, "states of all modules")
 
     def is_known():
         findings.clear()

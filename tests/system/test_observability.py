@@ -26,7 +26,7 @@ from gateway.outputs.connection import broker_connection
 from gateway.outputs.messages import BridgeHealth, BridgeInfo, ModuleState, PoseMessage
 from gateway.service import Service
 from gateway.settings import GatewaySettings
-from tests.patience import PATIENCE_S, loop_lateness
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 
@@ -170,24 +170,27 @@ async def test_a_host_clock_set_by_an_hour_moves_the_anchor_and_no_pose(
 async def test_metrics_of_links_modules_poses_outputs_and_process(commanded_suit, mosquitto, until):
     async with (
         commanded_suit() as suit,
-        gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, listener, _),
-        loop_lateness() as machine,
+        gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),
     ):
-        await until(lambda: abs(((listener.newest("module/3/state") or {}).get("rate_hz") or 0) - 100) < 15)
+
+        async def metrics():
+            status, content_type, text = await fetch(service.observer.metrics.port, "/metrics")
+            assert (status, content_type.split(";")[0]) == (200, "text/plain")
+            return {
+                (sample.name, *sample.labels.values()): sample.value
+                for family in parse_text(text.decode())
+                for sample in family.samples
+            }
+
         await until(lambda: service.mqtt.counters.published > 100)
-        status, content_type, text = await fetch(service.observer.metrics.port, "/metrics")
-        assert (status, content_type.split(";")[0]) == (200, "text/plain")
-        samples = {
-            (sample.name, *sample.labels.values()): sample.value
-            for family in parse_text(text.decode())
-            for sample in family.samples
-        }
+        rate, deadline_s = ("mocap_module_rate_hz", "3", "link_4"), time.monotonic() + PATIENCE_S
+        while abs((samples := await metrics()).get(rate, 0.0) - 100) > 15:
+            assert time.monotonic() < deadline_s, samples
+            await asyncio.sleep(0.1)
         assert samples["mocap_link_up", "suit"] == 1
         assert samples["mocap_module_online", "3", "link_4"] == 1
         assert samples["mocap_module_received_total", "3", "link_4"] > 80
         assert samples["mocap_module_lost", "3", "link_4"] == 0
-        late = 100 * machine.worst_s  # in so much of a second
-        assert samples["mocap_module_rate_hz", "3", "link_4"] == pytest.approx(100, abs=15 + late)
         assert abs(samples["mocap_module_clock_offset_seconds", "3", "link_4"]) > 1
         assert samples["mocap_output_poses_total", "mqtt", "published"] > 50
         assert samples["mocap_output_connected", "mqtt"] == 1
@@ -216,9 +219,11 @@ async def test_health_tells_what_stands_in_the_way(commanded_suit, mosquitto, un
             return status, orjson.loads(body)
 
         await until(lambda: service.mqtt.is_connected and service.pipeline.skeleton_frames > 20)
-        await asyncio.sleep(0.3)
-        status, told = await health()
-        assert (status, told["status"], told["links_down"]) == (200, "ok", [])
+        deadline_s = time.monotonic() + PATIENCE_S
+        while (told := await health())[1]["status"] != "ok":
+            assert time.monotonic() < deadline_s, told
+            await asyncio.sleep(0.05)
+        assert (told[0], told[1]["links_down"]) == (200, [])
         mosquitto.stop()
         await until(lambda: not service.mqtt.is_connected)
         status, told = await health()
