@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-import subprocess
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -27,6 +25,7 @@ from gateway.outputs.messages import BridgeHealth, BridgeInfo, ModuleState, Pose
 from gateway.service import Service
 from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S
+from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 
@@ -267,13 +266,8 @@ async def test_the_health_command_is_for_scripts(commanded_suit, mosquitto, unti
     ):
         await until(lambda: service.mqtt.is_connected and service.pipeline.skeleton_frames > 20)
         port = service.observer.metrics.port
-        done = await asyncio.to_thread(health_command, port)
-        assert (done.returncode, orjson.loads(done.stdout)["status"]) == (0, "ok")
-    done = await asyncio.to_thread(health_command, port)
-    assert done.returncode == 1
-    assert "no gateway answers" in done.stderr
-
-
-def health_command(port):
-    command = [sys.executable, "-m", "gateway", "health", "--port", str(port)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        code, output, _ = await asyncio.to_thread(typed_here, ["health", "--port", port])
+        assert (code, orjson.loads(output)["status"]) == (0, "ok")
+    code, _, errors = await asyncio.to_thread(typed_here, ["health", "--port", port])
+    assert code == 1
+    assert "no gateway answers" in errors
