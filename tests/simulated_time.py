@@ -15,22 +15,34 @@ _Result = TypeVar("_Result")
 
 
 def in_simulated_time(work: Coroutine[Any, Any, _Result]) -> _Result:
-    """Run it in an event loop of its own, with gateway time and ``time.monotonic`` as simulated, too.
-
-    For what sleeps, computes in threads of the loop and speaks in memory. Who else runs does so in no time.
-    """
-    with pytest.MonkeyPatch.context() as patch, asyncio.Runner(loop_factory=_SimulatedLoop) as runner:
-        loop = runner.get_loop()
-        patch.setattr(time, "monotonic", loop.time)
-        patch.setattr(time, "monotonic_ns", lambda: round(loop.time() * 1e9))
+    """Run it in a ``SimulatedLoop`` of its own."""
+    with asyncio.Runner(loop_factory=SimulatedLoop) as runner:
         return runner.run(work)
 
 
-class _SimulatedLoop(asyncio.SelectorEventLoop):
+class SimulatedPolicy(asyncio.DefaultEventLoopPolicy):
+    """For a fixture ``event_loop_policy``: all tests of a module run in simulated time."""
+
+    def new_event_loop(self) -> SimulatedLoop:
+        return SimulatedLoop()
+
+
+class SimulatedLoop(asyncio.SelectorEventLoop):
+    """While it runs, gateway time and ``time.monotonic`` are as simulated, too.
+
+    For what sleeps, computes in threads of the loop and speaks in memory. Who else runs does so in no time.
+    """
+
     def __init__(self) -> None:
         self._now_s = time.monotonic()
         self._working = 0
         super().__init__(_Selector(self._pass))
+
+    def run_forever(self) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(time, "monotonic", self.time)
+            patch.setattr(time, "monotonic_ns", lambda: round(self.time() * 1e9))
+            super().run_forever()
 
     def time(self) -> float:
         """Simulated, s."""

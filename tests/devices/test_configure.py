@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 
 import pytest
@@ -19,16 +20,17 @@ from devices.device_errors import (
 from devices.emulators.power_cut import Moment, PowerCut
 from firmware_protocol.commands import Verb
 from firmware_protocol.device_settings import encode_value
+from tests.simulated_time import SimulatedPolicy
 
 LABEL, RATE = 10, 2
 OFF_S = 0.1
 """Of a module that loses power: back before it is asked again."""
 
 
-@pytest.fixture(autouse=True)
-def _short_windows(monkeypatch):
-    """Four modules without a relay answer within 10 ms."""
-    monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.08, 0.08, 0.14))
+@pytest.fixture
+def event_loop_policy():
+    """Nobody waits here for real."""
+    return SimulatedPolicy()
 
 
 @pytest.fixture
@@ -40,7 +42,7 @@ def configured(commanded_suit):
         async with commanded_suit(**settings) as suit:
             client = CommandClient([suit.link], allow_writes=allow_writes)
             async with client.reading():
-                yield suit, Configurator(client, restart_patience_s=2.0)
+                yield suit, Configurator(client)
 
     return start
 
@@ -57,6 +59,21 @@ async def test_discovery_describes_every_device(configured):
         assert device.info.unique_id == device.unique_id
         assert device.health is not None
     assert roster.conflicts == ()
+
+
+async def test_who_was_there_is_asked_once_and_again_only_when_one_is_missing(configured):
+    async with configured() as (suit, configurator):
+        sent = []
+        configurator.client.on_sent = sent.append
+        counts = []
+        for looks in range(3):
+            if looks == 2:
+                suit.traffic.cut_power(3, suit.soon_s(), off_s=60.0)
+                await asyncio.sleep(0.1)
+            before = len(sent)
+            await configurator.discover()
+            counts.append(len(sent) - before)
+    assert counts == [6, 2, 6]  # each time of both questions
 
 
 async def test_two_modules_with_one_id_are_a_named_conflict(configured):
@@ -190,12 +207,8 @@ async def test_a_swap_ends_right_whenever_a_module_restarts(configured, victim, 
         assert [suit.traffic.device(n).settings["module_id"] for n in (0, 3)] == [3, 0]
 
 
-async def test_a_module_that_does_not_come_back_leaves_a_named_state_that_can_be_put_right(
-    configured, monkeypatch
-):
-    monkeypatch.setattr("devices.transactions.SINGLE_WAITS_S", (0.1, 0.2, 0.4))
+async def test_a_module_that_does_not_come_back_leaves_a_named_state_that_can_be_put_right(configured):
     async with configured() as (suit, configurator):
-        configurator._restart_patience_s = 0.5
         device = suit.traffic.device(3)
         device.power_cut = PowerCut(Verb.COMMIT, off_s=30.0)
         a, b = suit.unique_id(0), suit.unique_id(3)
@@ -216,8 +229,7 @@ async def test_flash_that_is_worn_out_is_named_and_the_old_settings_stand(config
         assert device.settings["label"] == ""
 
 
-async def test_a_relays_id_is_not_to_be_changed(configured, monkeypatch):
-    monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.7, 0.1))
+async def test_a_relays_id_is_not_to_be_changed(configured):
     async with configured(has_relay=True) as (suit, configurator):
         roster = await configurator.discover()
         assert roster.find("relay").unique_id == suit.unique_id(0xFE)
@@ -226,7 +238,7 @@ async def test_a_relays_id_is_not_to_be_changed(configured, monkeypatch):
             await configurator.write(suit.unique_id(0xFE), {"module_id": 5})
 
 
-async def test_a_backup_puts_back_settings_and_crosswise_ids(configured, monkeypatch):
+async def test_a_backup_puts_back_settings_and_crosswise_ids(configured):
     async with configured() as (suit, configurator):
         saved = await read_backup(configurator, await configurator.discover())
         assert list(saved) == [suit.unique_id(n).hex() for n in range(4)]
@@ -238,7 +250,6 @@ async def test_a_backup_puts_back_settings_and_crosswise_ids(configured, monkeyp
         assert suit.ids() == {n: n for n in range(4)}
         assert await read_backup(configurator, await configurator.discover()) == saved
         assert (restored.absent, restored.failures) == ([], {})
-        monkeypatch.setattr("devices.transactions.SINGLE_WAITS_S", (0.1, 0.2, 0.4))
         absent = "00" * 11 + "01"
         again = await restore_backup(configurator, saved | {absent: {"label": "gone"}})
         assert (again.absent, again.failures) == ([bytes.fromhex(absent)], {})
