@@ -62,6 +62,7 @@ async def gateway_of(suit, broker_port, **settings):
         **settings,
     )
     service = Service(gateway_settings, load_rig("robot_arm_4"), [suit.link])
+    service.load.observe = lambda *_: False  # nothing is given up on a machine that is too busy
     listener = Listener()
     async with broker_connection(gateway_settings.mqtt, broker_port, "listener") as client:
         await client.subscribe("mocap/#", qos=1)
@@ -207,6 +208,17 @@ async def test_metrics_of_links_modules_poses_outputs_and_process(commanded_suit
         assert (status, b"/metrics and /healthz" in answer) == (404, True)
 
 
+async def healthy(service):
+    """Return the port of a gateway once it says that it is well."""
+    told, deadline_s = None, time.monotonic() + PATIENCE_S
+    while told is None or told["status"] != "ok":
+        assert time.monotonic() < deadline_s, told
+        await asyncio.sleep(0.05)
+        if service.observer.metrics.port:
+            told = orjson.loads((await fetch(service.observer.metrics.port, "/healthz"))[2])
+    return service.observer.metrics.port
+
+
 async def test_health_tells_what_stands_in_the_way(commanded_suit, mosquitto, until):
     async with (
         commanded_suit() as suit,
@@ -217,12 +229,9 @@ async def test_health_tells_what_stands_in_the_way(commanded_suit, mosquitto, un
             status, _, body = await fetch(service.observer.metrics.port, "/healthz")
             return status, orjson.loads(body)
 
-        await until(lambda: service.mqtt.is_connected and service.pipeline.skeleton_frames > 20)
-        deadline_s = time.monotonic() + PATIENCE_S
-        while (told := await health())[1]["status"] != "ok":
-            assert time.monotonic() < deadline_s, told
-            await asyncio.sleep(0.05)
-        assert (told[0], told[1]["links_down"]) == (200, [])
+        await healthy(service)
+        status, told = await health()
+        assert (status, told["status"], told["links_down"]) == (200, "ok", [])
         mosquitto.stop()
         await until(lambda: not service.mqtt.is_connected)
         status, told = await health()
@@ -264,8 +273,7 @@ async def test_the_health_command_is_for_scripts(commanded_suit, mosquitto, unti
         commanded_suit() as suit,
         gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),
     ):
-        await until(lambda: service.mqtt.is_connected and service.pipeline.skeleton_frames > 20)
-        port = service.observer.metrics.port
+        port = await healthy(service)
         code, output, _ = await asyncio.to_thread(typed_here, ["health", "--port", port])
         assert (code, orjson.loads(output)["status"]) == (0, "ok")
     code, _, errors = await asyncio.to_thread(typed_here, ["health", "--port", port])
