@@ -235,7 +235,7 @@ async def test_assign_is_tried_against_an_emulator_that_is_told_what_to_shake(tm
     port = tmp_path / "port"
     emulator = command("emulate", "--rig", RIG, "--link", port, "--json")
     await emulator.until_it_says('"url"')
-    assigning = Typed(command, "--link", str(port), "--rig", RIG).start(
+    assigning = Typed(command, "--link", str(port), "--rig", RIG, constants=dict([STILL])).start(
         "assign", "--segment", "link_4", "--allow-writes", "--yes"
     )
     await assigning.until_it_says("shake or tap the module on the link 4")
