@@ -9,7 +9,7 @@ Times are seconds of any steady clock.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from firmware_protocol import BROADCAST
@@ -42,7 +42,15 @@ class Answer:
 class Exchange:
     """One command, and the answers to it so far."""
 
-    def __init__(self, command: Command, target: int, waits_s: Sequence[float], now_s: float) -> None:
+    def __init__(
+        self,
+        command: Command,
+        target: int,
+        waits_s: Sequence[float],
+        now_s: float,
+        known: Collection[bytes] = (),
+    ) -> None:
+        """``known``: devices, by unique id, whose answers make another attempt needless; see ``is_over``."""
         self.command = command
         self.target = target
         """Module id in the header: 0 to 63, the relay's, or all."""
@@ -51,11 +59,12 @@ class Exchange:
         self.duplicates = 0
         self.attempts = 0
         self._waits_s = tuple(waits_s)
-        self._due_s = now_s
+        self._known = frozenset(known)
+        self._due_s = self._first_end_s = now_s
 
     @property
     def awaits_all(self) -> bool:
-        """Whether any number of devices may answer, so that only the end of the time ends it."""
+        """Whether any number of devices may answer, so that no single answer ends it."""
         return self.target == BROADCAST and self.command.unique_id == ANYONE
 
     @property
@@ -68,12 +77,22 @@ class Exchange:
         if now_s < self._due_s or self.is_over(now_s):
             return False
         self._due_s = now_s + self._waits_s[self.attempts]
+        if not self.attempts:
+            self._first_end_s = self._due_s
         self.attempts += 1
         return True
 
     def is_over(self, now_s: float) -> bool:
-        """Answered, or out of attempts and time."""
-        if self.answers and not self.awaits_all:
+        """Answered, or out of attempts and time.
+
+        What all are asked is answered when all that are known have answered. Even then the first wait is
+        kept: a device that nobody knows yet, switched on just now, answers within it.
+        """
+        if self.awaits_all:
+            has_all = bool(self._known) and self._known <= self.answers.keys()
+            if has_all and self.attempts and now_s >= self._first_end_s:
+                return True
+        elif self.answers:
             return True
         return self.attempts == len(self._waits_s) and now_s >= self._due_s
 
@@ -105,14 +124,26 @@ class Transactions:
         self._next = first % _TRANSACTIONS
         self._open: dict[int, Exchange] = {}
 
-    def begin(self, verb: Verb, target: int, unique_id: bytes, arguments: bytes, now_s: float) -> Exchange:
-        """A new exchange, to be sent at once. ``unique_id`` other than ``ANYONE``: that device alone."""
+    def begin(
+        self,
+        verb: Verb,
+        target: int,
+        unique_id: bytes,
+        arguments: bytes,
+        now_s: float,
+        known: Collection[bytes] = (),
+    ) -> Exchange:
+        """A new exchange, to be sent at once. ``unique_id`` other than ``ANYONE``: that device alone.
+
+        known: of a command to all, the devices that are known to be there.
+        """
         while self._next in self._open:
             self._next = (self._next + 1) % _TRANSACTIONS
         command = Command(transaction=self._next, verb=int(verb), unique_id=unique_id, arguments=arguments)
         self._next = (self._next + 1) % _TRANSACTIONS
         is_for_all = target == BROADCAST and unique_id == ANYONE
-        exchange = Exchange(command, target, BROADCAST_WAITS_S if is_for_all else SINGLE_WAITS_S, now_s)
+        waits_s = BROADCAST_WAITS_S if is_for_all else SINGLE_WAITS_S
+        exchange = Exchange(command, target, waits_s, now_s, known)
         self._open[command.transaction] = exchange
         return exchange
 

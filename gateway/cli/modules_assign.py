@@ -19,7 +19,9 @@ from gateway.modules.motion_watch import AmbiguousMotionError
 from gateway.modules.operations import RequestError
 
 _STILL_S = 2.0
-_LOOK_S = 1.0
+_LOOK_S = 0.5
+_LISTED_S = 0.5
+"""The shortest: who is there is asked for, and not how many samples each sends."""
 _SIGNS = {
     "motion": "moved",
     "button": "had its button pressed",
@@ -79,7 +81,7 @@ class _Fitting:
 
     async def begin(self, chosen: list[str] | None) -> None:
         """See who is there; give devices that share an id ids of their own. Raises ``GatewayError``."""
-        listed = await self._perform("list", {"listen_s": _STILL_S})
+        listed = await self._perform("list", {"listen_s": _LISTED_S})
         if not listed["allows_writes"]:
             raise GatewayError(
                 "assigning changes modules, which is not allowed: pass --allow-writes, or set "
@@ -87,7 +89,7 @@ class _Fitting:
             )
         if listed["conflicts"]:
             await self._separate(listed)
-            listed = await self._perform("list", {"listen_s": _STILL_S})
+            listed = await self._perform("list", {"listen_s": _LISTED_S})
         self._wardrobe = Wardrobe(listed)
         segments = list(self._wardrobe.segments)
         for name in chosen or ():

@@ -23,7 +23,9 @@ from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError
 
 _RETAINED_S = 1.0
-"""Time for the retained states of gateways to come."""
+"""Time for the first retained state of a gateway to come."""
+_REST_S = 0.3
+"""And for those of others after it: a broker sends all that it has retained in one go."""
 
 _ANSWER_S = 90.0
 """Longest wait for an answer: changing many ids, with a module that restarts, takes a while."""
@@ -94,11 +96,17 @@ async def _only_gateway(client: aiomqtt.Client, settings: MqttSettings) -> str:
     every = Topics(settings.base_topic, ANY_GATEWAY)
     await client.subscribe(every.bridge_state, qos=1)
     online: set[str] = set()
+    first = True
     with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(_RETAINED_S):
+        async with asyncio.timeout(_RETAINED_S) as waiting:
             async for message in client.messages:
                 address = every.split(message.topic.value)
-                if address is not None and address[1] == topics.BRIDGE_STATE and _is_online(message):
+                if address is None or address[1] != topics.BRIDGE_STATE:
+                    continue
+                if first:
+                    waiting.reschedule(asyncio.get_running_loop().time() + _REST_S)
+                    first = False
+                if _is_online(message):
                     online.add(address[0])
     await client.unsubscribe(every.bridge_state)
     if len(online) != 1:

@@ -20,7 +20,7 @@ from gateway.body.rig import load_rig
 from gateway.doctor.listening import listen
 from gateway.emulation.rig import dress, move
 from gateway.outputs.settings import MqttSettings
-from gateway.service import Service
+from gateway.service.service import Service
 from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
 from tests.patience import PATIENCE_S
 from tests.running_suit import running

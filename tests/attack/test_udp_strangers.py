@@ -29,6 +29,13 @@ RIG = "wifi_10"
 TEN = range(1, 11)
 
 
+@pytest.fixture(autouse=True)
+def _short_looks(monkeypatch):
+    """Ten modules that sample 25 times a second are heard, and answer, in a tenth of that."""
+    monkeypatch.setattr("gateway.modules.session._LISTENED_S", 0.6)
+    monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
+
+
 def free_udp_port():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -66,7 +73,9 @@ async def test_all_ten_are_listed_and_each_is_found_beside_a_stranger(tmp_path, 
     suit, traffic = ten_modules(port)
     where = ["--link", f"udp://127.0.0.1:{port}", "--rig", RIG]
     async with running(suit), pestered(stranger, port):
-        code, output, errors = await asyncio.to_thread(typed_here, ["modules", "list", "--json", *where])
+        code, output, errors = await asyncio.to_thread(
+            typed_here, ["modules", "list", "--listen", "0.5", "--json", *where]
+        )
         assert code == 0, errors
         listed = {module["module"]: module for module in json.loads(output)["modules"]}
         assert set(listed) == set(TEN)
@@ -89,7 +98,7 @@ async def test_a_command_for_one_goes_to_its_sender_alone(tmp_path, stranger):
         urls = {"wifi": f"udp://127.0.0.1:{port}"}
         journal = Journal(tmp_path / "journal.json")
         async with suit_session(urls, load_rig(RIG), allow_writes=False, journal=journal) as operations:
-            await operations.perform("list", {})
+            await operations.perform("list", {"listen_s": 0.5})
             hand_on = suit.transport.on_receive
 
             def note(data, device):

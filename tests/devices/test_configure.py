@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 
 import pytest
@@ -19,16 +20,17 @@ from devices.device_errors import (
 from devices.emulators.power_cut import Moment, PowerCut
 from firmware_protocol.commands import Verb
 from firmware_protocol.device_settings import encode_value
+from tests.simulated_time import SimulatedPolicy
 
 LABEL, RATE = 10, 2
 OFF_S = 0.1
 """Of a module that loses power: back before it is asked again."""
 
 
-@pytest.fixture(autouse=True)
-def _short_windows(monkeypatch):
-    """Four modules without a relay answer within 10 ms."""
-    monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.08, 0.08, 0.14))
+@pytest.fixture
+def event_loop_policy():
+    """Nobody waits here for real."""
+    return SimulatedPolicy()
 
 
 @pytest.fixture
@@ -40,7 +42,7 @@ def configured(commanded_suit):
         async with commanded_suit(**settings) as suit:
             client = CommandClient([suit.link], allow_writes=allow_writes)
             async with client.reading():
-                yield suit, Configurator(client, restart_patience_s=2.0)
+                yield suit, Configurator(client)
 
     return start
 
@@ -57,6 +59,21 @@ async def test_discovery_describes_every_device(configured):
         assert device.info.unique_id == device.unique_id
         assert device.health is not None
     assert roster.conflicts == ()
+
+
+async def test_who_was_there_is_asked_once_and_again_only_when_one_is_missing(configured):
+    async with configured() as (suit, configurator):
+        sent = []
+        configurator.client.on_sent = sent.append
+        counts = []
+        for looks in range(3):
+            if looks == 2:
+                suit.traffic.cut_power(3, suit.soon_s(), off_s=60.0)
+                await asyncio.sleep(0.1)
+            before = len(sent)
+            await configurator.discover()
+            counts.append(len(sent) - before)
+    assert counts == [6, 2, 6]  # each time of both questions
 
 
 async def test_two_modules_with_one_id_are_a_named_conflict(configured):
@@ -84,6 +101,15 @@ async def test_what_is_written_is_committed_and_reads_back(configured):
         assert suit.traffic.device(1).settings["label"] == "left shank"
         await configurator.write(one, change.before)  # undo
         assert await configurator.read(one, change.before) == change.before
+
+
+async def test_who_is_there_is_looked_for_anew_after_an_id_was_changed_and_not_after_a_label(configured):
+    async with configured() as (suit, configurator):
+        roster = await configurator.discover()
+        await configurator.write(suit.unique_id(1), {"label": "left shank"})
+        assert configurator.roster is roster
+        await configurator.write(suit.unique_id(1), {"label": "shank", "module_id": 9})
+        assert configurator.roster is None
 
 
 async def test_what_somebody_else_has_staged_is_neither_believed_nor_committed(configured):
@@ -203,8 +229,7 @@ async def test_flash_that_is_worn_out_is_named_and_the_old_settings_stand(config
         assert device.settings["label"] == ""
 
 
-async def test_a_relays_id_is_not_to_be_changed(configured, monkeypatch):
-    monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.7, 0.1))
+async def test_a_relays_id_is_not_to_be_changed(configured):
     async with configured(has_relay=True) as (suit, configurator):
         roster = await configurator.discover()
         assert roster.find("relay").unique_id == suit.unique_id(0xFE)
@@ -221,13 +246,13 @@ async def test_a_backup_puts_back_settings_and_crosswise_ids(configured):
         assert len(saved[suit.unique_id(2).hex()]["calibration"]) == 30
         await configurator.assign_ids({suit.unique_id(n): (n + 1) % 4 for n in range(4)})
         await configurator.write(suit.unique_id(2), {"label": "changed", "sampling_rate": 50.0})
-        absent = "00" * 11 + "01"
-        restored = await restore_backup(configurator, saved | {absent: {"label": "gone"}})
+        restored = await restore_backup(configurator, saved)
         assert suit.ids() == {n: n for n in range(4)}
         assert await read_backup(configurator, await configurator.discover()) == saved
-        assert restored.absent == [bytes.fromhex(absent)]
-        assert restored.failures == {}
-        again = await restore_backup(configurator, saved)
+        assert (restored.absent, restored.failures) == ([], {})
+        absent = "00" * 11 + "01"
+        again = await restore_backup(configurator, saved | {absent: {"label": "gone"}})
+        assert (again.absent, again.failures) == ([bytes.fromhex(absent)], {})
         assert again.changes == []
         assert len(again.unchanged) == 4
 

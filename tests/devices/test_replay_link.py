@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 
 import pytest
 
@@ -11,7 +10,8 @@ from devices.link import Chunk, Framing, LinkError, SentChunk
 from devices.recording_format import SENT
 from devices.recording_writer import RecordingWriter, session_record
 from devices.replay_link import ReplayLink
-from tests.patience import PATIENCE_S, loop_lateness
+from tests.patience import PATIENCE_S
+from tests.simulated_time import in_simulated_time
 
 LINKS = {"suit": Framing.BYTE_STREAM, "bus": Framing.CAN}
 SUIT = {"suit": Framing.BYTE_STREAM}
@@ -89,21 +89,15 @@ async def test_a_reader_that_is_held_reads_no_further(tmp_path):
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0])
-async def test_pace_is_that_of_the_recording(both, speed):
-    link = ReplayLink(both, link="bus", speed=speed)
-    await link.open()
-    start = time.monotonic()
-    due = [(chunk.arrived_ns - CHUNKS[0].arrived_ns) * 1e-9 / speed for chunk in CHUNKS[1::2]]
-    async with loop_lateness() as machine:
-        late = [time.monotonic() - start - expected async for _, expected in _zip(link, due)]
-    assert len(late) == 4
-    assert all(-0.001 < seconds < 0.05 + machine.worst_s for seconds in late)
+def test_pace_is_that_of_the_recording(both, speed):
+    async def came_s():
+        link = ReplayLink(both, link="bus", speed=speed)
+        await link.open()
+        start_s = asyncio.get_running_loop().time()
+        return [asyncio.get_running_loop().time() - start_s async for _ in link]
 
-
-async def _zip(link, values):
-    remaining = iter(values)
-    async for chunk in link:
-        yield chunk, next(remaining)
+    due_s = [(chunk.arrived_ns - CHUNKS[0].arrived_ns) * 1e-9 / speed for chunk in CHUNKS[1::2]]
+    assert in_simulated_time(came_s()) == pytest.approx(due_s, abs=1e-6)
 
 
 async def test_other_tasks_run_at_full_speed(tmp_path):

@@ -25,8 +25,8 @@ def answer_to(exchange, unique_id=ONE, result=Result.DONE, **changed):
     return Acknowledgement(**(fields | changed))
 
 
-def begin(transactions, unique_id=ONE, now_s=0.0):
-    return transactions.begin(Verb.IDENTIFY, BROADCAST, unique_id, b"\x05", now_s)
+def begin(transactions, unique_id=ONE, now_s=0.0, known=()):
+    return transactions.begin(Verb.IDENTIFY, BROADCAST, unique_id, b"\x05", now_s, known)
 
 
 def sending_times(exchange):
@@ -70,6 +70,29 @@ def test_a_broadcast_collects_every_device_once_until_its_time_is_over():
     assert not exchange.is_over(0.5)
     transactions.end(exchange)
     assert (transactions.duplicates, transactions.unexpected) == (1, 0)
+
+
+def test_a_broadcast_is_over_after_the_first_wait_when_all_that_are_known_have_answered():
+    transactions = Transactions(0)
+    exchange = begin(transactions, ANYONE, known={ONE, OTHER})
+    assert not exchange.is_over(0.0)
+    exchange.takes_turn(0.0)
+    for unique_id in (ONE, OTHER):
+        transactions.take(answer_to(exchange, unique_id), 3, "suit")
+    assert not exchange.is_over(BROADCAST_WAITS_S[0] - 0.001)  # who is not known answers as late as that
+    assert exchange.is_over(BROADCAST_WAITS_S[0])
+    assert not exchange.takes_turn(BROADCAST_WAITS_S[0])
+
+
+def test_a_broadcast_is_repeated_for_one_that_is_known_and_over_when_it_answers():
+    transactions = Transactions(0)
+    exchange = begin(transactions, ANYONE, known={ONE, OTHER})
+    exchange.takes_turn(0.0)
+    transactions.take(answer_to(exchange, ONE), 3, "suit")
+    assert exchange.takes_turn(BROADCAST_WAITS_S[0])
+    assert not exchange.is_over(BROADCAST_WAITS_S[0] + 0.01)
+    transactions.take(answer_to(exchange, OTHER), 3, "suit")
+    assert exchange.is_over(BROADCAST_WAITS_S[0] + 0.01)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,6 @@ import asyncio
 import json
 import os
 import random
-import subprocess
-import sys
 import threading
 import time
 import tty
@@ -18,8 +16,10 @@ import yaml
 from gateway.contract.messages import ModuleClockState, ModuleState
 from gateway.doctor import Surroundings, Verdict, examine_file
 from gateway.doctor.host import disk, metrics_port
-from gateway.doctor.running import judge
+from gateway.doctor.running import judge, module_states
+from gateway.outputs.settings import MqttSettings
 from gateway.settings import LinkSettings, MetricsSettings, RecordingSettings
+from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 
@@ -30,8 +30,10 @@ def _state_of_its_own(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def examined(tmp_path, unused_port):
+def examined(tmp_path, unused_port, monkeypatch):
     """``examined(url=…, here=…)``: the findings about a configuration, by subject."""
+    # What is asked here is not for relays; a few modules answer within 10 ms, unless the machine is busy.
+    monkeypatch.setattr("devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4))
 
     def run(url="tcp://127.0.0.1:1", rig="single", listen_s=0.0, here=None, mqtt=None, **more):
         settings = {
@@ -339,7 +341,12 @@ def test_a_running_gateway_is_asked(examined, emulated, command, mosquitto, tmp_
         "metrics": {"port": unused_port},
     }
     assert examined(**options)["metrics"].verdict is Verdict.GOOD  # writes the configuration too
-    process = command("run", "-c", tmp_path / "gateway.yaml")
+    # One of its own: the doctor's is written anew at each look.
+    own = tmp_path / "running.yaml"
+    own.write_text((tmp_path / "gateway.yaml").read_text())
+    process = command("run", "-c", own)
+    asked = MqttSettings(port=mosquitto.port)
+    process.until(lambda: len(asyncio.run(module_states(asked, "lab")) or ()) == 5, "states of all modules")
 
     def is_known():
         findings.clear()
@@ -374,12 +381,11 @@ def test_the_command_line_has_json_and_an_exit_code(tmp_path, unused_port):
             }
         )
     )
-    command = [sys.executable, "-m", "gateway", "doctor", "-c", str(config), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 1
-    findings = {f["subject"]: f for f in json.loads(done.stdout)}
+    code, output, _ = typed_here(["doctor", "-c", config, "--json"])
+    assert code == 1
+    findings = {f["subject"]: f for f in json.loads(output)}
     assert findings["suit: port"]["verdict"] == "bad"
     assert findings["configuration"]["verdict"] == "good"
-    absent = subprocess.run([*command[:5], "absent.yaml"], capture_output=True, text=True, check=False)
-    assert absent.returncode == 1
-    assert absent.stderr.strip() == "mocap-gateway: no configuration file absent.yaml: name yours with -c"
+    code, _, errors = typed_here(["doctor", "-c", "absent.yaml"])
+    assert code == 1
+    assert errors.strip() == "mocap-gateway: no configuration file absent.yaml: name yours with -c"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import numpy as np
 import pytest
 
@@ -22,6 +20,8 @@ from gateway.sources.stream import ClockMode
 pytestmark = pytest.mark.system
 
 RIG = "robot_arm_4"
+CARD_BYTES = 36_000
+"""Of some three seconds."""
 PARAMS = AssemblyParams(frame_interval_ns=1e7, max_wait_ns=5 * 10**9, max_gap_ns=10**8, hold_ns=5 * 10**9)
 
 
@@ -54,23 +54,25 @@ def packets(chunks):
             yield (received.kind, received.module, received.sequence), received, chunk.arrived_ns
 
 
-async def test_a_card_replays_like_live(commanded_suit, tmp_path):
+async def test_a_card_replays_like_live(commanded_suit, tmp_path, until):
     async with commanded_suit(RIG, has_relay=True) as suit:
         link = Overheard(suit.link)
         client = CommandClient([link])
         async with client.reading():
             relay = suit.unique_id(RELAY)
             await client.ask(relay, Verb.START)
-            await asyncio.sleep(3)
+            recording = suit.traffic.device(RELAY).card
+            await until(lambda: recording.entries() and recording.entries()[0].size > CARD_BYTES)
             await client.ask(relay, Verb.STOP)
-            await asyncio.sleep(0.1)
             card = Card(client, relay)
             (entry,) = await card.files()
             await download(card.read, entry, tmp_path / "raw")
+            convert_card_file(tmp_path / "raw", tmp_path / "log", end_ns=10**18)
+            first = await recorded(tmp_path / "log")
+            on_card = {key: received for key, received, _ in packets(first)}
+            # A relay sends later what it has written at once.
+            await until(lambda: on_card.keys() <= {key for key, _, _ in packets(link.chunks)})
 
-    convert_card_file(tmp_path / "raw", tmp_path / "log", end_ns=10**18)
-    first = await recorded(tmp_path / "log")
-    on_card = {key: received for key, received, _ in packets(first)}
     live = {key: (received, arrived_ns) for key, received, arrived_ns in packets(link.chunks)}
     samples = {key: received.packet for key, received in on_card.items()}
     assert len(samples) > 4 * 250

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.system
 RIG = "robot_arm_4"
 HELD_S = 0.3
-BURSTS_AT, N_POSES, JUDGED = (250, 350), 550, 100
+BURSTS_AT, N_POSES, JUDGED = (200, 270), 420, 80
 """After how many poses reads are late; how many poses there are; of how many errors are compared."""
 
 

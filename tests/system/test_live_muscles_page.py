@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 
 import aiomqtt
 import numpy as np
@@ -27,6 +28,7 @@ from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
 from gateway.viewer import muscle_wires
 from gateway.viewer.live import LiveViewer
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 BODY = load_rig("suit_17").skeleton
@@ -53,8 +55,9 @@ def message(index, is_placed):
     )  # fmt: skip
 
 
-async def watched(port, monkeypatch, is_placed):
-    """What the page is told of muscles, and its legends, while the motion is published."""
+async def watched(port, monkeypatch, is_placed, is_enough):
+    """What the page is told of muscles, and its legends, while the motion is published, and afterwards until
+    ``is_enough(told, legends)``."""
     told, legends = [], []
     now, legend = LiveMuscles.now, muscle_wires._legend
     monkeypatch.setattr(LiveMuscles, "now", lambda self: told.append(now(self)) or told[-1])
@@ -73,7 +76,10 @@ async def watched(port, monkeypatch, is_placed):
         for index in range(len(TIMES_S)):
             await client.publish(topics.pose, message(index, is_placed).payload())
             await asyncio.sleep(0.01)
-        await asyncio.sleep(0.3)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not is_enough(told, legends):
+            assert time.monotonic() < deadline_s, (told, legends)
+            await asyncio.sleep(0.05)
     showing.cancel()
     await asyncio.gather(showing, return_exceptions=True)
     server.stop()
@@ -81,12 +87,14 @@ async def watched(port, monkeypatch, is_placed):
 
 
 async def test_the_page_has_the_activities_of_the_whole_motion(mosquitto, monkeypatch):
-    answers, legends = await watched(mosquitto.port, monkeypatch, is_placed=True)
+    def is_enough(told, _):  # a busy machine draws few pictures
+        return sum(found is not None for found in told) >= 3
+
+    answers, legends = await watched(mosquitto.port, monkeypatch, is_placed=True, is_enough=is_enough)
     told = [found for found in answers if found is not None]
     motion = np.array([bow(t) for t in TIMES_S])
     smooth = smooth_motion(BODY, TIMES_S, motion, np.tile(ROOT, (len(TIMES_S), 1)), 6.0)
     whole = find_muscles(analyse_motion(smooth, "bow", body_inertia(BODY, KG), GRAVITY))
-    assert len(told) >= 3  # a busy machine draws few pictures
     for found in told:
         then = whole.activity[int(np.argmin(np.abs(TIMES_S - found.time_s)))]
         assert found.activity == pytest.approx(then, abs=0.06)
@@ -95,5 +103,7 @@ async def test_the_page_has_the_activities_of_the_whole_motion(mosquitto, monkey
 
 
 async def test_the_page_says_that_positions_are_missing(mosquitto, monkeypatch):
-    _, legends = await watched(mosquitto.port, monkeypatch, is_placed=False)
-    assert muscle_wires.NOT_PLACED in legends[-1]
+    def is_enough(_, legends):
+        return muscle_wires.NOT_PLACED in legends[-1]
+
+    await watched(mosquitto.port, monkeypatch, is_placed=False, is_enough=is_enough)

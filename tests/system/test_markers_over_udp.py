@@ -26,6 +26,7 @@ from gateway.service.service import Service
 from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
 from tests.fixtures.brokers import free_port
 from tests.marked_person import places_of, subject_file, y_up
+from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
 RATE_HZ, N_FRAMES = 50.0, 60
@@ -98,10 +99,15 @@ async def test_datagrams_of_markers_become_the_senders_pose(mosquitto, tmp_path)
                 if frame == 10:
                     sender.send(b'{"markers": "none"}')
                 await asyncio.sleep(1 / RATE_HZ)
-        async with asyncio.timeout(90):
-            while service.pipeline.skeleton_frames < N_FRAMES or service.mqtt.counters.queued:
-                await asyncio.sleep(0.02)
-        await asyncio.sleep(0.5)
+        counters, deadline_s = service.mqtt.counters, time.monotonic() + PATIENCE_S
+        while (
+            service.pipeline.skeleton_frames < N_FRAMES
+            or counters.queued
+            or len(received) < counters.published
+        ):
+            assert time.monotonic() < deadline_s, (len(received), counters, service.statistics())
+            await asyncio.sleep(0.02)
+            counters = service.mqtt.counters
         statistics = service.statistics()
         assert unaccounted(service.balances()) == {}
         assert statistics["markers"]["dropped"] == {"no_markers": 1}

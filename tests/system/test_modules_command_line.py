@@ -25,6 +25,10 @@ from tests.patience import PATIENCE_S
 pytestmark = pytest.mark.system
 
 RIG = "robot_arm_4"
+STILL = "gateway.modules.motion.LEAST_SWING", 1e3
+"""The arm moves on its own, now and then as if it were shaken: what says itself that it was tapped counts."""
+SHORT_LOOK = "devices.transactions.BROADCAST_WAITS_S", (0.15, 0.25, 0.4)
+"""Four modules without a relay answer within 10 ms, unless the machine is busy."""
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +44,8 @@ def suit_on_port(commanded_suit, command, tmp_path):
     async def start(**settings):
         port = tmp_path / "port"
         async with commanded_suit(RIG, PtyTransport(port), **settings) as suit:
-            yield suit, Typed(command, "--link", str(port), "--rig", RIG)
+            constants = dict([STILL] if settings.get("has_relay") else [STILL, SHORT_LOOK])
+            yield suit, Typed(command, "--link", str(port), "--rig", RIG, constants=constants)
 
     return start
 
@@ -48,12 +53,13 @@ def suit_on_port(commanded_suit, command, tmp_path):
 class Typed:
     """Types commands, each in a process of its own: the suit's event loop goes on meanwhile."""
 
-    def __init__(self, command, *where):
+    def __init__(self, command, *where, constants=None):
         self._command = command
         self._where = where
+        self._constants = constants
 
     def start(self, *arguments):
-        return self._command("modules", *arguments, *self._where)
+        return self._command("modules", *arguments, *self._where, constants=self._constants)
 
     async def __call__(self, *arguments):
         process = self.start(*arguments)
@@ -62,7 +68,7 @@ class Typed:
 
 async def test_list_shows_every_module_and_names_a_conflict_with_its_remedy(suit_on_port):
     async with suit_on_port(has_relay=True) as (suit, modules):
-        code, output, errors = await modules("list", "--wide", "--listen", "1")
+        code, output, errors = await modules("list", "--wide", "--listen", "0.5")
         assert (code, errors) == (0, "")
         for number, segment in enumerate(("link_1", "link_2", "link_3", "link_4")):
             (line,) = [line for line in output.splitlines() if suit.unique_id(number).hex() in line]
@@ -73,12 +79,12 @@ async def test_list_shows_every_module_and_names_a_conflict_with_its_remedy(suit
         assert "relay" in output
         assert "conflict" not in output
     async with suit_on_port(stored_ids={2: 1}) as (suit, modules):
-        code, output, _ = await modules("list", "--listen", "1")
+        code, output, _ = await modules("list", "--listen", "0.5")
         assert code == 1
         assert f"module id 1 is shared by {suit.unique_id(1).hex()} and" in output
         assert "remedy: mocap-gateway modules assign" in output
         assert "not heard: link_3 (2)" in output
-        code, output, _ = await modules("list", "--listen", "1", "--json")
+        code, output, _ = await modules("list", "--listen", "0.5", "--json")
         assert json.loads(output)["conflicts"][0]["module"] == 1
 
 
@@ -229,7 +235,7 @@ async def test_assign_is_tried_against_an_emulator_that_is_told_what_to_shake(tm
     port = tmp_path / "port"
     emulator = command("emulate", "--rig", RIG, "--link", port, "--json")
     await emulator.until_it_says('"url"')
-    assigning = Typed(command, "--link", str(port), "--rig", RIG).start(
+    assigning = Typed(command, "--link", str(port), "--rig", RIG, constants=dict([STILL])).start(
         "assign", "--segment", "link_4", "--allow-writes", "--yes"
     )
     await assigning.until_it_says("shake or tap the module on the link 4")
@@ -321,7 +327,8 @@ async def test_a_card_download_that_is_killed_goes_on_and_the_file_replays(suit_
     assert service.pipeline.skeleton_frames > 150
 
 
-async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, command, mosquitto):
+async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, command, mosquitto, monkeypatch):
+    monkeypatch.setattr(*STILL)
     settings = GatewaySettings(
         gateway="lab",
         links=[LinkSettings(name="suit", url="/dev/null")],
@@ -338,7 +345,7 @@ async def test_a_running_gateway_is_asked_in_the_same_words(commanded_suit, comm
             while not service.requests.is_connected:
                 await asyncio.sleep(0.01)
         modules = Typed(command, "--mqtt", f"127.0.0.1:{mosquitto.port}")
-        code, output, errors = await modules("list", "--listen", "1")
+        code, output, errors = await modules("list", "--listen", "0.5")
         assert (code, errors) == (0, "")
         assert suit.unique_id(3).hex() in output
         process = modules.start("assign", "--segment", "link_2", "--yes")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-import subprocess
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -26,7 +24,8 @@ from gateway.outputs.connection import broker_connection
 from gateway.service.observability import Observer
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings
-from tests.patience import PATIENCE_S, loop_lateness
+from tests.patience import PATIENCE_S
+from tests.typed_here import typed_here
 
 pytestmark = pytest.mark.system
 
@@ -63,6 +62,7 @@ async def gateway_of(suit, broker_port, **settings):
         **settings,
     )
     service = Service(gateway_settings, load_rig("robot_arm_4"), [suit.link])
+    service.load.observe = lambda *_: False  # nothing is given up on a machine that is too busy
     listener = Listener()
     async with broker_connection(gateway_settings.mqtt, broker_port, "listener") as client:
         await client.subscribe("mocap/#", qos=1)
@@ -170,24 +170,27 @@ async def test_a_host_clock_set_by_an_hour_moves_the_anchor_and_no_pose(
 async def test_metrics_of_links_modules_poses_outputs_and_process(commanded_suit, mosquitto, until):
     async with (
         commanded_suit() as suit,
-        gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, listener, _),
-        loop_lateness() as machine,
+        gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),
     ):
-        await until(lambda: abs(((listener.newest("module/3/state") or {}).get("rate_hz") or 0) - 100) < 15)
+
+        async def metrics():
+            status, content_type, text = await fetch(service.observer.metrics.port, "/metrics")
+            assert (status, content_type.split(";")[0]) == (200, "text/plain")
+            return {
+                (sample.name, *sample.labels.values()): sample.value
+                for family in parse_text(text.decode())
+                for sample in family.samples
+            }
+
         await until(lambda: service.mqtt.counters.published > 100)
-        status, content_type, text = await fetch(service.observer.metrics.port, "/metrics")
-        assert (status, content_type.split(";")[0]) == (200, "text/plain")
-        samples = {
-            (sample.name, *sample.labels.values()): sample.value
-            for family in parse_text(text.decode())
-            for sample in family.samples
-        }
+        rate, deadline_s = ("mocap_module_rate_hz", "3", "link_4"), time.monotonic() + PATIENCE_S
+        while abs((samples := await metrics()).get(rate, 0.0) - 100) > 15:
+            assert time.monotonic() < deadline_s, samples
+            await asyncio.sleep(0.1)
         assert samples["mocap_link_up", "suit"] == 1
         assert samples["mocap_module_online", "3", "link_4"] == 1
         assert samples["mocap_module_received_total", "3", "link_4"] > 80
         assert samples["mocap_module_lost", "3", "link_4"] == 0
-        late = 100 * machine.worst_s  # in so much of a second
-        assert samples["mocap_module_rate_hz", "3", "link_4"] == pytest.approx(100, abs=15 + late)
         assert abs(samples["mocap_module_clock_offset_seconds", "3", "link_4"]) > 1
         assert samples["mocap_output_poses_total", "mqtt", "published"] > 50
         assert samples["mocap_output_connected", "mqtt"] == 1
@@ -205,6 +208,17 @@ async def test_metrics_of_links_modules_poses_outputs_and_process(commanded_suit
         assert (status, b"/metrics and /healthz" in answer) == (404, True)
 
 
+async def healthy(service):
+    """Return the port of a gateway once it says that it is well."""
+    told, deadline_s = None, time.monotonic() + PATIENCE_S
+    while told is None or told["status"] != "ok":
+        assert time.monotonic() < deadline_s, told
+        await asyncio.sleep(0.05)
+        if service.observer.metrics.port:
+            told = orjson.loads((await fetch(service.observer.metrics.port, "/healthz"))[2])
+    return service.observer.metrics.port
+
+
 async def test_health_tells_what_stands_in_the_way(commanded_suit, mosquitto, until):
     async with (
         commanded_suit() as suit,
@@ -215,8 +229,7 @@ async def test_health_tells_what_stands_in_the_way(commanded_suit, mosquitto, un
             status, _, body = await fetch(service.observer.metrics.port, "/healthz")
             return status, orjson.loads(body)
 
-        await until(lambda: service.mqtt.is_connected and service.pipeline.skeleton_frames > 20)
-        await asyncio.sleep(0.3)
+        await healthy(service)
         status, told = await health()
         assert (status, told["status"], told["links_down"]) == (200, "ok", [])
         mosquitto.stop()
@@ -260,15 +273,9 @@ async def test_the_health_command_is_for_scripts(commanded_suit, mosquitto, unti
         commanded_suit() as suit,
         gateway_of(suit, mosquitto.port, metrics={"port": 0}) as (service, _, _serving),
     ):
-        await until(lambda: service.mqtt.is_connected and service.pipeline.skeleton_frames > 20)
-        port = service.observer.metrics.port
-        done = await asyncio.to_thread(health_command, port)
-        assert (done.returncode, orjson.loads(done.stdout)["status"]) == (0, "ok")
-    done = await asyncio.to_thread(health_command, port)
-    assert done.returncode == 1
-    assert "no gateway answers" in done.stderr
-
-
-def health_command(port):
-    command = [sys.executable, "-m", "gateway", "health", "--port", str(port)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        port = await healthy(service)
+        code, output, _ = await asyncio.to_thread(typed_here, ["health", "--port", port])
+        assert (code, orjson.loads(output)["status"]) == (0, "ok")
+    code, _, errors = await asyncio.to_thread(typed_here, ["health", "--port", port])
+    assert code == 1
+    assert "no gateway answers" in errors

@@ -36,9 +36,11 @@ from firmware_protocol import (
 )
 from firmware_protocol.commands import Verb, encode_arguments
 from firmware_protocol.device_settings import encode_value
-from tests.patience import PATIENCE_S, loop_lateness
+from tests.patience import PATIENCE_S
 from tests.running_suit import running
+from tests.simulated_time import in_simulated_time
 
+HELLO = encode_arguments(Verb.HELLO, 1, 1)
 BYTES, CAN = Encoding(), Encoding(Framing.CAN)
 channels = itertools.count()
 
@@ -104,7 +106,7 @@ def make(medium):
 
 
 @pytest.mark.parametrize("medium", ["pty", "tcp", "can", "slcan", "loopback"])
-async def test_a_host_changes_a_module_and_it_answers_promptly(arm4, medium, until):
+async def test_a_host_changes_a_module(arm4, medium, until):
     transport, link, encoding = make(medium)
     traffic = traffic_of(arm4, encoding)
     suit = EmulatedSuit(traffic, transport)
@@ -113,13 +115,9 @@ async def test_a_host_changes_a_module_and_it_answers_promptly(arm4, medium, unt
             await asyncio.sleep(0.005)
         async with conversation(link or link_from_url(transport.url), encoding) as talk:
             await until(lambda: len(talk.packets) > 40)
-            took_s = []
-            hello = encode_arguments(Verb.HELLO, 1, 1)
-            async with loop_lateness() as machine:
-                for transaction in range(8):
-                    answer, after_s = await talk.ask(Command(transaction, Verb.HELLO, arguments=hello), 2)
-                    assert (answer.result, answer.unique_id) == (0, traffic.device(2).unique_id)
-                    took_s.append(after_s)
+            for transaction in range(8):
+                answer, _ = await talk.ask(Command(transaction, Verb.HELLO, arguments=HELLO), 2)
+                assert (answer.result, answer.unique_id) == (0, traffic.device(2).unique_id)
             rename = encode_arguments(Verb.WRITE_SETTING, 1, encode_value(1, 33))
             assert (await talk.ask(Command(100, Verb.WRITE_SETTING, arguments=rename), 2))[0].result == 0
             assert (await talk.ask(Command(101, Verb.COMMIT), 2))[0].result == 0
@@ -127,9 +125,21 @@ async def test_a_host_changes_a_module_and_it_answers_promptly(arm4, medium, unt
             await until(lambda: len(talk.packets) > n_before + 40)
             after = {p.module for p in talk.packets[n_before:] if isinstance(p.packet, InertialSample)}
             assert after == {0, 1, 3, 33}
-    assert sorted(took_s)[1] < 0.02 + 2 * machine.median_s
     assert not talk.decoder.dropped
     assert suit.counts.received_bytes > 200
+
+
+def test_an_answer_comes_within_two_steps_of_the_computation(arm4):
+    async def took_s():
+        near, far = loopback_pair()
+        suit = EmulatedSuit(traffic_of(arm4), LoopbackTransport(far))
+        async with running(suit), conversation(near, BYTES) as talk:
+            while not talk.packets:  # what is asked before the suit is there is lost
+                await asyncio.sleep(0.01)
+            asked = [Command(transaction, Verb.HELLO, arguments=HELLO) for transaction in range(8)]
+            return [(await talk.ask(each, 2))[1] for each in asked]
+
+    assert max(in_simulated_time(took_s())) < 0.02
 
 
 async def test_a_loopback_reader_comes_and_goes(arm4):
@@ -143,17 +153,16 @@ async def test_a_loopback_reader_comes_and_goes(arm4):
             await asyncio.sleep(0.02)
 
 
-async def test_the_motion_is_in_real_time_and_on_time(arm4):
+def test_the_motion_is_in_real_time_and_on_time(arm4):
     memory = MemoryTransport()
     suit = EmulatedSuit(traffic_of(arm4, has_relay=True), memory, duration_s=1.0, linger_s=0.0)
-    async with loop_lateness() as machine:
-        await suit.run()
+    in_simulated_time(suit.run())
     decoder, late_s = PacketDecoder(FrameDecoder()), []
     for at_ns, data in memory.chunks:
         late_s += [(at_ns - suit.instant_ns(p.module_time_us * 1e-6)) * 1e-9 for p in decoder.feed(data)]
     assert len(late_s) == 4 * 100 + 4 * 2
     assert min(late_s) >= 0.0
-    assert sorted(late_s)[len(late_s) // 2] < 0.01 + 2 * machine.median_s
+    assert max(late_s) < 0.01  # a relay sends what it has gathered
 
 
 async def test_at_full_speed_commands_come_between_the_steps(arm4):

@@ -12,6 +12,13 @@ from devices.emulators.power_cut import PowerCut
 from firmware_protocol.commands import Verb
 from gateway.modules.journal import JournalError
 from gateway.modules.operations import RequestError
+from tests.simulated_time import SimulatedPolicy
+
+
+@pytest.fixture
+def event_loop_policy():
+    """Nobody waits here for real."""
+    return SimulatedPolicy()
 
 
 def noted(journal):
@@ -115,7 +122,6 @@ async def test_an_undo_that_one_module_refuses_can_be_asked_for_again(operated):
 
 async def test_a_module_that_falls_silent_while_written_is_kept_for_undo(operated):
     async with operated() as (suit, operations, journal):
-        operations.configurator._restart_patience_s = 0.0
         suit.traffic.device(2).power_cut = PowerCut(Verb.COMMIT, off_s=600.0)
         with pytest.raises(DeviceError, match=r"does not answer.*or perhaps"):
             await operations.perform("set", {"device": "2", "settings": {"label": "two"}})

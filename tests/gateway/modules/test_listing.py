@@ -9,8 +9,15 @@ import re
 import pytest
 from rich.console import Console
 
+from devices.emulators import SuitSettings, SuitTraffic
+from devices.link import Chunk, Framing
+from devices.roster import Roster
 from firmware_protocol import RELAY
+from gateway.body.rig import load_rig
 from gateway.cli.modules_table import WIDEST, modules_screen
+from gateway.emulation.rig import dress, move
+from gateway.modules.summary import count_samples, summarise
+from gateway.sources.stream import Stream
 from tests.patience import PATIENCE_S
 
 
@@ -29,6 +36,22 @@ async def test_one_that_answers_no_commands_is_listed_by_what_it_says_of_itself(
     assert [modules[n]["answers"] for n in range(4)] == [True, True, False, True]
     assert [modules[n]["unique_id"] for n in range(4)] == [suit.unique_id(n).hex() for n in range(4)]
     assert modules[2]["firmware"] == "1.0.0"
+
+
+def test_rates_are_those_between_two_counts():
+    suit, stream, counted = load_rig("robot_arm_4"), Stream(), []
+    traffic = SuitTraffic(move(dress(suit), suit.skeleton.name, 1), SuitSettings(sampling_rate_hz=50.0))
+    stream.add_link("suit", Framing.BYTE_STREAM)
+    sent = list(traffic.transmissions(3.0))
+    for from_s, to_s in ((0.0, 1.0), (1.0, 3.0)):
+        for each in sent:
+            if from_s <= each.time_s < to_s:
+                stream.receive(Chunk(each.data, round(each.time_s * 1e9), "suit"))
+        counted.append(count_samples(stream, round(to_s * 1e9)))
+    found = summarise(Roster(()), stream, suit, *counted)
+    assert {each.module: each.rate_hz for each in found.modules} == pytest.approx(
+        dict.fromkeys(range(4), 50.0), abs=0.5
+    )
 
 
 def listed(n=17):
