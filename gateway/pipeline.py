@@ -35,7 +35,6 @@ from gateway.light import SunCompass
 from gateway.marker_frames import MarkerFrames
 from gateway.reconstruction import (
     FUSED,
-    NO_CONTACTS,
     OPTICAL,
     RootMode,
     RootSettings,
@@ -164,8 +163,6 @@ class Pipeline:
         """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table,
         for a body that cannot walk and shall, and for a method that the suit has no modules for."""
         settings = fitting_suit(settings, suit)
-        if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
-            raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
         table = settings.clock.table
         pipeline = cls(
             suit,
