@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,18 @@ def test_the_unit_is_understood_by_systemd(systemd_analyze, tmp_path):
     verified = run(systemd_analyze, "verify", unit)
     complaints = [line for line in verified.stderr.splitlines() if UNIT.name in line]
     assert (verified.returncode, complaints) == (0, [])
+
+
+def test_the_unit_names_documentation_that_the_program_brings(tmp_path):
+    """In the virtual environment that it names."""
+    named = re.search(r"(?m)^Documentation=file:/opt/mocap-gateway/(\S+)$", UNIT.read_text())
+    assert named is not None
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path]
+    built = subprocess.run(build, cwd=DOCKER.parent, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+    with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
+        brought = [name.partition(".data/data/")[2] for name in wheel.namelist()]
+    assert named[1] in brought
 
 
 def test_the_unit_may_do_little(systemd_analyze):
