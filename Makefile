@@ -6,6 +6,8 @@ BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null && echo $$p && break; done)
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Wheels alone, in every `pip install` below: a source distribution would fetch build tools that nothing pins, and run them.
+export PIP_ONLY_BINARY := :all:
 
 .PHONY: help demo test test-all attack test-socketcan lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
@@ -121,8 +123,9 @@ audit: $(VENV)/pyvenv.cfg
 
 lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv
-	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev --extra viewer --extra export --extra optical --extra video --extra biomech -o requirements/dev.lock
-	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra viewer -c requirements/dev.lock -o requirements/runtime.lock
+	build/lock/bin/uv pip compile -q --universal --only-binary :all: --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev --extra viewer --extra export --extra optical --extra video --extra biomech -o requirements/dev.lock
+	build/lock/bin/uv pip compile -q --universal --only-binary :all: --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra viewer -c requirements/dev.lock -o requirements/runtime.lock
+	echo 'hatchling>=1.27' | build/lock/bin/uv pip compile -q --universal --only-binary :all: --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url - -c requirements/dev.lock -o requirements/build.lock
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -24,8 +24,8 @@ def test_packages_import_only_downwards():
                 assert name not in LAYERS[level + 1 :], f"{path}:{line} imports {name}"
 
 
-def test_the_wire_needs_only_the_standard_library_and_cobs():
-    allowed = set(sys.stdlib_module_names) | {"cobs", "firmware_protocol"}
+def test_the_wire_needs_only_the_standard_library():
+    allowed = set(sys.stdlib_module_names) | {"firmware_protocol"}
     for path in (ROOT / "firmware_protocol").rglob("*.py"):
         for line, name in imported_roots(path):
             assert name in allowed, f"{path}:{line} imports {name}"
