@@ -49,3 +49,8 @@ def test_what_builds_the_program_is_pinned_with_all_that_it_needs():
 def test_nothing_is_pinned_that_there_is_no_wheel_of(lock):
     """On the processor that this was found on; ``make install`` would end with what else has none."""
     assert not re.search(r"(?m)^cobs==", (ROOT / f"requirements/{lock}.lock").read_text())
+
+
+def test_the_readme_names_what_must_be_installed_before_the_first_command():
+    readme = (ROOT / "README.md").read_text()
+    assert readme.index("apt install make git python3-venv") < readme.index("make demo")
