@@ -1,7 +1,9 @@
 """What is fetched and run where the program is installed: pinned wheels, and nothing else."""
 
+import os
 import re
 import subprocess
+import tempfile
 from importlib.metadata import requires
 from pathlib import Path
 
@@ -45,10 +47,41 @@ def test_what_builds_the_program_is_pinned_with_all_that_it_needs():
     assert needed == pinned
 
 
-@pytest.mark.parametrize("lock", ["runtime", "dev", "build"])
-def test_nothing_is_pinned_that_there_is_no_wheel_of(lock):
-    """On the processor that this was found on; ``make install`` would end with what else has none."""
-    assert not re.search(r"(?m)^cobs==", (ROOT / f"requirements/{lock}.lock").read_text())
+def hashes_of(lock: str) -> dict[str, int]:
+    """Packages that are pinned, and how many hashes each has."""
+    text = (ROOT / f"requirements/{lock}.lock").read_text()
+    return {
+        entry.partition("==")[0]: entry.count("--hash=sha256:")
+        for entry in re.split(r"(?m)^(?=\w)", text)
+        if entry
+    }
+
+
+@pytest.mark.parametrize("lock", ["runtime", "dev", "build", "source"])
+def test_all_that_is_pinned_is_hashed_and_nothing_is_built_on_most_machines(lock: str) -> None:
+    pinned = hashes_of(lock)
+    assert pinned
+    assert all(pinned.values())
+    assert "cobs" not in pinned, "there is no wheel of it"
+
+
+def test_where_vqf_has_no_wheel_it_is_built_by_what_is_pinned():
+    """On arm64. Its own list of what builds it: setuptools, wheel, Cython, NumPy."""
+    assert set(hashes_of("source")) == {"cython", "numpy", "packaging", "setuptools", "wheel"}
+    show = "shown:; @echo '$(FROM_SOURCE)' '$(BUILD_TOOLS)'"
+    with tempfile.TemporaryDirectory() as folder:
+        uname = Path(folder, "uname")
+        uname.write_text("#!/bin/sh\necho aarch64\n")
+        uname.chmod(0o755)
+        told = subprocess.run(
+            ["make", "-s", "--eval", show, "shown"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"PATH": f"{folder}:{os.environ['PATH']}"},
+        )
+    assert told.stdout.split() == ["--no-binary", "vqf", "--no-build-isolation", "requirements/source.lock"]
 
 
 def test_the_readme_names_what_must_be_installed_before_the_first_command():
