@@ -57,7 +57,7 @@ def hashes_of(lock: str) -> dict[str, int]:
     }
 
 
-@pytest.mark.parametrize("lock", ["runtime", "dev", "build", "source"])
+@pytest.mark.parametrize("lock", ["runtime", "dev", "build", "source", "source_dev"])
 def test_all_that_is_pinned_is_hashed_and_nothing_is_built_on_most_machines(lock: str) -> None:
     pinned = hashes_of(lock)
     assert pinned
@@ -66,8 +66,9 @@ def test_all_that_is_pinned_is_hashed_and_nothing_is_built_on_most_machines(lock
 
 
 def test_where_vqf_has_no_wheel_it_is_built_by_what_is_pinned():
-    """On arm64. Its own list of what builds it: setuptools, wheel, Cython, NumPy."""
+    """On arm64. Its own list of what builds it: setuptools, wheel, Cython, NumPy; ezc3d's has more."""
     assert set(hashes_of("source")) == {"cython", "numpy", "packaging", "setuptools", "wheel"}
+    assert set(hashes_of("source_dev")) > {*hashes_of("source"), "cmake", "ninja", "scikit-build", "swig"}
     show = "shown:; @echo '$(FROM_SOURCE)' '$(BUILD_TOOLS)'"
     with tempfile.TemporaryDirectory() as folder:
         uname = Path(folder, "uname")
@@ -81,7 +82,12 @@ def test_where_vqf_has_no_wheel_it_is_built_by_what_is_pinned():
             check=True,
             env=os.environ | {"PATH": f"{folder}:{os.environ['PATH']}"},
         )
-    assert told.stdout.split() == ["--no-binary", "vqf", "--no-build-isolation", "requirements/source.lock"]
+    assert told.stdout.split() == [
+        "--no-binary",
+        "vqf,ezc3d",
+        "--no-build-isolation",
+        "requirements/source.lock",
+    ]
 
 
 def test_the_readme_names_what_must_be_installed_before_the_first_command():

@@ -12,7 +12,7 @@ from gateway.reconstruction import OPTICAL, RootMode, readiness
 from gateway.reconstruction.optical.warm_up import warm_up
 from gateway.settings import GatewaySettings, RootMotionSettings
 
-_FIRST = "first start: compiling what the first poses need, 10 to 20 seconds, once"
+_FIRST = "first start: compiling what the first poses need, once; 10 to 20 seconds on a machine that is free"
 
 
 def make_ready(reconstructor: str) -> None:
