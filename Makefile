@@ -8,6 +8,15 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Where this is set, every worker and every command of the tests would compile all of the sources anew.
 unexport PYTHONDONTWRITEBYTECODE
+# Wheels alone, in every `pip install` below: a source distribution would fetch build tools that nothing pins, and run them.
+export PIP_ONLY_BINARY := :all:
+# But vqf, and ezc3d of the tests, have wheels for x86-64 alone. Elsewhere their hashed sources are built, by tools that
+# are hashed wheels themselves.
+ifneq ($(shell uname -m),x86_64)
+BUILD_TOOLS := requirements/source.lock
+BUILD_TOOLS_DEV := requirements/source_dev.lock
+FROM_SOURCE := --no-binary vqf,ezc3d --no-build-isolation
+endif
 
 .PHONY: help demo test test-all attack test-socketcan lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
@@ -36,16 +45,18 @@ $(VENV)/pyvenv.cfg:
 			apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq python3-venv >/dev/null && $(PYTHON) -m venv $(VENV); \
 		else echo "$(PYTHON) cannot make a virtual environment. Debian: sudo apt install python3-venv"; exit 1; fi; }
 
-$(VENV)/.runtime: requirements/runtime.lock pyproject.toml | $(VENV)/pyvenv.cfg
+$(VENV)/.runtime: requirements/runtime.lock pyproject.toml $(BUILD_TOOLS) | $(VENV)/pyvenv.cfg
 	@echo "Installing what the gateway needs ..."
-	@$(BIN)/python -m pip install -q --require-hashes -r requirements/runtime.lock
+	@[ -z "$(BUILD_TOOLS)" ] || $(BIN)/python -m pip install -q --require-hashes -r $(BUILD_TOOLS)
+	@$(BIN)/python -m pip install -q $(FROM_SOURCE) --require-hashes -r requirements/runtime.lock
 	@$(BIN)/python -c 'import pathlib, sysconfig; pathlib.Path(sysconfig.get_path("purelib"), "mocap_gateway_tree.pth").write_text(str(pathlib.Path.cwd()))'
 	@printf '#!/bin/sh\nexec "$(CURDIR)/$(BIN)/python" -m gateway "$$@"\n' > $(BIN)/mocap-gateway && chmod +x $(BIN)/mocap-gateway
 	@touch $@
 
-$(VENV)/.dev: requirements/dev.lock $(VENV)/.runtime
+$(VENV)/.dev: requirements/dev.lock $(BUILD_TOOLS_DEV) $(VENV)/.runtime
 	@echo "Installing what the tests need ..."
-	@$(BIN)/python -m pip install -q --require-hashes -r requirements/dev.lock
+	@[ -z "$(BUILD_TOOLS_DEV)" ] || $(BIN)/python -m pip install -q --require-hashes -r $(BUILD_TOOLS_DEV)
+	@$(BIN)/python -m pip install -q $(FROM_SOURCE) --require-hashes -r requirements/dev.lock
 	@touch $@
 
 install: $(VENV)/.runtime
@@ -125,6 +136,9 @@ lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv
 	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev --extra viewer --extra export --extra optical --extra video --extra biomech -o requirements/dev.lock
 	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra viewer -c requirements/dev.lock -o requirements/runtime.lock
+	echo 'hatchling>=1.27' | build/lock/bin/uv pip compile -q --universal --only-binary :all: --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url - -c requirements/dev.lock -o requirements/build.lock
+	printf 'cython>=3\nnumpy\nsetuptools\nwheel\n' | build/lock/bin/uv pip compile -q --universal --only-binary :all: --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url - -c requirements/dev.lock -o requirements/source.lock
+	printf 'scikit-build\ncmake\nninja\nswig\ncython>=3\nnumpy\nsetuptools\nwheel\n' | build/lock/bin/uv pip compile -q --universal --only-binary :all: --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url - -c requirements/dev.lock -c requirements/source.lock -o requirements/source_dev.lock
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -77,11 +77,11 @@ def _trials() -> list[Trial]:
         Trial("pendulum", lambda: read_repoimu_pendulum(DATA / "repoimu_pendulum"), "pendulum_3"),
     ]
     trials += [
-        Trial("tstick_unaided", lambda path=path: read_repoimu_tstick(path), "single", is_aided=False)  # type: ignore[misc]
+        Trial("tstick_unaided", lambda path=path: read_repoimu_tstick(path), "single_placed", is_aided=False)  # type: ignore[misc]
         for path in sorted((DATA / "repoimu_tstick").glob("*.csv"))
     ]
     return trials + [
-        Trial(name, lambda path=path: read_broad(path), "single", is_aided=name == "broad_ml")  # type: ignore[misc]
+        Trial(name, lambda path=path: read_broad(path), "single_placed", is_aided=name == "broad_ml")  # type: ignore[misc]
         for path in sorted(broad.glob("*.mat"))
         for name in ("broad_ml", "broad_unaided")
     ]

@@ -69,7 +69,7 @@ def run() -> Report:
 
 def _sources() -> dict[str, Callable[[], list[tuple[WornSuit, Frames]]]]:
     broad, ring = DATA / "broad", DATA / "ring_chain5" / "trial1"
-    single, chain = load_rig("single"), load_rig("chain_5")
+    single, chain = load_rig("single_placed"), load_rig("chain_5")
     return {
         "walk, 17 emulated modules": lambda: [_walk()],
         "broad, 4 trials": lambda: [

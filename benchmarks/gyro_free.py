@@ -40,7 +40,7 @@ def run() -> Report:
 
 
 def _add_broad(report: Report, folder: Path) -> None:
-    suit = load_rig("single")
+    suit = load_rig("single_placed")
     rows: list[list[str]] = []
     errors: dict[str, list[float]] = {method: [] for method in METHODS}
     for path in sorted(folder.glob("*.mat")):

@@ -66,8 +66,8 @@ class Shape(NamedTuple):
 
 
 SHAPES = {
-    "single": Shape("a rig of one module", "single", frozenset({60}), True),
-    "local": Shape("a rig of which only the local device is heard", "single", frozenset({1}), False),
+    "single": Shape("a rig of one module", "single", frozenset(), True),
+    "local": Shape("a rig of which only the local device is heard", "single_placed", frozenset({1}), False),
     "lone": Shape("1 of 17 modules", "suit_17", frozenset(range(1, 17)), True),
 }
 

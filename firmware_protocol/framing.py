@@ -17,8 +17,7 @@ from enum import Enum
 from typing import final
 from zlib import crc32
 
-from cobs import cobs
-
+from firmware_protocol import stuffing
 from firmware_protocol.fields import BYTE_ORDER, WireField
 
 DELIMITER = b"\x00"
@@ -119,7 +118,7 @@ def encode_frame(frame: WireFrame) -> bytes:
 
     Raises ValueError when a number does not fit its field or the body is too long.
     """
-    return bytes(cobs.encode(serialize(frame))) + DELIMITER
+    return stuffing.stuff(serialize(frame)) + DELIMITER
 
 
 def parse(raw: bytes) -> Entry | Defect:
@@ -139,11 +138,8 @@ def unstuff(encoded: bytes) -> Entry | Defect:
     """A wire frame from the bytes between two delimiters."""
     if len(encoded) > MAX_STUFFED_SIZE:
         return Defect.OVERLONG
-    try:
-        raw = cobs.decode(encoded)
-    except cobs.DecodeError:
-        return Defect.BAD_STUFFING
-    return parse(raw)
+    raw = stuffing.unstuff(encoded)
+    return Defect.BAD_STUFFING if raw is None else parse(raw)
 
 
 class FrameDecoder:

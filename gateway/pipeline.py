@@ -30,7 +30,6 @@ from gateway.errors import GatewayError, SettingsError
 from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, SkeletonFrame
 from gateway.reconstruction import (
     FUSED,
-    NO_CONTACTS,
     OPTICAL,
     RootMode,
     RootSettings,
@@ -163,8 +162,6 @@ class Pipeline:
         """The pipeline that a configuration describes. Raises ``SettingsError`` for a bad clock table,
         for a body that cannot walk and shall, and for a method that the suit has no modules for."""
         settings = fitting_suit(settings, suit)
-        if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
-            raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
         table = settings.clock.table
         pipeline = cls(
             suit,

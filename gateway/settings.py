@@ -13,7 +13,15 @@ from gateway.contract.requests import RECORDING_NAME
 from gateway.errors import SettingsError, nearest
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.side_settings import OutputsSettings
-from gateway.reconstruction import OFFLINE, OPTICAL, RECONSTRUCTORS, RootMode, RootSettings
+from gateway.reconstruction import (
+    NO_CONTACTS,
+    OFFLINE,
+    OPTICAL,
+    RECONSTRUCTORS,
+    RootMode,
+    RootSettings,
+    refuse_unreadable,
+)
 from gateway.sources.stream import ClockMode
 from gateway.support.credentials import AccessToken, token_for
 from gateway.support.log_format import LogFormat
@@ -326,8 +334,12 @@ class GatewaySettings(_Strict):
 def fitting_suit(settings: GatewaySettings, suit: WornSuit) -> GatewaySettings:
     """The settings, with the optical method where a fitted subject wears markers and no modules.
 
-    Raises ``SettingsError`` where another method is named for it: they all want modules.
+    Raises ``SettingsError`` where another method is named for it (they all want modules), where the suit has
+    a sensor that the method cannot use, and for a body that cannot walk and shall.
     """
+    if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
+        raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
+    refuse_unreadable(settings.reconstructor, suit)
     if suit.markers is None or suit.module_ids or settings.reconstructor == OPTICAL:
         return settings
     if "reconstructor" in settings.model_fields_set:

@@ -57,8 +57,8 @@ def test_every_room_has_its_place():
     assert found - {"__init__", "__pycache__"} == set(ROOMS)
 
 
-def test_the_wire_needs_only_the_standard_library_and_cobs():
-    allowed = set(sys.stdlib_module_names) | {"cobs", "firmware_protocol"}
+def test_the_wire_needs_only_the_standard_library():
+    allowed = set(sys.stdlib_module_names) | {"firmware_protocol"}
     for path in (ROOT / "firmware_protocol").rglob("*.py"):
         for line, name in imported_roots(path):
             assert name in allowed, f"{path}:{line} imports {name}"

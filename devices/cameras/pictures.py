@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import parse_qsl, urlsplit
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.cameras.opencv import cv2
 from devices.device_errors import DeviceError
 from devices.link import gateway_time_ns
 
@@ -165,7 +165,7 @@ class LiveCamera:
         for key, text in wanted.items():
             if not text.isdigit():
                 raise CameraError(f"{url}: {key}={text} is no whole number")
-            self._capture.set(_LIVE_PROPERTIES[key], int(text))
+            self._capture.set(getattr(cv2, _LIVE_PROPERTIES[key]), int(text))
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         width, height = _size(self._capture)
         rate = float(self._capture.get(cv2.CAP_PROP_FPS)) or 30.0
@@ -184,10 +184,11 @@ class LiveCamera:
 
 
 _LIVE_PROPERTIES = {
-    "width": cv2.CAP_PROP_FRAME_WIDTH,
-    "height": cv2.CAP_PROP_FRAME_HEIGHT,
-    "fps": cv2.CAP_PROP_FPS,
+    "width": "CAP_PROP_FRAME_WIDTH",
+    "height": "CAP_PROP_FRAME_HEIGHT",
+    "fps": "CAP_PROP_FPS",
 }
+"""By the name of OpenCV's constant."""
 
 
 def _why_unreadable(path: Path) -> str:

@@ -80,10 +80,15 @@ class Outcome:
     """What was wrong with the recording, where something could be made of it all the same."""
 
 
+def partial_folder(job: Job, process: int | None) -> Path:
+    """Where a process has what it makes until all of it is there."""
+    return job.folder / f".partial-{process}-{job.source.stem}"
+
+
 def perform(job: Job) -> Outcome:
     """Do it. Never raises for what is wrong with one recording: that is its outcome."""
     begun = time.perf_counter()
-    partial = job.folder / f".partial-{os.getpid()}-{job.source.stem}"
+    partial = partial_folder(job, os.getpid())
     try:
         partial.mkdir(parents=True, exist_ok=True)
         note = _make(job, partial)

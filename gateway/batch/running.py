@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+import shutil
+import signal
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from devices import recording_format as fmt
 from devices.extras import how_to_add
-from gateway.batch.job import Job, Outcome, Task, perform
+from gateway.batch.job import Job, Outcome, Task, partial_folder, perform
 from gateway.errors import GatewayError
 
 _LATER_PART = re.compile(r"(.+)_part\d+$")
@@ -52,7 +56,7 @@ def run_jobs(
     """Perform all; ``done`` is told of each as it ends, in this process. One that fails stops no other.
 
     workers: processes; None: as many as cores. dask: address of a scheduler instead. Raises ``GatewayError``
-    when that cannot be reached.
+    when that cannot be reached. Interrupted, the processes are ended, and nothing half made is left.
     """
     if not jobs:
         return
@@ -60,14 +64,16 @@ def run_jobs(
         _on_dask(jobs, done, dask)
         return
     died = []
-    for job, outcome in _performed(_processes(workers or os.cpu_count() or 1), jobs):
-        if outcome is None:
-            died.append(job)  # one of these did it; the others only shared its pool
-        else:
-            done(job, outcome)
+    with contextlib.closing(_performed(_processes(workers or os.cpu_count() or 1), jobs)) as performed:
+        for job, outcome in performed:
+            if outcome is None:
+                died.append(job)  # one of these did it; the others only shared its pool
+            else:
+                done(job, outcome)
     for job in died:
-        for _, outcome in _performed(_processes(1), [job]):
-            done(job, outcome or Outcome(job.name, error=DIED))
+        with contextlib.closing(_performed(_processes(1), [job])) as performed:
+            for _, outcome in performed:
+                done(job, outcome or Outcome(job.name, error=DIED))
 
 
 def _processes(count: int) -> Executor:
@@ -77,13 +83,13 @@ def _processes(count: int) -> Executor:
 
 def _performed(
     executor: AbstractContextManager[Executor], jobs: Sequence[Job]
-) -> Iterator[tuple[Job, Outcome | None]]:
+) -> Generator[tuple[Job, Outcome | None], None, None]:
     """Jobs as they end; None where the process that had it died."""
+    others = multiprocessing.active_children()
     with executor as pool:
         try:
-            futures: dict[Future[Outcome], Job] = {}
-            for job in jobs:
-                futures[pool.submit(perform, job)] = job
+            with _interrupts_for_this_process():
+                futures = {pool.submit(perform, job): job for job in jobs}
             for future in as_completed(futures):
                 try:
                     yield futures[future], future.result()
@@ -91,7 +97,29 @@ def _performed(
                     yield futures[future], None
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            _end([process for process in multiprocessing.active_children() if process not in others], jobs)
             raise
+
+
+@contextlib.contextmanager
+def _interrupts_for_this_process() -> Iterator[None]:
+    """Processes started meanwhile never see a Ctrl-C, which a terminal sends to all: what becomes of them is
+    decided here. One that comes meanwhile is seen at the end."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end(processes: Sequence[BaseProcess], jobs: Sequence[Job]) -> None:
+    """Kill them, and delete what they had begun: within compiled code they could not be asked to stop."""
+    for process in processes:
+        process.kill()
+    for process in processes:
+        process.join()
+        for job in jobs:
+            shutil.rmtree(partial_folder(job, process.pid), ignore_errors=True)
 
 
 def _on_dask(jobs: Sequence[Job], done: Callable[[Job, Outcome], None], address: str) -> None:

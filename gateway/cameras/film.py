@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
-import cv2
-
 from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver
+from devices.cameras.opencv import cv2
 from devices.cameras.pictures import CameraError, Picture
 from gateway.assembly.heat_map_frames import heat_maps_of
 from gateway.body.skeleton import Skeleton, VideoSetUp

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
+from devices.cameras.opencv import cv2
 from devices.cameras.pictures import Picture
 from gateway.body.camera import Camera, project
 from gateway.body.skeleton import Skeleton

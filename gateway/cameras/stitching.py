@@ -10,10 +10,10 @@ cameras moves a keypoint.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.cameras.opencv import cv2
 from gateway.body.camera import Camera, project
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from enum import StrEnum
 from pathlib import Path
@@ -22,8 +23,8 @@ from gateway.report.drawing import require_matplotlib
 
 Kind = StrEnum("Kind", {name: name for name in KINDS})  # type: ignore[misc]  # from the list
 
-SOME_FAILED = 3
-"""Exit code."""
+SOME_FAILED, INTERRUPTED = 3, 130
+"""Exit codes."""
 
 
 def batch(
@@ -70,7 +71,8 @@ def batch(
     manifest = Manifest(results)
     due = [job for job in jobs if again or not manifest.is_done(job)]
     outcomes: list[Outcome] = []
-    with progress_bar(f"{len(due)} recordings", is_shown=not as_json) as tell:
+    bar = progress_bar(f"{len(due)} recordings", is_shown=not as_json)
+    with contextlib.suppress(KeyboardInterrupt), bar as tell:
         tell(0, len(due))
 
         def done(job: Job, outcome: Outcome) -> None:
@@ -80,6 +82,12 @@ def batch(
 
         run_jobs(due, done, workers, dask)
     manifest.close()
+    if len(outcomes) < len(due):
+        left = len(due) - len(outcomes)
+        typer.echo(
+            f"interrupted: {len(outcomes)} done, {left} left; the same command goes on from there", err=True
+        )
+        raise typer.Exit(INTERRUPTED)
     _tell(outcomes, len(jobs) - len(due), results, as_json)
 
 

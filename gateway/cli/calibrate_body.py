@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +27,7 @@ from gateway.calibration.body_session import BodySession
 from gateway.calibration.mounting import history, restore, worn_rig, write_mounted_rig
 from gateway.calibration.procedure import Step
 from gateway.cli.body_tables import live_table, modules_of, result_table
+from gateway.cli.preparing import stand_in
 from gateway.errors import GatewayError
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
@@ -35,6 +37,10 @@ _REFRESH_S = 0.1
 _UNHEARD_S = 10.0
 _PATIENCE = {"max_wait_ms": 1000.0, "max_gap_ms": 200.0}
 """Of the assembly: nobody waits for these frames, so that late samples may come."""
+_SOLVING = (
+    "finding how the {} modules sit: all steps are weighed against each other at once, which takes some "
+    "seconds, on a slow machine half a minute"
+)
 _NOT_ALIVE = "no module of the rig was heard for {:.0f} s: are they switched on, and is the link right?"
 
 
@@ -117,8 +123,8 @@ async def _calibrate(
 ) -> BodyResult:
     """Listen on all links while the wearer is guided."""
     patient = settings.assembly.model_copy(update=_PATIENCE)
-    changes = {"reconstructor": "independent", "assembly": patient}
-    pipeline = Pipeline.from_settings(settings.model_copy(update=changes), suit)
+    needing_little = stand_in(settings, partial(console.print, style="dim"))  # poses are not looked at
+    pipeline = Pipeline.from_settings(needing_little.model_copy(update={"assembly": patient}), suit)
     pipeline.on_imu_frame = guide.session.add
     links = [link_from_url(o.url, name=o.name) for o in settings.links if o.carries != "heat_maps"]
     readers = [
@@ -163,7 +169,8 @@ class _Guide:
         for step in self._plan:
             await self._do(step, console)
         while True:
-            with console.status("computing ..."):
+            n_modules = len(self.session.suit.module_ids)
+            with console.status(_SOLVING.format(n_modules)):
                 result = await asyncio.to_thread(self.session.result)
             console.print(result_table(result))
             again = await asyncio.to_thread(self._ask, console) if self._asks else None

@@ -10,9 +10,11 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
+_USUAL = "compiling the reconstruction once, for up to a minute; later starts find it made"
+
 
 @contextlib.contextmanager
-def told_when_compiling(tell: Callable[[str], object]) -> Iterator[None]:
+def told_when_compiling(tell: Callable[[str], object], line: str = _USUAL) -> Iterator[None]:
     """Around work that calls kernels: one line when the first of them is not in the cache, one at the end.
 
     Nothing is said when all of them come from the cache. Numba is imported: for where it is needed anyway.
@@ -25,7 +27,7 @@ def told_when_compiling(tell: Callable[[str], object]) -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if self.begun_s is None:
                 self.begun_s = time.monotonic()
-                tell("compiling the reconstruction once, for up to a minute; later starts find it made")
+                tell(line)
 
         def on_end(self, event: Any) -> None:
             """The end of one kernel, of many."""

@@ -11,7 +11,7 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from functools import partial
 from typing import Annotated
 
@@ -27,6 +27,7 @@ from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.cli.compiling import told_when_compiling
 from gateway.cli.demo_truth import SEED, SETTLING_S, Truth
+from gateway.cli.preparing import stand_in
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
@@ -76,7 +77,7 @@ def demo(
             gateway=GATEWAY,
             links=[LinkSettings(name="suit", url=f"{folder}/suit")],
             rig=rig,
-            reconstructor=reconstructor or _startable(console),
+            reconstructor=reconstructor or GatewaySettings.model_fields["reconstructor"].default,
             clock=ClockSettings(mode=clock),
             mqtt=MqttSettings(
                 broker="embedded",
@@ -85,7 +86,10 @@ def demo(
                 include=frozenset({PoseMap.POSITION}),
             ),
         )
-        with told_when_compiling(partial(console.print, style="dim")):
+        tell = partial(console.print, style="dim")
+        if reconstructor is None:
+            settings = _startable(settings, tell)
+        with told_when_compiling(tell):
             service = Service(settings, suit)
         with contextlib.ExitStack() as beside:
             beside.enter_context(_live_page(settings, _free_port(page_port) if page else None, console))
@@ -100,19 +104,19 @@ def demo(
             console.print(note, style="yellow", highlight=False)
 
 
-def _startable(console: Console) -> str:
-    """The usual reconstructor; where that is not compiled yet, another, and it is for the next time."""
-    usual: str = GatewaySettings.model_fields["reconstructor"].default
+def _startable(settings: GatewaySettings, tell: Callable[[str], object]) -> GatewaySettings:
+    """The settings; where their reconstructor is not compiled yet, with another, and it is for next time."""
+    usual = settings.reconstructor
     if readiness.is_ready(usual):
-        return usual
-    console.print(
+        return settings
+    settings = stand_in(settings, tell)
+    tell(
         f"first start: '{usual}' is compiled in the background, about a minute; this run shows "
-        f"'{readiness.FALLBACK}'",
-        style="dim",
+        f"'{readiness.FALLBACK}', and the body stays in its place"
     )
     nowhere = subprocess.DEVNULL
     subprocess.Popen(readiness.command(usual), stdout=nowhere, stderr=nowhere, start_new_session=True)
-    return readiness.FALLBACK
+    return settings
 
 
 @contextlib.contextmanager

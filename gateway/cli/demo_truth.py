@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.emulation.rig import dress, move
+from gateway.emulation.rig import dress, move_about
 from gateway.frames import FloatArray
 from gateway.geometry.comparison import orientation_error, rmse_deg
 from gateway.outputs.subscriber import ReceivedPose
@@ -25,7 +25,7 @@ class Truth:
     def __init__(self, suit: WornSuit) -> None:
         self.segment_names = suit.skeleton.segment_names
         self.start_ns = 0
-        self._motion = move(dress(suit), suit.skeleton.name, SEED)
+        self._motion = move_about(dress(suit), suit.skeleton.name, SEED)
         self._times_s: list[float] = []
         self._late_s: list[float] = []
         self._q_wb: list[list[list[float]]] = []

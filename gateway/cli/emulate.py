@@ -44,7 +44,7 @@ from gateway.cli.emulate_options import Medium, MotionKind, SamplingMode, StrapO
 from gateway.cli.emulated_faults import faulty, plan_of, told
 from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
 from gateway.cli.emulated_hand import EXPLANATION, obey_typed_lines, touchable
-from gateway.emulation.rig import calibrate, dress, move, sunlight, tumble
+from gateway.emulation.rig import calibrate, dress, move_about, sunlight, tumble
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
@@ -102,7 +102,7 @@ def emulate(
 ) -> None:
     """Emulate a suit: a moving body, its sensors with their errors, the modules' protocol.
 
-    A human walks, a pendulum swings, anything else moves its joints at random; --seed makes it
+    A human walks in a circle, a pendulum swings, anything else moves its joints at random; --seed makes it
     repeatable. The suit obeys a host as real modules do; a recording only plays.
     """
     encoding = Encoding(Framing.CAN if on in {Medium.CAN, Medium.SLCAN} else Framing.BYTE_STREAM, fd)
@@ -168,7 +168,7 @@ def _traffic(
     if wearing.motion is MotionKind.CALIBRATION:
         motion = calibrate(body, suit.skeleton.name, seed, wearing.facing)
     else:
-        motion = (tumble if wearing.is_tumbling else move)(body, suit.skeleton.name, seed)
+        motion = (tumble if wearing.is_tumbling else move_about)(body, suit.skeleton.name, seed)
     return SuitTraffic(motion, world, PRESETS[imperfections], seed)
 
 

@@ -16,7 +16,7 @@ from devices.emulators.gnss_receiver import FORMATS, GnssEmulation, gnss_traffic
 from devices.emulators.transports import PtyTransport
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.emulation.rig import dress, move
+from gateway.emulation.rig import dress, move_about
 from gateway.errors import GatewayError, nearest
 from gateway.frames import Quantity
 
@@ -48,7 +48,7 @@ def companion(rig: str, seed: int, link: Path, kind: str, seconds: float | None)
 
 def _path(suit: WornSuit, seed: int) -> Callable[[float], tuple[FloatArray, FloatArray]]:
     """Of the root's local device that measures position (its joint, if there is none)."""
-    motion = move(dress(without_position_devices(suit)), suit.skeleton.name, seed)
+    motion = move_about(dress(without_position_devices(suit)), suit.skeleton.name, seed)
     positions = [d.position for d in suit.local_devices if d.segment == 0 and d.quantity is Quantity.POSITION]
     arm = positions[0] if positions else np.zeros(3)
     step = 1e-3

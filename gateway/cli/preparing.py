@@ -1,14 +1,18 @@
-"""Says so where a command has to compile first."""
+"""Says so where a command has to compile first, and has something else run until that is done."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import typer
 
 from gateway.cli.compiling import told_when_compiling
-from gateway.reconstruction import OPTICAL, readiness
+from gateway.reconstruction import OPTICAL, RootMode, readiness
 from gateway.reconstruction.optical.warm_up import warm_up
+from gateway.settings import GatewaySettings, RootMotionSettings
+
+_FIRST = "first start: compiling what the first poses need, once; 10 to 20 seconds on a machine that is free"
 
 
 def make_ready(reconstructor: str) -> None:
@@ -21,3 +25,11 @@ def make_ready(reconstructor: str) -> None:
             f"compiling the method '{reconstructor}': once after an installation, about a minute", err=True
         )
         readiness.make_ready(reconstructor)
+
+
+def stand_in(settings: GatewaySettings, tell: Callable[[str], object]) -> GatewaySettings:
+    """Return the settings that run while the method of these is compiled; what they need is compiled here."""
+    with told_when_compiling(tell, _FIRST):
+        readiness.make_first_ready()
+    in_its_place = RootMotionSettings(mode=RootMode.FIXED)
+    return settings.model_copy(update={"reconstructor": readiness.FALLBACK, "root_motion": in_its_place})

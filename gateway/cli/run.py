@@ -13,6 +13,7 @@ import typer
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli.compiling import told_when_compiling
+from gateway.cli.preparing import make_ready, stand_in
 from gateway.errors import GatewayError
 from gateway.reconstruction import readiness
 from gateway.service.service import Service
@@ -37,21 +38,24 @@ def run(
     configuration that is wrong is reported, and the service goes on with the one it has.
     """
     configured = load_gateway_settings(config)
-    wanted = fitting_suit(configured, load_rig(configured.rig, config)).reconstructor
+    suit = load_rig(configured.rig, config)
+    wanted = fitting_suit(configured, suit).reconstructor
+    if suit.sun is not None and suit.sun.beside_magnetometer:
+        make_ready(wanted)  # the one that would stand in for it cannot use both fields
     is_ready = readiness.is_ready(wanted)
     set_up_logging(configured.log.level, configured.log.format)
-    service = _load(config, None if is_ready else readiness.FALLBACK)
+    service = _load(config, while_compiling=not is_ready)
     _tell(service)
     asyncio.run(_Supervisor(config, service, None if is_ready else wanted).run())
 
 
-def _load(config: Path, reconstructor: str | None = None) -> Service:
-    """The service that a configuration describes, or with another reconstructor. Raises ``GatewayError``
-    with what is wrong in it."""
+def _load(config: Path, while_compiling: bool = False) -> Service:
+    """The service that a configuration describes, or what stands in for it while that is compiled. Raises
+    ``GatewayError`` with what is wrong in it."""
     settings = load_gateway_settings(config)
-    if reconstructor is not None:
-        settings = settings.model_copy(update={"reconstructor": reconstructor})
     suit = load_rig(settings.rig, config)
+    if while_compiling:
+        settings = stand_in(settings, log.info)
     with told_when_compiling(log.info):
         return Service(settings, suit)
 
@@ -101,7 +105,7 @@ class _Supervisor:
             return
         log.warning(
             "compiling the method '%s', once after an installation, about a minute; until then '%s' makes "
-            "the poses", name, readiness.FALLBACK,
+            "the poses, and the body stays in its place", name, readiness.FALLBACK,
         )  # fmt: skip
         process = await asyncio.create_subprocess_exec(*readiness.command(name))
         try:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import typer
 
 from gateway.cli.lazy_commands import LazyCommand, LazyGroup
-from gateway.support.video_extra import require_video_extra
 
 
 class _VideoCommands(LazyGroup):
@@ -36,12 +35,6 @@ class _VideoCommands(LazyGroup):
             "Example: mocap-gateway video serve-camera v4l:///dev/video0 --name left --port 9765",
         ),
     }
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command, where what it needs is installed."""
-        if cmd_name in self.lazy and not self._is_listing:
-            require_video_extra()
-        return super().get_command(ctx, cmd_name)
 
 
 video_app = typer.Typer(

@@ -14,6 +14,7 @@ from gateway.cli.progress import progress_bar
 from gateway.cli.video_sources import Offset, Rate, named, offsets_of
 from gateway.errors import GatewayError
 from gateway.recording.reading import open_recording
+from gateway.support.video_extra import require_video_extra
 
 
 def overlay(
@@ -31,6 +32,7 @@ def overlay(
     force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
 ) -> None:
     """Draw skeleton and heat maps on the pictures of all cameras, side by side: a film or pictures."""
+    require_video_extra()
     opened = open_recording(recording)
     video = opened.meta.suit.video
     if video is None:

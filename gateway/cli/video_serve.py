@@ -15,6 +15,7 @@ from gateway.cameras.serving import Outlet, Sink, listening, serve
 from gateway.cli.broker_options import CaFile, PasswordFile, Protocol, Username, broker_settings
 from gateway.cli.video_sources import Network, Rate
 from gateway.errors import GatewayError
+from gateway.support.video_extra import require_video_extra
 
 _DAY_S = 86_400
 
@@ -52,6 +53,7 @@ def serve_camera(
     cameras keep together when all begin --at the same time. Of a recording the heat maps are served as they
     are, without pictures or network.
     """
+    require_video_extra()
     begin_s = None if at is None else moment(at, time.time())
     task = CameraTask(name, place, network, rate)
     if mqtt is None:

@@ -49,6 +49,7 @@ from gateway.recording.video import (
     write_offline_video,
     write_solved_video,
 )
+from gateway.support.video_extra import require_video_extra
 
 Instants = list[list[bytes]]
 """Messages of one person: of every instant, one a camera."""
@@ -97,6 +98,7 @@ def solve(
 ) -> None:
     """Solve synchronised videos of calibrated cameras, into a recording that replays, exports and reports
     like any other."""
+    require_video_extra()
     wanted = people_of(people)
     if subject is not None and wanted != 1:
         raise GatewayError(

@@ -223,6 +223,10 @@ class BodyMessage(Message):
     length_unit: Literal["m"] = Field(default="m", description="Unit of offsets and tips.")
     segments: tuple[BodySegment, ...] = Field(description="Segments, parents first.")
     joints: tuple[BodyJoint, ...] = Field(default=(), description="Joints, for joint angles.")
+    neutral: Quaternion = Field(
+        default=(1.0, 0.0, 0.0, 0.0),
+        description="Orientation of every segment in the neutral posture, facing east.",
+    )
 
     @model_validator(mode="after")
     def _is_a_tree(self) -> Self:
@@ -397,7 +401,8 @@ def describe_body(skeleton: Skeleton) -> BodyMessage:
         )
     )
     joints = tuple(_describe_joint(joint, names) for joint in skeleton.joints)
-    return BodyMessage(name=skeleton.name, segments=segments, joints=joints)
+    w, x, y, z = skeleton.neutral.tolist()
+    return BodyMessage(name=skeleton.name, segments=segments, joints=joints, neutral=(w, x, y, z))
 
 
 def _describe_joint(joint: Joint, segments: tuple[str, ...]) -> BodyJoint:

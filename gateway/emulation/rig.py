@@ -9,6 +9,7 @@ import numpy as np
 
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, EmulatedLocalDevice, emulated_body
 from devices.emulators.calibrating import calibration_motion
+from devices.emulators.gait import WALK
 from devices.emulators.light_sampler import Sunlight
 from devices.emulators.motions import (
     BodyMotion,
@@ -32,6 +33,9 @@ MOTIONS: dict[str, Callable[[EmulatedBody, int], BodyMotion]] = {
     "robot_arm_4": robot_arm_motion,
 }
 """Motion that suits a body; any other body moves its joints at random."""
+
+CIRCLING = replace(WALK, radius=2.0)
+"""Once round in 12 s."""
 
 LOCAL_SIGMA = {
     Quantity.ACCELERATION: 0.05,
@@ -67,6 +71,13 @@ def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> E
 def move(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
     """A motion that suits the body: walking for people, swinging for pendulums."""
     return MOTIONS.get(body_name, generic_motion)(body, seed)
+
+
+def move_about(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
+    """The same for whoever looks on: people walk round in a circle to their left, and so stay near."""
+    if MOTIONS.get(body_name) is gait_motion:
+        return gait_motion(body, seed, gait=CIRCLING)
+    return move(body, body_name, seed)
 
 
 def calibrate(body: EmulatedBody, _body_name: str, seed: int, heading: float = 0.0) -> BodyMotion:

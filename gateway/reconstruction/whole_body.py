@@ -135,7 +135,7 @@ class WholeBodyReconstructor:
         self.finder.reset()
         self._time_ns = _NEVER_NS
         n = self._suit.skeleton.n_segments
-        self._last = _no_pose(n)
+        self._last = no_pose(n)
         n_contacts = len(self._contacts.segments) if self._contacts else 0
         self._memory = _Memory(
             initial_stance(n),
@@ -291,7 +291,7 @@ class WholeBodyReconstructor:
 _POSE_ARRAYS = ("q_wb", "angular_rate", "joint_acceleration", "p_w", "sigma", "status")
 
 
-def _no_pose(n: int) -> SkeletonFrame:
+def no_pose(n: int) -> SkeletonFrame:
     """Return the pose of n segments of which nothing is known."""
     q_wb, rate, acceleration, p_w = (np.full((n, size), np.nan) for size in (4, 3, 3, 3))
     status = np.full(n, Status.MISSING, np.uint8)

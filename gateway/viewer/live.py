@@ -120,6 +120,7 @@ class LiveViewer:
         skeleton = skeleton_of(body)
         self._body, self._drawn = body, None
         self._scene, self._keeper = BodyScene(self._server, self._stage, skeleton), PostureKeeper(skeleton)
+        self._scene.draw(self._keeper.before_any(), is_stale=True)
         if self._wires is not None:
             self._wires.remove()
         try:

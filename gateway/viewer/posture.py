@@ -36,6 +36,7 @@ def skeleton_of(body: BodyMessage) -> Skeleton:
         ),
         offsets=np.array([segment.offset for segment in body.segments], np.float64),
         tips=np.array([segment.tip for segment in body.segments], np.float64),
+        neutral=np.array(body.neutral, np.float64),
     )
 
 
@@ -46,6 +47,11 @@ class PostureKeeper:
         self._skeleton = skeleton
         self._q_wb = np.tile(skeleton.neutral, (skeleton.n_segments, 1))
         self._root = int(np.flatnonzero(skeleton.parents < 0)[0])
+
+    def before_any(self) -> Posture:
+        """The body in its neutral posture on the floor, of which nothing has been heard yet."""
+        n, p_w = self._skeleton.n_segments, self._positions(None)
+        return Posture(self._q_wb.copy(), p_w, p_w[self._root], False, ("missing",) * n, (None,) * n)
 
     def take(self, pose: PoseMessage) -> Posture:
         """The pose as it is drawn. Segments that the skeleton does not have are left out."""

@@ -20,6 +20,7 @@ from firmware_protocol import (
     encode_frame,
 )
 from firmware_protocol.framing import MAX_BODY_SIZE, MAX_STUFFED_SIZE, serialize
+from firmware_protocol.stuffing import stuff, unstuff
 
 seeded = settings(deadline=None, derandomize=True)
 
@@ -80,6 +81,18 @@ def test_checksum_by_hand_has_the_published_check_value():
 )
 def test_stuffing_by_hand_agrees_with_the_literature(data: str, stuffed: str):
     assert cobs_by_hand(bytes.fromhex(data)).hex() == stuffed
+
+
+@given(
+    st.lists(st.sampled_from([b"\x00", b"a", bytes([255]), b"b" * 253, b"c" * 254, b"d" * 255])).map(b"".join)
+)
+def test_stuffing_agrees_with_that_by_hand_and_can_be_undone(data: bytes):
+    """Around the length of a full block, too."""
+    stuffed = stuff(data)
+    assert stuffed == cobs_by_hand(data)
+    assert unstuff(stuffed) == data
+    assert unstuff(stuffed[:-1] + b"\x00") is None
+    assert unstuff(stuffed + b"\xff") is None
 
 
 def test_a_wire_frame_put_together_by_hand():

@@ -57,7 +57,7 @@ def fed(pipeline: Pipeline, steps: range, packets) -> None:
     ("rig", "packets", "makes_poses"),
     [
         pytest.param("single", [(1, RAW)], True, id="a rig of one module"),
-        pytest.param("single", [(60, POSITION)], False, id="only a local device"),
+        pytest.param("single_placed", [(60, POSITION)], False, id="only a local device"),
         pytest.param("robot_arm_4_sun", [(1, LIGHT)], False, id="only photoelectric cells"),
         pytest.param("suit_17", [(5, RAW)], True, id="1 of 17 alive"),
         pytest.param("suit_17", [(63, RAW)], False, id="only a module that the rig does not name"),

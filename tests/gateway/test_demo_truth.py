@@ -10,7 +10,7 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
 from gateway.cli.demo_truth import SEED, SETTLING_S, Truth
-from gateway.emulation.rig import dress, move
+from gateway.emulation.rig import dress, move, move_about
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings, LinkSettings
 
@@ -54,7 +54,7 @@ def test_the_demo_errs_by_a_few_degrees():
     suit = load_rig("suit_17")
     settings = GatewaySettings(links=[LinkSettings(name="suit", url="/dev/null")], rig="suit_17")
     traffic = SuitTraffic(
-        move(dress(suit), suit.skeleton.name, SEED), SuitSettings(), PRESETS["typical"], SEED
+        move_about(dress(suit), suit.skeleton.name, SEED), SuitSettings(), PRESETS["typical"], SEED
     )
     pipeline, truth = Pipeline.from_settings(settings, suit), Truth(suit)
     pipeline.add_link("suit", Framing.BYTE_STREAM)
@@ -64,3 +64,12 @@ def test_the_demo_errs_by_a_few_degrees():
     total, inclination, _ = np.nanmean(truth.errors_deg(), axis=0)
     assert inclination < 3.0
     assert total < 6.0
+
+
+@pytest.mark.parametrize("rig", ["suit_17", "suit_23_from_17", "suit_lower_7"])
+def test_who_walks_stays_where_others_can_see(rig):
+    """For an hour; as exactly as the straight walk that accuracy is measured with."""
+    suit = load_rig(rig)
+    state = move_about(dress(suit), suit.skeleton.name, SEED).state(np.arange(0.0, 3600.0, 0.37))
+    assert np.abs(state.joint_position).max() < 6.0
+    assert np.ptp(state.joint_position[:, 0], axis=0)[:2].min() > 3.0, "and walks"

@@ -13,7 +13,7 @@ from devices.emulators.motions import gait_motion
 from devices.emulators.waves import Fade
 
 FROM_S = 8.0
-GAITS = [WALK, RUN, replace(WALK, radius=4.0), replace(RUN, radius=6.0)]
+GAITS = [WALK, RUN, replace(WALK, radius=4.0), replace(WALK, radius=2.0), replace(RUN, radius=6.0)]
 
 
 def point(state, segment, place):
@@ -24,7 +24,9 @@ def point(state, segment, place):
     return position, state.joint_velocity[:, segment] + np.einsum("tij,tj->ti", state.R_wb[:, segment], swept)
 
 
-@pytest.fixture(scope="module", params=GAITS, ids=["walk", "run", "walk in a circle", "run in a circle"])
+@pytest.fixture(
+    scope="module", params=GAITS, ids=["walk", "run", "in a circle", "in a small one", "run in one"]
+)
 def walked(request):
     """Gait and a function that gives the state of the body at times."""
     return request.param

@@ -23,7 +23,7 @@ SECONDS = 6.0
 
 
 def test_the_root_is_where_the_receiver_says():
-    suit = load_rig("single")
+    suit = load_rig("single_placed")
     worn = without_position_devices(suit)
     motion = move(dress(worn), "single", 1)
     traffic = SuitTraffic(motion, SuitSettings(gravity=suit.gravity), Imperfections(), 1)

@@ -144,3 +144,15 @@ def test_where_a_device_sits_is_found(quantity, moved):
         for q in (found, right)
     ]
     assert errors[0] < 1.5 * errors[1] + 0.1
+
+
+@pytest.mark.parametrize("method", ["joint", "independent"])
+def test_a_module_that_nobody_promised_a_device_for_is_measured(method):
+    """The shipped rig of one module."""
+    suit = load_rig("single")
+    body = dress(suit)
+    times_ns = np.arange(600) * 10_000_000
+    frames = list(ideal_frames(suit, body, generic_motion(body, 5), times_ns, True))
+    alone = [replace(frame, local=()) for frame in frames]
+    found = update_many(create_reconstructor(method, suit, 0.01), alone)
+    assert {int(frame.status[0]) for frame in found[1:]} == {Status.MEASURED}

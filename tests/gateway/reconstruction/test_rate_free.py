@@ -21,7 +21,7 @@ RATE_HZ, SECONDS = 100.0, 12.0
 @pytest.fixture(scope="module")
 def moving_body():
     """The shipped single module, 3 rad/s and 20 rad/s² at the peaks, consumer noise, no gyrometers."""
-    suit = load_rig("single")
+    suit = load_rig("single_placed")
     motion = generic_motion(
         dress(suit), 3, peak_angular_rate=3.0, peak_angular_acceleration=20.0, root_travel_m=1.0
     )
@@ -101,7 +101,7 @@ def test_a_silent_module_is_predicted_then_missing_and_begins_anew(moving_body):
 
 
 def test_a_magnet_beside_a_resting_module_turns_nothing():
-    suit = load_rig("single")
+    suit = load_rig("single_placed")
     frames = []
     rng = np.random.default_rng(5)
     for k in range(1000):

@@ -5,11 +5,17 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 
+import psutil
 import pytest
 
 from gateway.batch import Job, Manifest, Outcome, Task, jobs_in, perform, run_jobs
 from gateway.errors import GatewayError
+from tests.patience import PATIENCE_S
 
 
 @pytest.fixture
@@ -104,6 +110,36 @@ def test_later_parts_and_results_are_no_recordings_of_their_own(tmp_path):
         jobs_in(tmp_path / "out", tmp_path, Task(("csv",)))
     with pytest.raises(GatewayError, match="is no folder"):
         jobs_in(tmp_path / "absent", tmp_path, Task(("csv",)))
+
+
+@pytest.mark.parametrize("moment", ["processes start", "recordings are worked on"])
+def test_ctrl_c_ends_it_with_one_line_and_nothing_half_made(record, tmp_path, moment):
+    """As a terminal sends it: to all processes at once."""
+    folder, out = tmp_path / "sessions", tmp_path / "out"
+    folder.mkdir()
+    path = record()
+    for k in range(40):
+        shutil.copy(path, folder / f"{k:02}.mcap")
+    typed = ["-m", "gateway", "batch", str(folder), "--to", "csv", "--to", "mcap", "-o", str(out)]
+    batch = subprocess.Popen(
+        [sys.executable, *typed, "--workers", "2"], stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    has_begun = {
+        "processes start": lambda: len(psutil.Process(batch.pid).children()) > 2,
+        "recordings are worked on": lambda: any(out.rglob(".partial*/*")),
+    }[moment]
+    deadline = time.monotonic() + PATIENCE_S
+    while not has_begun() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    os.killpg(batch.pid, signal.SIGINT)
+    _, errors = batch.communicate(timeout=PATIENCE_S)
+    assert "Traceback" not in errors
+    assert "interrupted: " in errors
+    assert batch.returncode == 130
+    assert not list(out.rglob(".partial*"))
+    manifest = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
+    assert len(manifest) < 40
+    assert all(entry["error"] is None for entry in manifest)
 
 
 class _Deadly(Job):

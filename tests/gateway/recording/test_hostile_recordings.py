@@ -68,7 +68,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_damaged(bomb):
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 2 * LARGEST_CHUNK / 1024
 
 
-SUIT = json.loads(encode_suit(load_rig("single")))
+SUIT = json.loads(encode_suit(load_rig("single_placed")))
 
 
 def array(dtype, values=(0.0, 0.0, -9.8), shape=(3,)):

@@ -26,7 +26,7 @@ from gateway.recording.suit_snapshot import decode_suit, encode_suit
 from gateway.settings import GatewaySettings, LinkSettings
 
 FIELDS = ("q_wb", "angular_rate", "joint_acceleration", "p_w", "sigma", "status")
-RIGS = ("suit_17", "robot_arm_4", "chain_5", "pendulum_3", "single")
+RIGS = ("suit_17", "robot_arm_4", "chain_5", "pendulum_3", "single", "single_placed")
 
 
 @st.composite

@@ -20,6 +20,7 @@ from gateway.contract.messages import (
     describe_body,
 )
 from gateway.geometry import quaternion
+from gateway.outputs.settings import MqttSettings
 from gateway.viewer.appearance import (
     COLOURS,
     STALE,
@@ -208,5 +209,21 @@ def test_a_body_that_walks_stays_in_view_however_few_pictures_are_drawn(pictures
         assert place[0] - stage.middle[0] < 0.5
         stage.follow(np.zeros(3), 0.0)  # a recording that begins again
         assert stage.middle[0] == 0.0
+    finally:
+        server.stop()
+
+
+async def test_a_body_stands_on_the_floor_before_any_pose_has_come(unused_port):
+    viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+    from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
+
+    server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
+    try:
+        viewer = LiveViewer(server, MqttSettings(), "lab")
+        viewer._take_body(describe_body(SKELETON))
+        joints = server.scene._handle_from_node_name["/body/bones"].batched_positions
+        assert 0.0 <= joints[:, 2].min() < 0.2
+        assert joints[:, 2].max() > 1.2, "it stands"
+        assert np.abs(joints[:, :2]).max() < 1.0, "where cameras look"
     finally:
         server.stop()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from devices.cameras.opencv import cv2
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.networks.network import Picture
 

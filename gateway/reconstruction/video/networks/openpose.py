@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
+from devices.cameras.opencv import cv2
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.networks.cropping import cropped, shrunk_map

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 
-import cv2
 import numpy as np
 
+from devices.cameras.opencv import cv2
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.networks.cropping import cropped
 from gateway.reconstruction.video.networks.network import Picture
