@@ -26,7 +26,7 @@ import yaml
 from benchmarks.figures import Figure, Report, table
 from benchmarks.latency import line_of, process_of, write_config
 from devices.emulators.local_broker import mosquitto
-from gateway.reconstruction import readiness
+from gateway.service import readiness
 
 METHODS = ("independent", "joint")
 MODULES = (17, 63)

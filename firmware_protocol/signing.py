@@ -15,10 +15,9 @@ import hmac
 from collections import Counter
 from hashlib import blake2s
 
-from cobs import cobs
-
 from firmware_protocol.fields import WireField
 from firmware_protocol.framing import DELIMITER, MAX_STUFFED_SIZE, Defect
+from firmware_protocol.stuffing import stuff, unstuff
 
 KEY_SIZE = 32
 TAG_SIZE = 8
@@ -126,7 +125,7 @@ class SignedFrames:
         keyed = self._keyed.copy()
         keyed.update(signed + frame)
         self.count = count
-        return bytes(cobs.encode(signed + keyed.digest())) + DELIMITER + frame
+        return stuff(signed + keyed.digest()) + DELIMITER + frame
 
     def _open(self, data: bytes) -> tuple[bytes, bytes]:
         """What is right of whole blocks, and the bytes after the last of them."""
@@ -185,8 +184,7 @@ def _signature_in(block: bytes) -> bytes | None:
     """The signature that a delimited block holds; None: it is something else."""
     if len(block) != SENT_SIGNATURE_SIZE:
         return None
-    try:
-        signature: bytes = cobs.decode(block[:-1])
-    except cobs.DecodeError:
+    signature = unstuff(block[:-1])
+    if signature is None or len(signature) != SIGNATURE_SIZE or signature[0] != MARK:
         return None
-    return signature if len(signature) == SIGNATURE_SIZE and signature[0] == MARK else None
+    return signature

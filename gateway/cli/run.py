@@ -15,7 +15,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.cli.compiling import told_when_compiling
 from gateway.cli.preparing import make_ready, stand_in
 from gateway.errors import GatewayError
-from gateway.reconstruction import readiness
+from gateway.service import readiness
 from gateway.service.service import Service
 from gateway.service.systemd import feed_watchdog, notify
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings

@@ -2,7 +2,7 @@
 
 A method takes half a minute to a minute to compile, once after an installation: the filter over the whole
 body, and the way of the body over the floor. What is compiled lies on the disk; a mark beside it says so.
-``python -m gateway.reconstruction.readiness joint`` compiles in a process of its own: numba holds the
+``python -m gateway.service.readiness joint`` compiles in a process of its own: numba holds the
 interpreter while it does, and nothing else would run well.
 
 Until then ``FALLBACK`` serves, with a root that stays where it is: it wants the fewest kernels. These are
@@ -19,7 +19,7 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from gateway import assembly
+from gateway.assembly import frame_assembler
 from gateway.body.rig import load_rig
 from gateway.clocks import delay_floor, floor_filter
 from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
@@ -34,10 +34,10 @@ FALLBACK = "independent"
 LONG_COMPILED = frozenset(RECONSTRUCTORS) - FUSED
 _RIG = "suit_17"
 _FIRST = "first"
-_PARAMS = assembly.AssemblyParams(
+_PARAMS = frame_assembler.AssemblyParams(
     frame_interval_ns=10_000_000, max_wait_ns=20_000_000, max_gap_ns=50_000_000, hold_ns=100_000_000
 )
-_MODULES = (articulated, assembly, floor_filter, independent, joint, rate_free, whole_body)
+_MODULES = (articulated, floor_filter, frame_assembler, independent, joint, rate_free, whole_body)
 
 
 def is_ready(name: str) -> bool:
@@ -56,7 +56,7 @@ def make_ready(name: str) -> None:
 
 def command(name: str) -> list[str]:
     """What does ``make_ready`` in a process of its own."""
-    return [sys.executable, "-m", "gateway.reconstruction.readiness", name]
+    return [sys.executable, "-m", "gateway.service.readiness", name]
 
 
 def make_first_ready() -> None:
@@ -81,7 +81,7 @@ def _compile_fallback() -> None:
     """Module clocks, frames, and orientations module by module."""
     suit = load_rig(_RIG)
     delay_floor.warm_up()
-    assembly.FrameAssembler(suit.module_ids, _PARAMS)
+    frame_assembler.FrameAssembler(suit.module_ids, _PARAMS)
     RECONSTRUCTORS[FALLBACK](suit, 0.01)
 
 
