@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import zipfile
 from pathlib import Path
 
@@ -120,25 +121,31 @@ def test_the_documents_type_profiles_that_there_are():
     assert all(profiled(words.split("--profile ")[1])[0] for words in typed)
 
 
+@pytest.fixture
+def open_folder():
+    """One that every user may look into, other than those of tests."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        yield folder
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
 @pytest.mark.skipif(
     shutil.which("mosquitto_passwd") is None,
     reason="mosquitto_passwd is not installed (apt install mosquitto)",
 )
-def test_each_container_can_read_the_password_that_the_documented_steps_make(tmp_path):
+def test_each_container_can_read_the_password_that_the_documented_steps_make(open_folder):
     """As file mounts keep owner and mode: the file as it is, read by the container's user alone."""
-    folder = tmp_path / "docker" / "mosquitto"
+    folder = open_folder / "docker" / "mosquitto"
     folder.mkdir(parents=True)
-    for above in (*folder.parents, folder):
-        if tmp_path.parent.parent in (above, *above.parents):
-            above.chmod(0o755)
     steps = re.findall(r"(?s)```sh\n(.*?)```", (DOCKER / "mosquitto" / "README.md").read_text())[0]
     steps = steps.replace("sudo ", "")
     for user in ("operator", "app"):
         steps = steps.replace(
             f"mosquitto_passwd passwords {user} ", f"mosquitto_passwd -b passwords {user} x "
         )
-    subprocess.run(["sh", "-e", "-c", steps], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run(["sh", "-e", "-c", steps], cwd=open_folder, check=True, capture_output=True)
     image_user = re.search(r"(?m)^USER (\d+)$", (DOCKER / "Dockerfile").read_text())
     assert image_user is not None
     readers = {"passwords": 1883, "gateway-password": int(image_user[1])}
