@@ -31,7 +31,8 @@ from gateway.cli.preparing import stand_in
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
-from gateway.reconstruction import FUSED, readiness
+from gateway.reconstruction import FUSED
+from gateway.service import readiness
 from gateway.service.service import Service
 from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
 from gateway.sources.stream import ClockMode

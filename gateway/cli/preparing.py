@@ -8,8 +8,9 @@ from functools import partial
 import typer
 
 from gateway.cli.compiling import told_when_compiling
-from gateway.reconstruction import OPTICAL, RootMode, readiness
+from gateway.reconstruction import OPTICAL, RootMode
 from gateway.reconstruction.optical.warm_up import warm_up
+from gateway.service import readiness
 from gateway.settings import GatewaySettings, RootMotionSettings
 
 _FIRST = "first start: compiling what the first poses need, once; 10 to 20 seconds on a machine that is free"

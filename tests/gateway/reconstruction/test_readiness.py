@@ -8,7 +8,8 @@ import sys
 import pytest
 
 from gateway.geometry import compiled
-from gateway.reconstruction import FUSED, RECONSTRUCTORS, readiness
+from gateway.reconstruction import FUSED, RECONSTRUCTORS
+from gateway.service import readiness
 
 
 @pytest.fixture
