@@ -289,7 +289,7 @@ class Pipeline:
 
     def _finished(self, frame: SkeletonFrame) -> SkeletonFrame:
         """A reconstructed frame as it is handed on."""
-        restless = self._restless.pop(frame.sequence, None)
+        restless = self._restless.pop(frame.sequence, None) if self._restless else None
         if restless is not None:
             status, sigma = np.array(frame.status), np.array(frame.sigma)
             tell_doubtful(status, sigma, restless)

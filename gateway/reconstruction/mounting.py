@@ -25,12 +25,14 @@ import numpy as np
 
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, IntArray, StatusArray
+from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
 from gateway.reconstruction.joint_agreement import (
     LEAST_ACCELERATION,
     AgreementState,
     Joints,
     is_common,
+    pair,
     pairs,
 )
 
@@ -134,6 +136,8 @@ def judge_mounting(
     n = len(joints.parents)
     now, asked = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1))), _told(joints, agreement, worn)
     explained: set[int] = set()
+    for s in np.flatnonzero(state.is_doubtful):  # what still holds is not looked for again: that costs most
+        asked = _kept(joints, agreement, state, now, asked, explained, int(s))
     while (found := _best(joints, agreement, worn, now, asked, explained)).gain >= GAIN:
         rival = _best(joints, agreement, worn, now, asked, explained | {found.first, found.second})
         is_open = found.first == found.second and rival.gain > AS_GOOD * found.gain
@@ -144,6 +148,29 @@ def judge_mounting(
             state.partner[s], state.turn[s] = now.place[s], now.turn[s]
         asked = _explained(joints, agreement, now, asked, found)
     _settle(joints, agreement, state, now, asked, explained)
+
+
+def _kept(
+    joints: Joints,
+    agreement: AgreementState,
+    state: MountingState,
+    now: Arrangement,
+    asked: Asked,
+    explained: set[int],
+    s: int,
+) -> Asked:
+    """Take an earlier explanation over into ``now`` and ``explained`` where it still explains something."""
+    partner = int(state.partner[s])
+    if s in explained or partner in explained:
+        return asked
+    other = Arrangement(now.place.copy(), now.turn.copy())
+    for i in {s, partner}:
+        other.place[i], other.turn[i] = state.partner[i], state.turn[i]
+    if float(_gains(joints, agreement, other, asked, s, partner)[0]) < STAYS_ABOVE:
+        return asked
+    now.place[:], now.turn[:] = other.place, other.turn
+    explained |= {s, partner}
+    return _explained(joints, agreement, now, asked, Found(0.0, s, partner, 0))
 
 
 def _told(joints: Joints, agreement: AgreementState, worn: Worn) -> Asked:
@@ -158,10 +185,9 @@ def _explained(
     joints: Joints, agreement: AgreementState, now: Arrangement, asked: Asked, found: Found
 ) -> Asked:
     """The same with an explanation taken for granted."""
-    difference = asked.difference.copy()
-    for j in _concerned(joints, asked, found.first, found.second):
-        after = _turned(joints, agreement, now, j)
-        difference[j] = asked.difference[j] if after is None else after[0]
+    difference, concerned = asked.difference.copy(), _concerned(joints, asked, found.first, found.second)
+    after = _differences(joints, agreement, now, concerned)[0]
+    difference[concerned] = np.where(np.isnan(after), difference[concerned], after)
     return Asked(difference, asked.floor)
 
 
@@ -256,32 +282,46 @@ def _gains(
     """(H,) nepers by which arrangements lower the disagreements about the joints of segments s and o.
 
     other: with one turn (n, 3, 3), or H of them (H, n, 3, 3)."""
-    gains = np.zeros(len(other.turn) if other.turn.ndim == 4 else 1)
-    for j in _concerned(joints, asked, s, o):
-        after = _turned(joints, agreement, other, int(j))
-        if after is not None:
-            gains += 0.5 * np.log((asked.difference[j] + asked.floor[j]) / (after + asked.floor[j]))
-    return gains
+    concerned = _concerned(joints, asked, s, o)
+    after = _differences(joints, agreement, other, concerned)
+    before, floor = asked.difference[concerned], asked.floor[concerned]
+    return np.nan_to_num(0.5 * np.log((before + floor) / (after + floor))).sum(axis=1)
 
 
-def _turned(joints: Joints, agreement: AgreementState, now: Arrangement, j: int) -> FloatArray | None:
-    """(H,) ``Pair.turned`` of joint j; None where its modules were not heard together."""
-    p = int(joints.parents[j])
-    i, k, sums = int(now.place[j]), int(now.place[p]), agreement.sums
-    weights = agreement.weights
-    if not is_common(weights, i, k):
-        return None
-    arm, arm_p = _arms(now, j, joints.from_child[j]), _arms(now, p, joints.from_parent[j])
-    square = (sums[i, i, 0] + sums[i, i, 2]) / weights[i, i]
-    square_p = (sums[k, k, 0] + sums[k, k, 2]) / weights[k, k]
-    if i < k:
-        i, k, arm, arm_p, square, square_p = k, i, arm_p, arm, square_p, square
-    level, across, upright = (((arm @ part) * arm_p).sum(1) / weights[i, k] for part in sums[i, k])
-    own, other = ((arm @ square) * arm).sum(1), ((arm_p @ square_p) * arm_p).sum(1)
-    return np.maximum(own + other - 2.0 * upright - 2.0 * np.hypot(level, across), 0.0)
+def _differences(
+    joints: Joints, agreement: AgreementState, now: Arrangement, concerned: IntArray
+) -> FloatArray:
+    """(H, k) ``Pair.turned`` of joints (k,); NaN where the two modules were not heard together."""
+    turn = now.turn.reshape(-1, *now.turn.shape[-3:])
+    return _arranged(
+        joints.parents, joints.from_child, joints.from_parent, agreement.sums, agreement.weights, now.place,
+        turn, concerned,
+    )  # fmt: skip
 
 
-def _arms(now: Arrangement, s: int, arm: FloatArray) -> FloatArray:
-    """(H, 4) what a and G of a module are multiplied by."""
-    turned = now.turn.reshape(-1, *now.turn.shape[-3:])[:, s] @ arm
-    return np.concatenate([np.ones((len(turned), 1)), turned], axis=1)
+@compiled
+def _arranged(
+    parents: IntArray,
+    from_child: FloatArray,
+    from_parent: FloatArray,
+    sums: FloatArray,
+    weights: FloatArray,
+    place: IntArray,
+    turn: FloatArray,
+    concerned: IntArray,
+) -> FloatArray:
+    found = np.full((len(turn), len(concerned)), np.nan)
+    arm, arm_p = np.zeros(3), np.zeros(3)
+    for c in range(len(concerned)):
+        j = concerned[c]
+        p = parents[j]
+        if not is_common(weights, place[j], place[p]):
+            continue
+        for h in range(len(turn)):
+            for row in range(3):
+                arm[row], arm_p[row] = 0.0, 0.0
+                for m in range(3):
+                    arm[row] += turn[h, j, row, m] * from_child[j, m]
+                    arm_p[row] += turn[h, p, row, m] * from_parent[j, m]
+            found[h, c] = pair(sums, weights, place[j], arm, place[p], arm_p).turned
+    return found

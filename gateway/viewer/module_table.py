@@ -16,7 +16,7 @@ _LOSSY_PERCENT = 1.0
 def module_rows(
     health: BridgeHealth | None, info: BridgeInfo | None, silent: Collection[str] = ()
 ) -> list[tuple[str, ...]]:
-    """One row a module, as texts: those of the rig, and others that were heard; why it is doubtful comes last.
+    """One row a module, as texts: of the rig, and others that were heard; why it is doubtful comes last.
 
     silent: segments of which nothing comes now.
     """
