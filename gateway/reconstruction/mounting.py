@@ -136,8 +136,8 @@ def judge_mounting(
     n = len(joints.parents)
     now, asked = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1))), _told(joints, agreement, worn)
     explained: set[int] = set()
-    for s in np.flatnonzero(state.is_doubtful):  # what still holds is not looked for again: that costs most
-        asked = _kept(joints, agreement, state, now, asked, explained, int(s))
+    for i in np.flatnonzero(state.is_doubtful):  # what still holds is not looked for again: that costs most
+        asked = _kept(joints, agreement, state, now, asked, explained, int(i))
     while (found := _best(joints, agreement, worn, now, asked, explained)).gain >= GAIN:
         rival = _best(joints, agreement, worn, now, asked, explained | {found.first, found.second})
         is_open = found.first == found.second and rival.gain > AS_GOOD * found.gain
@@ -285,7 +285,8 @@ def _gains(
     concerned = _concerned(joints, asked, s, o)
     after = _differences(joints, agreement, other, concerned)
     before, floor = asked.difference[concerned], asked.floor[concerned]
-    return np.nan_to_num(0.5 * np.log((before + floor) / (after + floor))).sum(axis=1)
+    gains: FloatArray = np.nan_to_num(0.5 * np.log((before + floor) / (after + floor))).sum(axis=1)
+    return gains
 
 
 def _differences(

@@ -1,4 +1,4 @@
-"""Modules worn otherwise than the rig says are told within ten seconds of motion; those worn right never are."""
+"""Modules worn otherwise than the rig says are told within ten seconds of motion; others never are."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def walk(suit):
 
 
 def upside_down(frames, suit, segment):
-    """The same with the segment's module turned by 180° about its x axis (this rig's modules lie along them)."""
+    """The same with the segment's module turned by 180° about x, along which this rig has them."""
     row = suit.module_of_segment[suit.skeleton.index(segment)]
     turn = np.tile(np.eye(3), (len(suit.module_ids), 1, 1))
     turn[row] = UPSIDE_DOWN
