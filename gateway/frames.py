@@ -41,7 +41,10 @@ class Status(IntEnum):
     """No sample to stand on."""
     UNAIDED = 6
     """Measured by its gyrometers, but what told inclination is gone: all local devices of its chain are
-    silent, or its own accelerometer is saturated. (Numbers never change, hence the last.)"""
+    silent, or its own accelerometer is saturated. (Numbers never change, hence here.)"""
+    DOUBTFUL = 7
+    """Measured, but its module is not worn as the rig says, as far as the motion tells, or begins its clock
+    anew again and again."""
 
 
 class Clipped(IntFlag):

@@ -14,9 +14,12 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from devices.link import Chunk, Framing, SentChunk
 from gateway.assembly.frame_assembler import AssemblyParams, FrameAssembler
@@ -27,7 +30,7 @@ from gateway.body.corrections import SensorCorrections
 from gateway.body.skeleton import WornSuit, remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.errors import GatewayError, SettingsError
-from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, SkeletonFrame
+from gateway.frames import FusedReading, ImuFrame, LightReading, LocalReading, SkeletonFrame, StatusArray
 from gateway.reconstruction import (
     FUSED,
     OPTICAL,
@@ -41,6 +44,7 @@ from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.warm_up import warm_up
 from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.resets import Resets
+from gateway.reconstruction.whole_body import tell_doubtful
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.sources.despiking import Despiker
 from gateway.sources.gnss import GnssParams, GnssReceiver
@@ -138,6 +142,9 @@ class Pipeline:
         self.left_out = 0
         """Frames that were not reconstructed, since the machine could not keep up (see ``overload``)."""
         self._solve_every = 1
+        self._restless: dict[int, StatusArray] = {}
+        """By number of a frame that is to be solved: segments whose modules' clocks begin anew time and
+        again."""
         self.on_imu_frame: Callable[[ImuFrame], None] | None = None
         """Told every frame before it is reconstructed: for calibrations."""
         self.gnss_params: dict[str, GnssParams] = {}
@@ -231,7 +238,7 @@ class Pipeline:
         if chunk.link in self._markers or chunk.link in self._heat_map_links:
             return self._seen_frames(chunk)
         skeleton_frames = [
-            self.resets.apply(self.reconstructor.update(imu_frame)) for imu_frame in self.imu_frames(chunk)
+            self._finished(self.reconstructor.update(imu_frame)) for imu_frame in self.imu_frames(chunk)
         ]
         self.skeleton_frames += len(skeleton_frames)
         return skeleton_frames
@@ -274,7 +281,24 @@ class Pipeline:
     def _solved(self, block: list[ImuFrame]) -> Iterator[SkeletonFrame]:
         self.skeleton_frames += len(block)
         if block:
-            yield from map(self.resets.apply, update_many(self.reconstructor, block))
+            yield from map(self._finished, update_many(self.reconstructor, block))
+
+    def _finished(self, frame: SkeletonFrame) -> SkeletonFrame:
+        """A reconstructed frame as it is handed on."""
+        restless = self._restless.pop(frame.sequence, None) if self._restless else None
+        if restless is not None:
+            status, sigma = np.array(frame.status), np.array(frame.sigma)
+            tell_doubtful(status, sigma, restless)
+            frame = replace(frame, status=status, sigma=sigma)
+        return self.resets.apply(frame)
+
+    def _note_restless(self, imu_frames: Sequence[ImuFrame]) -> None:
+        """Remember whose modules begin their clocks anew again and again, until the frames are solved."""
+        ids = [m for m, record in self.stream.modules.items() if record.restlessness is not None]
+        rows = [self.suit.module_ids.index(m) for m in ids if m in self.suit.module_ids]
+        if rows:
+            is_restless = np.isin(self.suit.module_of_segment, rows).astype(np.uint8)
+            self._restless |= {imu_frame.sequence: is_restless for imu_frame in imu_frames}
 
     def imu_frames(self, chunk: Chunk) -> list[ImuFrame]:
         """The frames of all modules that a chunk completes, not yet reconstructed."""
@@ -286,10 +310,11 @@ class Pipeline:
         if self.on_imu_frame is not None:
             for imu_frame in imu_frames:
                 self.on_imu_frame(imu_frame)
-        if self._solve_every == 1:
-            return imu_frames
-        solved = [imu_frame for imu_frame in imu_frames if imu_frame.sequence % self._solve_every == 0]
-        self.left_out += len(imu_frames) - len(solved)
+        solved = imu_frames
+        if self._solve_every != 1:
+            solved = [imu_frame for imu_frame in imu_frames if imu_frame.sequence % self._solve_every == 0]
+            self.left_out += len(imu_frames) - len(solved)
+        self._note_restless(solved)
         return solved
 
     def _readings(self, chunk: Chunk) -> Sequence[Reading]:
@@ -323,6 +348,12 @@ class Pipeline:
         clean = corrected if self.despiker is None else self.despiker.add(corrected)
         return [] if clean is None else self.assembler.add(clean, arrived_ns)
 
+    def doubts(self) -> dict[int, str]:
+        """Why the segments of some modules are doubtful, and what to do, by module id."""
+        worn = self.reconstructor.doubts() if isinstance(self.reconstructor, WholeBodyReconstructor) else {}
+        restless = {m: r.restlessness for m, r in self.stream.modules.items() if r.restlessness is not None}
+        return worn | restless
+
     def statistics(self) -> dict[str, object]:
         """Counters for the health message."""
         dropped = {
@@ -345,6 +376,7 @@ class Pipeline:
             "joint_agreement": self.reconstructor.joint_agreement()
             if isinstance(self.reconstructor, WholeBodyReconstructor)
             else {},
+            "doubts": {str(module): why for module, why in self.doubts().items()},
             "modules": {str(module): record.summary() for module, record in self.stream.modules.items()},
         }
 

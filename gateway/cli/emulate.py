@@ -44,7 +44,7 @@ from gateway.cli.emulate_options import Medium, MotionKind, SamplingMode, StrapO
 from gateway.cli.emulated_faults import faulty, plan_of, told
 from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
 from gateway.cli.emulated_hand import EXPLANATION, obey_typed_lines, touchable
-from gateway.emulation.rig import calibrate, dress, move_about, sunlight, tumble
+from gateway.emulation.rig import calibrate, dress, move_about, sunlight, tumble, worn_wrong
 from gateway.errors import GatewayError, nearest
 
 _START_DELAY_NS = 500_000_000
@@ -57,6 +57,8 @@ class _Wearing(NamedTuple):
     motion: MotionKind
     strap_on: StrapOn
     facing: float
+    upside_down: tuple[int, ...]
+    swapped: tuple[int, ...]
 
 
 _MODES = {SamplingMode.FUSED: FUSED, SamplingMode.RAW: RAW, SamplingMode.TRIGGERED: TRIGGERED}
@@ -95,6 +97,8 @@ def emulate(
     tumbling: options.Tumbling = False,
     motion: options.Motion = MotionKind.OWN,
     strap_on: options.StrappedOn = StrapOn.RIG,
+    upside_down: options.UpsideDown = None,
+    swapped: options.Swapped = None,
     facing: options.Facing = 0.0,
     seed: options.Seed = 1,
     seconds: options.Seconds = None,
@@ -120,7 +124,9 @@ def emulate(
             and (on is not Medium.UDP if relay is None else relay),
             encoding=encoding,
         )
-        wearing = _Wearing(tumbling, motion, strap_on, radians(facing))
+        wearing = _Wearing(
+            tumbling, motion, strap_on, radians(facing), tuple(upside_down or ()), tuple(swapped or ())
+        )
         traffic = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, wearing, gnss is not None)
         source = traffic if faults is None else faulty(traffic, faults)
     receiver = None if gnss is None else companion(rig, seed, gnss, gnss_format, seconds)
@@ -165,6 +171,10 @@ def _traffic(
     body = dress(suit)
     if wearing.strap_on is StrapOn.RANDOM:
         body = strapped_on(body, seed)
+    try:
+        body = worn_wrong(body, wearing.upside_down, wearing.swapped)
+    except ValueError as error:
+        raise GatewayError(str(error)) from error
     if wearing.motion is MotionKind.CALIBRATION:
         motion = calibrate(body, suit.skeleton.name, seed, wearing.facing)
     else:

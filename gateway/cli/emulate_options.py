@@ -101,6 +101,12 @@ StrappedOn = Annotated[
     StrapOn,
     typer.Option(help="random: modules turned anyhow on their segments, each 2 cm off its place."),
 ]
+UpsideDown = Annotated[
+    list[int] | None, typer.Option(help="This module sits upside down on its segment; as often as needed.")
+]
+Swapped = Annotated[
+    tuple[int, int] | None, typer.Option(help="These two modules have changed places.", metavar="ID ID")
+]
 Facing = Annotated[
     float, typer.Option(help="Heading of the wearer who calibrates, degrees anticlockwise from east.")
 ]

@@ -27,7 +27,9 @@ _LONGEST_SEGMENT = 1e4
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
-StatusName = Literal["measured", "interpolated", "held", "predicted", "warming_up", "missing", "unaided"]
+StatusName = Literal[
+    "measured", "interpolated", "held", "predicted", "warming_up", "missing", "unaided", "doubtful"
+]
 
 STATUS_NAMES: tuple[str, ...] = tuple(status.name.lower() for status in Status)
 """Name of a status in messages, by its number."""
@@ -171,6 +173,10 @@ class ModuleState(Message):
     module: int = Field(ge=0, le=255, description="Module number on the wire; 254 is the relay.")
     segment: str | None = Field(description="What it is strapped to; null: the rig does not name it.")
     availability: Literal["online", "offline"] = Field(description="As on its availability topic.")
+    doubt: str | None = Field(
+        default=None,
+        description="Why its segment is `doubtful`, and what to do; null: nothing speaks against it.",
+    )
     silent_since_ns: int | None = Field(
         description="Gateway time of its last packet while it is offline, ns; null: online, or never heard."
     )

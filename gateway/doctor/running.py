@@ -66,6 +66,10 @@ def judge(gateway: str, states: Mapping[int, ModuleState]) -> Iterator[Finding]:
         yield warning(
             "modules: restarts", f"restarted: {', '.join(restarted)}", "check battery, power and plugs"
         )
+    for state in states.values():
+        if state.doubt is not None:
+            found, _, remedy = state.doubt.partition(": ")
+            yield warning("modules: doubtful", f"{_named(state)}: {found}", remedy)
     yield from _clocks(states)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from devices.emulators.motions import (
 from devices.emulators.tumbling import TumblingMotion
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import Quantity
+from gateway.geometry import quaternion
 from gateway.sources.light import sun_direction
 
 LOCAL_RATE_HZ = 100.0
@@ -66,6 +67,27 @@ def dress(suit: WornSuit, local_sigma: dict[Quantity, float] | None = None) -> E
         ),
         contacts=skeleton.contacts,
     )
+
+
+def worn_wrong(body: EmulatedBody, upside_down: Sequence[int], swapped: Sequence[int]) -> EmulatedBody:
+    """The body with modules of these ids upside down, and two that have changed places.
+
+    Raises ``ValueError`` for a module that it does not wear."""
+    ids, alignment = body.module_ids.copy(), body.sensor_to_segment.copy()
+    for module in (*upside_down, *swapped):
+        if module not in ids:
+            raise ValueError(f"no module {module} is worn; these are: {', '.join(map(str, sorted(ids)))}")
+    for module in upside_down:
+        segment = int(np.flatnonzero(ids == module)[0])
+        alignment[segment] = quaternion.multiply(_ABOUT_FORWARD, alignment[segment])
+    if swapped:
+        at = [int(np.flatnonzero(ids == module)[0]) for module in swapped]
+        ids[at] = ids[at[::-1]]
+    return replace(body, module_ids=ids, sensor_to_segment=alignment)
+
+
+_ABOUT_FORWARD = np.array([0.0, 1.0, 0.0, 0.0])
+"""Half a turn."""
 
 
 def move(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:

@@ -7,7 +7,7 @@ times: a recording's are those of the day it was made.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -62,6 +62,7 @@ class ModuleStates:
     silent_after_ns: a module counts as offline after so long without a packet.
     interval_ns: the figures of one module are told at most so often; silence and return are told at once.
     late: samples that came too late for their frame, by module.
+    doubts: asked why modules' segments are doubtful, by module; a new doubt is told at once.
     """
 
     def __init__(
@@ -72,11 +73,14 @@ class ModuleStates:
         silent_after_ns: int,
         interval_ns: int,
         late: Mapping[int, int] | None = None,
+        doubts: Callable[[], Mapping[int, str]] = dict,
     ) -> None:
         self._stream = stream
         self._silent_after_ns = silent_after_ns
         self._interval_ns = interval_ns
         self._late: Mapping[int, int] = Counter() if late is None else late
+        self._doubts = doubts
+        self._doubted: Mapping[int, str] = {}
         self._names = module_names(suit)
         self._watched = {module: _Watched(module, name) for module, name in sorted(self._names.items())}
         self._started_ns: int | None = None
@@ -89,6 +93,7 @@ class ModuleStates:
             if module not in self._watched:
                 self._watched[module] = _Watched(module, self._names.get(module))
             self._watched[module].look(record, now_ns)
+        self._doubted = self._doubts()
         for watched in self._watched.values():
             yield from self._news(watched, now_ns)
 
@@ -112,6 +117,7 @@ class ModuleStates:
             module=module,
             segment=watched.segment,
             availability="online" if watched.is_online else "offline",
+            doubt=self._doubted.get(module),
             silent_since_ns=None if watched.is_online else last_ns,
             last_arrival_ns=last_ns,
             rate_hz=watched.rate_hz,
@@ -129,7 +135,9 @@ class ModuleStates:
         is_change = is_first or is_online != watched.is_online
         watched.is_online = is_online
         is_due = watched.said_ns is None or now_ns - watched.said_ns >= self._interval_ns
-        if not (is_change or is_due):
+        doubt = None if watched.said is None else watched.said.doubt
+        is_new_doubt = (doubt is None) != (watched.module not in self._doubted)
+        if not (is_change or is_due or is_new_doubt):
             return
         state = self.state(watched.module, now_ns)
         if is_change or watched.said is None or _differs(state, watched.said):

@@ -1,10 +1,10 @@
 """How well neighbouring modules agree about the joint between them: shows modules worn wrong. Compiled.
 
-Both neighbours feel the acceleration of their common joint: ``R (f + [ω̇, ω] ⊳ r) + g``, r from module to
-joint. A module worn the wrong way round, on the wrong segment or at the wrong place puts the joint
-somewhere else and feels another acceleration there. The score of a joint is the rms difference over the rms
-acceleration of both: 0 when they agree, about 1 when they have nothing to do with each other. It needs
-motion.
+Both neighbours feel the acceleration of their common joint: ``a + G r`` with ``a`` the mean of ``R f + g``
+over a block and ``G`` the change of ``R [ω]×`` over it, r from module to joint. It is linear in r, so sums
+of products of a and G over the last seconds tell how well any two modules would agree about any arms:
+those that the rig says, and those of a module that is turned or has changed places with another one
+(``mounting``). Nothing of the motion has to be kept for that.
 """
 
 from __future__ import annotations
@@ -15,33 +15,46 @@ from typing import NamedTuple
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, IntArray
+from gateway.frames import FloatArray, IntArray, StatusArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import cross, dot, is_finite
+from gateway.geometry.vectors import cross, is_finite
 
-SMOOTHING_S = 0.05
-"""Low-pass of both sides. It differentiates ``R (ω × r)`` too, so no rate is differenced."""
-MEMORY_S = 10.0
+BLOCK_S = 0.05
+"""Accelerations are means over that."""
+LONGEST_BLOCK_S = 0.25
+"""What turns meanwhile is not seen: such a block is left out."""
+MEMORY_S = 4.0
 LEAST_ACCELERATION = 1.0
 """m/s² rms: less is mostly noise and tilt error."""
+LEAST_WEIGHT_S = 1.5
+LEAST_COMMON = 0.9
+"""Share of a module's blocks that its neighbour must have too."""
+SOUND = 1
+"""Largest status of a segment that is taken: interpolated."""
 
 
 class Joints(NamedTuple):
     """Constant, by segment."""
 
     parents: IntArray  # (n,) −1 where one side has no module
+    is_worn: StatusArray  # (n,)
     from_child: FloatArray  # (n, 3) child's module to the joint, child's axes, m
     from_parent: FloatArray  # (n, 3) parent's module to the joint, parent's axes, m
     gravity: FloatArray  # (3,)
 
 
 class AgreementState(NamedTuple):
-    """By joint, changed in place."""
+    """Changed in place."""
 
-    averages: FloatArray  # (n, 2, 2, 3) child, parent; R f, R (ω × r)
-    fresh_s: FloatArray  # (n,) since the averages were begun; 0: not
-    sums: FloatArray  # (n, 3) weight, squared difference, squared accelerations
+    block_s: FloatArray  # (1,) so far
+    is_whole: StatusArray  # (n,) since the block began
+    is_known: StatusArray  # (n,) at the frame before
+    force: FloatArray  # (n, 3) R f at the frame before
+    forces: FloatArray  # (n, 3) its integral over the block
+    swings: FloatArray  # (n, 3, 3) R [ω]× when the block began
+    sums: FloatArray  # (n, n, 3, 4, 4) first segment >= second; (a, G) of both: level, level across, upright
+    weights: FloatArray  # (n, n) s
 
 
 def joints_of(suit: WornSuit) -> Joints:
@@ -50,57 +63,179 @@ def joints_of(suit: WornSuit) -> Joints:
     has_module = suit.module_of_segment >= 0
     joined = (parents >= 0) & has_module & has_module[parents]
     from_parent = np.where(joined[:, None], suit.skeleton.offsets - arms[parents], 0.0)
-    return Joints(np.where(joined, parents, -1), -arms, from_parent, np.array(suit.gravity, np.float64))
+    return Joints(
+        np.where(joined, parents, -1),
+        has_module.astype(np.uint8),
+        -arms,
+        from_parent,
+        np.array(suit.gravity, np.float64),
+    )
 
 
 def initial_agreement(n: int) -> AgreementState:
     """Of n segments."""
-    return AgreementState(np.zeros((n, 2, 2, 3)), np.zeros(n), np.zeros((n, 3)))
+    none = np.zeros(n, np.uint8)
+    return AgreementState(
+        np.zeros(1), none.copy(), none.copy(), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3)),
+        np.zeros((n, n, 3, 4, 4)), np.zeros((n, n)),
+    )  # fmt: skip
 
 
 @compiled
 def watch_joints(
-    joints: Joints, state: AgreementState, q_wb: FloatArray, force: FloatArray, rate: FloatArray, dt: float
+    joints: Joints,
+    state: AgreementState,
+    q_wb: FloatArray,
+    force: FloatArray,
+    rate: FloatArray,
+    status: StatusArray,
+    dt: float,
 ) -> None:
     """One frame. q_wb (n, 4); force, rate (n, 3) segment axes, NaN where a module is silent."""
-    gain, forget = 1.0 - math.exp(-dt / SMOOTHING_S), math.exp(-dt / MEMORY_S)
-    u = np.empty((2, 3))
-    for s in range(len(joints.parents)):
-        p = joints.parents[s]
-        if p < 0:
+    n = len(joints.parents)
+    for s in range(n):
+        if not joints.is_worn[s]:
             continue
-        if not (_is_known(q_wb, force, rate, s) and _is_known(q_wb, force, rate, p)):
-            state.fresh_s[s] = 0.0
-            continue
-        for side in range(2):
-            i, arm = (s, joints.from_child[s]) if side == 0 else (p, joints.from_parent[s])
-            f_w = quaternion.rotate(q_wb[i], force[i])
-            v_w = quaternion.rotate(q_wb[i], cross(rate[i], arm))
-            average = state.averages[s, side]
-            if state.fresh_s[s] == 0.0:
-                average[0], average[1] = f_w, v_w
-            u[side] = joints.gravity + average[0] + gain * (f_w - average[0])
-            u[side] += gain / dt * (v_w - average[1])
-            average[0] += gain * (f_w - average[0])
-            average[1] += gain * (v_w - average[1])
-        state.fresh_s[s] += dt
-        if state.fresh_s[s] > 3.0 * SMOOTHING_S:
-            difference = u[0] - u[1]
-            sums = state.sums[s]
-            sums[0] = forget * sums[0] + dt
-            sums[1] = forget * sums[1] + dt * dot(difference, difference)
-            sums[2] = forget * sums[2] + dt * 0.5 * (dot(u[0], u[0]) + dot(u[1], u[1]))
+        is_known = status[s] <= SOUND and is_finite(q_wb[s]) and is_finite(force[s]) and is_finite(rate[s])
+        state.is_whole[s] &= is_known and state.is_known[s]
+        if is_known:
+            felt = quaternion.rotate(q_wb[s], force[s])
+            for k in range(3):
+                state.forces[s, k] += 0.5 * dt * (state.force[s, k] + felt[k])
+                state.force[s, k] = felt[k]
+        state.is_known[s] = is_known
+    state.block_s[0] += dt
+    if state.block_s[0] >= BLOCK_S - 0.5 * dt:
+        _end_block(joints, state, q_wb, rate)
 
 
 @compiled
-def _is_known(q_wb: FloatArray, force: FloatArray, rate: FloatArray, s: int) -> bool:
-    return is_finite(q_wb[s]) and is_finite(force[s]) and is_finite(rate[s])
+def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: FloatArray) -> None:
+    n, lasted_s = len(joints.parents), state.block_s[0]
+    felt = np.empty((n, 3, 4))  # a, G
+    axis = np.zeros(3)
+    for s in range(n):
+        if not state.is_known[s]:
+            continue
+        for k in range(3):
+            felt[s, k, 0] = joints.gravity[k] + state.forces[s, k] / lasted_s
+        for i in range(3):
+            axis[:] = 0.0
+            axis[i] = 1.0
+            swing = quaternion.rotate(q_wb[s], cross(rate[s], axis))
+            for k in range(3):
+                felt[s, k, 1 + i] = (swing[k] - state.swings[s, k, i]) / lasted_s
+                state.swings[s, k, i] = swing[k]
+    forget = math.exp(-lasted_s / MEMORY_S)
+    for s in range(n):
+        for o in range(s + 1):
+            if joints.is_worn[s] and joints.is_worn[o]:
+                is_whole = state.is_whole[s] and state.is_whole[o] and lasted_s < LONGEST_BLOCK_S
+                state.weights[s, o] = forget * state.weights[s, o] + (lasted_s if is_whole else 0.0)
+                _add_products(state.sums[s, o], felt[s], felt[o], forget, lasted_s if is_whole else 0.0)
+    state.block_s[0] = 0.0
+    state.forces[:] = 0.0
+    state.is_whole[:] = state.is_known
+
+
+@compiled
+def _add_products(sums: FloatArray, a: FloatArray, b: FloatArray, forget: float, weight: float) -> None:
+    for i in range(4):
+        for k in range(4):
+            for part in range(3):
+                sums[part, i, k] *= forget
+            if weight > 0.0:
+                sums[0, i, k] += weight * (a[0, i] * b[0, k] + a[1, i] * b[1, k])
+                sums[1, i, k] += weight * (a[0, i] * b[1, k] - a[1, i] * b[0, k])
+                sums[2, i, k] += weight * a[2, i] * b[2, k]
+
+
+class Pair(NamedTuple):
+    """Two modules about one joint, mean squares in (m/s²)²."""
+
+    difference: float
+    turned: float
+    """The same after the heading between the two that makes it least."""
+    power: float
+    """Mean of both accelerations'."""
+    swing: float
+    """Of both, for an arm of a metre: what arms that are off make of it."""
+
+
+@compiled
+def pair(sums: FloatArray, weights: FloatArray, s: int, arm: FloatArray, p: int, arm_p: FloatArray) -> Pair:
+    """The modules of segments s and p about a joint that is ``arm`` (3,) from one, ``arm_p`` from the
+    other."""
+    level, across, upright = _products(sums, weights, s, arm, p, arm_p)
+    own, swing = _square(sums[s, s], weights[s, s], arm)
+    other, swing_p = _square(sums[p, p], weights[p, p], arm_p)
+    both = own + other - 2.0 * upright
+    turned = both - 2.0 * math.sqrt(level * level + across * across)
+    return Pair(max(both - 2.0 * level, 0.0), max(turned, 0.0), 0.5 * (own + other), swing + swing_p)
+
+
+@compiled
+def _square(sums: FloatArray, weight: float, arm: FloatArray) -> tuple[float, float]:
+    """Return the mean square of a joint's acceleration as one module has it, and that of its swing."""
+    total, swing = 0.0, 0.0
+    for i in range(4):
+        left = 1.0 if i == 0 else arm[i - 1]
+        for k in range(4):
+            right = 1.0 if k == 0 else arm[k - 1]
+            total += left * right * (sums[0, i, k] + sums[2, i, k])
+        if i > 0:
+            swing += sums[0, i, i] + sums[2, i, i]
+    return total / weight, swing / weight
+
+
+@compiled
+def _products(
+    sums: FloatArray, weights: FloatArray, s: int, arm: FloatArray, p: int, arm_p: FloatArray
+) -> tuple[float, float, float]:
+    """Return mean products of both accelerations: level, level across (but for its sign), upright."""
+    if s < p:
+        s, p, arm, arm_p = p, s, arm_p, arm
+    products, weight = sums[s, p], weights[s, p]
+    level, across, upright = 0.0, 0.0, 0.0
+    for i in range(4):
+        left = 1.0 if i == 0 else arm[i - 1]
+        for k in range(4):
+            both = left if k == 0 else left * arm_p[k - 1]
+            level += both * products[0, i, k]
+            across += both * products[1, i, k]
+            upright += both * products[2, i, k]
+    return level / weight, across / weight, upright / weight
+
+
+@compiled
+def is_common(weights: FloatArray, s: int, p: int) -> bool:
+    """Whether two modules were heard together for long enough, and hardly ever one of them alone."""
+    weight = weights[max(s, p), min(s, p)]
+    return bool(
+        weight > LEAST_WEIGHT_S
+        and weight > LEAST_COMMON * weights[s, s]
+        and weight > LEAST_COMMON * weights[p, p]
+    )
+
+
+@compiled
+def pairs(joints: Joints, state: AgreementState) -> FloatArray:
+    """(n, 4) ``Pair`` of each segment and its parent, with the arms that the rig says; NaN where there is no
+    joint, or too little was heard of one of them."""
+    found = np.full((len(joints.parents), 4), np.nan)
+    for s in range(len(joints.parents)):
+        p = joints.parents[s]
+        if p >= 0 and is_common(state.weights, s, p):
+            found[s] = pair(state.sums, state.weights, s, joints.from_child[s], p, joints.from_parent[s])
+    return found
 
 
 def joint_scores(joints: Joints, state: AgreementState) -> FloatArray:
-    """(n,) of the joint to the parent; NaN where there is none, or not enough motion yet."""
-    weight, difference, power = state.sums.T
-    moved = (joints.parents >= 0) & (weight > 0.3 * MEMORY_S) & (power > weight * LEAST_ACCELERATION**2)
+    """(n,) of the joint to the parent: the rms difference over the rms acceleration of both; 0 when they
+    agree, about 1 when they have nothing to do with each other. NaN where there is no joint, or not enough
+    motion."""
+    difference, _, power, _ = pairs(joints, state).T
+    moved = power > LEAST_ACCELERATION**2
     return np.where(moved, np.sqrt(difference / np.where(moved, power, 1.0)), np.nan)
 
 

@@ -6,6 +6,7 @@ ImuFrame → stuck modules left out → (rest of each segment) → orientations 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
@@ -45,6 +46,14 @@ from gateway.reconstruction.joint_agreement import (
     watch_joints,
 )
 from gateway.reconstruction.module_faults import RepeatState, initial_repeats, stuck_modules
+from gateway.reconstruction.mounting import (
+    NOBODY,
+    UNKNOWN,
+    MountingState,
+    initial_mounting,
+    judge_mounting,
+    worn_of,
+)
 
 SHORTEST_STEP_S = 1e-5
 LONGEST_STEP_S = 0.5
@@ -102,6 +111,7 @@ class _Memory(NamedTuple):
     position: PositionState
     repeats: RepeatState
     agreement: AgreementState
+    mounting: MountingState
 
 
 class WholeBodyReconstructor:
@@ -110,6 +120,8 @@ class WholeBodyReconstructor:
     root of its frames: the segment that the body stands on, while it walks. p_w: in the world, z from the
     floor, the start above the origin. status: PREDICTED for segments without module; a stuck module counts as
     silent. A frame that is not later than the one before changes nothing and gets the last pose again.
+    Segments whose modules seem to be worn otherwise than the suit says are DOUBTFUL (see ``mounting``), and
+    their sigma says that nothing is known; their orientations stay as they were found.
     ``joint_agreement``: see that module.
     """
 
@@ -119,7 +131,7 @@ class WholeBodyReconstructor:
         self.finder = finder
         self._observer = SegmentObserver(suit)
         self._rules = following_rules(suit)
-        self._joints = joints_of(suit)
+        self._joints, self._worn = joints_of(suit), worn_of(suit)
         self._contacts = _contacts(suit, root or RootSettings())
         self._carries = np.zeros(suit.skeleton.n_segments)
         self._carries[[segment for segment, _ in suit.skeleton.contacts]] = 1.0
@@ -142,6 +154,7 @@ class WholeBodyReconstructor:
             initial_position(n_contacts),
             initial_repeats(len(self._suit.module_ids)),
             initial_agreement(n),
+            initial_mounting(n),
         )
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:
@@ -212,6 +225,42 @@ class WholeBodyReconstructor:
         names = self._suit.skeleton.segment_names
         return {names[s]: round(float(scores[s]), 3) for s in np.flatnonzero(np.isfinite(scores))}
 
+    def doubts(self) -> dict[int, str]:
+        """Why the segments of some modules are doubtful, and what to do, by module id."""
+        mounting, rows = self._memory.mounting, self._suit.module_of_segment
+        return {
+            self._suit.module_ids[rows[s]]: self._doubt(int(s)) for s in np.flatnonzero(mounting.is_doubtful)
+        }
+
+    def _doubt(self, s: int) -> str:
+        """The reason in words of a segment that is doubtful, and a remedy."""
+        mounting, names = self._memory.mounting, self._suit.skeleton.segment_names
+        module, other, rival = (
+            self._suit.module_ids[self._suit.module_of_segment[k]]
+            for k in (s, int(mounting.partner[s]), int(mounting.rival[s]))
+        )
+        if mounting.partner[s] != s:
+            place = names[mounting.partner[s]]
+            return (
+                f"{_spoken(names[s])} and {_spoken(place)} move as if their modules had changed places: "
+                f"check that module {module} is on the {_spoken(names[s])} and module {other} on the "
+                f"{_spoken(place)}, or exchange them with 'modules assign'"
+            )
+        near = [int(p) for p in (self._joints.parents[s],) if p >= 0]
+        near += [int(c) for c in np.flatnonzero(self._joints.parents == s)]
+        around = " and ".join(_spoken(names[k]) for k in near)
+        degrees = math.degrees(math.acos(min(max((np.trace(mounting.turn[s]) - 1.0) / 2.0, -1.0), 1.0)))
+        either = (
+            ""
+            if mounting.rival[s] == NOBODY
+            else f" (or module {rival} on the {_spoken(names[mounting.rival[s]])})"
+        )
+        return (
+            f"{_spoken(names[s])} and {around} disagree about the joint between them, as if module {module} "
+            f"were turned by {degrees:.0f}°{either}: check that it is worn as the rig says, or run "
+            "'calibrate body'"
+        )
+
     def _without_stuck(self, observation: ImuFrame, dt: float) -> ImuFrame:
         force, rate = (
             np.array(v, np.float64, order="C") for v in (observation.specific_force, observation.angular_rate)
@@ -233,9 +282,11 @@ class WholeBodyReconstructor:
         q_wb, rate = np.array(found.q_wb, np.float64), np.array(found.angular_rate, np.float64)
         sigma, status = np.array(found.sigma, np.float64), np.array(found.status, np.uint8)
         _tell_clipped(status, observed)
+        agreement, mounting = self._memory.agreement, self._memory.mounting
+        watch_joints(self._joints, agreement, q_wb, observed.specific_force, rate, status, dt)
+        judge_mounting(self._joints, agreement, self._worn, mounting, dt)
+        tell_doubtful(status, sigma, mounting.is_doubtful)
         follow(self._rules, q_wb, rate, sigma, status)
-        force = np.where(np.isfinite(rate), observed.specific_force, np.nan)
-        watch_joints(self._joints, self._memory.agreement, q_wb, force, rate, dt)
         p_w, root = found.p_w, found.root
         if self._contacts is not None:
             place, stands_on = advance_position(
@@ -319,6 +370,17 @@ class _Resumable(Protocol):
     def state(self) -> dict[str, NDArray[np.generic]]: ...
 
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None: ...
+
+
+def tell_doubtful(status: StatusArray, sigma: FloatArray, is_doubtful: StatusArray) -> None:
+    """In place: measured segments that are doubtful; nothing is known of how they are turned."""
+    if is_doubtful.any():
+        told = (is_doubtful > 0) & (status <= Status.INTERPOLATED)
+        status[told], sigma[told] = Status.DOUBTFUL, UNKNOWN
+
+
+def _spoken(segment: str) -> str:
+    return segment.replace("_", " ")
 
 
 def _tell_clipped(status: StatusArray, observed: SegmentObservations) -> None:

@@ -20,6 +20,7 @@ _STATUS_COLOURS = {
     Status.WARMING_UP: "#cdb4db",
     Status.MISSING: "#d1495b",
     Status.UNAIDED: "#e07a1f",
+    Status.DOUBTFUL: "#b5179e",
 }
 
 

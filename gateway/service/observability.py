@@ -68,6 +68,7 @@ class Observer:
             silent_after_ns=round(settings.modules.silent_after_s * 1e9),
             interval_ns=round(settings.modules.state_interval_s * 1e9),
             late=pipeline.assembler.late,
+            doubts=pipeline.doubts,
         )
         if settings.metrics.port is not None:
             self.metrics = MetricsServer(

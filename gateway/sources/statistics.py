@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from firmware_protocol import DeviceInfo, Health
@@ -11,6 +11,8 @@ from gateway.clocks import ModuleClock, unwrap
 from gateway.sources.losses import Cause, LinkLosses
 
 SEQUENCE_BITS = 16
+MANY_RESTARTS, RESTLESS_NS = 3, 10_000_000_000
+"""A module that loses its power begins anew once; one that does so that often in that time is ill."""
 _REMEMBERED = 256
 """How far back a packet may be overtaken and still be told from a duplicate."""
 _GAP_NAMES = ("1", "2", *(f"{2**k + 1}-{2 ** (k + 1)}" for k in range(1, 8)), "more")
@@ -152,6 +154,8 @@ class ModuleRecord:
     health: Health | None = None
     first_arrival_ns: int = 0
     last_arrival_ns: int = 0
+    restarted_ns: deque[int] = field(default_factory=lambda: deque(maxlen=MANY_RESTARTS))
+    """When its clock was found to begin anew, the last times."""
 
     def counter(self, kind: int) -> SequenceCounter:
         """The counter of a kind of packet, a new one at first."""
@@ -159,6 +163,19 @@ class ModuleRecord:
         if counter is None:
             counter = self.sequences[kind] = SequenceCounter()
         return counter
+
+    @property
+    def restlessness(self) -> str | None:
+        """What to say of a clock that begins anew again and again; None: it does not."""
+        if len(self.restarted_ns) < MANY_RESTARTS:
+            return None
+        if self.last_arrival_ns - self.restarted_ns[0] > RESTLESS_NS:
+            return None
+        return (
+            f"module {self.module} began its clock anew {MANY_RESTARTS} times or more within "
+            f"{RESTLESS_NS // 10**9} s, {self.clock.restarts} times in all: check its battery and plug, and "
+            "that nobody else sends under its number"
+        )
 
     @property
     def received(self) -> int:

@@ -219,6 +219,7 @@ class Stream:
         restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(received.module_time_us, chunk.arrived_ns)
         if record.clock.restarts != restarts:
+            record.restarted_ns.append(chunk.arrived_ns)
             for restarted in record.sequences.values():
                 restarted.restart()
         record.last_arrival_ns = chunk.arrived_ns

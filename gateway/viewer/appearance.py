@@ -19,6 +19,7 @@ COLOURS: dict[str, Colour] = {
     "warming_up": (80, 100, 215),
     "missing": (210, 35, 30),
     "unaided": (150, 160, 70),
+    "doubtful": (200, 45, 140),
 }
 """By status. A measured segment turns towards ``UNSURE`` as its sigma grows."""
 UNSURE: Colour = (235, 120, 15)

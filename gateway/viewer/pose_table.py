@@ -27,6 +27,7 @@ _STATUS_COLOURS = {
     "warming_up": "blue",
     "missing": "red",
     "unaided": "yellow",
+    "doubtful": "red",
 }
 _UNDEFINED = "–"
 

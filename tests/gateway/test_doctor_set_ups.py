@@ -324,10 +324,18 @@ def test_states_of_a_running_gateway():
     assert "2 of 2 settled" in fine["clocks"].found
     found = [
         *judge("lab", {1: state(1, residual_us=9000), 2: state(2, availability="offline")}),
+        *judge("lab", {6: state(6, doubt="as if module 6 were turned: run 'calibrate body'")}),
         *judge("lab", {3: state(3, ppm=400), 4: state(4, lost=100), 5: state(5, resets=2)}),
     ]
     words = [f.found for f in found if f.verdict is not Verdict.GOOD]
-    for expected in ("1 9.0 ms", "2 (pelvis)", "3 +400 ppm", "4 (pelvis) 9.1%", "5 (pelvis) 2 times"):
+    for expected in (
+        "1 9.0 ms",
+        "2 (pelvis)",
+        "3 +400 ppm",
+        "4 (pelvis) 9.1%",
+        "5 (pelvis) 2 times",
+        "module 6 were turned",
+    ):
         assert any(expected in line for line in words), expected
     assert all(f.remedy for f in found if f.verdict is not Verdict.GOOD)
 

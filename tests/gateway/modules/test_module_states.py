@@ -131,3 +131,34 @@ def test_at_the_end_all_are_offline():
     assert {m.availability for _, m in said if isinstance(m, ModuleState)} == {"offline"}
     topics = [topic for topic, _ in said]
     assert topics[:2] == ["module/0/availability", "module/0/state"]
+
+
+def test_a_new_doubt_is_told_at_once_and_so_is_its_end():
+    doubts = {}
+    suit = Suit(doubts=lambda: doubts)
+    assert states_of(suit.run(3), 2)[-1].doubt is None
+    doubts[2] = "worn upside down: turn it"
+    assert [m.doubt for m in states_of(suit.run(0.5), 2)] == ["worn upside down: turn it"]
+    doubts.clear()
+    assert [m.doubt for m in states_of(suit.run(0.5), 2)] == [None]
+
+
+def test_a_clock_that_begins_anew_again_and_again_is_a_reason_for_doubt_until_it_stops():
+    suit = Suit()
+    suit.run(3)
+    record = suit.stream.modules[1]
+    for k in range(4):
+        for _ in range(60):  # a jump is believed when it lasts
+            suit.now_ns += SECOND_NS // 100
+            suit.sequence += 1
+            stamp = (k * 10**9 + suit.now_ns // 1000) % 2**32
+            frame = wire_frame(SAMPLE, 1, suit.sequence % 65536, stamp)
+            suit.stream.receive(Chunk(encode_frame(frame), suit.now_ns, "suit"))
+    assert record.clock.restarts >= 3
+    assert "began its clock anew" in record.restlessness
+    for _ in range(1100):
+        suit.now_ns += SECOND_NS // 100
+        suit.sequence += 1
+        frame = wire_frame(SAMPLE, 1, suit.sequence % 65536, (3 * 10**9 + suit.now_ns // 1000) % 2**32)
+        suit.stream.receive(Chunk(encode_frame(frame), suit.now_ns, "suit"))
+    assert record.restlessness is None

@@ -156,15 +156,16 @@ def test_the_module_table_names_the_silent_and_the_lossy():
         t_ns=1,
         uptime_s=1,
         mqtt=OutputCounters(published=0, dropped=0, thinned=0, queued=0, connections=1),
-        statistics={"modules": {"1": summary}},
+        statistics={"modules": {"1": summary}, "doubts": {"2": "worn <upside> down"}},
     )
     rows = module_rows(health, info)
     assert rows == [
-        ("1", "head", "10.00", "-12.3", "56", "77"),
-        ("2", "<b>", "silent", "", "", ""),
+        ("1", "head", "10.00", "-12.3", "56", "77", ""),
+        ("2", "<b>", "silent", "", "", "", "worn <upside> down"),
     ]
     table = module_table(rows)
-    assert table.count("color:rgb") == 2
+    assert table.count("color:rgb") == 3
+    assert "doubtful: worn &lt;upside&gt; down" in table
     assert "<b>" not in table
     assert module_rows(health, info, silent=["head"])[0][2] == "silent"
     assert module_rows(None, None) == []

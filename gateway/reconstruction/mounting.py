@@ -1,0 +1,328 @@
+"""Modules that are worn otherwise than the rig says: told from how neighbours agree about their joints.
+
+Every second each explanation is tried: one module is turned (by any of the 23 rotations that take a box to
+itself), or two have changed places. An explanation makes other arms from module to joint, and its *gain* is
+by how many nepers the disagreement falls, summed over the joints that it concerns:
+
+    gain = Σ ½ ln((E + F) / (E_explained + F)),    E: mean square difference of the two accelerations
+
+``F`` is what modules worn right disagree by: arms that are off by ``ARM_OFF`` (times the measured swing),
+orientation errors (a share ``TILT_OFF`` of the acceleration) and the sensors' own ``NOISE``. Errors of soft
+tissue, of arms or of sensors are in ``E`` and ``E_explained`` alike and cancel, so no gain comes of them. An
+explanation holds that halves the disagreement: ``GAIN`` = ln 2. Headings are left free, since neighbours'
+headings are found from the same accelerations.
+
+A module whose rig tells no place (position zero) is not judged: its arms are not known.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gateway.body.skeleton import WornSuit
+from gateway.frames import FloatArray, IntArray, StatusArray
+from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
+from gateway.reconstruction.joint_agreement import (
+    LEAST_ACCELERATION,
+    AgreementState,
+    Joints,
+    is_common,
+    pair,
+    pairs,
+)
+
+JUDGED_EVERY_S = 1.0
+GAIN = math.log(2.0)
+STAYS_ABOVE = 0.5 * GAIN
+"""A doubt is given up below that."""
+CONFIRMED_BY = 2
+"""Judgements in a row."""
+ARM_OFF = 0.03
+"""m: where a joint lies in a body of these lengths, and a module on its segment."""
+TILT_OFF = 0.05
+"""rad: 3°."""
+NOISE = 0.05
+"""m/s²."""
+AS_GOOD = 0.8
+"""Of the best explanation's gain: which of the two modules it is cannot be told."""
+UNKNOWN = math.pi
+"""rad: standard deviation of an orientation of which nothing is known."""
+NOBODY = -1
+
+
+class Worn(NamedTuple):
+    """Constant."""
+
+    is_told: StatusArray  # (n,) whether the rig says where the module sits
+    R_bs: FloatArray  # (n, 3, 3)
+    turns: FloatArray  # (23, 3, 3)
+
+
+class MountingState(NamedTuple):
+    """By segment, changed in place."""
+
+    since_s: FloatArray  # (1,) last judgement
+    partner: IntArray  # (n,) the explanation: itself: turned; another one: changed places; NOBODY: none
+    turn: FloatArray  # (n, 3, 3) its segment axes to those in which the data came
+    judged: IntArray  # (n,) judgements in a row that found one
+    rival: IntArray  # (n,) another segment whose module would explain it as well, or NOBODY
+    is_doubtful: StatusArray  # (n,)
+
+
+def worn_of(suit: WornSuit) -> Worn:
+    """What is judged of a suit."""
+    arms = np.linalg.norm(np.asarray(suit.lever_arms, np.float64), axis=1)
+    is_told = (suit.module_of_segment >= 0) & (arms > 0.0)
+    return Worn(is_told.astype(np.uint8), sensor_to_segment_matrices(suit), _turns())
+
+
+def _turns() -> FloatArray:
+    """The rotations of a box but the one that leaves it."""
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            turn = np.zeros((3, 3))
+            turn[range(3), order] = signs
+            if np.linalg.det(turn) > 0 and np.trace(turn) < 3.0:
+                found.append(turn)
+    return np.stack(found)
+
+
+def initial_mounting(n: int) -> MountingState:
+    """Of n segments."""
+    nobody = np.full(n, NOBODY, np.int64)
+    return MountingState(
+        np.zeros(1), nobody.copy(), np.tile(np.eye(3), (n, 1, 1)), np.zeros(n, np.int64), nobody.copy(),
+        np.zeros(n, np.uint8),
+    )  # fmt: skip
+
+
+class Arrangement(NamedTuple):
+    """Whose data a segment has, and what turns its axes into those that they came in."""
+
+    place: IntArray  # (n,)
+    turn: FloatArray  # (n, 3, 3)
+
+
+class Found(NamedTuple):
+    """An explanation: ``second`` is ``first`` where that is turned."""
+
+    gain: float
+    first: int
+    second: int
+    turn: int
+
+
+class Asked(NamedTuple):
+    """By segment, of its joint to the parent; NaN where that cannot be asked."""
+
+    difference: FloatArray  # (n,) mean square, (m/s²)²
+    floor: FloatArray  # (n,) what of it is no wonder
+
+
+def judge_mounting(
+    joints: Joints, agreement: AgreementState, worn: Worn, state: MountingState, dt: float
+) -> None:
+    """One frame; once a second it is judged anew."""
+    state.since_s[0] += dt
+    if state.since_s[0] < JUDGED_EVERY_S:
+        return
+    state.since_s[0] = 0.0
+    n = len(joints.parents)
+    now, asked = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1))), _told(joints, agreement, worn)
+    explained: set[int] = set()
+    for i in np.flatnonzero(state.is_doubtful):  # what still holds is not looked for again: that costs most
+        asked = _kept(joints, agreement, state, now, asked, explained, int(i))
+    while (found := _best(joints, agreement, worn, now, asked, explained)).gain >= GAIN:
+        rival = _best(joints, agreement, worn, now, asked, explained | {found.first, found.second})
+        is_open = found.first == found.second and rival.gain > AS_GOOD * found.gain
+        _apply(worn, now, found)
+        explained |= {found.first, found.second}
+        for s in (found.first, found.second):
+            state.rival[s] = rival.first if is_open else NOBODY
+            state.partner[s], state.turn[s] = now.place[s], now.turn[s]
+        asked = _explained(joints, agreement, now, asked, found)
+    _settle(joints, agreement, state, now, asked, explained)
+
+
+def _kept(
+    joints: Joints,
+    agreement: AgreementState,
+    state: MountingState,
+    now: Arrangement,
+    asked: Asked,
+    explained: set[int],
+    s: int,
+) -> Asked:
+    """Take an earlier explanation over into ``now`` and ``explained`` where it still explains something."""
+    partner = int(state.partner[s])
+    if s in explained or partner in explained:
+        return asked
+    other = Arrangement(now.place.copy(), now.turn.copy())
+    for i in {s, partner}:
+        other.place[i], other.turn[i] = state.partner[i], state.turn[i]
+    if float(_gains(joints, agreement, other, asked, s, partner)[0]) < STAYS_ABOVE:
+        return asked
+    now.place[:], now.turn[:] = other.place, other.turn
+    explained |= {s, partner}
+    return _explained(joints, agreement, now, asked, Found(0.0, s, partner, 0))
+
+
+def _told(joints: Joints, agreement: AgreementState, worn: Worn) -> Asked:
+    """How the joints agree with what the rig says."""
+    _, turned, power, swing = pairs(joints, agreement).T
+    can_tell = (power >= LEAST_ACCELERATION**2) & (worn.is_told > 0) & (worn.is_told[joints.parents] > 0)
+    floor = ARM_OFF**2 * swing + TILT_OFF**2 * power + NOISE**2
+    return Asked(np.where(can_tell, turned, np.nan), np.where(can_tell, floor, np.nan))
+
+
+def _explained(
+    joints: Joints, agreement: AgreementState, now: Arrangement, asked: Asked, found: Found
+) -> Asked:
+    """The same with an explanation taken for granted."""
+    difference, concerned = asked.difference.copy(), _concerned(joints, asked, found.first, found.second)
+    after = _differences(joints, agreement, now, concerned)[0]
+    difference[concerned] = np.where(np.isnan(after), difference[concerned], after)
+    return Asked(difference, asked.floor)
+
+
+def _settle(
+    joints: Joints,
+    agreement: AgreementState,
+    state: MountingState,
+    now: Arrangement,
+    asked: Asked,
+    explained: set[int],
+) -> None:
+    """Take explanations over; keep earlier ones until their joints agree without them."""
+    for s in range(len(joints.parents)):
+        if s in explained:
+            state.judged[s] += 1
+            state.is_doubtful[s] |= state.judged[s] >= CONFIRMED_BY
+        elif not state.is_doubtful[s] or _is_over(joints, agreement, state, now, asked, explained, s):
+            state.judged[s], state.partner[s], state.rival[s], state.is_doubtful[s] = 0, NOBODY, NOBODY, 0
+
+
+def _is_over(
+    joints: Joints,
+    agreement: AgreementState,
+    state: MountingState,
+    now: Arrangement,
+    asked: Asked,
+    explained: set[int],
+    s: int,
+) -> bool:
+    """Whether the motion of now no longer speaks for an earlier doubt about segment s."""
+    partner = int(state.partner[s])
+    if partner in explained:
+        return True  # of that one something else is known now
+    other = Arrangement(now.place.copy(), now.turn.copy())
+    for i in {s, partner}:
+        other.place[i], other.turn[i] = state.partner[i], state.turn[i]
+    is_asked = bool(len(_concerned(joints, asked, s, partner)))
+    return is_asked and float(_gains(joints, agreement, other, asked, s, partner)[0]) < STAYS_ABOVE
+
+
+def _concerned(joints: Joints, asked: Asked, s: int, o: int) -> IntArray:
+    """Joints that can be asked and that segment s or o has a part in."""
+    has_part = np.isin(joints.parents, (s, o))
+    has_part[[s, o]] = True
+    return np.flatnonzero(has_part & np.isfinite(asked.floor))
+
+
+def _best(
+    joints: Joints,
+    agreement: AgreementState,
+    worn: Worn,
+    now: Arrangement,
+    asked: Asked,
+    explained: set[int],
+) -> Found:
+    """The explanation of the largest gain from ``GAIN`` on, of segments not explained yet."""
+    best = Found(0.0, NOBODY, NOBODY, 0)
+    largest = np.nan_to_num(0.5 * np.log1p(asked.difference / asked.floor))  # nepers, by joint
+    if largest.sum() < GAIN:
+        return best  # as in every suit that is worn right
+    free = [int(s) for s in np.flatnonzero(worn.is_told) if s not in explained]
+    for s, o in itertools.combinations_with_replacement(free, 2):
+        if largest[_concerned(joints, asked, s, o)].sum() < max(GAIN, best.gain):
+            continue
+        if s == o:
+            turn = np.repeat(now.turn[None], len(worn.turns), axis=0)
+            turn[:, s] = worn.turns
+            gains = _gains(joints, agreement, Arrangement(now.place, turn), asked, s, s)
+        else:
+            other = Arrangement(now.place.copy(), now.turn.copy())
+            _apply(worn, other, Found(0.0, s, o, 0))
+            gains = _gains(joints, agreement, other, asked, s, o)
+        k = int(np.argmax(gains))
+        if gains[k] > best.gain:
+            best = Found(float(gains[k]), s, o, k)
+    return best
+
+
+def _apply(worn: Worn, to: Arrangement, found: Found) -> None:
+    """Arrange segments as an explanation says, in place."""
+    s, o = found.first, found.second
+    if s == o:
+        to.turn[s] = worn.turns[found.turn]
+        return
+    to.place[s], to.place[o] = o, s
+    to.turn[s], to.turn[o] = worn.R_bs[o] @ worn.R_bs[s].T, worn.R_bs[s] @ worn.R_bs[o].T
+
+
+def _gains(
+    joints: Joints, agreement: AgreementState, other: Arrangement, asked: Asked, s: int, o: int
+) -> FloatArray:
+    """(H,) nepers by which arrangements lower the disagreements about the joints of segments s and o.
+
+    other: with one turn (n, 3, 3), or H of them (H, n, 3, 3)."""
+    concerned = _concerned(joints, asked, s, o)
+    after = _differences(joints, agreement, other, concerned)
+    before, floor = asked.difference[concerned], asked.floor[concerned]
+    gains: FloatArray = np.nan_to_num(0.5 * np.log((before + floor) / (after + floor))).sum(axis=1)
+    return gains
+
+
+def _differences(
+    joints: Joints, agreement: AgreementState, now: Arrangement, concerned: IntArray
+) -> FloatArray:
+    """(H, k) ``Pair.turned`` of joints (k,); NaN where the two modules were not heard together."""
+    turn = now.turn.reshape(-1, *now.turn.shape[-3:])
+    return _arranged(
+        joints.parents, joints.from_child, joints.from_parent, agreement.sums, agreement.weights, now.place,
+        turn, concerned,
+    )  # fmt: skip
+
+
+@compiled
+def _arranged(
+    parents: IntArray,
+    from_child: FloatArray,
+    from_parent: FloatArray,
+    sums: FloatArray,
+    weights: FloatArray,
+    place: IntArray,
+    turn: FloatArray,
+    concerned: IntArray,
+) -> FloatArray:
+    found = np.full((len(turn), len(concerned)), np.nan)
+    arm, arm_p = np.zeros(3), np.zeros(3)
+    for c in range(len(concerned)):
+        j = concerned[c]
+        p = parents[j]
+        if not is_common(weights, place[j], place[p]):
+            continue
+        for h in range(len(turn)):
+            for row in range(3):
+                arm[row], arm_p[row] = 0.0, 0.0
+                for m in range(3):
+                    arm[row] += turn[h, j, row, m] * from_child[j, m]
+                    arm_p[row] += turn[h, p, row, m] * from_parent[j, m]
+            found[h, c] = pair(sums, weights, place[j], arm, place[p], arm_p).turned
+    return found
