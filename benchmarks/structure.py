@@ -111,7 +111,7 @@ def _sources(package: str) -> list[Path]:
 def calls_of_a_frame() -> tuple[float, int]:
     """Count calls per frame of the project's functions, and their files, from bytes to the MQTT payload.
 
-    Of 17 modules at 100 Hz over one serial line, ``joint``, in the second second.
+    Of 17 modules at 100 Hz over one serial line, ``joint``, in the fourth second.
     """
     suit = load_rig(REPOSITORY / "config" / "rigs" / "suit_17.yaml")
     pipeline = Pipeline(suit, AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000), "joint")
@@ -126,9 +126,9 @@ def calls_of_a_frame() -> tuple[float, int]:
         if event == "call" and name.startswith(str(REPOSITORY)) and "benchmarks" not in name:
             calls[name] += 1
 
-    for sent in traffic.transmissions(2.0):
+    for sent in traffic.transmissions(4.0):
         chunk = Chunk(sent.data, round(sent.time_s * 1e9), "suit")
-        is_counted = sent.time_s > 1.0
+        is_counted = sent.time_s > 3.0
         sys.setprofile(note if is_counted else None)
         poses = pipeline.feed(chunk)
         for pose in poses:
