@@ -104,6 +104,18 @@ def test_sigma_tells_a_lost_device_and_covers_the_inclination_without_it(moved):
     assert (tilts[1] < 2.0 * tilt_sigmas[1]).mean() > 0.95
 
 
+@pytest.mark.parametrize("quantity", [Quantity.POSITION, Quantity.VELOCITY])
+def test_without_any_field_a_device_finds_the_heading_of_the_whole_tree(quantity, moved):
+    """Until then only tilts may be taken from it: its rows are in a heading that is not known."""
+    frames = [
+        replace(frame, magnetic_field=np.full((4, 3), np.nan)) for frame in with_readings(moved, quantity)
+    ]
+    found = np.stack([frame.q_wb for frame in solved(worn(quantity), frames)])
+    error = orientation_error(found, moved[0].q_wb)
+    assert np.degrees(error.inclination).max() < 2.0
+    assert np.degrees(np.abs(error.heading[300:]).mean(axis=0)).max() < 0.5
+
+
 def test_without_the_device_from_the_start_it_is_told_too(moved):
     suit = worn(Quantity.POSITION)
     found = solved(suit, with_readings(moved, Quantity.POSITION, range(N)))
