@@ -85,10 +85,11 @@ lint: install-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Linted beside the tests, for neither waits for the other; many tests wait: three workers keep two cores busy.
+# Linted beside the tests, for neither waits for the other; many tests wait: two workers a core keep it busy.
+WORKERS := $(shell expr 2 \* $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2))
 test: install-dev system-tools
 	@mkdir -p build; $(MAKE) -s lint > build/lint.log 2>&1 & lint=$$!; \
-	$(BIN)/python -m pytest -n 3 --dist worksteal --durations 10 $(TESTS); tests=$$?; \
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations 10 $(TESTS); tests=$$?; \
 	wait $$lint; lint=$$?; cat build/lint.log; exit $$((tests ? tests : lint))
 
 test-all: test
