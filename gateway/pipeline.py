@@ -314,7 +314,8 @@ class Pipeline:
         if self._solve_every != 1:
             solved = [imu_frame for imu_frame in imu_frames if imu_frame.sequence % self._solve_every == 0]
             self.left_out += len(imu_frames) - len(solved)
-        self._note_restless(solved)
+        if solved:
+            self._note_restless(solved)
         return solved
 
     def _readings(self, chunk: Chunk) -> Sequence[Reading]:
