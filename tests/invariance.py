@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 
 import numpy as np
 from hypothesis import Phase, settings
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from devices.emulators.ideal_sensors import sense
 from devices.emulators.motions import BodyMotion, gait_motion, generic_motion
 from devices.emulators.waves import Fade
+from devices.link import Chunk
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
@@ -258,6 +260,20 @@ def moved_markers(scene: MarkerScene, R: FloatArray) -> tuple[MarkerFrame, ...]:
         replace(frame, positions=frame.positions @ R.T, unlabelled=frame.unlabelled @ R.T)
         for frame in scene.frames
     )
+
+
+def recut(chunks: tuple[Chunk, ...], rng: np.random.Generator) -> tuple[Chunk, ...]:
+    """The same bytes in pieces of any size. The head of what comes next may come along with what is there;
+    a last byte arrives when it did."""
+    pieces: list[Chunk] = []
+    left = chunks[0].data
+    for chunk, later in zip(chunks, (*chunks[1:], None), strict=True):
+        head = 0 if later is None else int(rng.integers(0, len(later.data)) * (rng.random() < 0.5))
+        data = left if later is None else left + later.data[:head]
+        cuts = [0, *sorted(rng.integers(0, len(data) + 1, rng.integers(0, 4)).tolist()), len(data)]
+        pieces += [replace(chunk, data=data[a:b]) for a, b in pairwise(cuts)]
+        left = b"" if later is None else later.data[head:]
+    return tuple(pieces)
 
 
 def assert_same(one: SkeletonFrame, other: SkeletonFrame) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -41,6 +40,7 @@ from tests.invariance import (
     listing_of,
     mirrored,
     mirrored_pose,
+    recut,
     relisted,
     renamed,
     turned,
@@ -173,20 +173,6 @@ def test_chunks_may_be_cut_anywhere(method: str, has_relay: bool, seed: int) -> 
     assert len(found) == len(expected)
     for one, other in zip(found, expected, strict=True):
         assert_same(one, other)
-
-
-def recut(chunks: tuple[Chunk, ...], rng: np.random.Generator) -> tuple[Chunk, ...]:
-    """The same bytes in pieces of any size. The head of what comes next may come along with what is there;
-    a last byte arrives when it did."""
-    pieces: list[Chunk] = []
-    left = chunks[0].data
-    for chunk, later in zip(chunks, (*chunks[1:], None), strict=True):
-        head = 0 if later is None else int(rng.integers(0, len(later.data)) * (rng.random() < 0.5))
-        data = left if later is None else left + later.data[:head]
-        cuts = [0, *sorted(rng.integers(0, len(data) + 1, rng.integers(0, 4)).tolist()), len(data)]
-        pieces += [replace(chunk, data=data[a:b]) for a, b in pairwise(cuts)]
-        left = b"" if later is None else later.data[head:]
-    return tuple(pieces)
 
 
 @pytest.mark.xfail(
