@@ -1,17 +1,17 @@
-"""Writes ``suit.dbc``, which describes the wire to the tools of a CAN bus, from the declarations.
+"""Describe the wire to the tools of a CAN bus, from the declarations, as a DBC file.
 
 ::
 
-    python -m firmware_protocol.dbc [--modules 0-16,254] [--sensors specific_force angular_rate]
+    python -m firmware_protocol.dbc          # writes module.dbc: module 0
 
-A DBC file knows CAN frames, not wire frames: each piece is a message of its own, for each module, since
-the identifier holds the module. What it cannot say, and how the signals are named, stands in
-``README.md`` under "DBC file". Letters outside ASCII are spelt out: tools disagree on the encoding.
+``mocap-gateway config dbc`` writes the file of a suit. A DBC file knows CAN frames, not wire frames: each piece
+is a message of its own, for each module, since the identifier holds the module. What it cannot say, and how the
+signals are named, stands in ``README.md`` under "DBC file". Letters outside ASCII are spelt out: tools disagree
+on the encoding.
 """
 
 from __future__ import annotations
 
-import argparse
 import inspect
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -25,8 +25,7 @@ from firmware_protocol.framing import BROADCAST
 from firmware_protocol.kinds import FROM_HOST
 from firmware_protocol.packets import PACKETS, InertialSample, Packet
 
-PATH = Path(__file__).parent / "suit.dbc"
-MODULES = tuple(range(17))
+PATH = Path(__file__).parent / "module.dbc"
 ALL_SENSORS = tuple(f.name for f in layout_of(InertialSample).fields)
 
 _EXTENDED_CAN, _EXTENDED_CAN_FD = 1, 15  # of the attribute VFrameFormat
@@ -47,8 +46,12 @@ class Message:
     signals: tuple[Signal, ...]
 
 
-def render(modules: Sequence[int] = MODULES, sensors: Sequence[str] = ALL_SENSORS) -> str:
-    """The whole file for these modules; ``sensors`` are those that samples hold on classic CAN."""
+def render(modules: Sequence[int], sensors: Sequence[str] = ALL_SENSORS) -> str:
+    """Return the whole file.
+
+    modules: ids, each with messages of its own, besides those that the host sends to all.
+    sensors: those that samples hold on classic CAN.
+    """
     messages = [
         message
         for packet_class in PACKETS.values()
@@ -161,21 +164,5 @@ def _multiplex_texts(message: Message) -> Iterable[str]:
             yield f"SG_MUL_VAL_ {_number(message)} {signal.name} {SENSORS} {ranges};"
 
 
-def _module_list(text: str) -> tuple[int, ...]:
-    """``0-16,254`` as numbers."""
-    ends = [part.partition("-") for part in text.split(",")]
-    return tuple(n for low, _, high in ends for n in range(int(low), int(high or low) + 1))
-
-
-def main() -> None:
-    """Writes the file."""
-    parser = argparse.ArgumentParser(prog="python -m firmware_protocol.dbc", description="Writes suit.dbc.")
-    parser.add_argument("--modules", type=_module_list, default=MODULES, help="such as 0-16,254")
-    parser.add_argument("--sensors", nargs="+", choices=ALL_SENSORS, default=ALL_SENSORS)
-    parser.add_argument("--output", type=Path, default=PATH)
-    arguments = parser.parse_args()
-    arguments.output.write_text(render(arguments.modules, arguments.sensors), encoding="ascii")
-
-
 if __name__ == "__main__":
-    main()
+    PATH.write_text(render([0]), encoding="ascii")

@@ -280,17 +280,17 @@ at a time; a new `transfer` ends the one before.
 DBC = """\
 ### DBC file
 
-`suit.dbc` describes all this to the tools of a CAN bus; `python -m firmware_protocol.dbc` writes it, for
-any set of modules (`--modules 0-63`) and of sensors (`--sensors`). In it every CAN frame of a wire frame is
-a message of its own, since a DBC knows nothing of reassembly:
+`module.dbc` describes all this to the tools of a CAN bus, for module 0. `mocap-gateway config dbc --modules
+0-16 -o suit.dbc` writes the file of a suit. In it every CAN frame of a wire frame is a message of its own,
+since a DBC knows nothing of reassembly:
 
-- The identifier holds the module, so each module has its own messages. The committed file is for modules 0 to
-  16, and module 255 for what the host sends to all.
+- The identifier holds the module, so each module has its own messages, and 255 has those of what the host
+  sends to all.
 - On CAN FD most wire frames are one CAN frame, `..._fd`. Samples are multiplexed by the three presence
   bits of their mask.
 - On classic CAN the mask is in the first piece and the readings are in others, which no multiplexer can
   follow: the file describes samples with accelerometer, magnetometer and gyrometer all present, unless
-  `--sensors` names others.
+  `--sensor` names others.
 - A number that is cut by the end of a piece is two signals, `..._low` and `..._high`, whose physical values
   add up to the number's; a float cut so is two signals `..._low` and `..._high` of raw bits.
 - Of bodies without a fixed size, the fields before the part of any length are described, on classic CAN.

@@ -1,22 +1,26 @@
-"""``mocap-gateway config``: check a configuration, show what may stand in one, make a key."""
+"""``mocap-gateway config``: check a configuration, show what may stand in one, write what goes with it."""
 
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import typer
 from rich.console import Console
 
 from devices.signed_link import write_key
+from firmware_protocol import MAX_MODULE, RELAY
+from firmware_protocol.dbc import ALL_SENSORS, render
 from gateway.body.rig import load_rig
 from gateway.cameras.broker_link import link_of
-from gateway.errors import GatewayError
+from gateway.errors import GatewayError, nearest
 from gateway.reconstruction import refuse_unreadable
 from gateway.settings import GatewaySettings, load_gateway_settings
+from gateway.support.whole_files import write_whole
 
 config_app = typer.Typer(
-    help="Check a configuration file, show what may stand in one, make a key.",
+    help="Check a configuration file, show what may stand in one, make a key, describe a suit's CAN bus.",
     no_args_is_help=True,
 )
 
@@ -59,3 +63,36 @@ def key(file: Path = typer.Argument(help="New file for the key; one that is ther
         f"[bold]url: udp://…?key_file={file.absolute()}[/bold] (or tcp://…)",
         soft_wrap=True,
     )
+
+
+@config_app.command(epilog="Example: mocap-gateway config dbc --modules 0-16 -o suit.dbc")
+def dbc(
+    modules: str = typer.Option("0-16", help="Ids of the modules, such as 0-16,60; 254 is a relay."),
+    sensor: list[str] = typer.Option(
+        list(ALL_SENSORS), help="What samples hold on classic CAN; to be repeated. Default: all three."
+    ),
+    output: Path = typer.Option(..., "--output", "-o", help="File to write."),
+) -> None:
+    """Describe the CAN messages of a suit to bus monitors, as a DBC file. It needs no suit."""
+    for name in sensor:
+        if name not in ALL_SENSORS:
+            raise GatewayError(f"--sensor {name}: no such sensor{nearest(name, ALL_SENSORS)}")
+    ids = _module_ids(modules)
+    write_whole(output, render(ids, sensor).encode("ascii"))
+    Console().print(f"[green]{output} describes {len(ids)} module(s)[/green]", soft_wrap=True)
+
+
+def _module_ids(text: str) -> tuple[int, ...]:
+    """Return the ids that ``0-16,60`` names, in order. Raises ``GatewayError`` for what names none."""
+    known = {*range(MAX_MODULE + 1), RELAY}
+    ids: set[int] = set()
+    for part in text.split(","):
+        ends = re.fullmatch(r"\s*(\d{1,3})\s*(?:-\s*(\d{1,3})\s*)?", part)
+        named = range(int(ends[1]), int(ends[2] or ends[1]) + 1) if ends else range(0)
+        if not named or not known.issuperset(named):
+            raise GatewayError(
+                f"--modules {text}: '{part}' names no modules; ids are 0 to {MAX_MODULE}, "
+                f"and {RELAY} for a relay, as in 0-16,60"
+            )
+        ids.update(named)
+    return tuple(sorted(ids))

@@ -136,7 +136,7 @@ class _Commands(LazyGroup):
         "body": LazyCommand("gateway.cli.body:body_app", "Bodies: segments, joints, lengths."),
         "config": LazyCommand(
             "gateway.cli.configuration:config_app",
-            "Check a configuration file, show what may stand in one, make a key.",
+            "Check a configuration file, show what may stand in one, make a key, describe a suit's CAN bus.",
         ),
     }
 
