@@ -4,10 +4,10 @@
 
     python -m firmware_protocol.dbc          # writes module.dbc: module 0
 
-``mocap-gateway config dbc`` writes the file of a suit. A DBC file knows CAN frames, not wire frames: each piece
-is a message of its own, for each module, since the identifier holds the module. What it cannot say, and how the
-signals are named, stands in ``README.md`` under "DBC file". Letters outside ASCII are spelt out: tools disagree
-on the encoding.
+``mocap-gateway config dbc`` writes the file of a suit. A DBC file knows CAN frames, not wire frames:
+each piece is a message of its own, for each module, since the identifier holds the module. What it
+cannot say, and how the signals are named, stands in ``README.md`` under "DBC file". Letters outside
+ASCII are spelt out: tools disagree on the encoding.
 """
 
 from __future__ import annotations
