@@ -5,6 +5,9 @@
  * network and gateway. Any number of modules send to one port of the gateway, which answers each at its own address:
  *     links: [{name: wifi, url: "udp://0.0.0.0:7000?peers=192.168.4.0/24"}]
  *     rig: wifi_10         # modules 1 to 10
+ *
+ * To sign the link, make a key with `mocap-gateway config key wifi.key`, define its line as MOCAP_KEY below, and add
+ * &key_file=wifi.key to the url. The module then obeys the gateway alone.
  */
 #include <Arduino.h>
 #include <WiFi.h>
@@ -26,6 +29,10 @@
 #ifndef LED_BUILTIN
 #define LED_BUILTIN 2
 #endif
+/* #define MOCAP_KEY "64 hexadecimal digits" */
+#ifdef MOCAP_KEY
+#include <Preferences.h>
+#endif
 static const char *const NETWORK = "suit", *const PASSWORD = "change me";
 
 static const uint32_t SAMPLE_INTERVAL_US = 10000;
@@ -41,7 +48,14 @@ static uint8_t unique_id[MOCAP_UNIQUE_ID_SIZE];
 static uint16_t sample_sequence, info_sequence, health_sequence, sync_sequence, answer_sequence, samples_dropped;
 static uint32_t sample_due, info_due, health_due, blinks_until_ms, samples_taken;
 static uint8_t received[MOCAP_SENT_SIZE(MOCAP_COMMAND_MAX_SIZE)];
+#ifdef MOCAP_KEY
+static_assert(sizeof MOCAP_KEY == 2 * MOCAP_KEY_SIZE + 1, "MOCAP_KEY: 64 hexadecimal digits");
+static mocap_signing signing;
+static mocap_signed_decoder decoder;
+static Preferences flash; /* the newest count of the gateway that a command had */
+#else
 static mocap_frame_decoder decoder;
+#endif
 static mocap_answer_memory answers;
 static const mocap_answer *answer_to_send; /* later: answers to a broadcast must not collide */
 static uint32_t answer_due;
@@ -49,9 +63,45 @@ static uint32_t answer_due;
 static bool send_packet(uint8_t kind, uint16_t sequence, uint32_t time_us, const uint8_t *body, size_t size) {
   uint8_t sent[MOCAP_SENT_SIZE(MOCAP_ACKNOWLEDGEMENT_MAX_SIZE)];
   mocap_wire_frame frame = {MOCAP_PROTOCOL_VERSION, kind, MODULE_ID, sequence, time_us, body, size};
+  const size_t sent_size = mocap_encode_frame(&frame, sent, sizeof sent);
   if (!gateway.beginPacket(GATEWAY_HOST, GATEWAY_PORT)) return false;
-  gateway.write(sent, mocap_encode_frame(&frame, sent, sizeof sent)); /* one whole frame a datagram */
+#ifdef MOCAP_KEY
+  uint8_t signature[MOCAP_SENT_SIGNATURE_SIZE];
+  gateway.write(signature, mocap_sign(&signing, sent, sent_size, signature));
+#endif
+  gateway.write(sent, sent_size); /* one whole frame a datagram */
   return gateway.endPacket() != 0;
+}
+
+static void begin_receiving() {
+#ifdef MOCAP_KEY
+  uint8_t key[MOCAP_KEY_SIZE];
+  for (uint8_t i = 0; i < MOCAP_KEY_SIZE; ++i) {
+    const char digits[3] = {MOCAP_KEY[2 * i], MOCAP_KEY[2 * i + 1], '\0'};
+    key[i] = (uint8_t)strtoul(digits, NULL, 16);
+  }
+  flash.begin("mocap");
+  mocap_signing_begin(&signing, key, mocap_crc32(0u, unique_id, sizeof unique_id), flash.getULong64("count", 0));
+  signing.count = 0; /* after each restart too: the gateway answers with the count to go on from */
+  mocap_signed_decoder_init(&decoder, &signing, received, sizeof received);
+#else
+  mocap_frame_decoder_init(&decoder, received, sizeof received);
+#endif
+}
+
+static bool take_byte(uint8_t byte, mocap_wire_frame *frame) {
+#ifdef MOCAP_KEY
+  return mocap_signed_decoder_push(&decoder, byte, frame);
+#else
+  return mocap_frame_decoder_push(&decoder, byte, frame);
+#endif
+}
+
+/* Before a command is obeyed: what was recorded of it is worth nothing after a restart either. */
+static void keep_count() {
+#ifdef MOCAP_KEY
+  if (signing.host_newest > flash.getULong64("count", 0)) flash.putULong64("count", signing.host_newest);
+#endif
 }
 
 static void write_register(uint8_t address, uint8_t value) {
@@ -159,6 +209,7 @@ static void take_command(const mocap_wire_frame *frame) {
     answer.transaction = command.transaction;
     answer.verb = command.verb;
     memcpy(answer.unique_id, unique_id, sizeof unique_id);
+    keep_count();
     obey(&command, &answer, payload, sizeof payload);
     answer_to_send = mocap_remember_answer(&answers, &answer);
   }
@@ -170,7 +221,7 @@ static void receive() {
   while (gateway.parsePacket() > 0) {
     const uint32_t received_us = micros();
     while (gateway.available() > 0) {
-      if (!mocap_frame_decoder_push(&decoder, (uint8_t)gateway.read(), &frame)) continue;
+      if (!take_byte((uint8_t)gateway.read(), &frame)) continue;
       if (frame.kind == MOCAP_KIND_COMMAND) {
         take_command(&frame);
       } else if (frame.kind == MOCAP_KIND_SYNC_REQUEST &&
@@ -201,7 +252,7 @@ void setup() {
   write_register(0x1A, 0x02); /* low-pass at 94 Hz */
   write_register(0x1B, 0x18); /* +-2000 deg/s */
   write_register(0x1C, 0x18); /* +-16 g */
-  mocap_frame_decoder_init(&decoder, received, sizeof received);
+  begin_receiving();
   sample_due = info_due = health_due = micros();
 }
 
