@@ -110,8 +110,10 @@ class Pipeline:
         despiker: Despiker | None = None,
         trigger_patience_ns: int = 250_000_000,
         root: RootSettings | None = None,
+        delay_s: float = 0.0,
     ) -> None:
-        """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken."""
+        """trigger_patience_ns: in clock mode TRIGGER, how long after a trigger its answers are taken.
+        delay_s: by which the method's frames come later and better; for those that can."""
         self.stream = Stream(clock_mode, clock_table, _triggers(suit, clock_mode, trigger_patience_ns))
         self.corrections = SensorCorrections(suit.calibrations)
         self.despiker = despiker
@@ -129,7 +131,7 @@ class Pipeline:
             root = RootSettings(RootMode.FIXED)
         interval_s = params.frame_interval_ns * 1e-9
         self._make: Callable[[WornSuit], Reconstructor] = partial(
-            create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root
+            create_reconstructor, reconstructor, nominal_interval_s=interval_s, root=root, delay_s=delay_s
         )
         if not suit.module_ids and (suit.markers is not None or suit.video is not None):
             self._make = NoModules  # or half a minute would go into compiling what is never used
@@ -179,6 +181,7 @@ class Pipeline:
             Despiker() if settings.assembly.despike else None,
             round(settings.clock.trigger_patience_ms * 1e6),
             settings.root_motion.root(),
+            settings.reconstructor_delay_ms * 1e-3,
         )
         pipeline.gnss_params = {
             link.name: GnssParams(link.device, round(link.latency_ms * 1e6), link.origin)

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.skeleton import WornSuit
 from gateway.contract.requests import RECORDING_NAME
-from gateway.errors import SettingsError, nearest
+from gateway.errors import SettingsError
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.side_settings import OutputsSettings
 from gateway.reconstruction import (
@@ -20,6 +20,8 @@ from gateway.reconstruction import (
     RECONSTRUCTORS,
     RootMode,
     RootSettings,
+    refuse_delay,
+    refuse_unknown,
     refuse_unreadable,
 )
 from gateway.sources.stream import ClockMode
@@ -29,6 +31,8 @@ from gateway.support.settings_files import load_settings
 
 METRICS_TOKEN_VARIABLE = "MOCAP_METRICS_TOKEN"
 """Environment variable that may hold the token of metrics and health."""
+
+MAX_DELAY_MS = 2000.0
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -286,6 +290,13 @@ class GatewaySettings(_Strict):
         description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}; or {OPTICAL}, of markers, which is the "
         "default where the rig is a fitted subject",
     )
+    reconstructor_delay_ms: float = Field(
+        default=0,
+        ge=0,
+        le=MAX_DELAY_MS,
+        description="how much later poses come, corrected by what was seen meanwhile; for gyro_free, which a "
+        "tenth of a second makes much better; 0: at once",
+    )
     root_motion: RootMotionSettings = RootMotionSettings()
     clock: ClockSettings = ClockSettings()
     assembly: AssemblySettings = AssemblySettings()
@@ -318,9 +329,13 @@ class GatewaySettings(_Strict):
                 f"{value} wants all frames at once: `mocap-gateway optical solve --method {value}`; "
                 f"of a stream, {OPTICAL}"
             )
-        if value not in RECONSTRUCTORS and value != OPTICAL:
-            raise ValueError("no such reconstructor" + nearest(value, [*RECONSTRUCTORS, OPTICAL]))
+        refuse_unknown(value, OPTICAL)
         return value
+
+    @model_validator(mode="after")
+    def _can_be_late(self) -> GatewaySettings:
+        refuse_delay(self.reconstructor, self.reconstructor_delay_ms)
+        return self
 
     @field_validator("links")
     @classmethod
@@ -329,6 +344,31 @@ class GatewaySettings(_Strict):
         if len(set(names)) < len(names):
             raise ValueError("every link needs a name of its own")
         return value
+
+    def solved_by(self, reconstructor: str | None, delay_ms: float | None = None) -> GatewaySettings:
+        """Return the settings with another method, or another delay of it (None: as here).
+
+        Another method gives its frames at once unless a delay is named. Raises ``SettingsError`` for an
+        unknown method, and for a delay that it cannot have.
+        """
+        name = reconstructor or self.reconstructor
+        if delay_ms is None:
+            delay_ms = self.reconstructor_delay_ms if name == self.reconstructor else 0.0
+        if reconstructor is not None:
+            check_method(reconstructor)
+        try:
+            refuse_delay(name, delay_ms)
+        except ValueError as error:
+            raise SettingsError(str(error)) from None
+        return self.model_copy(update={"reconstructor": name, "reconstructor_delay_ms": delay_ms})
+
+
+def check_method(name: str) -> None:
+    """Raise ``SettingsError`` for a method that there is not, asked for on the command line."""
+    try:
+        refuse_unknown(name)
+    except ValueError as error:
+        raise SettingsError(f"--reconstructor {name}: {error}") from None
 
 
 def fitting_suit(settings: GatewaySettings, suit: WornSuit) -> GatewaySettings:

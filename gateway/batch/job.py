@@ -37,14 +37,16 @@ class Task:
     """Solve with this suit (``suit_snapshot``) instead of the recorded one."""
     reconstructor: str | None = None
     """Solve by this method instead of the recorded one."""
+    delay_ms: float | None = None
+    """Solve with this delay instead of the recorded one."""
     smooth: bool | None = None
     """Solve forward and backward, or not; None: as recorded."""
 
     @property
     def is_solved(self) -> bool:
         """Whether poses are made anew."""
-        is_other = self.suit is not None or self.reconstructor is not None or self.smooth is not None
-        return is_other or SOLVED in self.to
+        others = (self.suit, self.reconstructor, self.delay_ms, self.smooth)
+        return any(other is not None for other in others) or SOLVED in self.to
 
     @property
     def key(self) -> str:
@@ -136,7 +138,5 @@ def _export(recording: Recording, task: Task, folder: Path, name: str) -> None:
 def _source(recording: Recording, task: Task) -> Source:
     recorded = recorded_source(recording)
     suit = recorded.suit if task.suit is None else decode_suit(task.suit)
-    settings = recorded.settings
-    if task.reconstructor is not None:
-        settings = settings.model_copy(update={"reconstructor": task.reconstructor})
+    settings = recorded.settings.solved_by(task.reconstructor, task.delay_ms)
     return Source(suit, settings, recorded.smoothed if task.smooth is None else task.smooth)

@@ -15,11 +15,10 @@ from gateway.batch.job import KINDS, REPORT
 from gateway.body.rig import load_rig
 from gateway.cli.export import Unit, units_per_m
 from gateway.cli.progress import progress_bar
-from gateway.errors import SettingsError, nearest
-from gateway.reconstruction import RECONSTRUCTORS
 from gateway.recording.exporters import Axes
 from gateway.recording.suit_snapshot import encode_suit
 from gateway.report.drawing import require_matplotlib
+from gateway.settings import MAX_DELAY_MS, check_method
 
 Kind = StrEnum("Kind", {name: name for name in KINDS})  # type: ignore[misc]  # from the list
 
@@ -38,6 +37,9 @@ def batch(
         str | None, typer.Option("--with", metavar="RIG", help="Solve anew with this rig (file or name).")
     ] = None,
     reconstructor: Annotated[str | None, typer.Option(help="Solve anew by this method.")] = None,
+    delay_ms: Annotated[
+        float | None, typer.Option(min=0, max=MAX_DELAY_MS, help="For gyro_free: with poses so much later.")
+    ] = None,
     smooth: Annotated[bool | None, typer.Option(help="Solve anew, forward and backward.")] = None,
     axes: Annotated[Axes | None, typer.Option(help="World axes of exports; else each format's own.")] = None,
     unit: Annotated[Unit | None, typer.Option(help="Length unit of exports; else each format's own.")] = None,
@@ -54,8 +56,8 @@ def batch(
     that fails stops no other: failures are listed, and the exit code is then 3. Workers of a cluster need
     this program and the same paths. `--to report` needs the extra `plot`, `--dask` the extra `dask`.
     """
-    if reconstructor is not None and reconstructor not in RECONSTRUCTORS:
-        raise SettingsError(f"no reconstructor '{reconstructor}'{nearest(reconstructor, RECONSTRUCTORS)}")
+    if reconstructor is not None:
+        check_method(reconstructor)
     if REPORT in to:
         require_matplotlib()
     task = Task(
@@ -64,6 +66,7 @@ def batch(
         units_per_m=None if unit is None else units_per_m(unit),
         suit=None if with_rig is None else encode_suit(load_rig(with_rig)),
         reconstructor=reconstructor,
+        delay_ms=delay_ms,
         smooth=smooth,
     )
     results = output or folder.resolve().with_name(f"{folder.resolve().name}_batch")

@@ -36,10 +36,15 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
     Console().print(
         f"[green]{file} is good[/green]: gateway '{settings.gateway}', {len(settings.links)} link(s), "
         f"{len(suit.module_ids)} modules on body '{suit.skeleton.name}', {settings.assembly.rate_hz:g} Hz, "
-        f"reconstructor '{settings.reconstructor}', broker {settings.mqtt.broker} "
+        f"reconstructor '{settings.reconstructor}'{_late(settings)}, broker {settings.mqtt.broker} "
         f"{settings.mqtt.host}:{settings.mqtt.port}",
         soft_wrap=True,
     )
+
+
+def _late(settings: GatewaySettings) -> str:
+    delay_ms = settings.reconstructor_delay_ms
+    return f" {delay_ms:g} ms late" if delay_ms else ""
 
 
 @config_app.command(epilog="Example: mocap-gateway config schema > gateway.schema.json")

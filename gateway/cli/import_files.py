@@ -14,7 +14,7 @@ from gateway.cli import import_options as options
 from gateway.cli.import_options import FormatName
 from gateway.cli.progress import progress_bar
 from gateway.cli.spans import seconds_of
-from gateway.errors import GatewayError, nearest
+from gateway.errors import GatewayError
 from gateway.imports import (
     ReadOptions,
     Worn,
@@ -27,8 +27,7 @@ from gateway.imports import (
 from gateway.imports.map_files import read_maps
 from gateway.imports.suits import BODY, aligned
 from gateway.imports.writing import is_fused, settings_of, solved
-from gateway.reconstruction import RECONSTRUCTORS
-from gateway.settings import GatewaySettings
+from gateway.settings import GatewaySettings, check_method
 
 
 def import_files(
@@ -57,8 +56,8 @@ def import_files(
     target = output or Path(f"{files[0].stem}.mcap")
     with progress_bar(f"reading {name}", is_shown=not as_json):
         recording = read(files, name, options)
-    if reconstructor is not None and reconstructor not in RECONSTRUCTORS:
-        raise GatewayError(f"no reconstructor '{reconstructor}'{nearest(reconstructor, RECONSTRUCTORS)}")
+    if reconstructor is not None:
+        check_method(reconstructor)
     suit, notes = _suit(recording, name, read_maps(maps or []), body, rig)
     settings = settings_of(recording, rig or suit.skeleton.name, reconstructor)
     if is_fused(settings) and not recording.fused:

@@ -33,4 +33,4 @@ def stand_in(settings: GatewaySettings, tell: Callable[[str], object]) -> Gatewa
     with told_when_compiling(tell, _FIRST):
         readiness.make_first_ready()
     in_its_place = RootMotionSettings(mode=RootMode.FIXED)
-    return settings.model_copy(update={"reconstructor": readiness.FALLBACK, "root_motion": in_its_place})
+    return settings.solved_by(readiness.FALLBACK).model_copy(update={"root_motion": in_its_place})

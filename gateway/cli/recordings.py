@@ -123,7 +123,8 @@ def _overview(meta: RecordingMeta, summary: RecordingSummary) -> Table:
     rows["duration"] = f"{summary.duration_s:.1f} s, {summary.bytes / 1e6:.1f} MB"
     if meta.has_suit:
         rows["suit"] = f"{len(meta.suit.module_ids)} modules on body '{meta.skeleton.name}'"
-        rows["reconstructor"] = meta.settings.reconstructor
+        delay_ms = meta.settings.reconstructor_delay_ms
+        rows["reconstructor"] = meta.settings.reconstructor + (f", {delay_ms:g} ms late" if delay_ms else "")
     rows["links"] = ", ".join(f"{name} ({framing.value})" for name, framing in meta.links.items())
     rows["software"] = f"{meta.software}, Python {meta.host.get('python', '?')}"
     whole = "from the gateway's start: bit-identical" if meta.from_start else "began while the gateway ran"

@@ -13,11 +13,10 @@ from gateway.body.rig import load_rig
 from gateway.cli.preparing import make_ready
 from gateway.cli.progress import progress_bar
 from gateway.cli.replay_live import replay_live
-from gateway.errors import GatewayError, SettingsError, nearest
-from gateway.reconstruction import RECONSTRUCTORS
+from gateway.errors import GatewayError, SettingsError
 from gateway.recording import Recording, open_recording
 from gateway.recording.solving import Source, solve, verify, write_solved
-from gateway.settings import load_gateway_settings
+from gateway.settings import MAX_DELAY_MS, load_gateway_settings
 
 
 def replay(
@@ -38,6 +37,10 @@ def replay(
     reconstructor: Annotated[
         str | None, typer.Option(help="Solve with this method, write a new recording.")
     ] = None,
+    delay_ms: Annotated[
+        float | None,
+        typer.Option(min=0, max=MAX_DELAY_MS, help="For gyro_free: poses come so much later, and better."),
+    ] = None,
     smooth: Annotated[
         bool | None,
         typer.Option(help="Solve forward and backward: more accurate, write a new recording."),
@@ -57,17 +60,18 @@ def replay(
     same version, configuration and libraries, for recordings that began with the gateway.
     """
     recording = open_recording(file)
-    source = _source(recording, with_rig, reconstructor, config, smooth)
+    source = _source(recording, with_rig, reconstructor, config, smooth, delay_ms)
     make_ready(source.settings.reconstructor)
-    is_other = bool(with_rig or reconstructor or smooth is not None)
+    is_other = bool(with_rig or reconstructor or delay_ms is not None or smooth is not None)
     if verified:
         if is_other:
             raise GatewayError(
-                "--verify compares with the recorded poses: leave out --with, --reconstructor, --smooth"
+                "--verify compares with the recorded poses: leave out --with, --reconstructor, --delay-ms, "
+                "--smooth"
             )
         _verify(recording, as_json)
     elif is_other or output:
-        target = output or _target(file, with_rig, reconstructor, smooth)
+        target = output or _target(file, with_rig, reconstructor, smooth, delay_ms)
         _solve(recording, source, target, as_json)
     elif offline:
         _solve(recording, source, None, as_json)
@@ -96,6 +100,7 @@ def _source(
     reconstructor: str | None,
     config: Path | None,
     smooth: bool | None = None,
+    delay_ms: float | None = None,
 ) -> Source:
     """What to solve with: as recorded, but for what was asked otherwise."""
     given = None if config is None else load_gateway_settings(config)
@@ -108,19 +113,19 @@ def _source(
     settings = meta.settings if meta.has_suit or given is None else given
     if given is not None:
         settings = settings.model_copy(update={"mqtt": given.mqtt, "gateway": given.gateway})
-    if reconstructor is not None:
-        if reconstructor not in RECONSTRUCTORS:
-            raise SettingsError(f"no reconstructor '{reconstructor}'{nearest(reconstructor, RECONSTRUCTORS)}")
-        settings = settings.model_copy(update={"reconstructor": reconstructor})
+    settings = settings.solved_by(reconstructor, delay_ms)
     if with_rig is not None:
         settings = settings.model_copy(update={"rig": with_rig})
     suit = load_rig(with_rig) if with_rig else meta.suit if meta.has_suit else load_rig(settings.rig, config)
     return Source(suit, settings, meta.smoothed if smooth is None else smooth)
 
 
-def _target(file: Path, with_rig: str | None, reconstructor: str | None, smooth: bool | None) -> Path:
+def _target(
+    file: Path, with_rig: str | None, reconstructor: str | None, smooth: bool | None, delay_ms: float | None
+) -> Path:
     rig, way = Path(with_rig).stem if with_rig else None, {True: "smoothed", False: "forward", None: None}
-    marks = [mark for mark in (rig, reconstructor, way[smooth]) if mark]
+    late = None if delay_ms is None else f"{delay_ms:g}ms"
+    marks = [mark for mark in (rig, reconstructor, late, way[smooth]) if mark]
     return file.with_name(f"{file.stem}_{'_'.join(marks)}.mcap")
 
 

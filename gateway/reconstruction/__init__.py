@@ -6,16 +6,13 @@ from collections.abc import Callable
 from functools import partial
 
 from gateway.body.skeleton import WornSuit
-from gateway.errors import SettingsError
+from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
 from gateway.reconstruction.fused import FusedReconstructor
 from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 from gateway.reconstruction.inertial.independent import IndependentReconstructor
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
-from gateway.reconstruction.inertial.rate_free import (
-    DelayedRateFreeReconstructor,
-    RateFreeReconstructor,
-)
+from gateway.reconstruction.inertial.rate_free import RateFreeReconstructor
 from gateway.reconstruction.reconstructor import Reconstructor, update_many
 from gateway.reconstruction.whole_body import (
     NO_CONTACTS,
@@ -27,6 +24,8 @@ from gateway.reconstruction.whole_body import (
 
 __all__ = [
     "BOTH_WAYS",
+    "DELAYABLE",
+    "DELAYS_IN_NAMES",
     "FUSED",
     "NO_CONTACTS",
     "OFFLINE",
@@ -38,24 +37,29 @@ __all__ = [
     "RootSettings",
     "WholeBodyReconstructor",
     "create_reconstructor",
+    "refuse_delay",
+    "refuse_unknown",
     "refuse_unreadable",
     "update_many",
 ]
 
-RECONSTRUCTORS: dict[str, Callable[[WornSuit, float], OrientationFinder]] = {
+RECONSTRUCTORS: dict[str, Callable[..., OrientationFinder]] = {
     "articulated": ArticulatedReconstructor,
     "fused": FusedReconstructor,
     "fused_neutral": partial(FusedReconstructor, starts_neutral=True),
     "gyro_free": RateFreeReconstructor,
-    "gyro_free_delayed": DelayedRateFreeReconstructor,
-    "gyro_free_delayed_100ms": partial(DelayedRateFreeReconstructor, delay_s=0.1),
-    "gyro_free_delayed_200ms": partial(DelayedRateFreeReconstructor, delay_s=0.2),
     "independent": IndependentReconstructor,
     "joint": JointReconstructor,
     "outward": OutwardReconstructor,
 }
-"""Name to constructor; its arguments: the suit, and the nominal interval of the frames in s."""
+"""Name to constructor; its arguments: the suit, and the nominal interval of the frames in s. Those of
+``DELAYABLE`` take a third, ``delay_s``."""
 
+DELAYABLE = frozenset({"gyro_free"})
+"""Those whose frames may come later and better: corrected by what was seen meanwhile."""
+
+DELAYS_IN_NAMES = {"gyro_free_delayed": 0.5, "gyro_free_delayed_100ms": 0.1, "gyro_free_delayed_200ms": 0.2}
+"""What ``gyro_free`` with a delay (s) was called before the delay became a setting: recordings tell it so."""
 
 OPTICAL = "optical"
 """Of markers and no modules: ``optical.reconstructor``; it needs a suit with markers."""
@@ -95,16 +99,44 @@ def refuse_unreadable(name: str, suit: WornSuit) -> None:
         )
 
 
-def create_reconstructor(
-    name: str, suit: WornSuit, nominal_interval_s: float, root: RootSettings | None = None
-) -> Reconstructor:
-    """The reconstructor of that name; for the whole body, unless orientations come fused from the modules.
+def refuse_unknown(name: str, *others: str) -> None:
+    """Raise ``ValueError`` for a name that neither a method nor one of the others has."""
+    if name in DELAYS_IN_NAMES:
+        delay = f"{DELAYS_IN_NAMES[name] * 1e3:g}"
+        raise ValueError(
+            "no such reconstructor any more: write 'reconstructor: gyro_free' and 'reconstructor_delay_ms: "
+            f"{delay}', on the command line --reconstructor gyro_free --delay-ms {delay}"
+        )
+    if name not in RECONSTRUCTORS and name not in others:
+        raise ValueError("no such reconstructor" + nearest(name, [*RECONSTRUCTORS, *others]))
 
-    Raises ``ValueError`` for an unknown one, naming those there are, and for a root that shall walk on a body
-    without contacts; ``SettingsError`` where the suit has a sensor that this method cannot use."""
+
+def refuse_delay(name: str, delay_s: float) -> None:
+    """Raise ``ValueError`` where a delay is asked of a method that has none."""
+    if delay_s and name not in DELAYABLE:
+        can = ", ".join(sorted(DELAYABLE))
+        raise ValueError(f"reconstructor '{name}' gives its frames at once: a delay is for {can}")
+
+
+def create_reconstructor(
+    name: str,
+    suit: WornSuit,
+    nominal_interval_s: float,
+    root: RootSettings | None = None,
+    delay_s: float = 0.0,
+) -> Reconstructor:
+    """Return the reconstructor of that name; for the whole body, unless modules give fused orientations.
+
+    delay_s: by which its frames come later, corrected by what was seen meanwhile.
+
+    Raises ``ValueError`` for an unknown one, naming those there are, for a delay that it cannot have, and for
+    a root that shall walk on a body without contacts; ``SettingsError`` where the suit has a sensor that this
+    method cannot use."""
     if name not in RECONSTRUCTORS:
         known = ", ".join(sorted(RECONSTRUCTORS))
         raise ValueError(f"no reconstructor is called {name!r}; there are: {known}")
     refuse_unreadable(name, suit)
-    finder = RECONSTRUCTORS[name](suit, nominal_interval_s)
+    refuse_delay(name, delay_s)
+    delay = {"delay_s": delay_s} if delay_s else {}
+    finder = RECONSTRUCTORS[name](suit, nominal_interval_s, **delay)
     return finder if name in FUSED else WholeBodyReconstructor(suit, finder, root)

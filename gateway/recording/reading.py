@@ -24,6 +24,7 @@ from devices.recording_file import RecordedMessage, RecordingError, RecordingPar
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.errors import SettingsError
 from gateway.frames import MarkerFit, SkeletonFrame
+from gateway.reconstruction import DELAYS_IN_NAMES
 from gateway.recording.arrays import SkeletonArrays, arrays_of, marker_arrays
 from gateway.recording.marker_encoding import RecordedMarkers, decode_markers
 from gateway.recording.skeleton_encoding import decode_skeleton_frame
@@ -107,6 +108,7 @@ class RecordingMeta:
         """
         try:
             plain = plain_json(self._attachment(fmt.SETTINGS))
+            _take_delay_out_of_name(plain)
             unknown = _take_out_unknown(plain)
             if unknown:
                 _log.warning("%s: settings of version %s left out: %s", self.path, self.software, unknown)
@@ -258,6 +260,13 @@ class Recording:
                     yield item
         if progress is not None:
             progress(total, total)
+
+
+def _take_delay_out_of_name(plain: Any) -> None:
+    """Translate the method of a version whose methods' names held their delays."""
+    name = plain.get("reconstructor") if isinstance(plain, dict) else None
+    if isinstance(name, str) and name in DELAYS_IN_NAMES:
+        plain["reconstructor"], plain["reconstructor_delay_ms"] = "gyro_free", DELAYS_IN_NAMES[name] * 1e3
 
 
 def _take_out_unknown(plain: dict[str, Any]) -> str:

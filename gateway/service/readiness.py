@@ -25,7 +25,7 @@ from gateway.clocks import delay_floor, floor_filter
 from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
 from gateway.geometry import compiled
 from gateway.geometry.kernel_fingerprint import fingerprint
-from gateway.reconstruction import FUSED, RECONSTRUCTORS, create_reconstructor, whole_body
+from gateway.reconstruction import DELAYABLE, FUSED, RECONSTRUCTORS, create_reconstructor, whole_body
 from gateway.reconstruction.inertial import articulated, independent, joint, rate_free
 from gateway.reconstruction.whole_body import RootMode, RootSettings, WholeBodyReconstructor
 
@@ -33,6 +33,8 @@ FALLBACK = "independent"
 """What it needs with a root that stays in its place compiles in seconds, and serves until then."""
 LONG_COMPILED = frozenset(RECONSTRUCTORS) - FUSED
 _RIG = "suit_17"
+_DELAY_S = 0.05
+"""Of methods that can have one: what goes back over past frames is compiled with the rest."""
 _FIRST = "first"
 _PARAMS = frame_assembler.AssemblyParams(
     frame_interval_ns=10_000_000, max_wait_ns=20_000_000, max_gap_ns=50_000_000, hold_ns=100_000_000
@@ -49,7 +51,7 @@ def make_ready(name: str) -> None:
     """Compile it, if that is still to be done; takes up to a minute then."""
     if is_ready(name):
         return
-    create_reconstructor(name, load_rig(_RIG), 0.01)
+    create_reconstructor(name, load_rig(_RIG), 0.01, delay_s=_DELAY_S if name in DELAYABLE else 0.0)
     with contextlib.suppress(OSError):  # then it will be looked up again, which does no harm
         _mark(name).touch()
 

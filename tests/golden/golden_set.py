@@ -8,6 +8,7 @@ A ``Case`` is a recording with a method.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,11 +33,13 @@ from tests.golden.poses import PoseMessages, messages_of
 FOLDER = Path(__file__).parent
 SMOOTHED = "_smoothed"
 """Added to the name of a method that goes forward and backward."""
+DELAY = re.compile(r"_(\d+)ms$")
+"""Added to the name of one whose poses come so much later."""
 
 METHODS = {
     "serial": (
         "independent", "articulated", "joint", "outward", "joint_smoothed", "outward_smoothed", "gyro_free",
-        "gyro_free_delayed", "gyro_free_delayed_100ms", "gyro_free_delayed_200ms",
+        "gyro_free_100ms", "gyro_free_200ms", "gyro_free_500ms",
     ),
     "can": ("independent", "joint"),
     "relay": ("joint",),
@@ -101,7 +104,10 @@ def fed_live(recording: Recording) -> Iterator[SkeletonFrame]:
 def _solved(recording: Recording, method: str) -> Iterator[SkeletonFrame]:
     """By a method that a configuration can name."""
     source = recorded_source(recording)
-    settings = source.settings.model_copy(update={"reconstructor": method.removesuffix(SMOOTHED)})
+    delay = DELAY.search(method)
+    name = DELAY.sub("", method.removesuffix(SMOOTHED))
+    delay_ms = 0.0 if delay is None else float(delay[1])
+    settings = source.settings.model_copy(update={"reconstructor": name, "reconstructor_delay_ms": delay_ms})
     return solve(recording, replace(source, settings=settings, smoothed=method.endswith(SMOOTHED)))
 
 

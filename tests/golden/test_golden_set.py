@@ -1,5 +1,6 @@
 """Poses of the golden set come out as they were stored, and whatever differs is noticed."""
 
+import json
 import shutil
 import warnings
 from dataclasses import replace
@@ -11,13 +12,14 @@ import pytest
 from devices.link import Chunk, Framing
 from devices.recording_file import RecordingError
 from gateway.frames import Status
-from gateway.reconstruction import OFFLINE, OPTICAL, RECONSTRUCTORS
+from gateway.reconstruction import DELAYABLE, OFFLINE, OPTICAL, RECONSTRUCTORS
 from gateway.reconstruction.smoothing import SMOOTHED as CAN_BE_SMOOTHED
 from gateway.recording import open_recording
 from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
+from gateway.recording.solving import solve
 from gateway.sources.stream import ClockMode
 from tests.golden.__main__ import main, record, renew
-from tests.golden.golden_set import FOLDER, METHODS, SMOOTHED, Case, cases, fed_live
+from tests.golden.golden_set import DELAY, FOLDER, METHODS, SMOOTHED, Case, cases, fed_live
 from tests.golden.poses import (
     PoseMessages,
     compare,
@@ -64,10 +66,20 @@ def test_a_running_gateway_makes_the_same_poses(name):
     assert_as_stored(Case(name, method), messages_of(fed_live(recording)))
 
 
+def test_a_recording_that_tells_a_delay_in_the_name_of_its_method_gives_the_same_poses():
+    recording = open_recording(Case("serial", "").recording_path)
+    plain = json.loads(recording.meta.attachments["gateway.yaml"])
+    told = json.dumps(plain | {"reconstructor": "gyro_free_delayed_100ms"}).encode()
+    recording.meta.attachments = {**recording.meta.attachments, "gateway.yaml": told}
+    assert_as_stored(Case("serial", "gyro_free_100ms"), messages_of(solve(recording)))
+
+
 def test_every_method_source_and_clock_is_in_the_set():
     methods = {method for chosen in METHODS.values() for method in chosen}
     smoothed = {name + SMOOTHED for name in CAN_BE_SMOOTHED}
-    assert methods == {*RECONSTRUCTORS, OPTICAL, *OFFLINE, *smoothed, "video", "video_offline"}
+    late = {f"gyro_free_{delay_ms}ms" for delay_ms in (100, 200, 500)}
+    assert {DELAY.sub("", name) for name in late} == DELAYABLE
+    assert methods == {*RECONSTRUCTORS, OPTICAL, *OFFLINE, *smoothed, *late, "video", "video_offline"}
     metas = [open_recording(Case(name, "").recording_path).meta for name in METHODS]
     assert {framing for meta in metas for framing in meta.links.values()} == set(Framing)
     assert {meta.settings.clock.mode for meta in metas} == set(ClockMode)

@@ -79,6 +79,15 @@ def test_help_has_an_example_for_every_command():
         ({"assembly": {"rate": 100}}, r"unknown setting 'assembly\.rate' \(did you mean 'rate_hz'\?\)"),
         ({"assembly": {"rate_hz": 0}}, r"'assembly\.rate_hz' is 0: .*greater than 0"),
         ({"rig": "suit_71"}, r"'suit_71'.*did you mean 'suit_17'"),
+        (
+            {"reconstructor": "gyro_free_delayed"},
+            r"write 'reconstructor: gyro_free' and 'reconstructor_delay_ms: 500'",
+        ),
+        (
+            {"reconstructor_delay_ms": 100},
+            r"'independent' gives its frames at once: a delay is for gyro_free",
+        ),
+        ({"reconstructor_delay_ms": 1e5}, r"'reconstructor_delay_ms' is 100000.*less than or equal to 2000"),
         ({"reconstructor": "articulate"}, r"no such reconstructor \(did you mean 'articulated'\?\)"),
         ({"links": [{"name": "a", "url": "serail:///dev/ttyUSB0"}]}, r"serail.*serial"),
         ({"mqtt": {"password": "hunter2"}}, r"set MOCAP_MQTT_PASSWORD or password_file"),

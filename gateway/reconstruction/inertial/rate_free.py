@@ -43,8 +43,6 @@ class RateFreeSettings:
     """Parameters; the defaults serve all bodies and motions."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    delay_s: float = 0.0
-    """Frames are given that much later, corrected by all that was seen meanwhile (0: causal)."""
     longest_hold_s: float = 0.3
     """A local device silent for longer no longer holds its segment."""
     longest_gap_s: float = 0.5
@@ -62,9 +60,14 @@ class RateFreeReconstructor:
     """
 
     def __init__(
-        self, suit: WornSuit, nominal_interval_s: float, settings: RateFreeSettings | None = None
+        self,
+        suit: WornSuit,
+        nominal_interval_s: float,
+        delay_s: float = 0.0,
+        settings: RateFreeSettings | None = None,
     ) -> None:
-        self._settings = settings = settings or RateFreeSettings()
+        """delay_s: frames are given that much later, corrected by all that was seen meanwhile (0: causal)."""
+        self._settings = settings or RateFreeSettings()
         self._interval_s = nominal_interval_s
         self._suit, self._n = suit, suit.skeleton.n_segments
         device = suit.local_devices[0] if suit.local_devices else None
@@ -74,7 +77,7 @@ class RateFreeReconstructor:
         self._observer = SegmentObserver(suit)
         horizontal = np.array([*suit.magnetic_field[:2], 0.0])
         self._north = horizontal / max(float(np.linalg.norm(horizontal)), 1e-9)
-        self._length = round(settings.delay_s / nominal_interval_s) + 1
+        self._length = round(delay_s / nominal_interval_s) + 1
         self._compile(len(suit.module_ids))
         self.reset()
 
@@ -293,10 +296,3 @@ class RateFreeReconstructor:
         for k in range(self._length + 2):
             time_ns = round((k + 1) * self._interval_s * 1e9)
             self.update(ImuFrame(k, time_ns, up, none, field_, zeros.astype(np.uint8), zeros, local))
-
-
-class DelayedRateFreeReconstructor(RateFreeReconstructor):
-    """``gyro_free_delayed``: the same, later (delay_s) and much nearer the truth."""
-
-    def __init__(self, suit: WornSuit, nominal_interval_s: float, delay_s: float = 0.5) -> None:
-        super().__init__(suit, nominal_interval_s, RateFreeSettings(delay_s=delay_s))

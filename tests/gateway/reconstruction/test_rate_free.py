@@ -45,15 +45,15 @@ def moving_body():
     return suit, motion, frames
 
 
-def solve(name, suit, frames):
-    reconstructor = create_reconstructor(name, suit, 1.0 / RATE_HZ)
+def solve(suit, frames, delay_s=0.0):
+    reconstructor = create_reconstructor("gyro_free", suit, 1.0 / RATE_HZ, delay_s=delay_s)
     return [reconstructor.update(frame) for frame in frames]
 
 
 def test_the_orientation_is_found_and_better_half_a_second_later(moving_body):
     suit, motion, frames = moving_body
-    causal = errors_deg(solve("gyro_free", suit, frames), motion, 3.0)[0]
-    delayed = errors_deg(solve("gyro_free_delayed", suit, frames), motion, 3.0)[0]
+    causal = errors_deg(solve(suit, frames), motion, 3.0)[0]
+    delayed = errors_deg(solve(suit, frames, delay_s=0.5), motion, 3.0)[0]
     print(f"causal {causal:.2f}°, delayed {delayed:.2f}°")
     assert causal < 8.0
     assert delayed < 0.65 * causal
@@ -62,17 +62,17 @@ def test_the_orientation_is_found_and_better_half_a_second_later(moving_body):
 def test_a_late_magnetometer_costs_little_once_its_lag_is_known(moving_body):
     suit, motion, frames = moving_body
     late = [replace(f, magnetic_field=g.magnetic_field) for f, g in zip(frames[2:], frames, strict=False)]
-    in_time, behind = (errors_deg(solve("gyro_free", suit, some), motion, 6.0)[0] for some in (frames, late))
+    in_time, behind = (errors_deg(solve(suit, some), motion, 6.0)[0] for some in (frames, late))
     print(f"in time {in_time:.2f}°, field 20 ms late {behind:.2f}°")
     assert behind < in_time + 1.0
 
 
 def test_the_delayed_frames_are_of_the_instant_they_claim(moving_body):
     suit, _, frames = moving_body
-    given = solve("gyro_free_delayed", suit, frames[:80])
+    given = solve(suit, frames[:80], delay_s=0.5)
     assert [f.time_ns for f in given] == [f.time_ns - 500_000_000 for f in frames[:80]]
-    by_name = solve("gyro_free_delayed_100ms", suit, frames[:20])
-    assert [f.time_ns for f in by_name] == [f.time_ns - 100_000_000 for f in frames[:20]]
+    sooner = solve(suit, frames[:20], delay_s=0.1)
+    assert [f.time_ns for f in sooner] == [f.time_ns - 100_000_000 for f in frames[:20]]
     assert {int(f.status[0]) for f in given[:50]} == {Status.WARMING_UP}
     assert given[60].status[0] == Status.MEASURED
 
@@ -80,7 +80,7 @@ def test_the_delayed_frames_are_of_the_instant_they_claim(moving_body):
 def test_without_the_position_it_falls_back_and_recovers(moving_body):
     suit, motion, frames = moving_body
     lost = [replace(f, local=()) if 4.0 < f.time_ns * 1e-9 < 8.0 else f for f in frames]
-    given = solve("gyro_free", suit, lost)
+    given = solve(suit, lost)
     assert all(np.isfinite(f.q_wb).all() for f in given)
     assert errors_deg(given, motion, 9.5)[0] < 8.0
 
@@ -94,7 +94,7 @@ def test_a_silent_module_is_predicted_then_missing_and_begins_anew(moving_body):
         else f
         for f in frames
     ]
-    given = solve("gyro_free", suit, silent)
+    given = solve(suit, silent)
     assert given[420].status[0] == Status.PREDICTED
     assert given[590].status[0] == Status.MISSING
     assert errors_deg(given, motion, 9.0)[0] < 8.0
@@ -110,7 +110,7 @@ def test_a_magnet_beside_a_resting_module_turns_nothing():
         force = -suit.gravity + 0.03 * rng.standard_normal(3)
         row = np.zeros(1, np.int64)
         frames.append(still_frame(k, force, field, row))
-    given = solve("gyro_free", suit, frames)
+    given = solve(suit, frames)
     angles = [2.0 * np.degrees(np.arccos(min(1.0, abs(f.q_wb[0, 0])))) for f in given[200:]]
     assert max(angles) < 5.0
 
@@ -127,7 +127,7 @@ def test_a_chain_off_the_joints_is_carried_from_its_fixed_point_outward():
     motion = generic_motion(dress(suit), 1, peak_angular_rate=3.0, peak_angular_acceleration=20.0)
     times_ns = np.arange(900) * 10_000_000
     frames = list(ideal_frames(suit, dress(suit), motion, times_ns, has_gyrometers=False))
-    errors = errors_deg(solve("gyro_free_delayed", suit, frames), motion, 3.0)
+    errors = errors_deg(solve(suit, frames, delay_s=0.5), motion, 3.0)
     print(f"delayed, by rank: {np.round(errors, 2)}°")
     assert errors[0] < 3.0
     assert errors.max() < 15.0

@@ -17,7 +17,7 @@ def created(monkeypatch, tmp_path):
     """An empty cache, and the names of the methods that were made in it."""
     names = []
     monkeypatch.setattr(compiled, "CACHE_DIRECTORY", tmp_path)
-    monkeypatch.setattr(readiness, "create_reconstructor", lambda name, *_: names.append(name))
+    monkeypatch.setattr(readiness, "create_reconstructor", lambda name, *_, **__: names.append(name))
     return names
 
 

@@ -18,6 +18,6 @@ def test_every_name_makes_a_reconstructor(name):
 def test_an_unknown_name_is_told_the_known_ones():
     with pytest.raises(
         ValueError,
-        match=r"'kalman'.*articulated, fused, .*gyro_free, gyro_free_delayed, .*independent, joint",
+        match=r"'kalman'.*articulated, fused, .*gyro_free, independent, joint",
     ):
         create_reconstructor("kalman", arm(on_joint=True).suit(), 0.01)

@@ -15,6 +15,7 @@ import pytest
 
 from gateway.batch import Job, Manifest, Outcome, Task, jobs_in, perform, run_jobs
 from gateway.errors import GatewayError
+from gateway.recording import open_recording
 from tests.patience import PATIENCE_S
 
 
@@ -97,6 +98,13 @@ def test_other_rigs_and_methods(sessions, typed, tmp_path, here):
     assert told["done"] == 1
     info = typed("info", tmp_path / "out/b.mcap")[1]
     assert "articulated" in info
+
+
+def test_a_delay_is_told_to_every_recording(sessions, typed, tmp_path, here):
+    method = ("--reconstructor", "gyro_free", "--delay-ms", 200)
+    told = typed("batch", sessions / "monday", "--to", "mcap", *method, "-o", tmp_path / "out", "--json")[1]
+    assert told["done"] == 1
+    assert open_recording(tmp_path / "out/b.mcap").meta.settings.reconstructor_delay_ms == 200
 
 
 def test_later_parts_and_results_are_no_recordings_of_their_own(tmp_path):

@@ -83,6 +83,24 @@ def test_solve_again_diff_and_list(record, tmp_path):
     assert json.loads(typed("info", path, "--json")[1])["from_start"] is True
 
 
+def test_poses_of_a_method_that_can_wait_come_as_much_later_as_asked(record):
+    path = record()
+    times = {}
+    for delay_ms in (0, 100):
+        options = ("--reconstructor", "gyro_free", "--delay-ms", delay_ms)
+        assert typed("replay", path, *options)[0] == 0
+        solved = open_recording(path.with_name(f"{path.stem}_gyro_free_{delay_ms}ms.mcap"))
+        assert solved.meta.settings.reconstructor_delay_ms == delay_ms
+        times[delay_ms] = [frame.time_ns for frame in solved.skeleton_frames()]
+    assert [now_ns - then_ns for now_ns, then_ns in zip(times[0], times[100], strict=True)] == [10**8] * len(
+        times[0]
+    )
+    assert "gyro_free, 100 ms late" in typed("info", solved.meta.path)[1]
+    assert typed("replay", solved.meta.path, "--reconstructor", "independent")[0] == 0
+    other = open_recording(solved.meta.path.with_name(f"{solved.meta.path.stem}_independent.mcap"))
+    assert other.meta.settings.reconstructor_delay_ms == 0
+
+
 def test_recover_beside_and_in_place(record):
     path = record()
     with path.open("r+b") as file:
@@ -127,6 +145,9 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
         (("replay", "{card}"), "tells no suit"),
         (("replay", "{path}", "--speed", "fast"), "a number above 0, or max, is needed"),
         (("replay", "{path}", "--reconstructor", "articulate"), "did you mean 'articulated'"),
+        (("replay", "{path}", "--reconstructor", "gyro_free_delayed"), "gyro_free --delay-ms 500"),
+        (("replay", "{path}", "--delay-ms", "100"), "gives its frames at once: a delay is for gyro_free"),
+        (("replay", "{path}", "--verify", "--delay-ms", "0"), "leave out --with"),
         (("replay", "{path}", "--with", "nothing"), "there is no file 'nothing'"),
         (("replay", "{path}", "--verify", "--with", "single"), "leave out --with"),
         (("replay", "{path}", "--output", "{path}"), "exists already"),

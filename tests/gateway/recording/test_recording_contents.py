@@ -202,6 +202,21 @@ def test_settings_of_another_version_are_left_out_and_named(record, caplog):
     assert "links.0.colour" in caplog.text
 
 
+@pytest.mark.parametrize(
+    ("name", "delay_ms"),
+    [("gyro_free_delayed", 500), ("gyro_free_delayed_100ms", 100), ("gyro_free_delayed_200ms", 200)],
+)
+def test_a_delay_in_the_name_of_a_method_is_read_as_the_setting(record, name, delay_ms):
+    meta = open_recording(record()).meta
+    plain = json.loads(meta.attachments["gateway.yaml"])
+    del plain["reconstructor_delay_ms"]
+    meta.attachments = {
+        **meta.attachments,
+        "gateway.yaml": json.dumps(plain | {"reconstructor": name}).encode(),
+    }
+    assert (meta.settings.reconstructor, meta.settings.reconstructor_delay_ms) == ("gyro_free", delay_ms)
+
+
 def test_a_configuration_that_cannot_be_is_said_in_a_line(record):
     meta = open_recording(record()).meta
     plain = json.loads(meta.attachments["gateway.yaml"])
