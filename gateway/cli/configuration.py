@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import typer
@@ -16,6 +17,7 @@ from gateway.body.rig import load_rig
 from gateway.cameras.broker_link import link_of
 from gateway.errors import GatewayError, nearest
 from gateway.reconstruction import refuse_unreadable
+from gateway.reconstruction.inertial.heading_observability import FACINGS, unobserved_headings
 from gateway.settings import GatewaySettings, load_gateway_settings
 from gateway.support.whole_files import write_whole
 
@@ -39,6 +41,37 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
         f"reconstructor '{settings.reconstructor}'{_late(settings)}, broker {settings.mqtt.broker} "
         f"{settings.mqtt.host}:{settings.mqtt.port}",
         soft_wrap=True,
+    )
+    if settings.reconstructor == "articulated" and suit.sun is None:
+        _tell_unobserved(unobserved_headings(suit))
+
+
+def _tell_unobserved(headings: Mapping[str, tuple[int, ...]]) -> None:
+    """Name the segments whose heading is not observed without gyrometers, with the ways to face."""
+    if not headings:
+        return
+    told = "; ".join(f"{segment} (facing {_ranges(lost)})" for segment, lost in headings.items())
+    Console().print(
+        "[yellow]note[/yellow]: where modules have no gyrometers, 'articulated' does not observe, at rest in "
+        f"the neutral posture, the heading of: {told}. North is 0°, east 90°. Such a module wants "
+        "gyrometers, or to sit on the joint, or more to one side of it; see docs/gyro_free.md",
+        soft_wrap=True,
+        highlight=False,
+    )
+
+
+def _ranges(facings: Sequence[int]) -> str:
+    """Return ways to face, of ``FACINGS``, as ranges clockwise."""
+    if len(facings) == len(FACINGS):
+        return "any way"
+    step = FACINGS[1]
+    first = [facing for facing in facings if (facing - step) % 360 not in facings]
+    last = [
+        next(f for f in range(start, start + 360, step) if (f + step) % 360 not in facings) for start in first
+    ]
+    return ", ".join(
+        f"{start}°" if start == end else f"{start}° to {end % 360}°"
+        for start, end in zip(first, last, strict=True)
     )
 
 

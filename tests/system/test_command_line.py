@@ -56,6 +56,22 @@ def test_the_shipped_configuration_is_good():
     assert "17 modules on body 'human_17'" in done.stdout
 
 
+def test_articulated_is_told_whose_heading_it_does_not_observe_without_gyrometers(tmp_path):
+    def said(rig, reconstructor):
+        file = write_config(tmp_path, 1883, "/dev/null", rig=rig, reconstructor=reconstructor)
+        code, out, _ = typed_here(["config", "check", file])
+        assert code == 0
+        assert "is good" in out
+        return out
+
+    suit = said("suit_17", "articulated")
+    assert "thorax (facing 330° to 30°)" in suit
+    assert "head (facing 165° to 210°)" in suit
+    assert "thigh" not in suit  # hangs below the hip
+    assert "gyrometers" not in said("pendulum_3", "articulated")  # hang, all of them
+    assert "gyrometers" not in said("suit_17", "joint")
+
+
 def test_the_schema_describes_every_setting():
     code, out, _ = typed_here(["config", "schema"])
     schema = json.loads(out)

@@ -99,8 +99,8 @@ class ArticulatedReconstructor:
         self._starting_pose = starting_pose
         self._n_segments = suit.skeleton.n_segments
         device = suit.local_devices[0] if suit.local_devices else None
-        self._root = device.segment if device else int(np.flatnonzero(suit.skeleton.parents < 0)[0])
-        self._chain = _chain(suit, self._root, device.position if device else np.zeros(3))
+        self._chain = travelled_chain(suit)
+        self._root = int(self._chain.order[0])
         self._weights = Weights(
             settings.specific_force_sigma,
             settings.direction_sigma,
@@ -200,8 +200,11 @@ class ArticulatedReconstructor:
             )
 
 
-def _chain(suit: WornSuit, root: int, point: FloatArray) -> Chain:
-    travel = travel_from(suit.skeleton, root, point)
+def travelled_chain(suit: WornSuit) -> Chain:
+    """Return the body as travelled from the first local device's segment, or from the skeleton's root."""
+    device = suit.local_devices[0] if suit.local_devices else None
+    root = device.segment if device else int(np.flatnonzero(suit.skeleton.parents < 0)[0])
+    travel = travel_from(suit.skeleton, root, device.position if device else np.zeros(3))
     U = travel.arms(suit.lever_arms)
     return Chain(
         order=travel.order,
