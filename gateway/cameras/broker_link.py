@@ -17,13 +17,12 @@ from devices.cameras.heat_map_messages import is_one_message
 from devices.endpoints import EndpointError, link_from_url
 from devices.link import Chunk, Framing, Link, LinkError, gateway_time_ns
 from devices.link_counts import LinkCounts
+from gateway.contract.topics import CAMERA
 from gateway.outputs.connection import broker_connection, end_tasks, explain, unique_identifier
 from gateway.outputs.settings import MqttSettings
 from gateway.settings import LinkSettings
 
 SCHEME = "mqtt"
-TOPIC = "mocap_cameras/{camera}"
-"""Unless told otherwise; outside of the gateways' own topics."""
 
 
 def link_of(link: LinkSettings, mqtt: MqttSettings, port: Callable[[], int]) -> Link:
@@ -36,7 +35,7 @@ def link_of(link: LinkSettings, mqtt: MqttSettings, port: Callable[[], int]) -> 
     if parts.netloc or not topic or parts.query:
         raise EndpointError(
             f"{link.url}: the broker is that of the section 'mqtt': write {SCHEME}:///TOPIC, such as "
-            f"{SCHEME}:///{TOPIC.format(camera='cam01')}"
+            f"{SCHEME}:///{CAMERA.format(camera='cam01')}"
         )
     return BrokerLink(topic, mqtt, port, link.name)
 

@@ -28,7 +28,7 @@ from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ
 from gateway.analysis.tables import write_tables
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton, WornSuit
-from gateway.cli.progress import progress_bar
+from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.recording import SkeletonArrays, open_recording
 from gateway.recording.optical import write_solved_trial

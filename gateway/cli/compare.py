@@ -11,9 +11,8 @@ import orjson
 import typer
 
 from gateway.agreement import Agreement, Tracks, agreement, tracks_of
-from gateway.cli.broker_options import BrokerChoice, with_broker
 from gateway.cli.diff import print_figures, recorded_arrays
-from gateway.cli.spans import seconds_of
+from gateway.cli.options import BrokerChoice, seconds_of, with_broker
 from gateway.errors import GatewayError
 from gateway.report.angle_page import AnglePage, save_page
 

@@ -10,8 +10,7 @@ import orjson
 import typer
 from rich.table import Table
 
-from gateway.cli.modules_table import wide_console
-from gateway.cli.progress import progress_bar
+from gateway.cli.terminal import progress_bar, wide_console
 from gateway.recording import SkeletonArrays, open_recording
 from gateway.recording.difference import Difference, difference
 from gateway.report.angle_page import AnglePage, save_page

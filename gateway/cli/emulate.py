@@ -7,21 +7,26 @@ import contextlib
 import json
 import signal
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import takewhile
 from math import radians
 from pathlib import Path
 from typing import NamedTuple
 
 import can
+import numpy as np
 import typer
 from rich.console import Console
 
 from devices.calibration_script import begin_of_script
+from devices.emulators.bodies import FloatArray
 from devices.emulators.calibrating import strapped_on
 from devices.emulators.delivery import Encoding, Transmission
 from devices.emulators.emulated_suit import Conversation, EmulatedSuit
-from devices.emulators.faulty_suit import pull_cable
+from devices.emulators.fault_plan import FaultPlan
+from devices.emulators.faulty_suit import FaultySuit, pull_cable
+from devices.emulators.gnss_receiver import FORMATS, GnssEmulation, gnss_traffic
 from devices.emulators.imperfections import PRESETS
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import Recording, play
@@ -39,13 +44,132 @@ from devices.emulators.transports import (
 )
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
 from gateway.cli import emulate_options as options
 from gateway.cli.emulate_options import Medium, MotionKind, SamplingMode, StrapOn
-from gateway.cli.emulated_faults import faulty, plan_of, told
-from gateway.cli.emulated_gnss import Companion, companion, without_position_devices
-from gateway.cli.emulated_hand import EXPLANATION, obey_typed_lines, touchable
+from gateway.cli.terminal import TypedLines
 from gateway.emulation.rig import calibrate, dress, move_about, sunlight, tumble, worn_wrong
 from gateway.errors import GatewayError, nearest
+from gateway.frames import Quantity
+from gateway.support.settings_files import load_settings
+
+
+def faulty(traffic: SuitTraffic, path: Path) -> FaultySuit:
+    """A suit with the faults of a file. Raises ``GatewayError`` naming file and field."""
+    try:
+        return FaultySuit(traffic, load_settings(path, FaultPlan))
+    except KeyError as error:
+        raise GatewayError(f"{path}: {error.args[0]}") from error
+
+
+def plan_of(source: object) -> FaultPlan:
+    """What goes wrong with a source of transmissions: nothing, unless it is a faulty suit."""
+    return source.plan if isinstance(source, FaultySuit) else FaultPlan()
+
+
+def told(source: object) -> str:
+    """What befell a suit, for whoever started it."""
+    if not isinstance(source, FaultySuit):
+        return ""
+    befell = ", ".join(f"{kind} {count}" for kind, count in sorted(source.counts.items()))
+    return f"; faults: {befell or 'none'}"
+
+
+Companion = Callable[[int], EmulatedSuit]
+"""Of the instant at which the motion starts, ns of gateway time."""
+
+
+def without_position_devices(suit: WornSuit) -> WornSuit:
+    """The suit without the local devices whose part the satellite receiver plays."""
+    kept = tuple(d for d in suit.local_devices if d.quantity not in {Quantity.POSITION, Quantity.VELOCITY})
+    return replace(suit, local_devices=kept)
+
+
+def companion(rig: str, seed: int, link: Path, kind: str, seconds: float | None) -> Companion:
+    """The receiver, to be started with the suit. Raises ``GatewayError`` for an unknown format."""
+    if kind not in FORMATS:
+        raise GatewayError(f"--gnss-format {kind}: unknown{nearest(kind, FORMATS)}")
+    path = _path(load_rig(rig), seed)
+    emulation = GnssEmulation(kind=kind)
+
+    def start(start_ns: int) -> EmulatedSuit:
+        traffic: Iterable[Transmission] = gnss_traffic(path, start_ns, emulation, seed)
+        if seconds is not None:
+            traffic = takewhile(lambda sent: sent.time_s < seconds, traffic)
+        return EmulatedSuit(traffic, PtyTransport(link), start_ns=start_ns)
+
+    return start
+
+
+def _path(suit: WornSuit, seed: int) -> Callable[[float], tuple[FloatArray, FloatArray]]:
+    """Of the root's local device that measures position (its joint, if there is none)."""
+    motion = move_about(dress(without_position_devices(suit)), suit.skeleton.name, seed)
+    positions = [d.position for d in suit.local_devices if d.segment == 0 and d.quantity is Quantity.POSITION]
+    arm = positions[0] if positions else np.zeros(3)
+    step = 1e-3
+
+    def place(t: float) -> tuple[FloatArray, FloatArray]:
+        state = motion.state(np.array([t - step, t, t + step]))
+        places = state.joint_position[:, 0] + state.R_wb[:, 0] @ arm
+        return places[1], (places[2] - places[0]) / (2.0 * step)
+
+    return place
+
+
+_SOON_S = 0.2
+"""So long after it was typed: samples until then have been computed already."""
+
+_SHAKEN_S = 1.5
+
+EXPLANATION = (
+    "type shake NAME, tap NAME or press NAME (its button) and Enter; NAME: a segment, or a module by its "
+    "number in the rig"
+)
+
+
+_DEEDS: dict[str, tuple[str, Callable[[SuitTraffic, int | str, float], None]]] = {
+    "shake": ("is shaken", lambda traffic, which, at_s: traffic.shake(which, at_s, _SHAKEN_S)),
+    "tap": ("is tapped", lambda traffic, which, at_s: traffic.tap(which, at_s)),
+    "press": ("has its button pressed", lambda traffic, which, at_s: traffic.press_button(which, at_s)),
+}
+
+
+def touchable(source: object) -> SuitTraffic | None:
+    """Return the suit behind a source of transmissions; None: a recording, which only plays."""
+    if isinstance(source, FaultySuit):
+        return source.traffic
+    return source if isinstance(source, SuitTraffic) else None
+
+
+async def obey_typed_lines(suit: EmulatedSuit, traffic: SuitTraffic, *, is_quiet: bool) -> None:
+    """Do what is typed, until the end of the input. Returns at once for a program in the background.
+
+    is_quiet: say only what was not understood.
+    """
+    # In the background of a terminal, reading it would stop the whole program.
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    lines = TypedLines()
+    while (line := await lines.next()) is not None:
+        said, is_done = _do(line, suit, traffic) if line else (EXPLANATION, False)
+        if not (is_quiet and is_done):
+            typer.echo(said, err=not is_done)
+
+
+def _do(line: str, suit: EmulatedSuit, traffic: SuitTraffic) -> tuple[str, bool]:
+    """Return what to say, and whether something is done."""
+    deed, _, name = line.partition(" ")
+    if deed not in _DEEDS:
+        return f"'{deed}' is unknown; {EXPLANATION}", False
+    which: int | str = int(name) if name.isdecimal() else "_".join(name.split())
+    try:
+        device = traffic.device(which)
+    except KeyError:
+        worn = map(str, traffic.motion.body.segment_names)
+        return f"no module is on '{name.strip()}'{nearest(str(which), worn)}", False
+    says, act = _DEEDS[deed]
+    suit.do(lambda: act(traffic, which, suit.motion_time_s(gateway_time_ns()) + _SOON_S))
+    return f"module {device.module_id} ({device.unique_id.hex()}) {says}", True
+
 
 _START_DELAY_NS = 500_000_000
 

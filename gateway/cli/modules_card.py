@@ -16,7 +16,7 @@ from devices.card_download import CardFile, download
 from devices.card_recording import convert_card_file
 from devices.link import gateway_time_ns
 from gateway.cli.modules_suit import Operations, SuitChoice, run_with_suit, with_suit
-from gateway.cli.modules_table import wide_console
+from gateway.cli.terminal import wide_console
 from gateway.errors import GatewayError
 
 _READ_AT_ONCE = 12 * 192

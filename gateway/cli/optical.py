@@ -1,12 +1,456 @@
-"""``mocap-gateway optical``: markers of an optical system to a skeleton."""
+"""``mocap-gateway optical``: markers of an optical system to a skeleton; fit a body, solve, play, serve."""
 
 from __future__ import annotations
 
-import typer
+import asyncio
+import json
+import math
+import signal
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated
 
-from gateway.cli.optical_fit import fit
-from gateway.cli.optical_serve import serve
-from gateway.cli.optical_solve import play, solve
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Column, Table
+
+from devices.emulators.qtm_stand_in import QtmStandIn
+from devices.marker_file_link import MarkerFileLink
+from devices.marker_files import MarkerTrial, read_markers
+from devices.qtm_link import DEFAULT_PORT
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.body.subject_file import subject_content, write_subject
+from gateway.cli.export import export
+from gateway.cli.options import seconds_of
+from gateway.cli.preparing import make_ready
+from gateway.cli.replay import QUEUE, Brake, speed_of, tell_outcome
+from gateway.cli.replay import play as play_link
+from gateway.cli.terminal import progress_bar
+from gateway.errors import GatewayError
+from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
+from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
+from gateway.reconstruction.optical.landmarks import MOST_ANGLE
+from gateway.reconstruction.optical.marker_set import load_marker_set
+from gateway.reconstruction.optical.residual_plot import write_residual_plot
+from gateway.reconstruction.optical.worn_markers import fitting_set
+from gateway.recording.exporters import FORMATS
+from gateway.recording.optical import (
+    SolvedTrial,
+    optical_settings,
+    write_both_ways_trial,
+    write_published_trial,
+    write_solved_trial,
+)
+from gateway.recording.suit_files import body_of
+from gateway.service.service import Service
+from gateway.settings import load_gateway_settings
+
+MOST_UNEVEN = 1.15
+"""Longer over shorter, of the two segments of one name: beyond it a marker may sit elsewhere."""
+
+
+def fit(
+    files: Annotated[
+        list[Path], typer.Argument(help="Calibration trials, C3D or TRC: a static one first, then motion.")
+    ],
+    marker_set: Annotated[
+        str | None,
+        typer.Option(
+            "--set", metavar="SET", help="Marker set: a shipped one, or a file; without: the one that fits."
+        ),
+    ] = None,
+    person: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Whose markers, where files hold several people's (NAME:LASI)."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The subject file; default: after the first trial.")
+    ] = None,
+    measure: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=METRES", help="A length of the person; without: as the files tell."),
+    ] = None,
+    angle: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=DEGREES",
+            help="By which a wand lies ahead of its joint's axis, such as left_thigh_rotation=8; without: as "
+            "the files tell.",
+        ),
+    ] = None,
+    up: Annotated[str | None, typer.Option(help="Axis of the files that points up: x, y or z.")] = None,
+    neutral: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FROM:TO", help="Seconds of neutral standing in the first trial: sets the axes."
+        ),
+    ] = None,
+    functional: Annotated[
+        bool,
+        typer.Option("--functional", help="Joint centres where the motion has them, whatever rules say."),
+    ] = False,
+    rules_only: Annotated[
+        bool, typer.Option("--rules-only", help="Joint centres where the rules have them, whatever moves.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing subject file.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:
+    """Fit a body to marker trials: bone lengths, joint centres, where markers sit. Writes a subject file.
+
+    Joint centres come from the marker set's rules (published regressions) and, as far as the trials move the
+    joints, from the motion.
+    """
+    target = output or files[0].with_suffix(".yaml")
+    if target.exists() and not force:
+        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    if functional and rules_only:
+        raise GatewayError("--functional and --rules-only contradict each other: leave one out")
+    options = FitOptions(
+        vertical=_axis(up),
+        lengths=dict(map(_measurement, measure or [])),
+        angles=dict(map(_angle, angle or [])),
+        neutral=None if neutral is None else seconds_of("--neutral", neutral),
+        centres="motion" if functional else "rules" if rules_only else "both",
+        person=person,
+    )
+    known = None if marker_set is None else load_marker_set(marker_set)
+    trials = _read_trials(files, not as_json)
+    chosen = known or fitting_set(trials, person)
+    with progress_bar("fitting the body", is_shown=not as_json) as tell:
+        found = fit_body(chosen, trials, options, tell)
+    outcome = _fit_outcome(found, files, target)
+    _write_fit(found, outcome, target)
+    if as_json:
+        typer.echo(json.dumps(outcome, indent=2))
+    else:
+        _print_fit(found, outcome)
+
+
+def _read_trials(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
+    with progress_bar("reading", is_shown=is_shown) as tell:
+        trials = []
+        for done, file in enumerate(files):
+            tell(done, len(files))
+            trials.append(read_markers(file))
+    return trials
+
+
+def _write_fit(found: Fit, outcome: dict[str, object], target: Path) -> None:
+    content = subject_content(
+        target.stem, found.marker_set, body_of(found.skeleton), found.skeleton, found.markers,
+        {key: outcome[key] for key in ("trials", "frames", "rmse_mm")}, found.lengths, found.angles,
+    )  # fmt: skip
+    try:
+        write_subject(target, content)
+    except OSError as error:
+        raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+
+
+def _axis(text: str | None) -> str | None:
+    if text is not None and text not in {"x", "y", "z"}:
+        raise GatewayError(f"--up {text}: x, y or z is wanted")
+    return text
+
+
+def _measurement(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        length = float(value)
+    except ValueError:
+        length = 0.0
+    if not 0.001 < length < 2:
+        raise GatewayError(f"--measure {text}: NAME=METRES is wanted, such as left_knee_width=0.105")
+    return name, length
+
+
+def _angle(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        angle = math.radians(float(value))
+    except ValueError:
+        angle = math.nan
+    if not abs(angle) <= MOST_ANGLE:
+        raise GatewayError(f"--angle {text}: NAME=DEGREES is wanted, such as left_thigh_rotation=8")
+    return name, angle
+
+
+def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, object]:
+    names = found.skeleton.segment_names
+    lengths_mm = {
+        name: round(1e3 * float(np.linalg.norm(tip)), 1)
+        for name, tip in zip(names, found.skeleton.tips, strict=True)
+    }
+    return {
+        "file": str(target),
+        "marker_set": found.marker_set,
+        "trials": [file.name for file in files],
+        "frames": found.frames,
+        "rmse_mm": round(1e3 * found.rmse, 2),
+        "markers": len(found.markers.labels),
+        "assumed": list(found.assumed),
+        "up": found.markers.vertical,
+        "angles_deg": {name: round(math.degrees(a), 2) for name, a in found.angles.items() if a},
+        "left_out": list(found.left_out),
+        "lengths_mm": lengths_mm,
+        "uneven": uneven_sides(lengths_mm),
+        "moved_mm": {name: round(1e3 * float(d), 1) for name, d in zip(names, found.moved, strict=True)},
+        "sigma_mm": {
+            label: round(1e3 * float(s), 1)
+            for label, s in zip(found.markers.labels, found.markers.sigmas, strict=True)
+        },
+    }
+
+
+def uneven_sides(lengths_mm: Mapping[str, float]) -> list[tuple[str, str]]:
+    """Segments of the left and of the right, the longer more than ``MOST_UNEVEN`` times the shorter."""
+    pairs = [(name, name.replace("left_", "right_", 1)) for name in lengths_mm if name.startswith("left_")]
+    return [
+        (left, right)
+        for left, right in pairs
+        if right in lengths_mm
+        and max(lengths_mm[left], lengths_mm[right]) > MOST_UNEVEN * min(lengths_mm[left], lengths_mm[right])
+    ]
+
+
+def _worn(found: Fit, name: str) -> str:
+    """Labels of the markers on a segment."""
+    segment = found.skeleton.segment_names.index(name)
+    on = zip(found.markers.labels, found.markers.segments, strict=True)
+    return " ".join(label for label, where in on if where == segment)
+
+
+def _print_fit(found: Fit, outcome: dict[str, object]) -> None:
+    lengths, moved = outcome["lengths_mm"], outcome["moved_mm"]
+    assert isinstance(lengths, dict)
+    assert isinstance(moved, dict)
+    table = Table(Column("segment", no_wrap=True), "length mm", "joint moved by motion mm", "markers")
+    for name in found.skeleton.segment_names:
+        table.add_row(name, f"{lengths[name]:.0f}", f"{moved[name]:.0f}", _worn(found, name) or "–")
+    Console().print(table)
+    typer.echo(
+        f"{outcome['file']}: {outcome['markers']} markers of {found.marker_set}, {outcome['frames']} frames, "
+        f"rest {outcome['rmse_mm']} mm RMS, {found.markers.vertical} up"
+    )
+    for name, angle in found.angles.items():
+        if angle:
+            typer.echo(f"{name}: {math.degrees(angle):.1f}° (--angle {name}=0 takes the wand as it stands)")
+    if found.left_out:
+        typer.echo(f"note: no markers on {', '.join(found.left_out)}: the body goes without them", err=True)
+    for left, right in uneven_sides(lengths):
+        typer.echo(
+            f"note: {left} is {lengths[left]:.0f} mm long, {right} {lengths[right]:.0f} mm: do markers of "
+            f"one name sit at the same place on both sides ({_worn(found, left)}; {_worn(found, right)})?",
+            err=True,
+        )
+    for name in found.assumed:
+        typer.echo(
+            f"note: {name} is told by no file: {found.lengths[name]} m taken (--measure {name}=…)", err=True
+        )
+
+
+Subject = Annotated[str, typer.Option("--subject", "-s", help="Subject file of `optical fit`.")]
+WRITERS = {
+    "default": write_solved_trial,
+    BOTH_WAYS: write_both_ways_trial,
+    PUBLISHED: write_published_trial,
+}
+Method = Annotated[
+    str,
+    typer.Option(
+        help="default: whole body, frame by frame; both_ways: the same, offline, with gaps bridged from both "
+        "sides; published: that of CN1766831A, chain by chain, offline and far slower."
+    ),
+]
+
+
+def solve(
+    file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
+    subject: Subject,
+    method: Method = "default",
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The recording; default: after trial and method, .mcap."),
+    ] = None,
+    to: Annotated[
+        list[str] | None, typer.Option(metavar="FORMAT", help=f"Export too: {', '.join(FORMATS)}.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Residuals of all markers over time as a picture (.png, .svg, .pdf).")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:
+    """Solve a trial for a fitted subject, into a recording that replays, exports and reports like any
+    other."""
+    write = _writer_of(method)
+    suit = _subject(subject)
+    for name in to or []:
+        if name not in FORMATS:
+            raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
+    suffix = "" if write is write_solved_trial else f"_{method}"
+    target = output or file.with_name(f"{file.stem}{suffix}.mcap")
+    if target.exists() and not force:
+        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    trial = read_markers(file)
+    target.unlink(missing_ok=True)
+    if write is write_solved_trial:
+        make_ready(OPTICAL)
+    with progress_bar("solving", is_shown=not as_json) as tell:
+        try:
+            done = write(trial, file, suit, subject, target, tell)
+        except OSError as error:
+            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+    if plot is not None:
+        write_residual_plot(done, trial.rate_hz, plot)
+    if as_json:
+        typer.echo(json.dumps(_solve_outcome(done), indent=2))
+    else:
+        _print_solved(done)
+    if to:
+        export(target, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
+
+
+def play(
+    file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
+    subject: Subject,
+    method: Method = "default",
+    speed: Annotated[str, typer.Option(help="1: as captured, 2: twice as fast, …, max: as it goes.")] = "1",
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Broker, gateway name and outputs from this file.")
+    ] = None,
+    embedded: Annotated[bool, typer.Option("--embedded", help="Publish on a broker of our own.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:
+    """Play a trial over MQTT like a live optical system: `watch`, `view` and all else see a suit."""
+    _writer_of(method)
+    if method in OFFLINE:
+        raise GatewayError(
+            f"--method {method} wants all frames at once and cannot stream: `mocap-gateway optical solve "
+            f"{file} --method {method}`, or leave it out"
+        )
+    suit = _subject(subject)
+    pace = speed_of(speed)
+    trial = read_markers(file)
+    make_ready(OPTICAL)
+    settings = optical_settings(subject, trial.rate_hz, f"markers://{file.resolve()}")
+    if config is not None:
+        given = load_gateway_settings(config)
+        kept = {
+            "mqtt": given.mqtt,
+            "gateway": given.gateway,
+            "outputs": given.outputs,
+            "recording": given.recording,
+        }
+        settings = settings.model_copy(update=kept)
+    changes: dict[str, object] = {"queue_length": max(settings.mqtt.queue_length, QUEUE)}
+    if embedded:
+        changes.update(broker="embedded", host="127.0.0.1")
+    settings = settings.model_copy(update={"mqtt": settings.mqtt.model_copy(update=changes)})
+    link = MarkerFileLink(
+        file, speed=pace, name="markers", labels=suit.markers.labels if suit.markers else ()
+    )
+    service = Service(settings, suit, [link])
+    link.hold = Brake(service, is_paced=pace is not None).hold
+    typer.echo(f"playing to {settings.mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)
+    asyncio.run(play_link(service, link, as_json))
+    tell_outcome(service, as_json)
+
+
+def _writer_of(method: str) -> Callable[..., SolvedTrial]:
+    if method not in WRITERS:
+        raise GatewayError(f"--method {method}: one of {', '.join(WRITERS)} is wanted")
+    return WRITERS[method]
+
+
+def _subject(name: str) -> WornSuit:
+    suit = load_rig(name)
+    if suit.markers is None:
+        raise GatewayError(f"{name} is a rig without markers: --subject wants a file of `optical fit`")
+    return suit
+
+
+def _solve_outcome(done: SolvedTrial) -> dict[str, object]:
+    seen = np.isfinite(done.residuals)
+    squares = np.where(seen, done.residuals, 0.0) ** 2
+    means = np.sqrt(squares.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+    return {
+        "file": str(done.path),
+        "frames": done.frames,
+        "rmse_mm": round(1e3 * done.rmse, 2),
+        "ms_per_frame": round(done.ms_per_frame, 3),
+        "counts": done.counts,
+        "renamed": [{"frame": f, "marker": m, "was": was or None} for f, m, was in done.renamed],
+        "markers": {
+            label: {
+                "rmse_mm": None if not seen[:, m].any() else round(1e3 * float(means[m]), 2),
+                "seen_percent": round(100 * float(seen[:, m].mean()), 1),
+                "used_percent": round(100 * float(done.used[:, m].mean()), 1),
+            }
+            for m, label in enumerate(done.labels)
+        },
+    }
+
+
+def _print_solved(done: SolvedTrial) -> None:
+    outcome = _solve_outcome(done)
+    markers = outcome["markers"]
+    assert isinstance(markers, dict)
+    table = Table("marker", "rest mm", "seen %", "used %")
+    for label, figures in markers.items():
+        rest = "–" if figures["rmse_mm"] is None else f"{figures['rmse_mm']:.1f}"
+        table.add_row(label, rest, f"{figures['seen_percent']:.0f}", f"{figures['used_percent']:.0f}")
+    Console().print(table)
+    typer.echo(
+        f"{done.path}: {done.frames} frames, rest {outcome['rmse_mm']} mm RMS, "
+        f"{done.ms_per_frame:.2f} ms a frame; {len(done.renamed)} names put right, "
+        f"{done.counts.get('rejected', 0)} points left out"
+    )
+
+
+def serve(
+    file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port to serve on; 0: any that is free.")
+    ] = DEFAULT_PORT,
+    host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
+    up: Annotated[str, typer.Option(help="Axis of the file that points up: x, y or z.")] = "z",
+    speed: Annotated[float, typer.Option(min=0.01, max=100, help="1: as captured.")] = 1.0,
+    once: Annotated[bool, typer.Option("--once", help="Stop at the end; else begin anew.")] = False,
+) -> None:
+    """Stand in for a Qualisys QTM: serve a trial by its real-time protocol, to try a set-up without cameras.
+
+    Whoever connects sees it from the beginning on. Written from the published protocol; no QTM was at hand.
+    """
+    if up not in {"x", "y", "z"}:
+        raise GatewayError(f"--up {up}: x, y or z is wanted")
+    asyncio.run(_serve(read_markers(file), file, port, host, up, speed, once))
+
+
+async def _serve(
+    trial: MarkerTrial, file: Path, port: int, host: str, up: str, speed: float, once: bool
+) -> None:
+    ended = asyncio.Event()
+    stand_in = QtmStandIn(
+        trial, host=host, port=port, up=f"+{up.upper()}", speed=speed, repeats=not once, on_end=ended.set
+    )
+    try:
+        await stand_in.start()
+    except OSError as error:
+        raise GatewayError(f"{host}:{port} cannot be served: {error.strerror or error}") from error
+    typer.echo(
+        f"{file}: {trial.n_frames} frames at {trial.rate_hz:g} Hz as QTM streams them; "
+        f"a gateway hears them with the link qtm://{host}:{stand_in.port}; Ctrl-C ends",
+        err=True,
+    )
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+    await ended.wait()
+    await stand_in.stop()
+    typer.echo(f"{stand_in.sent} frames sent")
+
 
 optical_app = typer.Typer(
     help="Markers of an optical system (C3D, TRC, live): fit a body, solve, play.", no_args_is_help=True

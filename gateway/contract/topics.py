@@ -18,6 +18,8 @@ MODULE_STATE = "module/{id}/state"
 MODULE_AVAILABILITY = "module/{id}/availability"
 
 COMPARISON = "comparison"
+CAMERA = "mocap_cameras/{camera}"
+"""Heat maps of a camera, unless told otherwise; outside of the gateways' own topics."""
 
 ANY_GATEWAY = "+"
 

@@ -6,7 +6,7 @@ import signal
 import numba
 import pytest
 
-from gateway.cli.compiling import told_when_compiling
+from gateway.cli.preparing import told_when_compiling
 
 
 def test_compiling_is_told_once_and_calling_again_is_not():

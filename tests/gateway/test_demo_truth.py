@@ -9,7 +9,7 @@ from devices.emulators.imperfections import PRESETS
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
-from gateway.cli.demo_truth import SEED, SETTLING_S, Truth
+from gateway.cli.demo import SEED, SETTLING_S, Truth
 from gateway.emulation.rig import dress, move, move_about
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings, LinkSettings

@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("cv2")
 
+from gateway.cli.video import joined_of, people_of
 from gateway.cli.video_solve import _places
-from gateway.cli.video_sources import joined_of, people_of
 from gateway.errors import GatewayError
 from tests.ring_of_cameras import CAMERAS
 

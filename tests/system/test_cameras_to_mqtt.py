@@ -12,10 +12,10 @@ import pytest
 from devices.reconnect import LinkState
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
-from gateway.cameras.broker_link import TOPIC
 from gateway.cameras.broker_outlet import BrokerOutlet
 from gateway.cameras.serving import Outlet
 from gateway.contract.balances import unaccounted
+from gateway.contract.topics import CAMERA
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
@@ -102,9 +102,9 @@ async def test_heat_maps_over_mqtt_come_out_as_poses(mosquitto, tmp_path, walk):
     """Among retained, cut off and foreign messages on the same topics."""
     instants, knee = walk
     broker = MqttSettings(port=mosquitto.port)
-    outlets = [BrokerOutlet(broker, TOPIC.format(camera=c.name)) for c in CAMERAS]
+    outlets = [BrokerOutlet(broker, CAMERA.format(camera=c.name)) for c in CAMERAS]
     async with broker_connection(broker, mosquitto.port, "other") as other:
-        await other.publish(TOPIC.format(camera="ring0"), instants[20][0], retain=True)
+        await other.publish(CAMERA.format(camera="ring0"), instants[20][0], retain=True)
 
         async def send(service):
             for outlet in outlets:
@@ -112,13 +112,13 @@ async def test_heat_maps_over_mqtt_come_out_as_poses(mosquitto, tmp_path, walk):
             while service.links[0].state is not LinkState.UP:
                 await asyncio.sleep(0.05)
             for instant in instants:
-                await other.publish(TOPIC.format(camera="ring1"), instant[1][:-1])
-                await other.publish(TOPIC.format(camera="x"), b"nothing of ours")
+                await other.publish(CAMERA.format(camera="ring1"), instant[1][:-1])
+                await other.publish(CAMERA.format(camera="x"), b"nothing of ours")
                 for outlet, message in zip(outlets, instant, strict=True):
                     outlet.offer(message)
                 await asyncio.sleep(0.05)
 
-        link = f"{{name: cameras, url: 'mqtt:///{TOPIC.format(camera='+')}', carries: heat_maps}}"
+        link = f"{{name: cameras, url: 'mqtt:///{CAMERA.format(camera='+')}', carries: heat_maps}}"
         config = config_of(tmp_path, instants, link, mosquitto.port)
         service, received = await heard_of(config, send, N - 3)
     for outlet in outlets:

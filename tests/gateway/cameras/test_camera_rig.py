@@ -16,7 +16,7 @@ from gateway.body.camera import project
 from gateway.cameras.camera_process import CameraProcess, CameraTask
 from gateway.cameras.rig_of_cameras import check_agreement, people_in_common
 from gateway.cameras.serving import Outlet
-from gateway.cli.video_serve import moment
+from gateway.cli.video import moment
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.person_detector import Person
 from tests.ring_of_cameras import CAMERAS

@@ -8,7 +8,7 @@ pytest.importorskip("cv2")
 from devices.cameras.heat_map_messages import HeatMapMessage
 from gateway.assembly.heat_map_frames import heat_maps_of
 from gateway.cameras.overlay import draw_heat_maps, side_by_side
-from gateway.cli.video_sources import named, offsets_of
+from gateway.cli.video import named, offsets_of
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.networks.cropping import cropped, shrunk_map

@@ -13,7 +13,7 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
-from gateway.cli.emulated_gnss import without_position_devices
+from gateway.cli.emulate import without_position_devices
 from gateway.emulation.rig import dress, move
 from gateway.pipeline import Pipeline
 from gateway.sources.gnss import GnssParams

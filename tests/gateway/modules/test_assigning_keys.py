@@ -8,7 +8,7 @@ import sys
 
 from rich.console import Console
 
-from gateway.cli.modules_assign import _Fitting
+from gateway.cli.modules import _Fitting
 from gateway.modules.operations import RequestError
 
 SEGMENTS = {"link_1": 0, "link_2": 1}

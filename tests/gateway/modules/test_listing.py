@@ -14,7 +14,7 @@ from devices.link import Chunk, Framing
 from devices.roster import Roster
 from firmware_protocol import RELAY
 from gateway.body.rig import load_rig
-from gateway.cli.modules_table import WIDEST, modules_screen
+from gateway.cli.modules_suit import WIDEST, modules_screen
 from gateway.emulation.rig import dress, move
 from gateway.modules.summary import count_samples, summarise
 from gateway.sources.stream import Stream

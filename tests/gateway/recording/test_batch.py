@@ -40,7 +40,7 @@ def here(monkeypatch):
         for job in jobs:
             done(job, perform(job))
 
-    monkeypatch.setattr("gateway.cli.batch.run_jobs", run)
+    monkeypatch.setattr("gateway.cli.export.run_jobs", run)
 
 
 def test_results_are_those_of_the_single_commands(sessions, typed, tmp_path, here):

@@ -15,7 +15,7 @@ from devices.marker_files.naming import spelt, without_prefixes
 from devices.vendor_formats.sheets import FormatError
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import WorldSettings, load_body, worn_without_modules
-from gateway.cli.optical_fit import uneven_sides
+from gateway.cli.optical import uneven_sides
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set

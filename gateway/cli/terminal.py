@@ -1,4 +1,4 @@
-"""Lines that the user types, for a program that waits for something else too."""
+"""The terminal: its width, a progress bar, and lines that are typed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,36 @@ import asyncio
 import contextlib
 import sys
 import threading
+from collections.abc import Callable, Iterator
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+_NARROWEST = 170
+
+
+def wide_console(narrowest: int = 0) -> Console:
+    """Return the terminal; what is not one gets room for whole tables.
+
+    narrowest: columns that lines have at least; the terminal breaks them where it has fewer.
+    """
+    console = Console()
+    width = console.width if console.is_terminal else _NARROWEST
+    return Console(width=max(width, narrowest))
+
+
+@contextlib.contextmanager
+def progress_bar(what: str, *, is_shown: bool = True) -> Iterator[Callable[[int, int], None]]:
+    """``with progress_bar("reading") as tell: tell(done, total)``. On standard error, gone at the end."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not is_shown) as progress:
+        task = progress.add_task(what, total=None)
+
+        def tell(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        yield tell
 
 
 class TypedLines:

@@ -1,16 +1,48 @@
-"""The broker that a command's options name: the options, and the settings of what was given."""
+"""Options that several commands share, written once: as dataclasses, and what their texts mean."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 from pydantic import ValidationError
 
-from gateway.cli.option_groups import with_options
+from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings, TlsSettings
+
+Command = Callable[..., None]
+
+
+def with_options(group: type[Any]) -> Callable[[Command], Command]:
+    """For a command whose first parameter is a ``group``: the options of one stand in its place.
+
+    group: dataclass whose fields are annotated as typer wants options, every one with a default.
+    """
+    names = [field.name for field in fields(group)]
+    options = inspect.signature(group, eval_str=True).parameters.values()
+
+    def dressed(command: Command) -> Command:
+        own = list(inspect.signature(command, eval_str=True).parameters.values())[1:]
+
+        @wraps(command)
+        def with_group(**given: Any) -> None:
+            chosen = group(**{name: given.pop(name) for name in names})
+            command(chosen, **given)
+
+        parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in [*own, *options]]
+        with_group.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        with_group.__annotations__ = {each.name: each.annotation for each in parameters}
+        del with_group.__wrapped__  # its annotations would be taken instead
+        return with_group
+
+    return dressed
+
 
 Host = Annotated[str, typer.Option(help="Host of the MQTT broker.")]
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port of the MQTT broker.")]
@@ -53,3 +85,11 @@ class BrokerChoice:
 
 with_broker = with_options(BrokerChoice)
 """For a command whose first parameter is a ``BrokerChoice``."""
+
+
+def seconds_of(option: str, text: str) -> tuple[float, float]:
+    """From when to when, s. Raises ``GatewayError``, which names the option."""
+    span = re.fullmatch(r"(\d+\.?\d*):(\d+\.?\d*)", text)
+    if span is None or float(span[1]) >= float(span[2]):
+        raise GatewayError(f"{option} {text}: seconds FROM:TO are wanted, such as 0.5:3")
+    return float(span[1]), float(span[2])
