@@ -7,6 +7,8 @@ What differs is the reconstruction and the calibration together.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +20,7 @@ from devices.emulators.recordings import Recording
 from gateway.body.joint_angles import joint_angles
 from gateway.body.joints import Joint
 from gateway.body.skeleton import WornSuit
-from gateway.calibration.body_result import worn_as
+from gateway.calibration.body_result import ModuleResult
 from gateway.calibration.body_session import BodySession
 from gateway.emulation.recordings import imu_frames, orientations, reference_at, solve
 from gateway.frames import FloatArray
@@ -55,9 +57,9 @@ def _trial(recording: Recording, still: tuple[float, float], what: str) -> Calib
     session.mark("free", at_ns + round(still[1] * 1e9), frames[-1].time_ns)
     result = session.result()
     reference, is_after = _reference(recording, suit, still)
-    ours = _angles(recording, worn_as(suit, result.accepted(with_poor=True)))
+    ours = _angles(recording, _worn_as(suit, result.accepted(with_poor=True)))
     session.spans = {key: span for key, span in session.spans.items() if key[0] == "n_pose"}
-    pose_only = worn_as(suit, session.result().accepted(with_poor=True))
+    pose_only = _worn_as(suit, session.result().accepted(with_poor=True))
     return CalibratedTrial(
         recording.name,
         what,
@@ -95,3 +97,13 @@ def _rmse_deg(found: FloatArray, reference: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         rmse: FloatArray = np.sqrt(square.sum(axis=0) / seen.sum(axis=0))
     return rmse
+
+
+def _worn_as(suit: WornSuit, modules: Collection[ModuleResult]) -> WornSuit:
+    """Return the suit with its modules where the calibration found them."""
+    rotations, places = suit.sensor_to_segment.copy(), suit.lever_arms.copy()
+    for module in modules:
+        if module.sensor_to_segment is not None:
+            segment = suit.skeleton.index(module.segment)
+            rotations[segment], places[segment] = module.sensor_to_segment, module.position
+    return replace(suit, sensor_to_segment=rotations, lever_arms=places)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from benchmarks.figures import Figure, Report, table
 from gateway.body.camera import Camera
-from gateway.calibration.boards import board_of
+from gateway.calibration.boards import Board, BoardView, board_of
 from gateway.calibration.cameras_import import import_cameras
-from gateway.calibration.cameras_intrinsics import calibrate_lens, held_out_errors
+from gateway.calibration.cameras_intrinsics import Lens, calibrate_lens
 from gateway.calibration.cameras_session import board_pictures
 
 DATA = Path(__file__).parents[2] / "shared/data/pose2sim_single"
@@ -39,8 +41,29 @@ def real_lens(data: Path, camera: Camera) -> RealLens:
     pictures = board_pictures(board, str(folder), 1, lambda *_: None)
     views = [each.view for each in pictures if each.view is not None]
     lens = calibrate_lens(board, views, camera.width, camera.height, camera.name)
-    held_out = held_out_errors(board, views, camera.width, camera.height, camera.name)
+    held_out = _held_out_errors(board, views, camera.width, camera.height, camera.name)
     return RealLens(len(views), float(lens.matrix[0, 0]), lens.rms, float(np.median(held_out)))
+
+
+def _held_out_errors(
+    board: Board, views: Sequence[BoardView], width: int, height: int, name: str
+) -> list[float]:
+    """Return each view's reprojection error by the lens of all other views, root mean square, pixels.
+
+    Only the board's place is found anew in the view itself. Raises as ``calibrate_lens``.
+    """
+    return [
+        _rms(board, calibrate_lens(board, [*views[:n], *views[n + 1 :]], width, height, name), view)
+        for n, view in enumerate(views)
+    ]
+
+
+def _rms(board: Board, lens: Lens, view: BoardView) -> float:
+    points = board.points[view.corners]
+    _, turn, place = cv2.solvePnP(points, view.pixels, lens.matrix, lens.distortion)
+    pixels, _ = cv2.projectPoints(points, turn, place, lens.matrix, lens.distortion)
+    off = pixels.reshape(-1, 2) - view.pixels
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
 def run() -> Report:

@@ -20,11 +20,12 @@ from gateway.body.skeleton import Skeleton
 from gateway.emulation.optical_truth import TRIALS, UNTOLD
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
+from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body, sighted
 from gateway.reconstruction.optical.landmarks import measurements, to_world, vertical_axis
 from gateway.reconstruction.optical.marker_set import MarkerSet, load_marker_set
-from gateway.reconstruction.optical.pose_solver import body_model
-from gateway.reconstruction.optical.published import first_frame_markers, solve_published
+from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
+from gateway.reconstruction.optical.published import solve_published
 from gateway.reconstruction.optical.published_trial import published_trial
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.rule_body import from_rules
@@ -198,7 +199,7 @@ def _published(
     seen = learnt.markers[good][:, columns]
     axes, root = learnt.places.axes[good], learnt.places.origins[good, 0]
     model = body_model(skeleton, markers)
-    markers = replace(markers, positions=first_frame_markers(model, seen[0], axes[0], root[0]))
+    markers = replace(markers, positions=_first_frame_markers(model, seen[0], axes[0], root[0]))
     taught = solve_published(skeleton, markers, seen, axes, root, held.rate_hz)
     observed = to_world(held.columns(markers.labels), vertical)
     before = time.process_time()
@@ -207,6 +208,16 @@ def _published(
     q_wb = np.array([[quaternion.from_matrix(each) for each in pose] for pose in solved.motion.R])
     left_out = _published_left_out(skeleton, taught.markers, observed, held.rate_hz)
     return skeleton, taught.markers, Outcome(q_wb, solved.p_w, solved.residuals, left_out, ms)
+
+
+def _first_frame_markers(
+    model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray
+) -> FloatArray:
+    """(M, 3) m: markers of one frame in their segments; where one was not seen, as it was."""
+    p = kernels.places(model.parents, model.offsets, R, root)
+    local = np.einsum("mji,mj->mi", R[model.segments], observed - p[model.segments])
+    places: FloatArray = np.where(np.isfinite(local), local, model.positions)
+    return places
 
 
 def _published_left_out(

@@ -3,6 +3,8 @@
 A room is a folder or a module directly in ``gateway/``. Every import counts, those inside functions too, but
 not those for types alone. A knot is a set of rooms each of which imports, by way of others, all of the rest.
 
+Named too is what tests and benchmarks alone use; what they share belongs to the emulators.
+
 A frame of the emulated suit is followed from ``Pipeline.feed`` to its MQTT payload, by the calls of Python
 functions and the files they stand in.
 """
@@ -18,6 +20,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import FrameType
+from typing import NamedTuple
 
 from devices.emulators import Imperfections, SuitSettings, SuitTraffic
 from devices.emulators.motions import generic_motion
@@ -32,8 +35,13 @@ from gateway.pipeline import Pipeline
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PACKAGES = ("firmware_protocol", "devices", "gateway", "benchmarks", "tests")
+PRODUCTION = ("firmware_protocol", "devices", "gateway")
+SHARED = ("devices/emulators", "gateway/emulation", "firmware_protocol/__init__.py")
+"""What tests share, and what is offered to authors of firmware: whatever these name is in use."""
 HUB = ("pipeline.py", "service.py", "accounting.py", "observability.py")
 """Where nothing should ask for the kind of a source (in ``gateway/`` or a room of that name)."""
+NAMING = re.compile(r"[\w.:\[\], |]{1,200}")
+"""A text that may name a function or a type."""
 KINDS = re.compile(r"gnss|marker|heat_map|hip|sun|light|fused|camera|trigger|optical|video", re.IGNORECASE)
 
 
@@ -104,6 +112,80 @@ def kind_tests() -> Counter[str]:
     return found
 
 
+class _Definition(NamedTuple):
+    name: str
+    path: Path
+    first: int
+    last: int
+
+
+def used_by_tests_alone() -> list[str]:
+    """Return the functions, methods and classes that only tests and benchmarks name, as ``path: name``.
+
+    What only such a one names is one too. A definition goes by its name alone: one that shares it with
+    another in use is not found.
+    """
+    definitions: list[_Definition] = []
+    uses: defaultdict[str, set[tuple[Path, int]]] = defaultdict(set)
+    for path in (path for package in PRODUCTION for path in _sources(package)):
+        is_shared = str(path.relative_to(REPOSITORY)).startswith(SHARED)
+        tree = ast.parse(path.read_text())
+        for name, line in _names(tree, with_exports=is_shared):
+            uses[name].add((path, line))
+        definitions += [] if is_shared else _definitions(tree, path)
+    tested = {
+        name
+        for package in ("tests", "benchmarks")
+        for path in _sources(package)
+        for name, _ in _names(ast.parse(path.read_text()), with_exports=False)
+    }
+    definitions = [each for each in definitions if each.name in tested]
+    alone: list[_Definition] = []
+    while found := [
+        each
+        for each in definitions
+        if each not in alone and all(_is_within(use, [each, *alone]) for use in uses[each.name])
+    ]:
+        alone += found
+    return sorted(f"{each.path.relative_to(REPOSITORY)}: {each.name}" for each in alone)
+
+
+def _definitions(tree: ast.AST, path: Path) -> list[_Definition]:
+    """Return functions, classes and methods; of the wire no methods, which come with its classes."""
+    is_wire = path.is_relative_to(REPOSITORY / "firmware_protocol")
+    return [
+        _Definition(node.name, path, node.lineno, node.end_lineno or node.lineno)
+        for node in (ast.iter_child_nodes(tree) if is_wire else ast.walk(tree))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and node.name[:2] != "__"
+    ]
+
+
+def _names(tree: ast.AST, with_exports: bool) -> Iterator[tuple[str, int]]:
+    """Yield each name that is read, and the words of texts that may name something, with their lines."""
+    exports = {
+        id(part)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Assign) and any(ast.unparse(target) == "__all__" for target in node.targets)
+        for part in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in exports and not with_exports:
+            continue
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+            yield node.id, node.lineno
+        elif isinstance(node, ast.Attribute):
+            yield node.attr, node.lineno
+        elif isinstance(node, ast.alias) and node.asname:
+            yield node.name, node.lineno
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and NAMING.fullmatch(node.value):
+            yield from ((word, node.lineno) for word in re.findall(r"\w+", node.value))
+
+
+def _is_within(use: tuple[Path, int], definitions: list[_Definition]) -> bool:
+    path, line = use
+    return any(path == each.path and each.first <= line <= each.last for each in definitions)
+
+
 def _sources(package: str) -> list[Path]:
     return sorted((REPOSITORY / package).rglob("*.py"))
 
@@ -154,6 +236,8 @@ def main() -> None:
         print(f"knot of {len(knot)} rooms: {', '.join(knot)}" if knot else "no knot of imports")
     for name, count in kind_tests().items():
         print(f"{name}: {count} conditions name a kind of source")
+    for found in used_by_tests_alone():
+        print(f"used by tests alone: {found}")
     calls, files = calls_of_a_frame()
     print(f"a frame: {calls:.0f} calls in {files} files from bytes to payload")
 

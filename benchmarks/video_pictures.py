@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.people_apart import people_apart
 from devices.cameras.pictures import Picture, open_pictures
 from gateway.calibration.cameras_import import import_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
@@ -20,7 +21,6 @@ from gateway.reconstruction.video.inverse_kinematics import keypoint_places, vid
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
 from gateway.reconstruction.video.networks.network import PoseNetwork, load_network
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
-from gateway.reconstruction.video.people import people_apart
 from gateway.reconstruction.video.projection import camera_model
 from gateway.reconstruction.video.reconstructor import VideoOptions, VideoReconstructor
 from gateway.reconstruction.video.region import PersonRegion

@@ -10,7 +10,6 @@ Reading order
 - ``marker_file_link`` over ``marker_files``, ``qtm_link`` (with ``qtm_packets``): markers of an optical
   system, as ``marker_messages``.
 - ``replay_link`` over a ``recording_file``: a recording is a link like any other.
-- ``loopback_link``: two ends joined in memory, for tests and for modules emulated in process.
 - ``reconnect``: keeps any live link open for ever.
 - ``arrivals``: the one queue between a receive callback and the reader of a link; ``reader_thread``:
   what fills it where a library can only block.

@@ -67,11 +67,6 @@ class SocketCanLink:
         self._socket: socket.socket | None = None
 
     @property
-    def kernel_dropped(self) -> int:
-        """Frames that the kernel dropped, ever, because its receive buffer was full."""
-        return self.counts.before[LostBefore.KERNEL_OVERFLOW]
-
-    @property
     def dropped_bytes(self) -> int:
         """Bytes of records dropped since opening because the reader was too far behind."""
         return self._arrivals.dropped_bytes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections import Counter
 
@@ -11,8 +12,8 @@ import ormsgpack
 import paho.mqtt.client as paho
 
 from gateway.contract import topics
-from gateway.contract.documents import json_schemas, topic_pattern
-from gateway.contract.messages import PUBLICATIONS, Message
+from gateway.contract.documents import json_schemas
+from gateway.contract.messages import PUBLICATIONS, Message, Publication
 from gateway.contract.properties import JSON, MSGPACK
 from gateway.contract.request_messages import ResponseMessage
 from tests.patience import PATIENCE_S
@@ -20,6 +21,14 @@ from tests.patience import PATIENCE_S
 _BARRIER = "contract-watch/barrier"
 _BY_SCHEMA = 3
 """So many messages of each topic are validated by JSON Schema too, which is slower than the models."""
+
+
+def topic_pattern(publication: Publication) -> re.Pattern[str]:
+    """Return what the topics of a publication look like below ``<base_topic>/<gateway>/``."""
+    literal = re.escape(publication.topic).replace(r"\{id\}", r"\d+").replace(r"\{name\}", "[^/]+")
+    return re.compile(f"^{literal}$")
+
+
 _PATTERNS = [(topic_pattern(each), each.model, each.content_type) for each in PUBLICATIONS]
 _VALIDATORS = {name: jsonschema.Draft202012Validator(schema) for name, schema in json_schemas().items()}
 

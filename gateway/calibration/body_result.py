@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from gateway.body.skeleton import WornSuit
 from gateway.calibration.axes import MovementAxis
 from gateway.calibration.evidence import FieldHeading, Pose
 from gateway.calibration.quality import Quality
@@ -111,13 +110,3 @@ class BodyResult:
 
 def _rounded(value: float) -> float | None:
     return round(float(value), 4) if np.isfinite(value) else None
-
-
-def worn_as(suit: WornSuit, modules: Collection[ModuleResult]) -> WornSuit:
-    """The suit with its modules where the calibration found them."""
-    rotations, places = suit.sensor_to_segment.copy(), suit.lever_arms.copy()
-    for module in modules:
-        if module.sensor_to_segment is not None:
-            segment = suit.skeleton.index(module.segment)
-            rotations[segment], places[segment] = module.sensor_to_segment, module.position
-    return replace(suit, sensor_to_segment=rotations, lever_arms=places)

@@ -74,24 +74,3 @@ def calibrate_lens(board: Board, views: Sequence[BoardView], width: int, height:
         np.asarray(matrix, dtype=np.float64), np.asarray(distortion, dtype=np.float64).ravel()[:5],
         float(rms), poses, (float(span[0]), float(span[1])),
     )  # fmt: skip
-
-
-def held_out_errors(
-    board: Board, views: Sequence[BoardView], width: int, height: int, name: str
-) -> list[float]:
-    """Return each view's reprojection error by the lens of all other views, root mean square, pixels.
-
-    Only the board's place is found anew in the view itself. Raises as ``calibrate_lens``.
-    """
-    return [
-        _rms(board, calibrate_lens(board, [*views[:n], *views[n + 1 :]], width, height, name), view)
-        for n, view in enumerate(views)
-    ]
-
-
-def _rms(board: Board, lens: Lens, view: BoardView) -> float:
-    points = board.points[view.corners]
-    _, turn, place = cv2.solvePnP(points, view.pixels, lens.matrix, lens.distortion)
-    pixels, _ = cv2.projectPoints(points, turn, place, lens.matrix, lens.distortion)
-    off = pixels.reshape(-1, 2) - view.pixels
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))

@@ -5,8 +5,7 @@ The joint's acceleration is the same seen from either side (Seel, Schauer & Rais
     R₁ (f₁ − Γ₁ ρ₁) = R₂ (f₂ − Γ₂ ρ₂),      Γ = [ω̇]× + [ω]×[ω]×
 
 with ρ the vector from the joint to the module, sensor axes, and R the modules' orientations, whose headings
-may differ by an unknown Δ (Weygers & Kok 2020, IEEE Sensors J. 20(14)). Without orientations their
-lengths still agree: ‖f₁ − Γ₁ ρ₁‖ = ‖f₂ − Γ₂ ρ₂‖, solved by Gauss–Newton as published.
+may differ by an unknown Δ (Weygers & Kok 2020, IEEE Sensors J. 20(14)).
 
 The equations of thousands of instants are folded once into a triangle of 16 × 16 numbers that says the same
 of any ρ₁, ρ₂ and Δ.
@@ -130,27 +129,3 @@ def joint_equations(first: Side, second: Side) -> JointEquations:
     r = np.linalg.qr(stacked, mode="r")
     triangle[: len(r)] = r
     return JointEquations(triangle, len(rows))
-
-
-def joint_centre(first: Side, second: Side, samples: int = 1500) -> tuple[FloatArray, FloatArray, float]:
-    """ρ₁, ρ₂ (3,) m by equal lengths alone, as published, and the RMS left, m/s². No orientations are used.
-
-    Raises ``ValueError`` when there are fewer than 50 instants.
-    """
-    from scipy.optimize import least_squares  # noqa: PLC0415 - takes half a second
-
-    known = np.isfinite(first.force).all(axis=1) & np.isfinite(second.force).all(axis=1)
-    rows = np.flatnonzero(known)
-    if len(rows) < 50:
-        raise ValueError(f"{len(rows)} instants do not tell where a joint is: 50 are needed")
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), samples)).round().astype(np.int64)]
-    f1, g1, f2, g2 = first.force[rows], first.gamma[rows], second.force[rows], second.gamma[rows]
-
-    def residuals(p: FloatArray) -> FloatArray:
-        difference: FloatArray = np.linalg.norm(f1 - g1 @ p[:3], axis=1) - np.linalg.norm(
-            f2 - g2 @ p[3:], axis=1
-        )
-        return difference
-
-    solved = least_squares(residuals, np.zeros(6), method="lm")
-    return solved.x[:3], solved.x[3:], float(np.sqrt(np.mean(solved.fun**2)))

@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, models_json_schema
 
 from gateway.contract import topics
-from gateway.contract.messages import PUBLICATIONS, Message, Publication
+from gateway.contract.messages import PUBLICATIONS, Message
 from gateway.contract.properties import JSON
 from gateway.contract.reference_page import reference_page
 from gateway.contract.request_messages import LONGEST_TRANSACTION, ResponseMessage
@@ -68,12 +68,6 @@ def json_schemas() -> dict[str, Schema]:
         schemas[_request_name(verb)] = _with_transaction(model.model_json_schema())
     dialect = {"$schema": GenerateJsonSchema.schema_dialect}
     return {name: dialect | schema for name, schema in schemas.items()}
-
-
-def topic_pattern(publication: Publication) -> re.Pattern[str]:
-    """What the topics of a publication look like below ``<base_topic>/<gateway>/``."""
-    literal = re.escape(publication.topic).replace(r"\{id\}", r"\d+").replace(r"\{name\}", "[^/]+")
-    return re.compile(f"^{literal}$")
 
 
 def asyncapi() -> Schema:

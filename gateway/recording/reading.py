@@ -221,10 +221,6 @@ class Recording:
         """What became of the markers, of poses made from any."""
         return (item for item in self._decoded(fmt.MARKERS) if isinstance(item, RecordedMarkers))
 
-    def skeleton_bytes(self) -> Iterator[bytes]:
-        """The same, as it stands in the file."""
-        return (message.data for message in self.parts.messages() if message.topic == fmt.SKELETON)
-
     def skeleton_arrays(self, progress: Progress | None = None) -> SkeletonArrays:
         """The whole reconstruction as arrays. Raises ``RecordingError`` when none was recorded."""
         fits: dict[int, MarkerFit] = {}

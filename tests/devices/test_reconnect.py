@@ -8,8 +8,8 @@ from collections.abc import AsyncIterator
 
 import pytest
 
+from devices.emulators.loopback_link import loopback_pair
 from devices.link import Chunk, Framing, Link, LinkError
-from devices.loopback_link import loopback_pair
 from devices.reconnect import BackOff, LinkState, LinkStatus, ReconnectingLink
 from devices.serial_link import SerialLink
 from devices.tcp_link import TcpLink

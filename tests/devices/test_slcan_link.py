@@ -7,8 +7,8 @@ import asyncio
 import can
 import pytest
 
+from devices.emulators.loopback_link import loopback_pair
 from devices.link import Framing, LinkError
-from devices.loopback_link import loopback_pair
 from devices.serial_link import SerialLink
 from devices.slcan_link import SlcanLink
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records

@@ -12,6 +12,7 @@ import pytest
 
 from devices import socketcan_link
 from devices.link import Framing, LinkError
+from devices.link_counts import LostBefore
 from devices.socketcan_link import SocketCanLink, can_interfaces, frame_from_kernel, kernel_bytes
 from firmware_protocol.can_framing import CanFrame, pack_can_records, unpack_can_records
 from tests.patience import PATIENCE_S
@@ -100,13 +101,13 @@ async def test_frames_that_the_kernel_dropped_are_counted(monkeypatch):
         for _ in range(sent):
             bus.sendto(data, ours.getsockname())
         async with asyncio.timeout(PATIENCE_S):
-            while received + link.kernel_dropped < sent:
+            while received + link.counts.before[LostBefore.KERNEL_OVERFLOW] < sent:
                 received += len(unpack_can_records((await anext(aiter(link))).data))
-                if link.kernel_dropped == 0:  # told with the next frame that fits
+                if link.counts.before[LostBefore.KERNEL_OVERFLOW] == 0:  # told with the next frame that fits
                     bus.sendto(data, ours.getsockname())
                     sent += 1
-    assert received + link.kernel_dropped == sent
-    assert link.kernel_dropped > 0
+    assert received + link.counts.before[LostBefore.KERNEL_OVERFLOW] == sent
+    assert link.counts.before[LostBefore.KERNEL_OVERFLOW] > 0
     await link.close()
 
 
@@ -159,6 +160,6 @@ async def test_burst_on_a_real_interface_is_lossless():
         while len(received) < len(frames):
             received += unpack_can_records((await anext(aiter(link))).data)
     assert received == frames
-    assert link.kernel_dropped == 0
+    assert link.counts.before[LostBefore.KERNEL_OVERFLOW] == 0
     await link.close()
     await peer.close()

@@ -17,6 +17,7 @@ from devices import socketcan_link
 from devices.emulators import EmulatedSuit, Encoding, SuitSettings, bench_suit
 from devices.emulators.transports import CanBusTransport
 from devices.link import Framing, LinkError
+from devices.link_counts import LostBefore
 from devices.reconnect import BackOff, LinkState, ReconnectingLink
 from devices.socketcan_link import SocketCanLink, can_interfaces, open_can_socket
 from firmware_protocol import CanFrameDecoder, InertialSample, PacketDecoder
@@ -62,7 +63,7 @@ async def test_burst_without_pause_is_not_lost(pair):
     frames = [CanFrame(index, data, is_fd=is_fd, bitrate_switch=is_fd) for index in range(8000)]
     await peer.write(pack_can_records(frames))
     assert await read(link, len(frames)) == frames
-    assert link.kernel_dropped == 0
+    assert link.counts.before[LostBefore.KERNEL_OVERFLOW] == 0
 
 
 @pytest.mark.parametrize("is_fd", [False, True], ids=["classic", "FD"])
@@ -99,12 +100,12 @@ async def test_what_the_kernel_had_to_drop_is_counted(monkeypatch):
     sent = sum(bus.send(data) > 0 for _ in range(4000))
     received = 0
     async with asyncio.timeout(30):
-        while received + small.kernel_dropped < sent:
+        while received + small.counts.before[LostBefore.KERNEL_OVERFLOW] < sent:
             received += len(unpack_can_records((await anext(aiter(small))).data))
-            if not small.kernel_dropped:
+            if not small.counts.before[LostBefore.KERNEL_OVERFLOW]:
                 sent += bus.send(data) > 0  # drops are told with what fits
-    assert small.kernel_dropped > 0
-    assert received + small.kernel_dropped == sent
+    assert small.counts.before[LostBefore.KERNEL_OVERFLOW] > 0
+    assert received + small.counts.before[LostBefore.KERNEL_OVERFLOW] == sent
     bus.close()
     await small.close()
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 
+from devices.emulators.loopback_link import LoopbackLink
 from devices.emulators.transports.transport import OnReceive, ignore
 from devices.link import LinkError
-from devices.loopback_link import LoopbackLink
 
 _MAX_WAITING = 1000
 _REOPEN_S = 0.001
 
 
 class LoopbackTransport:
-    """Speaks through one end of ``devices.loopback_link.loopback_pair``; the reader opens the other.
+    """Speaks through one end of ``loopback_pair``; the reader opens the other.
 
     The reader may come, go and come again. What is sent while it is away is lost.
     """

@@ -84,16 +84,6 @@ def solve_published(
     return PublishedMotion(smooth, places, found, passes, distance)
 
 
-def first_frame_markers(
-    model: BodyModel, observed: FloatArray, R: FloatArray, root: FloatArray
-) -> FloatArray:
-    """(M, 3) m: markers of one frame in their segments; where one was not seen, as it was."""
-    p = kernels.places(model.parents, model.offsets, R, root)
-    local = np.einsum("mji,mj->mi", R[model.segments], observed - p[model.segments])
-    places: FloatArray = np.where(np.isfinite(local), local, model.positions)
-    return places
-
-
 def _one_pass(
     skeleton: Skeleton,
     model: BodyModel,

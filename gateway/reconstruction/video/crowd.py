@@ -1,7 +1,7 @@
 """Several people at once: each tracked by continuity in maps from which the others are taken out.
 
-Step 9 of JP2020-042476A: people are told apart at the start (``people.people_apart``) and keep their place in
-the order from then on.
+Step 9 of JP2020-042476A: people are told apart at the start, by whoever gives their first positions, and keep
+their place in the order from then on.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import pytest
 
 from devices.emulators.delivery import Encoding
 from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.loopback_link import loopback_pair
 from devices.emulators.motions import robot_arm_motion
 from devices.emulators.suit_settings import SuitSettings
 from devices.emulators.suit_traffic import SuitTraffic
@@ -23,7 +24,6 @@ from devices.emulators.transports import (
 )
 from devices.endpoints import link_from_url
 from devices.link import Framing, gateway_time_ns
-from devices.loopback_link import loopback_pair
 from firmware_protocol import (
     BROADCAST,
     Acknowledgement,

@@ -16,9 +16,8 @@ from gateway.body.camera import Camera, project
 from gateway.calibration.boards import board_of, find_board
 from gateway.calibration.cameras_extrinsics import place_cameras
 from gateway.calibration.cameras_file import load_cameras
-from gateway.calibration.cameras_import import import_cameras
-from gateway.calibration.cameras_intrinsics import Lens, calibrate_lens, held_out_errors
-from gateway.calibration.cameras_session import BoardPicture, board_pictures, calibrate_cameras
+from gateway.calibration.cameras_intrinsics import Lens, calibrate_lens
+from gateway.calibration.cameras_session import BoardPicture, calibrate_cameras
 from gateway.cli.main import app
 from gateway.errors import GatewayError
 
@@ -213,21 +212,3 @@ def test_pictures_that_were_not_taken_at_once_are_no_scene(lens_views):
     scene = {"a": pictures[:2], "b": pictures[3:5]}
     with pytest.raises(GatewayError, match=r"camera '.': corners .* pixels off .* with --scene"):
         calibrate_cameras(CHECKERBOARD, lenses, CHECKERBOARD, scene)
-
-
-@pytest.mark.parametrize(
-    "which",
-    [0, *(pytest.param(k, marks=pytest.mark.slow(reason="as the first, 4 s each")) for k in range(1, 4))],
-)
-def test_real_lenses_are_those_of_the_shipped_calibration(which):
-    """Seven pictures of a board held by hand, each left out in turn."""
-    if not REAL.is_dir():
-        pytest.skip("no recording pose2sim_single beside the repository")
-    camera = import_cameras(REAL / "calibration/Calib.qca.txt")[which]
-    folder = REAL / f"calibration/intrinsics/int_{camera.name}_img"
-    pictures = board_pictures(CHECKERBOARD, str(folder), 1, lambda *_: None)
-    views = [each.view for each in pictures if each.view is not None]
-    lens = calibrate_lens(CHECKERBOARD, views, camera.width, camera.height, camera.name)
-    left_out = held_out_errors(CHECKERBOARD, views, camera.width, camera.height, camera.name)
-    assert lens.matrix[0, 0] == pytest.approx(camera.matrix[0, 0], rel=0.01)
-    assert np.median(left_out) < 2.0

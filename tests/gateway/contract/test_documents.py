@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from gateway.body.rig import load_rig
-from gateway.contract.documents import asyncapi, files, json_schemas, topic_pattern, write
+from gateway.contract.documents import asyncapi, files, json_schemas, write
 from gateway.contract.messages import PUBLICATIONS
 from gateway.contract.requests import REQUEST_FAMILIES
 from gateway.frames import SkeletonFrame
@@ -20,6 +20,7 @@ from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings
+from tests.contract_watch import topic_pattern
 
 FOLDER = Path(__file__).resolve().parents[3] / "docs" / "mqtt"
 

@@ -130,7 +130,7 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
     code, output = typed("replay", path, "--speed", "max", "--json", "-c", config)
     played = json.loads(output)
     assert (code, played["published"], played["dropped"]) == (0, played["poses"], 0)
-    assert played["poses"] == len(list(open_recording(path).skeleton_bytes()))
+    assert played["poses"] == len(list(open_recording(path).skeleton_frames()))
 
 
 @pytest.mark.parametrize(

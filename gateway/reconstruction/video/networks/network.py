@@ -26,11 +26,6 @@ class PoseNetwork(Protocol):
         """Of the one person that ``region`` shows."""
 
 
-def keypoints_of(name: str) -> tuple[str, ...]:
-    """Names of a network's heat maps, without loading it. Raises ``GatewayError`` for an unknown one."""
-    return weights_of(name).keypoints
-
-
 def load_network(name: str, threads: int = 1) -> PoseNetwork:
     """The network ``name`` of ``NETWORKS``; threads: of one run. Raises ``GatewayError`` when it is unknown,
     its weights are missing or damaged, or the extra ``video`` is not installed."""

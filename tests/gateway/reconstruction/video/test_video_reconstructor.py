@@ -14,8 +14,6 @@ from gateway.reconstruction.video.heat_maps import HeatMapFrame
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.offline import reconstruct_recorded
-from gateway.reconstruction.video.people import people_apart
-from gateway.reconstruction.video.projection import camera_model
 from gateway.reconstruction.video.reconstructor import Tracking, VideoOptions, VideoReconstructor
 
 pytestmark = pytest.mark.timeout(600)  # whichever test comes first compiles
@@ -135,24 +133,6 @@ def test_two_people_cross_without_a_swap():
         assert np.median(np.linalg.norm(pose.keypoints - person.keypoints[-1], axis=1)) < 0.02
     with pytest.raises(GatewayError, match="1 people for 2"):
         crowd.update([HeatMapFrame(0, 0, (None,) * 4)])
-
-
-def test_detections_of_all_cameras_are_sorted_into_people():
-    people = [walking(KEYPOINTS, 1, (x, 0.1), (1.0, 0.0)) for x in (-0.4, 0.5)]
-    detections = []
-    for c in range(4):
-        found = [
-            rendered(CAMERAS, true_regions(CAMERAS, KEYPOINTS, p.keypoints[0]), p.keypoints, 0).cameras[c]
-            for p in people
-        ]
-        detections.append(found[:: -1 if c % 2 else 1] if c != 2 else found[:1])
-    sorted_out = people_apart([camera_model(camera) for camera in CAMERAS], detections)
-    assert len(sorted_out) == 2
-    assert all(seen is not None for seen in sorted_out[0])
-    for c in (0, 1, 3):
-        assert sorted_out[0][c] is detections[c][c % 2]
-        assert sorted_out[1][c] is detections[c][1 - c % 2]
-    assert sorted_out[1][2] is None
 
 
 @pytest.mark.parametrize(("cameras", "limit"), [(3, 0.004), (2, 0.010), (1, 0.25)])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from devices.emulators.loopback_link import loopback_pair
 from devices.link import Chunk, Framing, LinkError
-from devices.loopback_link import loopback_pair
 
 
 async def test_what_one_writes_the_other_reads():
