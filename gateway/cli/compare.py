@@ -1,29 +1,68 @@
-"""``mocap-gateway compare``: two sources of one motion, aligned in time and in the world, by segment."""
+"""``mocap-gateway compare``: two sources of one motion aligned, two results of one session as they stand."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import asyncio
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import orjson
 import typer
+from rich.console import Console, Group
+from rich.live import Live as LiveTable
+from rich.table import Table
+from rich.text import Text
 
 from gateway.agreement import Agreement, Tracks, agreement, tracks_of
-from gateway.cli.diff import print_figures, recorded_arrays
+from gateway.agreement.live import PoseWindow, comparison_message
+from gateway.agreement.time_alignment import SHORTEST_OVERLAP_S
 from gateway.cli.options import BrokerChoice, seconds_of, with_broker
+from gateway.cli.terminal import progress_bar, wide_console
+from gateway.contract.messages import ComparisonMessage
+from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
+from gateway.outputs.connection import broker_connection, explain, unique_identifier
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
+from gateway.recording import SkeletonArrays, open_recording
+from gateway.recording.difference import Difference, difference
 from gateway.report.angle_page import AnglePage, save_page
 
-HEADS = (
+_HEADS = (
     "segment", "frames", "as defined RMS °", "axes apart °", "RMS °", "inclination °", "heading °", "95 % °",
     "max °", "joint RMS °", "position mm",
+)  # fmt: skip
+_SESSION_HEADS = (
+    "segment", "frames", "mean °", "RMS °", "95 % °", "max °", "inclination RMS °", "heading RMS °",
 )  # fmt: skip
 _SMALL_DEG, _HALVED = 2.0, 0.6
 """Segments that differ by more than the first, and by less than so much of it with headings of their own."""
 _DOUBTFUL = 0.7
 """A correlation below it: perhaps not the same motion."""
+_EVERY_S = 1.0
+
+Files = tuple[Path, Path]
+"""Two recordings."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How two sources of one motion are brought together."""
+
+    renamed: Mapping[str, str] = field(default_factory=dict)
+    """The first's segments that the second calls otherwise."""
+    largest_lag_s: float | None = None
+    span_s: tuple[float, float] | None = None
+    own_headings: bool = False
+
+    def compare(self, first: Tracks, second: Tracks) -> Agreement:
+        """Raises ``GatewayError`` as ``agreement`` does."""
+        return agreement(
+            first, second, self.renamed, self.largest_lag_s, self.span_s, own_headings=self.own_headings
+        )
 
 
 @with_broker
@@ -31,6 +70,10 @@ def compare(
     broker: BrokerChoice,
     first: Annotated[str, typer.Argument(help="Recording; with --live the name of a gateway.")],
     second: Annotated[str, typer.Argument(help="Recording of the same motion; with --live a gateway.")],
+    same_session: Annotated[
+        bool,
+        typer.Option("--same-session", help="Two results of one session: poses by their time, unaligned."),
+    ] = False,
     pair: Annotated[
         list[str] | None,
         typer.Option(help="Segments of other names, first=second, such as thigh=left_thigh; repeatable."),
@@ -58,39 +101,109 @@ def compare(
     window: Annotated[float, typer.Option(min=5.0, max=600.0, help="With --live: seconds compared.")] = 20.0,
     count: Annotated[int | None, typer.Option(min=1, help="With --live: end after so many.")] = None,
 ) -> None:
-    """Compare two sources of one motion, such as optical and inertial: angles and places by segment.
+    """Compare two sources of one motion, or two results of one session: angles and places by segment.
 
-    The clocks are aligned by how fast the segments turn, the worlds by one heading; a constant difference of
-    a segment's axes is shown and taken off. With --live the figures go to mocap/FIRST/comparison, too.
+    Of two sources, such as optical and inertial, the clocks are aligned by how fast the segments turn, the
+    worlds by one heading; a constant difference of a segment's axes is shown and taken off. With --live the
+    figures go to mocap/FIRST/comparison, too.
+
+    With --same-session nothing is aligned: for a recording and what `replay` made of it with another rig or
+    method. Poses belong together by their time. Plots need the extra `plot` (matplotlib).
     """
-    renamed = _renamed(pair or [])
+    aligning = {"--pair": pair, "--largest-lag": largest_lag, "--span": span, "--own-headings": own_headings}
+    if same_session:
+        _refuse("--same-session", {**aligning, "--live": live})
+        _compare_results((Path(first), Path(second)), plot, as_json)
+        return
+    alignment = Alignment(
+        _renamed(pair or []), largest_lag, None if span is None else seconds_of("--span", span), own_headings
+    )
     if live:
-        if span is not None or plot is not None:
-            raise GatewayError("--span and --plot are for recordings: leave them out with --live")
-        from gateway.cli.compare_live import Live, run_live  # noqa: PLC0415 - only here a broker is spoken to
-
-        settings = broker.settings()
-        wanted = Live(first, second, renamed, largest_lag, window, count, as_json, own_headings)
-        raise typer.Exit(run_live(settings, wanted))
-    _compare_files(Path(first), Path(second), renamed, largest_lag, span, own_headings, plot, as_json)
+        _refuse("--live", {"--span": span, "--plot": plot})
+        wanted = Live(first, second, alignment, window, count, as_json)
+        raise typer.Exit(run_live(broker.settings(), wanted))
+    _compare_sources((Path(first), Path(second)), alignment, plot, as_json)
 
 
-def _compare_files(
-    first: Path,
-    second: Path,
-    renamed: dict[str, str],
-    largest_lag: float | None,
-    span: str | None,
-    own_headings: bool,
-    plot: Path | None,
-    as_json: bool,
-) -> None:
-    counted = None if span is None else seconds_of("--span", span)
-    tracks = _of_files(first, second, not as_json)
-    found = agreement(*tracks, renamed, largest_lag, counted, own_headings=own_headings)
-    _show(found, first, second, plot, as_json)
-    if not own_headings:
-        _hint(found, agreement(*tracks, renamed, largest_lag, counted, own_headings=True))
+def _refuse(option: str, given: Mapping[str, object]) -> None:
+    """Raise ``GatewayError`` for an option that says nothing beside ``option``."""
+    for other, value in given.items():
+        if value is not None and value is not False:
+            raise GatewayError(f"{other} says nothing with {option}: leave one of them out")
+
+
+def _recorded(path: Path, is_shown: bool) -> SkeletonArrays:
+    """The poses of a recording, with a progress bar if wanted. Raises ``GatewayError``."""
+    with progress_bar(f"reading {path.name}", is_shown=is_shown) as tell:
+        return open_recording(path).skeleton_arrays(tell)
+
+
+def _compare_results(files: Files, plot: Path | None, as_json: bool) -> None:
+    """Two results of one session, as they stand."""
+    first, second = (_recorded(path, not as_json) for path in files)
+    found = difference(first, second)
+    plain = {
+        "frames": len(found.time_s),
+        "segments": [asdict(segment) for segment in found.segments],
+        "only_in_first": found.only_in_first,
+        "only_in_second": found.only_in_second,
+    }
+    _show(difference_page(found, _title(files)), plain, files, plot, as_json)
+
+
+def _compare_sources(files: Files, alignment: Alignment, plot: Path | None, as_json: bool) -> None:
+    """Two sources of one motion, aligned; with a note where headings of their own would make them agree."""
+    tracks = _tracks_of_files(files, not as_json)
+    found = alignment.compare(*tracks)
+    _show(_agreement_page(found, _title(files)), _plain(found), files, plot, as_json)
+    if not alignment.own_headings:
+        _hint(found, replace(alignment, own_headings=True).compare(*tracks))
+
+
+def _title(files: Files) -> str:
+    return f"{files[0].name} against {files[1].name}"
+
+
+def _show(page: AnglePage, plain: Mapping[str, Any], files: Files, plot: Path | None, as_json: bool) -> None:
+    """Save the page, and print it as a table or all figures as JSON; what is not known is null."""
+    if plot is not None:
+        save_page(page, plot)
+    if as_json:
+        typer.echo(orjson.dumps(plain, option=orjson.OPT_INDENT_2).decode())
+        return
+    for note in page.notes:
+        typer.echo(note)
+    wide_console().print(_table(page.heads, page.rows))
+    for path, only in zip(files, (plain["only_in_first"], plain["only_in_second"]), strict=True):
+        if only:
+            typer.echo(f"only in {path.name}: {', '.join(only)}", err=True)
+    if plot is not None:
+        typer.echo(f"plot written to {plot}")
+
+
+def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> Table:
+    """Numbers, a row a segment."""
+    table = Table(*heads)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _renamed(pairs: list[str]) -> dict[str, str]:
+    """Raises ``GatewayError`` for what is not ``first=second``."""
+    split = [pair.split("=") for pair in pairs]
+    for pair, names in zip(pairs, split, strict=True):
+        if len(names) != 2 or not all(names):
+            raise GatewayError(f"--pair {pair}: write first=second, such as --pair thigh=left_thigh")
+    return dict(split)
+
+
+def _tracks_of_files(files: Files, is_shown: bool) -> tuple[Tracks, Tracks]:
+    first, second = (_recorded(path, is_shown) for path in files)
+    origin_ns = int(first.time_ns[0]) if len(first.time_ns) else 0
+    return tracks_of(first, origin_ns, str(files[0])), tracks_of(second, origin_ns, str(files[1]))
 
 
 def _hint(found: Agreement, separate: Agreement) -> None:
@@ -105,38 +218,7 @@ def _hint(found: Agreement, separate: Agreement) -> None:
         )
 
 
-def _show(found: Agreement, first: Path, second: Path, plot: Path | None, as_json: bool) -> None:
-    if plot is not None:
-        save_page(_page(found, f"{first.name} against {second.name}"), plot)
-    if as_json:
-        typer.echo(as_json_text(found))
-        return
-    for note in notes(found):
-        typer.echo(note)
-    print_figures(HEADS, rows(found))
-    for path, only in ((first, found.only_in_first), (second, found.only_in_second)):
-        if only:
-            typer.echo(f"only in {path.name}: {', '.join(only)}", err=True)
-    if plot is not None:
-        typer.echo(f"plot written to {plot}")
-
-
-def _renamed(pairs: list[str]) -> dict[str, str]:
-    """Raises ``GatewayError`` for what is not ``first=second``."""
-    split = [pair.split("=") for pair in pairs]
-    for pair, names in zip(pairs, split, strict=True):
-        if len(names) != 2 or not all(names):
-            raise GatewayError(f"--pair {pair}: write first=second, such as --pair thigh=left_thigh")
-    return dict(split)
-
-
-def _of_files(first: Path, second: Path, is_shown: bool) -> tuple[Tracks, Tracks]:
-    arrays = [recorded_arrays(path, is_shown) for path in (first, second)]
-    origin_ns = int(arrays[0].time_ns[0]) if len(arrays[0].time_ns) else 0
-    return tracks_of(arrays[0], origin_ns, str(first)), tracks_of(arrays[1], origin_ns, str(second))
-
-
-def notes(found: Agreement) -> list[str]:
+def _notes(found: Agreement) -> list[str]:
     """What was aligned, as sentences."""
     drift = f", and runs {found.time.drift_ppm:+.1f} ppm against it" if found.time.drift_ppm else ""
     said = [
@@ -152,8 +234,8 @@ def notes(found: Agreement) -> list[str]:
     return said
 
 
-def rows(found: Agreement) -> list[tuple[str, ...]]:
-    """The table, in the columns of ``HEADS``, numbers as text."""
+def _rows(found: Agreement) -> list[tuple[str, ...]]:
+    """The table, in the columns of ``_HEADS``, numbers as text."""
     return [
         (
             figures.segment,
@@ -177,22 +259,147 @@ def rows(found: Agreement) -> list[tuple[str, ...]]:
     ]
 
 
-def as_json_text(found: Agreement) -> str:
-    """All figures; what is not known is null."""
-    return orjson.dumps(
-        {
-            "time": asdict(found.time),
-            "heading_deg": found.heading_deg,
-            "instants": len(found.time_s),
-            "segments": [asdict(figures) for figures in found.segments],
-            "only_in_first": found.only_in_first,
-            "only_in_second": found.only_in_second,
-        },
-        option=orjson.OPT_INDENT_2,
-    ).decode()
+def _plain(found: Agreement) -> dict[str, Any]:
+    """All figures, for JSON."""
+    return {
+        "time": asdict(found.time),
+        "heading_deg": found.heading_deg,
+        "instants": len(found.time_s),
+        "segments": [asdict(figures) for figures in found.segments],
+        "only_in_first": found.only_in_first,
+        "only_in_second": found.only_in_second,
+    }
 
 
-def _page(found: Agreement, title: str) -> AnglePage:
+def _agreement_page(found: Agreement, title: str) -> AnglePage:
     return AnglePage(
-        title, tuple(notes(found)), found.time_s, found.angle_deg, found.segment_names, HEADS, rows(found)
+        title, tuple(_notes(found)), found.time_s, found.angle_deg, found.segment_names, _HEADS, _rows(found)
     )
+
+
+def difference_page(found: Difference, title: str) -> AnglePage:
+    """The difference of two results of one session, to be shown or saved."""
+    rows = [
+        (
+            figures.segment,
+            str(figures.frames),
+            *(
+                f"{value:.3f}"
+                for value in (
+                    figures.mean_deg,
+                    figures.rms_deg,
+                    figures.p95_deg,
+                    figures.max_deg,
+                    figures.inclination_rms_deg,
+                    figures.heading_rms_deg,
+                )
+            ),
+        )
+        for figures in found.segments
+    ]
+    return AnglePage(title, (), found.time_s, found.angle_deg, found.segment_names, _SESSION_HEADS, rows)
+
+
+@dataclass(frozen=True)
+class Live:
+    """Which two running gateways to compare every second over the last ones, and until when."""
+
+    first: str
+    second: str
+    alignment: Alignment
+    window_s: float
+    count: int | None
+    as_json: bool
+
+
+def run_live(settings: MqttSettings, wanted: Live) -> int:
+    """The exit code: 0 on Ctrl-C or when all is done, 1 with one line when the broker cannot be used."""
+    try:
+        topics = [Topics(settings.base_topic, name) for name in (wanted.first, wanted.second)]
+        asyncio.run(_compare_live(settings, wanted, topics[0]))
+    except KeyboardInterrupt:
+        return 0
+    except (BrokerUnreachableError, ValueError) as error:
+        typer.echo(str(error), err=True)
+        return 1
+    return 0
+
+
+async def _compare_live(settings: MqttSettings, wanted: Live, topics: Topics) -> None:
+    windows = {name: PoseWindow(wanted.window_s) for name in (wanted.first, wanted.second)}
+    async with PoseSubscriber(settings) as poses:
+        collecting = asyncio.create_task(_collect(poses, windows))
+        try:
+            await _say(settings, wanted, topics, poses, windows)
+        finally:
+            collecting.cancel()
+
+
+async def _collect(poses: PoseSubscriber, windows: Mapping[str, PoseWindow]) -> None:
+    async for received in poses:
+        if received.gateway in windows:
+            windows[received.gateway].add(received.pose)
+
+
+async def _say(
+    settings: MqttSettings,
+    wanted: Live,
+    topics: Topics,
+    poses: PoseSubscriber,
+    windows: Mapping[str, PoseWindow],
+) -> None:
+    said, console = 0, Console()
+    with LiveTable(console=console, auto_refresh=False, screen=False) as table:
+        while wanted.count is None or said < wanted.count:
+            await asyncio.sleep(_EVERY_S)
+            found = await _found(wanted, poses, windows)
+            if isinstance(found, str):
+                _show_live(table, wanted, Text(found, "yellow"))
+                continue
+            said += 1
+            message = comparison_message(
+                found, windows[wanted.first].newest_ns, wanted.second, wanted.window_s
+            )
+            problem = await _publish(settings, topics, message)
+            if wanted.as_json:
+                typer.echo(message.payload().decode())
+            else:
+                _show_live(
+                    table,
+                    wanted,
+                    _agreement_screen(found, problem),
+                )
+
+
+async def _found(wanted: Live, poses: PoseSubscriber, windows: Mapping[str, PoseWindow]) -> Agreement | str:
+    """The agreement over the window, or why there is none."""
+    for name, window in windows.items():
+        if name not in poses.bodies or window.duration_s < SHORTEST_OVERLAP_S:
+            return f"waiting for poses of gateway '{name}' ({poses.states.get(name, 'not heard of')})"
+    origin_ns = windows[wanted.first].newest_ns
+    first, second = (windows[name].tracks(poses.bodies[name], origin_ns) for name in windows)
+    try:
+        return await asyncio.to_thread(wanted.alignment.compare, first, second)
+    except GatewayError as error:
+        return str(error)
+
+
+async def _publish(settings: MqttSettings, topics: Topics, message: ComparisonMessage) -> list[str]:
+    """What went wrong, if anything: a broker that refuses does not end the comparison."""
+    try:
+        async with broker_connection(settings, settings.port, unique_identifier("compare")) as client:
+            await client.publish(topics.comparison, message.payload())
+    except Exception as error:  # explain() has words for all that a connection may raise
+        return [f"not published: {explain(error, settings, settings.port)}"]
+    return []
+
+
+def _agreement_screen(found: Agreement, problem: list[str]) -> Group:
+    return Group(Text("\n".join([*_notes(found), *problem])), _table(_HEADS, _rows(found)))
+
+
+def _show_live(table: LiveTable, wanted: Live, content: Text | Group) -> None:
+    if not wanted.as_json:
+        table.update(content, refresh=True)
+    elif isinstance(content, Text):
+        typer.echo(content.plain, err=True)

@@ -77,15 +77,11 @@ class _Commands(LazyGroup):
             "Examples: mocap-gateway batch recordings/ --to report --to csv -o results/; "
             "mocap-gateway batch recordings/ --to bvh --with my_rig.yaml --dask tcp://head:8786",
         ),
-        "diff": LazyCommand(
-            "gateway.cli.diff:diff",
-            "Compare the poses of two recordings: angle between the orientations, by segment.",
-            "Example: mocap-gateway diff walk.mcap walk_joint.mcap --plot diff.html",
-        ),
         "compare": LazyCommand(
             "gateway.cli.compare:compare",
-            "Compare two sources of one motion, such as optical and inertial: angles and places by segment.",
+            "Compare two sources of one motion, or two results of one session: angles and places by segment.",
             "Examples: mocap-gateway compare suit.mcap optical.mcap --plot agreement.html; "
+            "mocap-gateway compare walk.mcap walk_joint.mcap --same-session; "
             "mocap-gateway compare suit1 optical1 --live --port 1883",
         ),
         "export": LazyCommand(

@@ -279,5 +279,6 @@ def _solve(recording: Recording, source: Source, target: Path | None, as_json: b
         typer.echo(f"{frames} poses in {elapsed_s:.1f} s, {outcome['x_realtime']:g} × real time")
     else:
         typer.echo(
-            f"{target}: {frames} poses; compare them with `mocap-gateway diff {recording.meta.path} {target}`"
+            f"{target}: {frames} poses; compare them with `mocap-gateway compare --same-session "
+            f"{recording.meta.path} {target}`"
         )

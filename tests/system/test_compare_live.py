@@ -8,7 +8,7 @@ import numpy as np
 import orjson
 from scipy.spatial.transform import Rotation
 
-from gateway.cli.compare_live import Live, run_live
+from gateway.cli.compare import Alignment, Live, run_live
 from gateway.contract.messages import BodyMessage, BodySegment, ComparisonMessage, PoseMessage
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.settings import MqttSettings
@@ -89,7 +89,7 @@ async def test_two_gateways_are_compared_and_the_figures_published(mosquitto, ca
     settings, heard = MqttSettings(port=mosquitto.port), Heard()
     listening = asyncio.create_task(listen(settings, heard))
     await heard.ready.wait()
-    wanted = Live("suit", "cameras", {}, None, 20.0, 1, True)
+    wanted = Live("suit", "cameras", Alignment(), 20.0, 1, True)
     comparing = asyncio.create_task(asyncio.to_thread(run_live, settings, wanted))
     await until_said(capsys, "waiting for poses of gateway 'suit'")
     await play(settings, "suit", 0.0, 0.0, 0.0)
@@ -112,7 +112,7 @@ async def test_two_gateways_are_compared_and_the_figures_published(mosquitto, ca
 
 async def test_a_gateway_that_is_not_there_is_waited_for(mosquitto, capsys):
     settings = MqttSettings(port=mosquitto.port)
-    wanted = Live("suit", "cameras", {}, None, 20.0, 1, True)
+    wanted = Live("suit", "cameras", Alignment(), 20.0, 1, True)
     comparing = asyncio.create_task(asyncio.to_thread(run_live, settings, wanted))
     await until_said(capsys, "waiting for poses of gateway 'suit'")
     await play(settings, "suit", 0.0, 0.0, 0.0)

@@ -73,10 +73,10 @@ def test_solve_again_diff_and_list(record, tmp_path):
     (tmp_path / "out" / "mine.yaml").write_text(yaml.safe_dump(rig))
     target = tmp_path / "mine.mcap"
     assert typed("replay", path, "--with", tmp_path / "out" / "mine.yaml", "--output", target)[0] == 0
-    code, output = typed("diff", path, target, "--json")
+    code, output = typed("compare", path, target, "--same-session", "--json")
     figures = json.loads(output)["segments"]
     assert sorted(round(each["max_deg"]) for each in figures)[-1] == 90
-    assert "mean °" in typed("diff", path, target)[1]
+    assert "mean °" in typed("compare", path, target, "--same-session")[1]
     code, output = typed("recordings", path.parent, "--json")
     assert [entry["name"] for entry in json.loads(output)] == ["walk", solved.stem]
     assert "loss" in typed("recordings", path.parent)[1]
@@ -141,7 +141,7 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
         (("recover", "absent.mcap"), "cannot be read"),
         (("recover", "x.mcap", "--in-place", "--output", "y.mcap"), "not both"),
         (("recordings", "absent"), "there is no folder absent"),
-        (("diff", "absent.mcap", "absent.mcap"), "cannot be read"),
+        (("compare", "absent.mcap", "absent.mcap", "--same-session"), "cannot be read"),
         (("replay", "{card}"), "tells no suit"),
         (("replay", "{path}", "--speed", "fast"), "a number above 0, or max, is needed"),
         (("replay", "{path}", "--reconstructor", "articulate"), "did you mean 'articulated'"),
@@ -151,7 +151,7 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
         (("replay", "{path}", "--with", "nothing"), "there is no file 'nothing'"),
         (("replay", "{path}", "--verify", "--with", "single"), "leave out --with"),
         (("replay", "{path}", "--output", "{path}"), "exists already"),
-        (("diff", "{path}", "{path}", "--plot", "plot.gif"), "a plot is written as"),
+        (("compare", "{path}", "{path}", "--same-session", "--plot", "plot.gif"), "a plot is written as"),
     ],
 )
 def test_what_cannot_be_is_said_in_a_line(
@@ -218,6 +218,8 @@ def test_compare_says_how_far_two_sources_agree(record, tmp_path):
         (("--pair", "base"), "write first=second"),
         (("--pair", "link_1=pelvis"), "no segment 'pelvis'"),
         (("--plot", "plot.gif"), "a plot is written as"),
+        (("--same-session", "--own-headings"), "--own-headings says nothing with --same-session"),
+        (("--live", "--span", "1:2"), "--span says nothing with --live"),
     ],
 )
 def test_compare_refuses_in_one_line(record, monkeypatch, capsys, options, said):

@@ -10,7 +10,7 @@ import pytest
 from devices import recording_format as fmt
 from devices.recording_file import RecordingError, RecordingFile
 from devices.recording_writer import RecordingWriter
-from gateway.cli.diff import page
+from gateway.cli.compare import difference_page
 from gateway.errors import GatewayError
 from gateway.geometry import quaternion
 from gateway.recording import open_recording
@@ -143,10 +143,10 @@ def test_differences_are_drawn(record, tmp_path, ending, magic):
     pytest.importorskip("matplotlib")
     arrays = open_recording(record()).skeleton_arrays()
     target = tmp_path / f"plot.{ending}"
-    save_page(page(difference(arrays, arrays), "the same <twice>"), target)
+    save_page(difference_page(difference(arrays, arrays), "the same <twice>"), target)
     content = target.read_bytes()
     assert content.startswith(magic)
     assert len(content) > 5000
     assert b"<twice>" not in content
     with pytest.raises(GatewayError, match=r"as \.png, \.svg, \.pdf or \.html"):
-        save_page(page(difference(arrays, arrays), ""), tmp_path / "plot.gif")
+        save_page(difference_page(difference(arrays, arrays), ""), tmp_path / "plot.gif")
