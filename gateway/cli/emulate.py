@@ -8,11 +8,12 @@ import json
 import signal
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from itertools import takewhile
 from math import radians
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated
 
 import can
 import numpy as np
@@ -28,6 +29,7 @@ from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit, pull_cable
 from devices.emulators.gnss_receiver import FORMATS, GnssEmulation, gnss_traffic
 from devices.emulators.imperfections import PRESETS
+from devices.emulators.motions import BodyMotion
 from devices.emulators.recording_formats import READERS
 from devices.emulators.recordings import Recording, play
 from devices.emulators.sampling import FUSED, RAW, TRIGGERED
@@ -45,13 +47,123 @@ from devices.emulators.transports import (
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.cli import emulate_options as options
-from gateway.cli.emulate_options import Medium, MotionKind, SamplingMode, StrapOn
+from gateway.cli.options import with_options
 from gateway.cli.terminal import TypedLines
 from gateway.emulation.rig import calibrate, dress, move_about, sunlight, tumble, worn_wrong
 from gateway.errors import GatewayError, nearest
 from gateway.frames import Quantity
 from gateway.support.settings_files import load_settings
+
+
+class Medium(StrEnum):
+    """Where the emulated suit speaks."""
+
+    PTY = "pty"
+    TCP = "tcp"
+    UDP = "udp"
+    SLCAN = "slcan"
+    CAN = "can"
+
+
+class SamplingMode(StrEnum):
+    """What the modules send until a host sets them otherwise."""
+
+    RAW = "raw"
+    FUSED = "fused"
+    TRIGGERED = "triggered"
+
+
+class MotionKind(StrEnum):
+    """What the emulated body does."""
+
+    OWN = "own"
+    CALIBRATION = "calibration"
+
+
+class StrapOn(StrEnum):
+    """How the modules sit."""
+
+    RIG = "rig"
+    RANDOM = "random"
+
+
+@dataclass(frozen=True)
+class Emulation:
+    """The options of ``emulate``: what is worn and how, what it does, and where it speaks."""
+
+    rig: Annotated[str, typer.Option(help="Rig to wear: a shipped one or a file.")] = "suit_17"
+    on: Annotated[Medium, typer.Option(help="What to speak on.")] = Medium.PTY
+    link: Annotated[Path | None, typer.Option(help="pty, slcan: make this link to the port.")] = None
+    port: Annotated[
+        int,
+        typer.Option(min=0, max=65535, help="tcp: listen here (0: a free port). udp: the gateway's port."),
+    ] = 7000
+    host: Annotated[str, typer.Option(help="udp: the gateway's address.")] = "127.0.0.1"
+    channel: Annotated[str, typer.Option(help="can: SocketCAN interface.")] = "vcan0"
+    fd: Annotated[bool, typer.Option("--fd", help="can, slcan: CAN FD frames.")] = False
+    key_file: Annotated[
+        Path | None,
+        typer.Option(
+            help="tcp, udp: sign with the key in this file (mocap-gateway config key), obey signed commands "
+            "only."
+        ),
+    ] = None
+    imperfections: Annotated[str, typer.Option(help=f"How bad it is: {', '.join(PRESETS)}.")] = "typical"
+    rate: Annotated[float, typer.Option(min=1, max=4000, help="Samples of each module a second.")] = 100.0
+    mode: Annotated[
+        SamplingMode,
+        typer.Option(
+            help="Raw samples or orientations fused on board, or raw ones when the host triggers them."
+        ),
+    ] = SamplingMode.RAW
+    relay: Annotated[
+        bool | None,
+        typer.Option(
+            "--relay/--no-relay",
+            help="Through a relay that batches (not on CAN); over udp else each module from its own address.",
+            show_default="--no-relay over udp",
+        ),
+    ] = None
+    fine: Annotated[bool, typer.Option("--fine", help="Send the fine (32-bit) samples.")] = False
+    recording: Annotated[Path | None, typer.Option(help="Play a real recording instead of a motion.")] = None
+    kind: Annotated[str, typer.Option("--format", help=f"Of the recording: {', '.join(READERS)}.")] = ""
+    fresh: Annotated[int, typer.Option(min=0, help="So many modules come from the factory, all of id 0.")] = 0
+    id_conflict: Annotated[
+        bool, typer.Option("--id-conflict", help="The last module has the id of the one before it.")
+    ] = False
+    gnss: Annotated[
+        Path | None, typer.Option(help="A satellite receiver on the body's root too: link to its port.")
+    ] = None
+    gnss_format: Annotated[str, typer.Option(help=f"What it speaks: {', '.join(FORMATS)}.")] = "nmea"
+    faults: Annotated[
+        Path | None,
+        typer.Option(help="What goes wrong and when: a YAML file such as config/faults.yaml."),
+    ] = None
+    tumbling: Annotated[
+        bool,
+        typer.Option("--tumbling", help="The suit lies in a box that is turned: for `calibrate sensors`."),
+    ] = False
+    motion: Annotated[
+        MotionKind,
+        typer.Option(help="What the body does; calibration: the steps of `calibrate body`, over and over."),
+    ] = MotionKind.OWN
+    strap_on: Annotated[
+        StrapOn,
+        typer.Option(help="random: modules turned anyhow on their segments, each 2 cm off its place."),
+    ] = StrapOn.RIG
+    upside_down: Annotated[
+        list[int] | None,
+        typer.Option(help="This module sits upside down on its segment; as often as needed."),
+    ] = None
+    swapped: Annotated[
+        tuple[int, int] | None, typer.Option(help="These two modules have changed places.", metavar="ID ID")
+    ] = None
+    facing: Annotated[
+        float, typer.Option(help="Heading of the wearer who calibrates, degrees anticlockwise from east.")
+    ] = 0.0
+    seed: Annotated[int, typer.Option(help="Of the motion and of everything random.")] = 1
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="End after so long.")] = None
+    as_json: Annotated[bool, typer.Option("--json", help="Say where and since when as JSON.")] = False
 
 
 def faulty(traffic: SuitTraffic, path: Path) -> FaultySuit:
@@ -85,17 +197,18 @@ def without_position_devices(suit: WornSuit) -> WornSuit:
     return replace(suit, local_devices=kept)
 
 
-def companion(rig: str, seed: int, link: Path, kind: str, seconds: float | None) -> Companion:
+def companion(wanted: Emulation, link: Path) -> Companion:
     """The receiver, to be started with the suit. Raises ``GatewayError`` for an unknown format."""
+    kind = wanted.gnss_format
     if kind not in FORMATS:
         raise GatewayError(f"--gnss-format {kind}: unknown{nearest(kind, FORMATS)}")
-    path = _path(load_rig(rig), seed)
+    path = _path(load_rig(wanted.rig), wanted.seed)
     emulation = GnssEmulation(kind=kind)
 
     def start(start_ns: int) -> EmulatedSuit:
-        traffic: Iterable[Transmission] = gnss_traffic(path, start_ns, emulation, seed)
-        if seconds is not None:
-            traffic = takewhile(lambda sent: sent.time_s < seconds, traffic)
+        traffic: Iterable[Transmission] = gnss_traffic(path, start_ns, emulation, wanted.seed)
+        if (end_s := wanted.seconds) is not None:
+            traffic = takewhile(lambda sent: sent.time_s < end_s, traffic)
         return EmulatedSuit(traffic, PtyTransport(link), start_ns=start_ns)
 
     return start
@@ -174,17 +287,6 @@ def _do(line: str, suit: EmulatedSuit, traffic: SuitTraffic) -> tuple[str, bool]
 _START_DELAY_NS = 500_000_000
 
 
-class _Wearing(NamedTuple):
-    """How the suit is worn, and what is done in it."""
-
-    is_tumbling: bool
-    motion: MotionKind
-    strap_on: StrapOn
-    facing: float
-    upside_down: tuple[int, ...]
-    swapped: tuple[int, ...]
-
-
 _MODES = {SamplingMode.FUSED: FUSED, SamplingMode.RAW: RAW, SamplingMode.TRIGGERED: TRIGGERED}
 
 _REMEDIES = {
@@ -197,113 +299,83 @@ _REMEDIES = {
 }
 
 
-def emulate(
-    rig: options.Rig = "suit_17",
-    on: options.On = Medium.PTY,
-    link: options.Link = None,
-    port: options.Port = 7000,
-    host: options.Host = "127.0.0.1",
-    channel: options.Channel = "vcan0",
-    fd: options.Fd = False,
-    key_file: options.KeyFile = None,
-    imperfections: options.Imperfections = "typical",
-    rate: options.Rate = 100.0,
-    mode: options.Mode = SamplingMode.RAW,
-    relay: options.Relay = None,
-    fine: options.Fine = False,
-    recording: options.Recording = None,
-    kind: options.Kind = "",
-    fresh: options.Fresh = 0,
-    id_conflict: options.IdConflict = False,
-    gnss: options.Gnss = None,
-    gnss_format: options.GnssFormat = "nmea",
-    faults: options.Faults = None,
-    tumbling: options.Tumbling = False,
-    motion: options.Motion = MotionKind.OWN,
-    strap_on: options.StrappedOn = StrapOn.RIG,
-    upside_down: options.UpsideDown = None,
-    swapped: options.Swapped = None,
-    facing: options.Facing = 0.0,
-    seed: options.Seed = 1,
-    seconds: options.Seconds = None,
-    as_json: options.AsJson = False,
-) -> None:
+@with_options(Emulation)
+def emulate(wanted: Emulation) -> None:
     """Emulate a suit: a moving body, its sensors with their errors, the modules' protocol.
 
     A human walks in a circle, a pendulum swings, anything else moves its joints at random; --seed makes it
     repeatable. The suit obeys a host as real modules do; a recording only plays.
     """
-    encoding = Encoding(Framing.CAN if on in {Medium.CAN, Medium.SLCAN} else Framing.BYTE_STREAM, fd)
-    source: Conversation | Iterable[Transmission]
-    if recording is not None:
-        if faults is not None:
-            raise GatewayError("--faults needs a suit that moves: a recording only plays")
-        source = play(_read(recording, kind), encoding)
-    else:
-        settings = SuitSettings(
-            sampling_rate_hz=rate,
-            mode=_MODES[mode],
-            is_fine=fine,
-            has_relay=encoding.framing is Framing.BYTE_STREAM
-            and (on is not Medium.UDP if relay is None else relay),
-            encoding=encoding,
-        )
-        wearing = _Wearing(
-            tumbling, motion, strap_on, radians(facing), tuple(upside_down or ()), tuple(swapped or ())
-        )
-        traffic = _traffic(rig, settings, imperfections, seed, fresh, id_conflict, wearing, gnss is not None)
-        source = traffic if faults is None else faulty(traffic, faults)
-    receiver = None if gnss is None else companion(rig, seed, gnss, gnss_format, seconds)
+    source = _played(wanted) if wanted.recording is not None else _worn(wanted)
+    receiver = None if wanted.gnss is None else companion(wanted, wanted.gnss)
     start_ns = gateway_time_ns() + _START_DELAY_NS
-    if motion is MotionKind.CALIBRATION:
+    if wanted.motion is MotionKind.CALIBRATION:
         start_ns = begin_of_script(start_ns)
     try:
-        transport = (
-            _transport(on, link, port, host, channel, fd)
-            if key_file is None
-            else _signed_transport(on, port, host, key_file)
-        )
-        _play(source, transport, as_json, seconds, receiver, start_ns)
+        _play(source, _transport(wanted), wanted, receiver, start_ns)
     except (OSError, can.CanError) as error:
-        raise GatewayError(f"the emulated suit cannot speak on {on}: {error}; {_REMEDIES[on]}") from error
+        raise GatewayError(
+            f"the emulated suit cannot speak on {wanted.on}: {error}; {_REMEDIES[wanted.on]}"
+        ) from error
 
 
-def _traffic(
-    rig: str,
-    settings: SuitSettings,
-    imperfections: str,
-    seed: int,
-    fresh: int,
-    id_conflict: bool,
-    wearing: _Wearing,
-    has_gnss: bool,
-) -> SuitTraffic:
-    if imperfections not in PRESETS:
-        raise GatewayError(f"--imperfections {imperfections}: unknown{nearest(imperfections, PRESETS)}")
-    suit = load_rig(rig)
-    if has_gnss:
+def _encoding(wanted: Emulation) -> Encoding:
+    is_can = wanted.on in {Medium.CAN, Medium.SLCAN}
+    return Encoding(Framing.CAN if is_can else Framing.BYTE_STREAM, wanted.fd)
+
+
+def _played(wanted: Emulation) -> Iterable[Transmission]:
+    """A real recording. Raises ``GatewayError`` where it cannot be read."""
+    if wanted.faults is not None:
+        raise GatewayError("--faults needs a suit that moves: a recording only plays")
+    assert wanted.recording is not None
+    return play(_read(wanted.recording, wanted.kind), _encoding(wanted))
+
+
+def _worn(wanted: Emulation) -> Conversation:
+    """A suit on a moving body, with its faults. Raises ``GatewayError``."""
+    if wanted.imperfections not in PRESETS:
+        raise GatewayError(
+            f"--imperfections {wanted.imperfections}: unknown{nearest(wanted.imperfections, PRESETS)}"
+        )
+    suit = load_rig(wanted.rig)
+    if wanted.gnss is not None:
         suit = without_position_devices(suit)
+    imperfections = PRESETS[wanted.imperfections]
+    traffic = SuitTraffic(_motion(wanted, suit), _suit_settings(wanted, suit), imperfections, wanted.seed)
+    return traffic if wanted.faults is None else faulty(traffic, wanted.faults)
+
+
+def _suit_settings(wanted: Emulation, suit: WornSuit) -> SuitSettings:
+    encoding = _encoding(wanted)
+    can_relay = encoding.framing is Framing.BYTE_STREAM
     ids = suit.module_ids
-    world = replace(
-        settings,
+    return SuitSettings(
+        sampling_rate_hz=wanted.rate,
+        mode=_MODES[wanted.mode],
+        is_fine=wanted.fine,
+        has_relay=can_relay and (wanted.on is not Medium.UDP if wanted.relay is None else wanted.relay),
+        encoding=encoding,
         gravity=suit.gravity,
         magnetic_field=suit.magnetic_field,
         sunlight=sunlight(suit, gateway_time_ns()),
-        fresh=frozenset(ids[:fresh]),
-        stored_ids={ids[-1]: ids[-2]} if id_conflict and len(ids) > 1 else {},
+        fresh=frozenset(ids[: wanted.fresh]),
+        stored_ids={ids[-1]: ids[-2]} if wanted.id_conflict and len(ids) > 1 else {},
     )
+
+
+def _motion(wanted: Emulation, suit: WornSuit) -> BodyMotion:
+    """What the wearer does. Raises ``GatewayError`` for modules that cannot be worn as told."""
     body = dress(suit)
-    if wearing.strap_on is StrapOn.RANDOM:
-        body = strapped_on(body, seed)
+    if wanted.strap_on is StrapOn.RANDOM:
+        body = strapped_on(body, wanted.seed)
     try:
-        body = worn_wrong(body, wearing.upside_down, wearing.swapped)
+        body = worn_wrong(body, wanted.upside_down or (), wanted.swapped or ())
     except ValueError as error:
         raise GatewayError(str(error)) from error
-    if wearing.motion is MotionKind.CALIBRATION:
-        motion = calibrate(body, suit.skeleton.name, seed, wearing.facing)
-    else:
-        motion = (tumble if wearing.is_tumbling else move_about)(body, suit.skeleton.name, seed)
-    return SuitTraffic(motion, world, PRESETS[imperfections], seed)
+    if wanted.motion is MotionKind.CALIBRATION:
+        return calibrate(body, suit.skeleton.name, wanted.seed, radians(wanted.facing))
+    return (tumble if wanted.tumbling else move_about)(body, suit.skeleton.name, wanted.seed)
 
 
 def _read(path: Path, kind: str) -> Recording:
@@ -315,23 +387,29 @@ def _read(path: Path, kind: str) -> Recording:
         raise GatewayError(f"{path} cannot be read as {kind}: {error}") from error
 
 
-def _transport(on: Medium, link: Path | None, port: int, host: str, channel: str, fd: bool) -> Transport:
-    if on is Medium.TCP:
-        return TcpTransport(port)
-    if on is Medium.UDP:
-        return UdpTransport(port, host)
-    if on is Medium.CAN:
-        return CanBusTransport(channel, "socketcan", fd=fd)
-    return PtyTransport(link) if on is Medium.PTY else SlcanTransport(link)
+def _transport(wanted: Emulation) -> Transport:
+    if wanted.key_file is not None:
+        return _signed_transport(wanted, wanted.key_file)
+    match wanted.on:
+        case Medium.TCP:
+            return TcpTransport(wanted.port)
+        case Medium.UDP:
+            return UdpTransport(wanted.port, wanted.host)
+        case Medium.CAN:
+            return CanBusTransport(wanted.channel, "socketcan", fd=wanted.fd)
+        case Medium.SLCAN:
+            return SlcanTransport(wanted.link)
+        case Medium.PTY:
+            return PtyTransport(wanted.link)
 
 
-def _signed_transport(on: Medium, port: int, host: str, key_file: Path) -> Transport:
-    if on not in {Medium.TCP, Medium.UDP}:
-        raise GatewayError(f"--key-file: nothing is signed on {on}; take --on tcp or --on udp")
+def _signed_transport(wanted: Emulation, key_file: Path) -> Transport:
+    if wanted.on not in {Medium.TCP, Medium.UDP}:
+        raise GatewayError(f"--key-file: nothing is signed on {wanted.on}; take --on tcp or --on udp")
     try:
-        if on is Medium.TCP:
-            return SignedTcpTransport(key_file, port)
-        return SignedUdpTransport(key_file, port, host)
+        if wanted.on is Medium.TCP:
+            return SignedTcpTransport(key_file, wanted.port)
+        return SignedUdpTransport(key_file, wanted.port, wanted.host)
     except ValueError as error:
         raise GatewayError(f"--key-file: {error}") from error
 
@@ -339,16 +417,15 @@ def _signed_transport(on: Medium, port: int, host: str, key_file: Path) -> Trans
 def _play(
     source: Conversation | Iterable[Transmission],
     transport: Transport,
-    as_json: bool,
-    seconds: float | None,
+    wanted: Emulation,
     receiver: Companion | None,
     start_ns: int,
 ) -> None:
     beside = None if receiver is None else receiver(start_ns)
-    suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=seconds)
+    suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=wanted.seconds)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_run(suit, beside, source, as_json))
-    if not as_json:
+        asyncio.run(_run(suit, beside, source, wanted.as_json))
+    if not wanted.as_json:
         counts = suit.counts
         Console().print(
             f"sent {counts.sent_bytes} bytes; {counts.dropped_bytes} dropped because nobody read them"

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
+from typing import Annotated, Literal
 
 import typer
 
 from devices.emulators.recordings import Recording
 from gateway.body.rig import load_body, load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.cli import import_options as options
-from gateway.cli.import_options import FormatName
-from gateway.cli.options import seconds_of
+from gateway.cli.options import seconds_of, with_options
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.imports import (
+    FORMATS,
     ReadOptions,
     Worn,
     detected,
@@ -29,44 +31,80 @@ from gateway.imports.suits import BODY, aligned
 from gateway.imports.writing import is_fused, settings_of, solved
 from gateway.settings import GatewaySettings, check_method
 
+FormatName = StrEnum("FormatName", {name: name for name in ("auto", *FORMATS)})  # type: ignore[misc]  # from the list
+_AUTO = FormatName("auto")
 
+
+@dataclass(frozen=True)
+class Import:
+    """The options of ``import``: what the files are, who wore them, and what becomes of them."""
+
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The recording; else NAME.mcap in this folder.")
+    ] = None
+    format_name: Annotated[
+        FormatName, typer.Option("--format", help="What they are; auto looks into them.")
+    ] = _AUTO
+    maps: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map", help="NAME=SEGMENT, a YAML file of such lines, or OpenSense's XML. Repeatable."
+        ),
+    ] = None
+    columns: Annotated[Path | None, typer.Option(help="For csv: map of its columns (YAML).")] = None
+    body: Annotated[str | None, typer.Option(help=f"Body, name or file; else what is worn of {BODY}.")] = None
+    rig: Annotated[str | None, typer.Option(help="Rig, name or file, instead of any map.")] = None
+    reconstructor: Annotated[
+        str | None, typer.Option(help="Method; else independent, or fused where only orientations came.")
+    ] = None
+    neutral: Annotated[
+        str | None,
+        typer.Option(metavar="FROM:TO", help="Seconds in which the wearer stood upright, arms down."),
+    ] = None
+    forward: Annotated[
+        Literal["x", "y", "z", "-x", "-y", "-z"] | None,
+        typer.Option(help="With --neutral: axis of the root's module that points forward."),
+    ] = None
+    rate: Annotated[
+        float | None, typer.Option(min=0.1, help="Samples a second, where files do not tell.")
+    ] = None
+    align: Annotated[
+        Literal["stamps", "start"], typer.Option(help="Modules by their time stamps, or all begin together.")
+    ] = "stamps"
+    partial: Annotated[bool, typer.Option("--partial", help="Take what comes before the first damage.")] = (
+        False
+    )
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False
+
+
+@with_options(Import)
 def import_files(
-    files: options.Files,
-    output: options.Output = None,
-    format_name: options.Format = FormatName("auto"),
-    maps: options.Maps = None,
-    columns: options.Columns = None,
-    body: options.Body = None,
-    rig: options.Rig = None,
-    reconstructor: options.Reconstructor = None,
-    neutral: options.Neutral = None,
-    forward: options.Forward = None,
-    rate: options.Rate = None,
-    align: options.Align = "stamps",
-    partial: options.Partial = False,
-    as_json: options.AsJson = False,
+    wanted: Import,
+    files: Annotated[
+        list[Path], typer.Argument(help="Files, one a module where the maker has it so; or folders.")
+    ],
 ) -> None:
     """Make a recording of other makers' files: Xsens, MVNX, x-IMU3, Movella DOT, OpenSense, any CSV.
 
     The samples become packets of our own modules, so all that works with a recording works with it: replay,
     re-solving, export, report. docs/imports.md has every format.
     """
-    options = ReadOptions(rate, align, partial, columns)
-    name = detected(files, options) if format_name == "auto" else str(format_name)
-    target = output or Path(f"{files[0].stem}.mcap")
-    with progress_bar(f"reading {name}", is_shown=not as_json):
+    options = ReadOptions(wanted.rate, wanted.align, wanted.partial, wanted.columns)
+    name = detected(files, options) if wanted.format_name == _AUTO else str(wanted.format_name)
+    target = wanted.output or Path(f"{files[0].stem}.mcap")
+    with progress_bar(f"reading {name}", is_shown=not wanted.as_json):
         recording = read(files, name, options)
-    if reconstructor is not None:
-        check_method(reconstructor)
-    suit, notes = _suit(recording, name, read_maps(maps or []), body, rig)
-    settings = settings_of(recording, rig or suit.skeleton.name, reconstructor)
+    if wanted.reconstructor is not None:
+        check_method(wanted.reconstructor)
+    suit, notes = _suit(recording, name, wanted)
+    settings = settings_of(recording, wanted.rig or suit.skeleton.name, wanted.reconstructor)
     if is_fused(settings) and not recording.fused:
-        raise GatewayError(f"--reconstructor {reconstructor}: the files hold no orientations")
-    if neutral is not None:
-        suit = _aligned(recording, suit, settings, neutral, forward)
-    elif rig is None and name != "mvnx":
+        raise GatewayError(f"--reconstructor {wanted.reconstructor}: the files hold no orientations")
+    if wanted.neutral is not None:
+        suit = _aligned(recording, suit, settings, wanted.neutral, wanted.forward)
+    elif wanted.rig is None and name != "mvnx":
         notes.append("modules are taken to lie along their segments; --neutral FROM:TO finds how they sit")
-    with progress_bar(f"importing {recording.name}", is_shown=not as_json) as tell:
+    with progress_bar(f"importing {recording.name}", is_shown=not wanted.as_json) as tell:
         try:
             done = write_imported(recording, suit, settings, files, target, tell)
         except OSError as error:
@@ -77,17 +115,16 @@ def import_files(
         "segments": {label: _place(suit, module) for module, label in recording.names.items()},
         "notes": [*recording.notes, *notes],
     }  # fmt: skip
-    _tell(outcome, as_json)
+    _tell(outcome, wanted.as_json)
 
 
-def _suit(
-    recording: Recording, name: str, given: dict[str, str], body: str | None, rig: str | None
-) -> tuple[WornSuit, list[str]]:
+def _suit(recording: Recording, name: str, wanted: Import) -> tuple[WornSuit, list[str]]:
     """The suit, and what the user should know of it."""
-    if rig is not None:
-        return load_rig(rig), []
-    segments = load_body(body or BODY).segment_names
-    found = mapped_segments(recording.names, given, segments)
+    maps = read_maps(wanted.maps or [])
+    if wanted.rig is not None:
+        return load_rig(wanted.rig), []
+    segments = load_body(wanted.body or BODY).segment_names
+    found = mapped_segments(recording.names, maps, segments)
     if not found.segments:
         raise GatewayError(
             f"no module says by its name where it sits ({', '.join(recording.names.values())}): tell with "
@@ -97,7 +134,7 @@ def _suit(
     notes = list(found.notes)
     if found.unknown:
         notes.append(f"on no segment of the body, so kept but not used: {', '.join(found.unknown)}")
-    return dressed(worn, body, mvn_axes=name == "mvnx"), notes
+    return dressed(worn, wanted.body, mvn_axes=name == "mvnx"), notes
 
 
 def _aligned(

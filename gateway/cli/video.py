@@ -6,6 +6,7 @@ import itertools
 import re
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -44,11 +45,6 @@ Offset = Annotated[
     list[str] | None,
     typer.Option(metavar="CAMERA=PICTURES", help="Pictures at the start of a camera that are left out."),
 ]
-Sizes = Annotated[
-    SizeChange, typer.Option(help="What was done to pictures that are not of the calibrated size.")
-]
-Up = Annotated[str | None, typer.Option(help=f"Axis of the calibration that points up: {', '.join(AXES)}.")]
-Unit = Annotated[str, typer.Option(help="Unit of lengths in .toml, .yml and .xml calibrations: m, cm or mm.")]
 People = Annotated[
     str,
     typer.Option(metavar="N|all", help="People to follow, one recording each; all: whom two cameras see."),
@@ -63,34 +59,45 @@ Join = Annotated[
 Rate = Annotated[float | None, typer.Option(min=1, help="Pictures a second of folders of images.")]
 
 
+@dataclass(frozen=True)
+class Pictures:
+    """The options that say how pictures are read, and what their calibration says of them."""
+
+    network: Network = "full"
+    offset: Offset = None
+    rate: Rate = None
+    sizes: Annotated[
+        SizeChange, typer.Option(help="What was done to pictures that are not of the calibrated size.")
+    ] = SizeChange.NONE
+    up: Annotated[
+        str | None, typer.Option(help=f"Axis of the calibration that points up: {', '.join(AXES)}.")
+    ] = None
+    unit: Annotated[
+        str, typer.Option(help="Unit of lengths in .toml, .yml and .xml calibrations: m, cm or mm.")
+    ] = "m"
+
+
 def matched(
-    places: Sequence[str],
-    calibration: Path,
-    network: str,
-    *,
-    offsets: Sequence[str] = (),
-    sizes: SizeChange = SizeChange.NONE,
-    up: str | None = None,
-    unit: str = "m",
-    rate_hz: float | None = None,
+    places: Sequence[str], calibration: Path, pictures: Pictures
 ) -> tuple[tuple[Camera, ...], tuple[CameraTask, ...]]:
     """The cameras of the places, made to fit their pictures, and what their processes are to do.
 
     A place belongs to the camera that is named before its ``=``, else to the one whose name stands in the
     file's own, else to the next in order. Raises ``GatewayError`` and ``CameraError``.
     """
-    axis = None if up is None else axis_of(up)
-    known = {camera.name: camera for camera in load_cameras(calibration, axis, unit)}
+    axis = None if pictures.up is None else axis_of(pictures.up)
+    network, rate_hz = pictures.network, pictures.rate
+    known = {camera.name: camera for camera in load_cameras(calibration, axis, pictures.unit)}
     for weights in (weights_of(network), DETECTOR):
         weights.verified_path()
     by_name = named(places, list(known), calibration)
-    skipped = offsets_of(offsets, list(known))
+    skipped = offsets_of(pictures.offset or [], list(known))
     cameras, tasks = [], []
     for name, place in by_name.items():
         source = open_pictures(place, rate_hz)
         source.close()
         try:
-            cameras.append(fitted(known[name], source.info.width, source.info.height, sizes))
+            cameras.append(fitted(known[name], source.info.width, source.info.height, pictures.sizes))
         except GatewayError as error:
             raise GatewayError(f"{place}: {error}") from error
         tasks.append(CameraTask(name, place, network, rate_hz, skipped.get(name, 0)))

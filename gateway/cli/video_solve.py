@@ -17,27 +17,13 @@ from gateway.body.camera import Camera
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.body.subject_file import write_subject
-from gateway.calibration.picture_size import SizeChange
 from gateway.cameras.camera_process import CameraTask
 from gateway.cameras.consistency import Consistency, consistency_of
 from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
 from gateway.cli.export import export
+from gateway.cli.options import with_options
 from gateway.cli.terminal import progress_bar
-from gateway.cli.video import (
-    Cameras,
-    Join,
-    Network,
-    Offset,
-    People,
-    Places,
-    Rate,
-    Sizes,
-    Unit,
-    Up,
-    joined_of,
-    matched,
-    people_of,
-)
+from gateway.cli.video import Cameras, Join, People, Pictures, Places, joined_of, matched, people_of
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.weights import weights_of
@@ -55,10 +41,11 @@ Instants = list[list[bytes]]
 """Messages of one person: of every instant, one a camera."""
 
 
+@with_options(Pictures)
 def solve(
+    pictures: Pictures,
     files: Places,
     cameras: Cameras,
-    network: Network = "full",
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="The recording; default: after the first file, .mcap."),
@@ -82,11 +69,6 @@ def solve(
     ] = None,
     people: People = "1",
     join: Join = None,
-    offset: Offset = None,
-    sizes: Sizes = SizeChange.NONE,
-    up: Up = None,
-    unit: Unit = "m",
-    rate: Rate = None,
     frames: Annotated[
         int | None, typer.Option(min=1, help="Instants to take; a live camera needs it.")
     ] = None,
@@ -106,9 +88,7 @@ def solve(
         )
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
-    seen, tasks = matched(
-        files, cameras, network, offsets=offset or [], sizes=sizes, up=up, unit=unit, rate_hz=rate
-    )
+    seen, tasks = matched(files, cameras, pictures)
     if len(seen) < 2:
         typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
     options = RigOptions(not unequal, wanted, joined_of(join or [], seen))
@@ -120,7 +100,7 @@ def solve(
     for messages, place, person in _people(captured, target, fit_subject, force=force):
         checked = consistency_of(seen, messages)
         checked.refuse_wrong(cameras)
-        suit = video_suit(seen, network, messages, known)
+        suit = video_suit(seen, pictures.network, messages, known)
         if person is not None:
             _write_subject(person, suit, force=force)
         done = _written(messages, rate_hz, suit, place, offline=offline, is_shown=not as_json)
