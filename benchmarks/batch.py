@@ -22,7 +22,8 @@ from gateway.emulation.rig import dress, move
 from gateway.recording import open_recording
 from gateway.recording.snapshot import attachments_of
 from gateway.recording.solving import solve
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 
 RIG = "suit_17"
 SECONDS = 10.0

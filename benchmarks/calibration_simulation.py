@@ -11,7 +11,6 @@ from devices.emulators.calibrating import WearerFaults, calibration_motion, stra
 from devices.emulators.imperfections import TYPICAL, Imperfections
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import BodyResult
@@ -19,7 +18,8 @@ from gateway.calibration.body_session import BodySession
 from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, ImuFrame
 from gateway.pipeline import Pipeline
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "simulated"
 RATE_HZ = 60.0
@@ -49,7 +49,7 @@ def imu_frames(
         ClockMode.ESTIMATED,
     )  # fmt: skip
     frames: list[ImuFrame] = []
-    pipeline.on_imu_frame = frames.append
+    pipeline.module_stage.on_frame = frames.append
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
     for sent in traffic.transmissions(PERIOD_S):
         pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), LINK))

@@ -34,7 +34,8 @@ from gateway.emulation.clock_simulation import (
     transport_limit_us,
 )
 from gateway.frames import FloatArray
-from gateway.sources.stream import ClockMode, Stream
+from gateway.sources.module_table import ClockMode
+from gateway.sources.stream import Stream
 
 SEED = 4
 MODULES = 17

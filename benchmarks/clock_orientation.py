@@ -19,7 +19,6 @@ from devices.emulators import Imperfections, SuitSettings, SuitTraffic, generic_
 from devices.emulators.motions import BodyMotion
 from devices.link import Chunk, Framing
 from firmware_protocol import FrameDecoder, PacketDecoder
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching
@@ -28,7 +27,8 @@ from gateway.frames import FloatArray, SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.service.host_sender import HostSender
 from gateway.service.synchronisation import Synchroniser
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 RIG = "robot_arm_4"
 LINK = "suit"

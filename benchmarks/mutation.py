@@ -30,8 +30,8 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 CORE = (
     "gateway/reconstruction/inertial",
     "gateway/clocks",
-    "gateway/assembly/frame_assembler.py",
-    "gateway/assembly/fused_assembler.py",
+    "gateway/stages/frame_assembler.py",
+    "gateway/stages/fused_assembler.py",
     "firmware_protocol",
 )
 NEAR = {

@@ -15,7 +15,6 @@ from benchmarks.figures import Figure, Report, table
 from benchmarks.speed_growth import enlarged_suit
 from devices.emulators.paced_writer import ticks
 from devices.link import Chunk, Framing
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.contract.topics import Topics
@@ -25,7 +24,8 @@ from gateway.outputs.thinning import Thinning
 from gateway.outputs.vmc import VmcEncoder
 from gateway.pipeline import LOAD_EVENT, Pipeline
 from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, LoadWatch
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "suit"
 MODULES = (17, 34, 63)

@@ -10,8 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from gateway.frames import FloatArray
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.reconstruction.video.initial import LEAST_LIKELIHOOD, rays_through
 from gateway.reconstruction.video.projection import CameraModel
 

@@ -34,7 +34,8 @@ from gateway.recording import open_recording
 from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.snapshot import attachments_of
 from gateway.recording.solving import verify
-from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+from gateway.settings import GatewaySettings, RecordingSettings
+from gateway.sources.link_settings import LinkSettings
 
 SECONDS = 30.0
 KILLS = 50

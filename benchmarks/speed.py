@@ -14,13 +14,14 @@ from benchmarks.figures import Figure, Report, table
 from benchmarks.speed_growth import SIZES, enlarged_frame, enlarged_suit
 from devices.link import Chunk, Framing
 from firmware_protocol import FrameDecoder, PacketDecoder
-from gateway.assembly.frame_assembler import AssemblyParams, FrameAssembler
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.simulation import LINK, relay_chunks, suit_17
 from gateway.frames import ImuFrame, LocalReading
 from gateway.pipeline import FRAMES_AT_A_TIME, Pipeline
 from gateway.reconstruction import RECONSTRUCTORS, Reconstructor, update_many
-from gateway.sources.stream import ClockMode, Stream
+from gateway.sources.module_table import ClockMode
+from gateway.sources.stream import Stream
+from gateway.stages.frame_assembler import AssemblyParams, FrameAssembler
 
 PARAMS = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)
 REPEATS = 5

@@ -25,13 +25,13 @@ from typing import NamedTuple
 from devices.emulators import Imperfections, SuitSettings, SuitTraffic
 from devices.emulators.motions import generic_motion
 from devices.link import Chunk, Framing
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.contract.topics import Topics
 from gateway.emulation.rig import dress
 from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.settings import MqttSettings
 from gateway.pipeline import Pipeline
+from gateway.stages.frame_assembler import AssemblyParams
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PACKAGES = ("firmware_protocol", "devices", "gateway", "benchmarks", "tests")

@@ -16,13 +16,13 @@ from devices.emulators.imperfections import TYPICAL
 from devices.emulators.light_sampler import Shade
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.rig import dress, move, sunlight
 from gateway.geometry.comparison import orientation_error, rmse_deg
 from gateway.pipeline import Pipeline
 from gateway.sources.light import sun_direction
+from gateway.stages.frame_assembler import AssemblyParams
 
 MORNING_NS = round(datetime(2026, 6, 21, 7, 0, tzinfo=UTC).timestamp()) * 1_000_000_000
 SECONDS, SETTLED_S, FROM_S, TO_S = 20.0, 5.0, 8.0, 16.0
@@ -151,7 +151,9 @@ def emulated(
     times_s = np.array([frame.time_ns - MORNING_NS for frame in frames]) * 1e-9
     q_wb = np.stack([frame.q_wb for frame in frames])
     heading = orientation_error(q_wb, motion.state(times_s).q_wb).heading
-    seen: Counter[str] = Counter() if pipeline.sun is None else pipeline.sun.totals()
+    seen: Counter[str] = (
+        Counter() if pipeline.module_stage.sun is None else pipeline.module_stage.sun.totals()
+    )
     return times_s, heading, seen
 
 

@@ -20,7 +20,6 @@ from benchmarks.figures import Figure, Report
 from benchmarks.video_pictures import DATA, RATE_HZ, calibrated_cameras, look, solve
 from benchmarks.video_scoring import LIMBS
 from devices.cameras.pictures import Picture, open_pictures
-from gateway.assembly.heat_map_frames import heat_map_frame
 from gateway.body.camera import Camera, project
 from gateway.cameras.camera_process import CameraTask
 from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
@@ -28,6 +27,7 @@ from gateway.frames import FloatArray
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE, BONES
 from gateway.reconstruction.video.reconstructor import VideoReconstructor
+from gateway.sources.heat_maps import heat_map_frame
 
 INSTANTS = 40
 ASIDE = np.array([1.0, -0.2, 0.0])

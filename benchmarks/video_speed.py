@@ -14,7 +14,6 @@ import numpy as np
 from benchmarks.figures import Figure, Report, table
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps, quantised
 from devices.cameras.pictures import Picture, open_pictures
-from devices.link import Framing
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
@@ -162,7 +161,7 @@ def _solve_ms(cameras: list[Camera], instants: list[list[bytes]], rate: float) -
     """All that follows the heat maps, ms an instant, after compiling."""
     suit = video_suit(cameras, "full", instants)
     pipeline = Pipeline.from_settings(video_settings("benchmark", rate), suit)
-    pipeline.add_link(LINK, Framing.HEAT_MAPS)
+    pipeline.add_link(LINK, "heat_maps")
     stages = Stages()
     for chunk in video_chunks(instants, rate):
         stages.timed("solve", lambda c=chunk: pipeline.feed(c))  # type: ignore[misc]

@@ -23,7 +23,8 @@ from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.local_broker import free_port, mosquitto
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 
 FOLDER = Path(__file__).parent.parent / "docs" / "pictures"
 SECONDS = 60.0

@@ -158,9 +158,10 @@ class CommandClient:
                 await link.close()
 
     async def _read(self, link: Link) -> None:
-        async for chunk in link:
-            for received in self._decoders[link.name].feed(chunk):
-                self.take(received, chunk)
+        async for item in link:
+            if isinstance(item, Chunk):
+                for received in self._decoders[link.name].feed(item):
+                    self.take(received, item)
 
     async def _ask_once(self, unique_id: bytes, verb: Verb, values: tuple[Any, ...]) -> Answer:
         exchange = self._begin(unique_id, verb, values)

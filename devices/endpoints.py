@@ -30,7 +30,7 @@ from typing import Any
 from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from devices.can_link import CanLink
-from devices.link import Link, LinkError
+from devices.link import Link, LinkError, LiveLink
 from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink
 from devices.rfc2217_link import Rfc2217Link
@@ -139,7 +139,7 @@ def _udp(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Li
     return _signed(UdpLink(parts.hostname or LOOPBACK, _port(parts), name=name, **parameters), key)
 
 
-def _signed(link: Link, key: bytes | None) -> Link:
+def _signed(link: LiveLink, key: bytes | None) -> Link:
     return link if key is None else SignedLink(link, key)
 
 

@@ -8,10 +8,10 @@ the arrival times that the clock estimation rests on.
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
-from typing import Protocol
+from enum import StrEnum
+from typing import Any, NamedTuple, Protocol
 
 # Gateway time is the monotonic clock shifted once, at import, to read like UTC. It therefore never
 # steps when the host's wall clock is set.
@@ -23,8 +23,8 @@ def gateway_time_ns() -> int:
     return time.monotonic_ns() + _UTC_ANCHOR_NS
 
 
-class Framing(Enum):
-    """How the bytes of a link are to be taken apart."""
+class Framing(StrEnum):
+    """How the bytes of a link are cut into wire frames."""
 
     BYTE_STREAM = "byte_stream"
     """COBS wire frames in a stream of bytes (serial, TCP, UDP)."""
@@ -32,14 +32,17 @@ class Framing(Enum):
     CAN = "can"
     """CAN frame records as packed by ``firmware_protocol.can_framing.pack_can_records``."""
 
-    GNSS = "gnss"
-    """NMEA 0183 and UBX messages of a satellite receiver; nothing of ours, and nothing is written to it."""
 
-    MARKERS = "markers"
-    """Marker messages of an optical system (``devices.marker_messages``); nothing is written to it."""
+SUIT = "suit"
+"""What a link carries unless the configuration says otherwise: packets of modules."""
 
-    HEAT_MAPS = "heat_maps"
-    """Heat maps of cameras (``devices.cameras.heat_map_messages``); nothing is written to it."""
+
+def content_of(carries: str, framing: Framing) -> str:
+    """Return in one word what the bytes of a link are, as recordings keep it.
+
+    That is the framing where they are packets of modules, else the word of the configuration.
+    """
+    return framing if carries == SUIT else carries
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,19 @@ class SentChunk:
     """Name of the link they left by."""
 
 
+class InputEvent(NamedTuple):
+    """Something asked of the gateway, or that happened to it: an input beside the bytes."""
+
+    name: str
+    data: Mapping[str, Any]
+    time_ns: int = 0
+    """Gateway time, ns, where it was recorded."""
+
+
+LinkItem = Chunk | SentChunk | InputEvent
+"""What a link may give: one with something at its other end gives chunks, a recording all that it kept."""
+
+
 class LinkError(Exception):
     """A link could not be opened, or was lost.
 
@@ -77,7 +93,7 @@ class Link(Protocol):
     """An open-able source of chunks.
 
     ``open`` raises ``LinkError`` when the port is absent, busy or forbidden. Iterating yields
-    chunks until the other side closes (end of iteration) or is lost (``LinkError``). A closed link
+    items until the other side closes (end of iteration) or is lost (``LinkError``). A closed link
     can be opened again. ``write`` sends to those ``to`` names, on a link whose chunks name their senders;
     any other link has one other end and passes ``to`` over.
     """
@@ -87,8 +103,14 @@ class Link(Protocol):
 
     async def open(self) -> None: ...
 
-    def __aiter__(self) -> AsyncIterator[Chunk]: ...
+    def __aiter__(self) -> AsyncIterator[LinkItem]: ...
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None: ...
 
     async def close(self) -> None: ...
+
+
+class LiveLink(Link, Protocol):
+    """A link with something at its other end: it gives chunks alone."""
+
+    def __aiter__(self) -> AsyncIterator[Chunk]: ...

@@ -28,7 +28,7 @@ def trial_chunks(trial: MarkerTrial, begun_ns: int, link: str) -> Iterator[Chunk
 class MarkerFileLink:
     """Plays a C3D or TRC file. ``speed`` 1 is as captured, None as fast as the reader takes it."""
 
-    framing = Framing.MARKERS
+    framing = Framing.BYTE_STREAM
 
     def __init__(
         self,

@@ -34,7 +34,7 @@ class QtmLink:
     another measurement, the link is lost, and made anew with the names of then.
     """
 
-    framing = Framing.MARKERS
+    framing = Framing.BYTE_STREAM
 
     def __init__(
         self, host: str, port: int = DEFAULT_PORT, *, version: str = DEFAULT_VERSION, name: str | None = None

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from devices.link import Chunk, Link, LinkError
+from devices.link import Link, LinkError, LinkItem
 from devices.link_counts import LinkCounts
 
 _log = logging.getLogger(__name__)
@@ -122,7 +122,7 @@ class ReconnectingLink:
             self._set(LinkStatus(LinkState.CLOSED))
             raise
 
-    async def __aiter__(self) -> AsyncIterator[Chunk]:
+    async def __aiter__(self) -> AsyncIterator[LinkItem]:
         if self._closing is None:
             raise LinkError(f"{self.name} is not open: call open() before reading")
         while not self._closing.is_set():
@@ -133,9 +133,9 @@ class ReconnectingLink:
             has_received = False
             reason = "the other side closed it"
             try:
-                async for chunk in self.link:
+                async for item in self.link:
                     has_received = True
-                    yield chunk
+                    yield item
             except LinkError as error:
                 reason = str(error)
             if not self._closing.is_set():

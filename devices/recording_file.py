@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
 from devices import recording_format as fmt
-from devices.link import Framing, LinkError
+from devices.link import LinkError
 
 LARGEST_RECORD = 1 << 28
 """Bytes; a longer length can only be damage."""
@@ -69,7 +69,7 @@ class Head:
     session: Mapping[str, str]
     """See ``recording_format.SESSION``."""
     attachments: Mapping[str, bytes]
-    links: Mapping[str, Framing]
+    links: Mapping[str, str]
 
     @property
     def part(self) -> int:
@@ -192,9 +192,9 @@ class RecordingParts:
         self.head = self.files[0].head
 
     @property
-    def links(self) -> dict[str, Framing]:
-        """Framing of every link in it."""
-        return {name: framing for file in self.files for name, framing in file.head.links.items()}
+    def links(self) -> dict[str, str]:
+        """What every link in it carries (``devices.link.content_of``)."""
+        return {name: content for file in self.files for name, content in file.head.links.items()}
 
     @property
     def defect(self) -> str | None:
@@ -293,8 +293,8 @@ def _following(file: RecordingFile) -> list[RecordingFile]:
     return found
 
 
-def _links(path: Path, session: Mapping[str, str]) -> dict[str, Framing]:
+def _links(path: Path, session: Mapping[str, str]) -> dict[str, str]:
     try:
-        return {str(name): Framing(framing) for name, framing in plain_json(session["links"]).items()}
+        return {str(name): str(content) for name, content in plain_json(session["links"]).items()}
     except (KeyError, ValueError, AttributeError) as error:
         raise RecordingError(f"{path}: the record '{fmt.SESSION}' is damaged ({error})") from error

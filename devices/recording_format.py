@@ -31,9 +31,9 @@ SESSION = "mocap.session"
 """Name of the metadata record at the beginning of every file; its keys, all of them texts:
 
 ``format`` (this version), ``session`` (the same for all parts), ``part`` (from 1), ``links`` (JSON:
-framing by link), ``software`` (version of the gateway), ``begun_ns`` (gateway time), ``begun_utc_ns``
-(wall clock at the same instant), ``from_start`` (1: from the gateway's first chunk on, so that a replay is
-bit-identical), ``name``.
+what each link carries: byte_stream, can, or another word of the configuration), ``software`` (version of the
+gateway), ``begun_ns`` (gateway time), ``begun_utc_ns`` (wall clock at the same instant), ``from_start`` (1:
+from the gateway's first chunk on, so that a replay is bit-identical), ``name``.
 """
 
 CHUNKS = "/chunks/"
@@ -69,7 +69,7 @@ class ChannelKind(NamedTuple):
 
 _CHUNK_TEXT = """The bytes themselves, nothing else. Channel metadata: link, framing.
 framing byte_stream: COBS wire frames, cut anywhere; framing can: CAN frame records
-(firmware_protocol/README.md).
+(firmware_protocol/README.md); any other word: what the configuration says that the link carries.
 log_time = publish_time = gateway time, ns.
 """
 

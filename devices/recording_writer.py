@@ -17,7 +17,7 @@ from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 
 from devices import recording_format as fmt
-from devices.link import Chunk, Framing
+from devices.link import Chunk
 from devices.recording_file import RecordingError
 
 _CHUNK_SIZE = 1 << 22
@@ -79,10 +79,10 @@ class RecordingWriter:
             channel = self._channels[topic] = self._register(topic, dict(metadata or {}))
         self._writer.add_message(channel, max(time_ns, 0), data, max(time_ns, 0))
 
-    def add_chunk(self, chunk: Chunk, framing: Framing) -> None:
-        """Append what a link gave."""
+    def add_chunk(self, chunk: Chunk, content: str) -> None:
+        """Append what a link gave. content: what the link carries (``devices.link.content_of``)."""
         topic, data = fmt.message_of(chunk)
-        self.add(topic, chunk.arrived_ns, data, {"link": chunk.link, "framing": framing.value})
+        self.add(topic, chunk.arrived_ns, data, {"link": chunk.link, "framing": str(content)})
 
     def flush(self) -> None:
         """Hand all to the operating system."""
@@ -226,7 +226,6 @@ class _Buffered:
         os.close(self._descriptor)
 
 
-def session_record(links: Mapping[str, Framing], **keys: str) -> dict[str, str]:
-    """The metadata record at the beginning of a file."""
-    framings = {name: framing.value for name, framing in links.items()}
-    return {"format": str(fmt.FORMAT_VERSION), "links": json.dumps(framings), "part": "1", **keys}
+def session_record(links: Mapping[str, str], **keys: str) -> dict[str, str]:
+    """Return the metadata record at the beginning of a file. links: what each carries."""
+    return {"format": str(fmt.FORMAT_VERSION), "links": json.dumps(dict(links)), "part": "1", **keys}

@@ -1,4 +1,4 @@
-"""A recording as a link: its chunks, in the order and with the arrival times they had."""
+"""A recording as a link: its chunks, what was sent and what happened, in their order and with their times."""
 
 from __future__ import annotations
 
@@ -9,10 +9,19 @@ import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from devices import recording_format as fmt
-from devices.link import Chunk, Framing, Link, LinkError, SentChunk, gateway_time_ns
+from devices.link import (
+    SUIT,
+    Framing,
+    InputEvent,
+    Link,
+    LinkError,
+    LinkItem,
+    SentChunk,
+    content_of,
+    gateway_time_ns,
+)
 from devices.recording_file import RecordingParts, plain_json
 
 _log = logging.getLogger(__name__)
@@ -22,12 +31,14 @@ _MESSAGES_A_TURN = 32
 
 
 class ReplayLink:
-    """The chunks of a recording, of one of its links or of all; later parts of the session follow.
+    """The inputs of a recording, of one of its links or of all; later parts of the session follow.
+
+    Chunks come with what the gateway had written to their links and with what had happened, in its place.
 
     ``speed`` 1 is as recorded, 2 twice as fast, None as fast as the reader takes them; arrival times are
     those of the recording whatever the speed, and time counts from the first chunk of the file, so that two
     links of one recording keep step. With all links, chunks bear the names of the links they were recorded
-    from: see ``carries``. What is written is discarded.
+    from: see ``contents``. What is written is discarded.
     """
 
     def __init__(
@@ -44,13 +55,10 @@ class ReplayLink:
         self.path = Path(path)
         self.name = name or link or str(path)
         self.framing = Framing.BYTE_STREAM
-        """That of its first link, known as soon as the file can be read."""
-        self.carries: dict[str, Framing] = {self.name: self.framing}
-        """Names that its chunks bear, and the framing of each; known as soon as the file can be read."""
-        self.on_sent: Callable[[SentChunk], None] | None = None
-        """Told what the gateway had written to these links, in its place between the chunks."""
-        self.on_event: Callable[[str, Mapping[str, Any]], None] | None = None
-        """Told name and data of what had happened, in its place too."""
+        """That of its first link with packets of modules, known as soon as the file can be read."""
+        self.contents: dict[str, str] = {self.name: self.framing}
+        """What each of its links carries (``devices.link.content_of``), by the name that its chunks bear;
+        known as soon as the file can be read."""
         self.hold: Callable[[], Awaitable[None]] | None = None
         """Awaited now and then before reading on: for whoever must not be overrun at full speed."""
         self.defect: str | None = None
@@ -83,7 +91,7 @@ class ReplayLink:
         self._closing = asyncio.Event()
         self._is_open = True
 
-    async def __aiter__(self) -> AsyncIterator[Chunk]:
+    async def __aiter__(self) -> AsyncIterator[LinkItem]:
         if self._parts is None or self._closing is None:
             raise LinkError(f"{self.name} is not open: call open() before reading")
         pace = _Pace(self._speed, self._closing)
@@ -97,14 +105,12 @@ class ReplayLink:
                     return
                 if name is not None:
                     yield replace(chunk, link=name)
-            elif topic.startswith(fmt.SENT) and self.on_sent is not None:
+            elif topic.startswith(fmt.SENT):
                 name = self._names.get(topic.removeprefix(fmt.SENT))
                 if name is not None:
-                    self.on_sent(SentChunk(data, time_ns, name))
-            elif topic == fmt.EVENTS and self.on_event is not None:
-                with contextlib.suppress(ValueError, KeyError, TypeError):  # damaged: as if it were not there
-                    event = plain_json(data)
-                    self.on_event(str(event["name"]), dict(event["data"]))
+                    yield SentChunk(data, time_ns, name)
+            elif topic == fmt.EVENTS and (event := event_of(data)) is not None:
+                yield event
         self.defect = self._parts.defect
         if self.defect is not None:
             _log.warning("%s", self.defect)
@@ -128,8 +134,9 @@ class ReplayLink:
             self._names = {next(iter(chosen)): self.name}
         else:
             self._names = {name: name for name in chosen}
-        self.carries = {self._names[name]: framing for name, framing in chosen.items()}
-        self.framing = next(iter(chosen.values()), Framing.BYTE_STREAM)
+        self.contents = {self._names[name]: content for name, content in chosen.items()}
+        framings = (Framing(content) for content in chosen.values() if content in list(Framing))
+        self.framing = next(framings, Framing.BYTE_STREAM)
 
 
 class _Pace:
@@ -154,12 +161,25 @@ class _Pace:
                 await asyncio.wait_for(self._closing.wait(), wait_s)
 
 
-def carried_links(link: Link) -> Mapping[str, Framing]:
-    """The names that chunks of an open link bear, and the framing of each: one, but for some recordings."""
-    return link.carries if isinstance(link, ReplayLink) else {link.name: link.framing}
+def contents_of(link: Link, carries: str = SUIT) -> Mapping[str, str]:
+    """Return what the chunks of an open link are (``devices.link.content_of``), by the names that they bear.
+
+    One name, but for some recordings, which know by themselves what they carry. carries: what the
+    configuration says of the link.
+    """
+    return link.contents if isinstance(link, ReplayLink) else {link.name: content_of(carries, link.framing)}
 
 
-def _chosen(path: Path, recorded: dict[str, Framing], wanted: str | None) -> dict[str, Framing]:
+def event_of(message: bytes) -> InputEvent | None:
+    """Return the event that a message on ``recording_format.EVENTS`` tells of; None for a damaged one."""
+    try:
+        plain = plain_json(message)
+        return InputEvent(str(plain["name"]), dict(plain["data"]), int(plain["time_ns"]))
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        return None
+
+
+def _chosen(path: Path, recorded: dict[str, str], wanted: str | None) -> dict[str, str]:
     if wanted is None:
         return recorded
     if wanted in recorded:

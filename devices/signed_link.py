@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from devices.link import Chunk, Link, LinkError
+from devices.link import Chunk, LinkError, LiveLink
 from devices.link_counts import LinkCounts
 from firmware_protocol import DELIMITER, Defect
 from firmware_protocol.signing import KEY_SIZE, SignedFrames
@@ -68,7 +68,7 @@ class SignedLink:
     bytes of an unsigned one. Where chunks name their senders, a chunk holds whole wire frames.
     """
 
-    def __init__(self, link: Link, key: bytes) -> None:
+    def __init__(self, link: LiveLink, key: bytes) -> None:
         """Nothing that was signed before this moment is taken, by this machine's clock."""
         self.link = link
         self.name = link.name

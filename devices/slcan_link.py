@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Sequence
 
-from devices.link import Chunk, Framing, Link, LinkError
+from devices.link import Chunk, Framing, LinkError, LiveLink
 from devices.link_counts import LinkCounts
 from devices.slcan import CLOSE_COMMAND, SlcanDecoder, encode_slcan, open_commands
 from firmware_protocol.can_framing import pack_can_records, unpack_can_records
@@ -26,7 +26,7 @@ class SlcanLink:
 
     def __init__(
         self,
-        stream: Link,
+        stream: LiveLink,
         *,
         bitrate: int = 1_000_000,
         fd: bool = False,

@@ -3,7 +3,8 @@
 ``Chunk`` (``devices.link``: bytes and when they arrived) → ``WireFrame`` (``firmware_protocol.framing``)
 → packets (``firmware_protocol.packets``) → ``InertialReading`` / ``FusedReading`` / ``LocalReading`` (one
 module, one instant, gateway time) → ``ImuFrame`` (all modules, one instant) → ``SkeletonFrame``. An optical
-system's chunks become ``MarkerFrame`` → ``SkeletonFrame``.
+system's chunks become ``MarkerFrame`` → ``SkeletonFrame``, those of cameras ``HeatMapFrame`` →
+``SkeletonFrame``.
 
 SI units throughout: m, s, rad, m/s², rad/s; magnetic field in µT. Instants are integer nanoseconds
 of gateway time. Quaternions are unit, Hamilton, (w, x, y, z); ``q_ab`` takes coordinates in b to
@@ -114,6 +115,10 @@ class LightReading:
     intensity: FloatArray  # (6,) share of full scale, cells in the order of the wire
 
 
+Reading = InertialReading | FusedReading | LocalReading | LightReading
+"""Of one module or local device."""
+
+
 @dataclass(frozen=True, slots=True)
 class SunSight:
     """Where the modules see the sun; the second uniform field beside the earth's, or in the place of it."""
@@ -183,6 +188,29 @@ class MarkerFit:
         """m, of the markers used; NaN with none."""
         chosen = self.residuals[self.used]
         return float(np.sqrt(np.mean(chosen**2))) if len(chosen) else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraHeatMaps:
+    """The part confidence maps (PCM) of one person in one picture: how likely a keypoint is at each place."""
+
+    likelihood: NDArray[np.float32]  # (n_keypoints, rows, columns), 0 to 1
+    map_from_pixel: FloatArray  # (2, 3) affine: pixel (x, y, 1) of the distorted picture to (column, row)
+    """A crop that was turned and shrunk is a turned and shrunk affine."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeatMapFrame:
+    """What the pose networks of all cameras show at one instant."""
+
+    sequence: int
+    time_ns: int
+    cameras: tuple[CameraHeatMaps | None, ...]
+    """In the order of the calibrated cameras; None for one that has no picture of the person."""
+
+
+Observation = Reading | MarkerFrame | HeatMapFrame
+"""What sources give, in gateway time."""
 
 
 @dataclass(frozen=True, slots=True)

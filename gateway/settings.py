@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
-from gateway.assembly.frame_assembler import AssemblyParams
+from devices.link import SUIT
 from gateway.body.skeleton import WornSuit
 from gateway.contract.requests import RECORDING_NAME
-from gateway.errors import SettingsError
+from gateway.errors import SettingsError, nearest
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.side_settings import OutputsSettings
 from gateway.reconstruction import (
@@ -24,7 +34,10 @@ from gateway.reconstruction import (
     refuse_unknown,
     refuse_unreadable,
 )
-from gateway.sources.stream import ClockMode
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.module_table import ClockMode
+from gateway.sources.registry import SOURCES
+from gateway.stages.frame_assembler import AssemblyParams
 from gateway.support.credentials import AccessToken, token_for
 from gateway.support.log_format import LogFormat
 from gateway.support.settings_files import load_settings
@@ -37,71 +50,23 @@ MAX_DELAY_MS = 2000.0
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+def _settings_class(given: Any) -> str:
+    """Name the class of a link's settings, by what it carries."""
+    carries = given.get("carries") if isinstance(given, dict) else getattr(given, "carries", None)
+    return SOURCES.get(str(carries), SOURCES[SUIT]).settings.__name__
+
+
+if TYPE_CHECKING:
+    AnyLinkSettings = LinkSettings
+else:
+    _kinds = dict.fromkeys(source.settings for source in SOURCES.values())
+    _tagged = [Annotated[kind, Tag(kind.__name__)] for kind in _kinds]
+    AnyLinkSettings = Annotated[functools.reduce(operator.or_, _tagged), Discriminator(_settings_class)]
+"""Those of the source that reads what the link carries."""
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class LinkSettings(_Strict):
-    """One serial port, CAN bus, socket or recording."""
-
-    name: str = Field(min_length=1, description="short name for logs and statistics")
-    url: str = Field(
-        min_length=1,
-        description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
-        "can://socketcan/can0, tcp://host:port, udp://host:port (signed: ?key_file=…), qtm://host, "
-        "markers:///path/walk.c3d, recording:///path/to/file.mcap; of heat maps also mqtt:///topic, at the "
-        "broker of section mqtt",
-    )
-    carries: Literal["suit", "gnss", "markers", "heat_maps"] = Field(
-        default="suit",
-        description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver; "
-        "markers: messages of an optical system; heat_maps: those of `mocap-gateway video serve-camera`",
-    )
-    device: int = Field(
-        default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"
-    )
-    latency_ms: float = Field(
-        default=50,
-        ge=0,
-        le=5000,
-        description="for gnss: from the instant of a fix to its arrival, at the least",
-    )
-    origin: tuple[float, float, float] | None = Field(
-        default=None,
-        description="for gnss: latitude and longitude in degrees and height above the ellipsoid in metres of "
-        "the world's origin; none: the first fix",
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _has_no_credentials(cls, given: Any) -> Any:
-        url = given.get("url") if isinstance(given, dict) else None
-        if isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]:
-            # Raised without the value: it would stand in the message otherwise.
-            del given["url"]
-            raise ValueError("url: a link takes no user name or password: leave out what stands before the @")
-        return given
-
-    @model_validator(mode="after")
-    def _carries_what_it_can(self) -> LinkSettings:
-        scheme = self.url.partition("://")[0]
-        if scheme in {"qtm", "markers"} and self.carries not in {"suit", "markers"}:
-            raise ValueError(f"carries: {scheme}:// carries markers and nothing else: leave 'carries' out")
-        if scheme == "mqtt" and self.carries != "heat_maps":
-            raise ValueError("carries: mqtt:// carries heat maps only: write 'carries: heat_maps'")
-        if "key_file=" in self.url and self.carries != "suit":
-            raise ValueError("url: key_file is for links of modules: nothing else is signed")
-        return self
-
-    @model_validator(mode="after")
-    def _is_on_earth(self) -> LinkSettings:
-        if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):
-            raise ValueError("origin: latitude within ±90 and longitude within ±180 degrees are wanted")
-        names = ("device", "latency_ms", "origin")  # a recorded configuration tells defaults too
-        given = [name for name in names if getattr(self, name) != LinkSettings.model_fields[name].default]
-        if self.carries != "gnss" and given:
-            raise ValueError(f"{', '.join(sorted(given))}: only a link with 'carries: gnss' has that")
-        return self
 
 
 class ClockSettings(_Strict):
@@ -283,7 +248,7 @@ class GatewaySettings(_Strict):
     gateway: str = Field(
         default="gateway1", pattern=r"^[A-Za-z0-9_-]+$", description="name in topics: mocap/<gateway>/…"
     )
-    links: list[LinkSettings] = Field(min_length=1, description="where bytes come from")
+    links: list[AnyLinkSettings] = Field(min_length=1, description="where bytes come from")
     rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")
     reconstructor: str = Field(
         default="joint",
@@ -340,6 +305,9 @@ class GatewaySettings(_Strict):
     @field_validator("links")
     @classmethod
     def _names_differ(cls, value: list[LinkSettings]) -> list[LinkSettings]:
+        for link in value:
+            if link.carries not in SOURCES:
+                raise ValueError(f"'{link.carries}' is carried by no link{nearest(link.carries, SOURCES)}")
         names = [link.name for link in value]
         if len(set(names)) < len(names):
             raise ValueError("every link needs a name of its own")

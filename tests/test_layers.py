@@ -10,7 +10,7 @@ ROOT = pathlib.Path(__file__).parent.parent
 LAYERS = ["firmware_protocol", "devices", "gateway"]  # each may import those before it
 ROOMS = [
     *("errors", "frames", "support", "geometry", "body", "clocks", "contract"),
-    *("reconstruction", "assembly", "sources", "outputs", "settings", "pipeline"),
+    *("reconstruction", "sources", "stages", "outputs", "settings", "pipeline"),
     *("modules", "calibration", "recording", "imports", "agreement", "report", "analysis", "batch"),
     *("cameras", "service", "emulation", "doctor", "viewer", "cli", "__main__"),
 ]
@@ -66,7 +66,7 @@ def test_the_wire_needs_only_the_standard_library():
 
 def test_nothing_below_the_shell_reads_a_clock():
     sans_io = [*(ROOT / "firmware_protocol").rglob("*.py")]
-    for part in ("geometry", "body", "clocks", "reconstruction", "assembly", "sources"):
+    for part in ("geometry", "body", "clocks", "reconstruction", "sources", "stages"):
         sans_io += (ROOT / "gateway" / part).rglob("*.py")
     sans_io += [ROOT / "gateway" / f"{name}.py" for name in ("pipeline", "frames")]
     for path in sans_io:

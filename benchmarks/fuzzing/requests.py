@@ -24,7 +24,8 @@ from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.recording.control import RecordingControl
 from gateway.service.own_requests import OwnRequests
-from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+from gateway.settings import GatewaySettings, RecordingSettings
+from gateway.sources.link_settings import LinkSettings
 
 _GATEWAY = "fuzzed"
 _TOPICS = ("pose", "bridge/state", "bridge/info", "bridge/health", "body", "anything")

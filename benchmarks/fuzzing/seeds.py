@@ -36,7 +36,8 @@ from gateway.outputs.pose_publications import PosePublications
 from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 from gateway.support.settings_files import shipped_folder
 
 _VECTORS = Path(firmware_protocol.__file__).parent / "vectors"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,14 +25,16 @@ from gateway.contract.requests import (
     RestoreCalibrationRequest,
 )
 from gateway.errors import GatewayError, nearest
-from gateway.pipeline import CALIBRATED_EVENT, RESET_EVENT, Pipeline
+from gateway.pipeline import RESET_EVENT, Pipeline
 from gateway.support.settings_files import find_file
 
 STILL = np.radians(6.0)
 """Angular rate below which a module counts as still in the live display, rad/s."""
 
-Happened = Callable[[str, Mapping[str, Any]], dict[str, object]]
+ApplyEvent = Callable[[str, Mapping[str, Any]], dict[str, object]]
 """Hands an event to the pipeline and to the recording."""
+Wear = Callable[[Mapping[str, Any]], Awaitable[None]]
+"""Has the suit worn as a ``calibrated`` event says, while poses go on."""
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -50,8 +52,8 @@ def parsed(model: type[_Model], verb: str, data: Mapping[str, Any]) -> _Model:
 class ResetControl:
     """The family ``reset``."""
 
-    def __init__(self, happened: Happened) -> None:
-        self._happened = happened
+    def __init__(self, apply_event: ApplyEvent) -> None:
+        self._apply_event = apply_event
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
         """``heading``, ``full``, ``mounting``. Raises ``GatewayError``."""
@@ -59,17 +61,17 @@ class ResetControl:
             raise GatewayError(f"there is no request 'reset/{verb}'{nearest(verb, RESET_REQUESTS)}")
         request = parsed(RESET_REQUESTS[verb], f"reset/{verb}", data).model_dump()
         facing = float(np.radians(request.get("facing_deg", 0.0)))
-        return self._happened(RESET_EVENT, {"kind": verb, "facing": facing})
+        return self._apply_event(RESET_EVENT, {"kind": verb, "facing": facing})
 
 
 class CalibrationControl:
     """The family ``calibration``: one session at a time."""
 
-    def __init__(self, pipeline: Pipeline, rig: str, happened: Happened) -> None:
+    def __init__(self, pipeline: Pipeline, rig: str, wear: Wear) -> None:
         """rig: that the suit is worn by, a file or a shipped one, which is never written to."""
         self._pipeline = pipeline
         self._rig = rig
-        self._happened = happened
+        self._wear = wear
         self._session: BodySession | None = None
         self._result: BodyResult | None = None
         self._running: asyncio.Task[None] | None = None
@@ -108,7 +110,7 @@ class CalibrationControl:
         request = parsed(BeginCalibrationRequest, "calibration/begin", data)
         self._cancel({})
         self._session = BodySession(self._pipeline.suit, request.field)
-        self._pipeline.on_imu_frame = self._session.add
+        self._pipeline.module_stage.on_frame = self._session.add
         self._phase = "ready"
         return {
             "steps": [
@@ -187,7 +189,7 @@ class CalibrationControl:
         accepted = self._result.accepted(request.segments, request.poor)
         if not accepted:
             raise GatewayError("nothing in the result is good enough to be used: see calibration/result")
-        self._happened(CALIBRATED_EVENT, mounting_event(accepted))
+        await self._wear(mounting_event(accepted))
         answer: dict[str, Any] = {"accepted": [module.segment for module in accepted]}
         if request.save:
             kept = write_mounted_rig(self._source(), self.target, accepted)
@@ -199,17 +201,17 @@ class CalibrationControl:
         if self._running is not None:
             self._running.cancel()
         self._running, self._session, self._result = None, None, None
-        self._pipeline.on_imu_frame = None
+        self._pipeline.module_stage.on_frame = None
         self._phase = "idle"
         return {}
 
     def _history(self, _data: Mapping[str, Any]) -> dict[str, Any]:
         return {"file": str(self.target), "versions": [path.stem for path in history(self.target)]}
 
-    def _restore(self, data: Mapping[str, Any]) -> dict[str, Any]:
+    async def _restore(self, data: Mapping[str, Any]) -> dict[str, Any]:
         request = parsed(RestoreCalibrationRequest, "calibration/restore", data)
         version = restore(self.target, request.version)
-        self._happened(CALIBRATED_EVENT, mounting_event(_as_modules(load_rig(str(self.target)))))
+        await self._wear(mounting_event(_as_modules(load_rig(str(self.target)))))
         return {"file": str(self.target), "version": version.stem}
 
 

@@ -20,7 +20,7 @@ from devices.link_counts import LinkCounts
 from gateway.contract.topics import CAMERA
 from gateway.outputs.connection import broker_connection, end_tasks, explain, unique_identifier
 from gateway.outputs.settings import MqttSettings
-from gateway.settings import LinkSettings
+from gateway.sources.link_settings import LinkSettings
 
 SCHEME = "mqtt"
 
@@ -43,7 +43,7 @@ def link_of(link: LinkSettings, mqtt: MqttSettings, port: Callable[[], int]) -> 
 class BrokerLink:
     """The heat maps on one topic, or on all that a filter such as ``mocap_cameras/+`` takes in."""
 
-    framing = Framing.HEAT_MAPS
+    framing = Framing.BYTE_STREAM
 
     def __init__(self, topic: str, settings: MqttSettings, port: Callable[[], int], name: str) -> None:
         self.name = name

@@ -24,7 +24,7 @@ from devices.device_errors import DeviceError
 from gateway.cameras.person_follower import Order, PersonFollower
 from gateway.cameras.stitching import joined_heat_maps
 from gateway.errors import GatewayError
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.networks.network import Picture, PoseNetwork, load_network
 from gateway.reconstruction.video.networks.person_detector import Person, PersonDetector
 

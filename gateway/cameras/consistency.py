@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from devices.cameras.heat_map_messages import HeatMapReceiver
-from gateway.assembly.heat_map_frames import heat_maps_of
 from gateway.body.camera import Camera
 from gateway.cameras.synchronisation import signed_distances, synchronisation_of
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.reconstruction.video.initial import rays_through
 from gateway.reconstruction.video.projection import camera_model
+from gateway.sources.heat_maps import heat_maps_of
 
 FAR_APART = 0.08
 """Median distance of two rays to one keypoint from which a calibration counts as wrong, m; a right one has

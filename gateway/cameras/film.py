@@ -8,11 +8,11 @@ from pathlib import Path
 from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver
 from devices.cameras.opencv import cv2
 from devices.cameras.pictures import CameraError, Picture
-from gateway.assembly.heat_map_frames import heat_maps_of
 from gateway.body.skeleton import Skeleton, VideoSetUp
 from gateway.cameras.overlay import draw_heat_maps, draw_skeleton, side_by_side
 from gateway.frames import SkeletonFrame
 from gateway.recording.reading import Recording
+from gateway.sources.heat_maps import heat_maps_of
 
 FILM = ".mp4"
 

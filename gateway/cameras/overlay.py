@@ -10,9 +10,8 @@ from devices.cameras.opencv import cv2
 from devices.cameras.pictures import Picture
 from gateway.body.camera import Camera, project
 from gateway.body.skeleton import Skeleton
-from gateway.frames import FloatArray, SkeletonFrame, Status
+from gateway.frames import CameraHeatMaps, FloatArray, SkeletonFrame, Status
 from gateway.geometry import quaternion
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 
 _LEFT, _RIGHT, _MIDDLE = (80, 200, 80), (60, 60, 230), (240, 200, 60)
 """Blue, green, red."""

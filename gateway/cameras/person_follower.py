@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.frames import FloatArray
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.reconstruction.video.networks.network import Picture, PoseNetwork
 from gateway.reconstruction.video.networks.person_detector import PersonDetector
 from gateway.reconstruction.video.region import PersonRegion, region_of_maps

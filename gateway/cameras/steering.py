@@ -11,15 +11,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps, quantised
-from gateway.assembly.heat_map_frames import heat_map_frame
 from gateway.body.camera import Camera
 from gateway.cameras.person_follower import Order
 from gateway.cameras.stitching import joining
-from gateway.frames import FloatArray
+from gateway.frames import FloatArray, HeatMapFrame
 from gateway.reconstruction.video.crowd import VideoCrowd
-from gateway.reconstruction.video.heat_maps import HeatMapFrame
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.regions import person_region
+from gateway.sources.heat_maps import heat_map_frame
 
 AHEAD = 2
 """Pictures from a pose to those that its regions are for."""

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from devices.cameras.opencv import cv2
 from gateway.body.camera import Camera, project
-from gateway.frames import FloatArray
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.reconstruction.video.networks.network import Picture, PoseNetwork
 from gateway.reconstruction.video.region import PersonRegion
 

@@ -15,10 +15,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from devices.endpoints import link_from_url
-from devices.link import Link, gateway_time_ns
+from devices.link import SUIT, Chunk, Framing, Link, gateway_time_ns
 from devices.link_decoder import LinkDecoder
 from devices.reconnect import ReconnectingLink
-from devices.replay_link import ReplayLink, carried_links
+from devices.replay_link import ReplayLink, contents_of
 from gateway.body.camera import Camera
 from gateway.body.rig import load_rig
 from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
@@ -235,9 +235,7 @@ def clocks(
 
 async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibration) -> None:
     """Listen on all links until the calibration has had its time, or until every link has come to its end."""
-    links = [
-        link_from_url(link.url, name=link.name) for link in settings.links if link.carries != "heat_maps"
-    ]
+    links = [link_from_url(link.url, name=link.name) for link in settings.links if link.carries == SUIT]
     tasks = [
         asyncio.create_task(
             _listen(link if isinstance(link, ReplayLink) else ReconnectingLink(link), calibration)
@@ -268,10 +266,12 @@ async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibrati
 
 async def _listen(link: Link, calibration: ClockCalibration) -> None:
     await link.open()
-    decoders = {name: LinkDecoder(framing) for name, framing in carried_links(link).items()}
+    decoders = {name: LinkDecoder(Framing(content)) for name, content in contents_of(link).items()}
     batchings = {name: LinkBatching() for name in decoders}
     try:
         async for chunk in link:
+            if not isinstance(chunk, Chunk):
+                continue
             batching, decoder = batchings[chunk.link], decoders[chunk.link]
             packets = decoder.feed(chunk)
             if decoder.is_trusted:

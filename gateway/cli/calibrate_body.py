@@ -22,7 +22,7 @@ from devices.calibration_script import PERIOD_S, begin_of_script, timetable
 from devices.endpoints import link_from_url
 from devices.link import Link, gateway_time_ns
 from devices.reconnect import ReconnectingLink
-from devices.replay_link import ReplayLink, carried_links
+from devices.replay_link import ReplayLink, contents_of
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import BodyResult
@@ -33,7 +33,8 @@ from gateway.calibration.procedure import Kind, Step
 from gateway.cli.preparing import stand_in
 from gateway.errors import GatewayError
 from gateway.pipeline import Pipeline
-from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
+from gateway.settings import GatewaySettings, load_gateway_settings
+from gateway.sources.link_settings import LinkSettings
 from gateway.support.settings_files import find_file
 
 _COLOURS = {"good": "green", "fair": "yellow", "poor": "red"}
@@ -182,11 +183,11 @@ async def _calibrate(
     patient = settings.assembly.model_copy(update=_PATIENCE)
     needing_little = stand_in(settings, partial(console.print, style="dim"))  # poses are not looked at
     pipeline = Pipeline.from_settings(needing_little.model_copy(update={"assembly": patient}), suit)
-    pipeline.on_imu_frame = guide.session.add
-    links = [link_from_url(o.url, name=o.name) for o in settings.links if o.carries != "heat_maps"]
+    pipeline.module_stage.on_frame = guide.session.add
+    told = [one for one in settings.links if one.carries != "heat_maps"]
     readers = [
-        asyncio.create_task(_read(one if isinstance(one, ReplayLink) else ReconnectingLink(one), pipeline))
-        for one in links
+        asyncio.create_task(_read(_steady(link_from_url(one.url, name=one.name)), one.carries, pipeline))
+        for one in told
     ]
     try:
         return await guide.run(console)
@@ -196,13 +197,17 @@ async def _calibrate(
         await asyncio.gather(*readers, return_exceptions=True)
 
 
-async def _read(link: Link, pipeline: Pipeline) -> None:
+def _steady(link: Link) -> Link:
+    return link if isinstance(link, ReplayLink) else ReconnectingLink(link)
+
+
+async def _read(link: Link, carries: str, pipeline: Pipeline) -> None:
     await link.open()
     try:
-        for name, framing in carried_links(link).items():
-            pipeline.add_link(name, framing)
-        async for chunk in link:
-            pipeline.feed(chunk)
+        for name, content in contents_of(link, carries).items():
+            pipeline.add_link(name, content)
+        async for item in link:
+            pipeline.take(item)
     finally:
         await link.close()
 

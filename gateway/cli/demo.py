@@ -36,8 +36,10 @@ from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction import FUSED
 from gateway.service import readiness
 from gateway.service.service import Service
-from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
-from gateway.sources.stream import ClockMode, Stream
+from gateway.settings import ClockSettings, GatewaySettings
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.module_table import ClockMode
+from gateway.sources.stream import Stream
 from gateway.viewer.pose_table import PoseView
 
 SETTLING_S = 3.0

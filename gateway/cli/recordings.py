@@ -66,7 +66,7 @@ def info(
     summary.defect = summary.defect or recording.defect  # an index may be good and what it points to not
     if as_json:
         more = {"software": recording.meta.software, "host": recording.meta.host}
-        happened = [asdict(event) for event in events]
+        happened = [event._asdict() for event in events]
         typer.echo(json.dumps(_plain(summary) | more | {"events": happened}, indent=2))
         return
     console = wide_console()
@@ -124,7 +124,7 @@ def _overview(meta: RecordingMeta, summary: RecordingSummary) -> Table:
         rows["suit"] = f"{len(meta.suit.module_ids)} modules on body '{meta.skeleton.name}'"
         delay_ms = meta.settings.reconstructor_delay_ms
         rows["reconstructor"] = meta.settings.reconstructor + (f", {delay_ms:g} ms late" if delay_ms else "")
-    rows["links"] = ", ".join(f"{name} ({framing.value})" for name, framing in meta.links.items())
+    rows["links"] = ", ".join(f"{name} ({content})" for name, content in meta.links.items())
     rows["software"] = f"{meta.software}, Python {meta.host.get('python', '?')}"
     whole = "from the gateway's start: bit-identical" if meta.from_start else "began while the gateway ran"
     rows["replay"] = whole

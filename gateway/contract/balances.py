@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 
@@ -22,6 +23,18 @@ class Balance:
     def summary(self) -> dict[str, object]:
         """For the health message."""
         return {"total": self.total, "parts": dict(self.parts), "unaccounted": self.unaccounted}
+
+
+def joined(shares: Iterable[Balance]) -> list[Balance]:
+    """Return whole balances from the shares of several parts: totals and parts of one name are added up."""
+    totals: dict[str, int] = {}
+    parts: dict[str, Counter[str]] = {}
+    for share in shares:
+        totals[share.name] = totals.get(share.name, 0) + share.total
+        of_name = parts.setdefault(share.name, Counter())
+        for part, count in share.parts.items():
+            of_name[part] += count
+    return [Balance(name, total, dict(parts[name])) for name, total in totals.items()]
 
 
 def unaccounted(balances: Sequence[Balance]) -> dict[str, int]:

@@ -14,7 +14,7 @@ from gateway.cameras.broker_link import SCHEME, BrokerLink, link_of
 from gateway.doctor.findings import Finding, bad, good, warning
 from gateway.outputs.connection import broker_connection, explain, unique_identifier
 from gateway.outputs.settings import MqttSettings
-from gateway.settings import LinkSettings
+from gateway.sources.link_settings import LinkSettings
 
 _FIRST_FAILURE = 128
 """Reason codes from here on are refusals (MQTT 5, table 3-8; MQTT 3.1.1 has this one)."""

@@ -9,7 +9,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from devices.line_rate import DEFAULT_BITRATE, CanRate, line_rate
 from gateway.doctor.findings import Finding, Surroundings, bad, good, warning
-from gateway.settings import LinkSettings
+from gateway.sources.link_settings import LinkSettings
 
 _WIRING = "check bit rate, the two 120 Ω terminators, and that CAN high and low are not exchanged"
 _WORRYING = frozenset({"ERROR-WARNING", "ERROR-PASSIVE"})

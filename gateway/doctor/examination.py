@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from devices.endpoints import link_from_url
-from devices.link import Framing
+from devices.link import SUIT
 from devices.replay_link import ReplayLink
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
@@ -18,7 +18,8 @@ from gateway.doctor.findings import Finding, Surroundings, Verdict, bad, good
 from gateway.doctor.host import disk, metrics_port
 from gateway.doctor.lines import capacity
 from gateway.errors import SettingsError
-from gateway.settings import GatewaySettings, LinkSettings, load_gateway_settings
+from gateway.settings import GatewaySettings, load_gateway_settings
+from gateway.sources.link_settings import LinkSettings
 
 LISTEN_S = 2.0
 
@@ -82,6 +83,4 @@ def _listen(links: list[LinkSettings], suit: WornSuit, seconds: float) -> list[F
 
 def _speaks_as_a_suit(link: LinkSettings) -> bool:
     """Whether modules are at the other end: no receiver, no cameras, no file."""
-    opened = link_from_url(link.url)
-    is_stream = opened.framing in (Framing.BYTE_STREAM, Framing.CAN)
-    return link.carries == "suit" and is_stream and not isinstance(opened, ReplayLink)
+    return link.carries == SUIT and not isinstance(link_from_url(link.url), ReplayLink)

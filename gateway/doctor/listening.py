@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 from devices.device_errors import DeviceError
@@ -16,7 +15,7 @@ from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import suit_session
 from gateway.modules.summary import ModuleList, ModuleSummary
-from gateway.settings import LinkSettings
+from gateway.sources.link_settings import LinkSettings
 
 MOST_DAMAGED = 0.02
 """Share of wire frames with errors, above which a line is bad."""
@@ -45,9 +44,10 @@ async def listen(links: Sequence[LinkSettings], suit: WornSuit, seconds: float) 
 def _readability(urls: Mapping[str, str], operations: ModuleOperations) -> Iterator[Finding]:
     stream = operations.stream
     received = sum(record.received for record in stream.modules.values())
+    dropped_by_link = stream.dropped()
     for name, url in urls.items():
-        dropped: Counter[Defect] = stream.dropped.get(name, Counter())
-        garbled = sum(dropped[defect] for defect in _GARBLED)
+        dropped = dropped_by_link.get(name, {})
+        garbled = sum(dropped.get(defect.name.lower(), 0) for defect in _GARBLED)
         yield from _line(f"{name}: data", url, garbled, received)
         yield from _signatures(f"{name}: signatures", operations.unverified(name))
 

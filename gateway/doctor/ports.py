@@ -12,7 +12,7 @@ from devices.endpoints import link_from_url
 from devices.link import LinkError
 from devices.replay_link import ReplayLink
 from gateway.doctor.findings import Finding, Surroundings, bad, good, warning
-from gateway.settings import LinkSettings
+from gateway.sources.link_settings import LinkSettings
 
 LONGEST_LATENCY_MS = 2
 _UDEV_RULE = "docker/udev/60-mocap-gateway.rules"

@@ -17,7 +17,6 @@ from devices.emulators.faulty_suit import FaultySuit
 from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.emulation.rig import LOCAL_SIGMA, dress, move
@@ -25,6 +24,7 @@ from gateway.frames import FloatArray, Quantity, Status, StatusArray
 from gateway.geometry import quaternion
 from gateway.geometry.comparison import orientation_error
 from gateway.pipeline import Pipeline
+from gateway.stages.frame_assembler import AssemblyParams
 
 BEGIN_S, SECONDS, LONG_SECONDS = 12.0, 32.0, 84.0
 VICTIM, ML = 12, 60

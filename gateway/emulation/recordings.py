@@ -20,7 +20,6 @@ from devices.emulators.recording_formats import METAL_TABLE_S
 from devices.emulators.recordings import Recording, ReferenceTrack, play
 from devices.link import Chunk, Framing
 from gateway.agreement.world_alignment import align_world, aligned
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
@@ -29,7 +28,8 @@ from gateway.pipeline import Pipeline
 from gateway.reconstruction import create_reconstructor
 from gateway.reconstruction.reconstructor import update_many
 from gateway.reconstruction.smoothing import Smoother
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "recording"
 SMOOTHED = "joint, smoothed"
@@ -65,7 +65,7 @@ def solve(recording: Recording, suit: WornSuit, reconstructor: str) -> list[Skel
 def _play(recording: Recording, suit: WornSuit, reconstructor: Any) -> list[SkeletonFrame]:
     params = AssemblyParams(1e9 / recording.sampling_rate_hz, 5 * 10**9, 10**8, 5 * 10**9)
     pipeline = Pipeline(suit, params, "independent", ClockMode.SHARED)
-    pipeline.reconstructor = reconstructor
+    pipeline.module_stage.reconstructor = reconstructor
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
     frames: list[SkeletonFrame] = []
     for sent in play(recording):

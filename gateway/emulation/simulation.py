@@ -16,14 +16,14 @@ from devices.emulators.motions import BodyMotion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.waves import Fade
 from devices.link import Chunk, Framing
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit, field_vector
 from gateway.emulation.rig import dress, move
 from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame
 from gateway.geometry.comparison import coverage_percent, orientation_error, rmse_deg
 from gateway.pipeline import Pipeline
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "suit"
 SENSORS = Imperfections(

@@ -21,8 +21,9 @@ from gateway.recording.imported import imported_session, origin_event
 from gateway.recording.reading import Progress
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
-from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings, LinkSettings
-from gateway.sources.stream import ClockMode
+from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.module_table import ClockMode
 
 LINK = "imported"
 _FIRST_NS = 10**9

@@ -9,13 +9,14 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 
 from devices.command_client import LISTENS_TO, CommandClient
 from devices.endpoints import link_from_url
-from devices.link import Link, LinkError
+from devices.link import Chunk, Link, LinkError
 from devices.reconnect import ReconnectingLink
-from devices.replay_link import carried_links
+from devices.replay_link import contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
 from gateway.modules.operations import ModuleOperations
-from gateway.sources.stream import ClockMode, Stream
+from gateway.sources.module_table import ClockMode
+from gateway.sources.stream import Stream
 
 _LISTENED_S = 1.2
 """On UDP only those who were heard can be asked; modules that do not sample tell their health each second."""
@@ -47,8 +48,8 @@ async def suit_session(
         for link in links:
             await _open(link)
             stack.push_async_callback(link.close)
-            for name, framing in carried_links(link.link).items():
-                stream.add_link(name, framing)
+            for name, content in contents_of(link.link).items():
+                stream.add_link(name, content)
             readers.append(asyncio.create_task(_read(link, stream), name=f"link {link.name}"))
         stack.push_async_callback(_end, readers)
         if any(url.startswith("udp:") for url in urls.values()):
@@ -85,8 +86,9 @@ def _unsaid(logger: logging.Logger) -> Iterator[None]:
 
 
 async def _read(link: Link, stream: Stream) -> None:
-    async for chunk in link:
-        stream.receive(chunk)
+    async for item in link:
+        if isinstance(item, Chunk):
+            stream.receive(item)
 
 
 async def _end(readers: Sequence[asyncio.Task[None]]) -> None:

@@ -6,7 +6,6 @@
 
 from gateway.recording.arrays import SkeletonArrays
 from gateway.recording.reading import (
-    RecordedEvent,
     RecordedStatistics,
     Recording,
     RecordingMeta,
@@ -14,7 +13,6 @@ from gateway.recording.reading import (
 )
 
 __all__ = [
-    "RecordedEvent",
     "RecordedStatistics",
     "Recording",
     "RecordingMeta",

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import gateway
-from devices.link import Chunk, Framing, SentChunk, gateway_time_ns
+from devices.link import Chunk, SentChunk, gateway_time_ns
 from devices.recording_file import RecordingError
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError, nearest
@@ -38,7 +38,7 @@ class RecordingControl:
         self,
         settings: GatewaySettings,
         suit: WornSuit,
-        links: Mapping[str, Framing],
+        links: Mapping[str, str],
         statistics: Callable[[], Mapping[str, object]],
         restarts: Callable[[], Mapping[int, int]],
     ) -> None:
@@ -104,16 +104,16 @@ class RecordingControl:
 
     # What the service hands over, at once and in order.
 
-    def chunk(self, chunk: Chunk, framing: Framing) -> None:
+    def chunk(self, chunk: Chunk, content: str) -> None:
         """What a link gave, before it is parsed."""
         self._has_been_fed = True
         if self._recorder is not None and self._is_wanted:
-            self._recorder.chunk(chunk, framing)
+            self._recorder.chunk(chunk, content)
 
     def sent(self, sent: SentChunk) -> None:
         """What was written to a link."""
         if self._recorder is not None and self._is_wanted:
-            self._recorder.sent(sent, self._links.get(sent.link, Framing.BYTE_STREAM))
+            self._recorder.sent(sent, self._links[sent.link])
 
     def skeleton(self, frame: SkeletonFrame, arrived_ns: int) -> None:
         """What was made of it."""

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from devices import recording_format as fmt
-from devices.link import Framing, gateway_time_ns
+from devices.link import gateway_time_ns
 from devices.recording_file import RecordingError, part_path
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.contract.requests import RECORDING_NAME
@@ -30,7 +30,7 @@ _MB = 1e6
 class Contents:
     """What every part of a session begins with."""
 
-    links: Mapping[str, Framing]
+    links: Mapping[str, str]
     attachments: Mapping[str, bytes]
     software: str
     from_start: bool

@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import gateway
-from devices.link import Framing
 from devices.recording_writer import session_record
 
 
 def imported_session(
-    links: Mapping[str, Framing],
+    links: Mapping[str, str],
     target: Path,
     imported_from: str,
     begun_ns: int,

@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices import recording_format as fmt
-from devices.link import Chunk, Framing
+from devices.link import Chunk
 from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
 from devices.marker_files.naming import spelt
 from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
-from gateway.assembly.marker_frames import MarkerFrames
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray, MarkerFit, SkeletonFrame
+from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import BOTH_WAYS, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.both_ways import solve_both_ways
@@ -32,9 +31,13 @@ from gateway.recording.imported import imported_session, origin_event
 from gateway.recording.marker_encoding import frame_messages
 from gateway.recording.reading import Progress
 from gateway.recording.snapshot import attachments_of
-from gateway.settings import AssemblySettings, GatewaySettings, LinkSettings
+from gateway.settings import AssemblySettings, GatewaySettings
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.markers import MarkerFrames
+from gateway.stages.markers import MarkerStage
 
 LINK = "markers"
+CARRIES = "markers"
 _CHUNKS_A_TELLING = 64
 _BEGUN_NS = 10**9
 """Gateway time that a trial begins at."""
@@ -88,7 +91,7 @@ def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optica
     """A configuration that plays markers."""
     return GatewaySettings(
         gateway=name,
-        links=[LinkSettings(name=LINK, url=url, carries="markers")],
+        links=[LinkSettings(name=LINK, url=url, carries=CARRIES)],
         rig=subject,
         reconstructor=OPTICAL,
         assembly=AssemblySettings(rate_hz=rate_hz),
@@ -108,9 +111,10 @@ def write_solved_trial(
     markers, trial = _called(suit, subject, trial, source)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     pipeline = Pipeline.from_settings(settings, suit)
-    pipeline.add_link(LINK, Framing.MARKERS)
-    optical = pipeline.optical
-    assert optical is not None  # the suit has markers
+    pipeline.add_link(LINK, CARRIES)
+    stage = pipeline.stage_of(MarkerFrame)
+    assert isinstance(stage, MarkerStage)
+    optical = stage.reconstructor
     fits = _Fits(trial.n_frames, markers)
     spent = 0.0
     frames = 0
@@ -210,7 +214,7 @@ def _called(
 def _writer(
     target: Path, source: Path, attachments: Mapping[str, bytes], solved_by: str = ""
 ) -> Iterator[RecordingWriter]:
-    session = imported_session({LINK: Framing.MARKERS}, target, "optical", _BEGUN_NS, solved_by=solved_by)
+    session = imported_session({LINK: CARRIES}, target, "optical", _BEGUN_NS, solved_by=solved_by)
     kind = source.suffix.lstrip(".").lower()
     with DerivedRecordingWriter(target, session, attachments, _BEGUN_NS) as writer:
         writer.add(fmt.EVENTS, _BEGUN_NS, origin_event(kind, [source], _BEGUN_NS))
@@ -218,7 +222,7 @@ def _writer(
 
 
 def _add(writer: RecordingWriter, chunk: Chunk, made: Sequence[SkeletonFrame]) -> None:
-    writer.add_chunk(chunk, Framing.MARKERS)
+    writer.add_chunk(chunk, CARRIES)
     for frame in made:
         for topic, message in frame_messages(frame):
             writer.add(topic, chunk.arrived_ns, message)

@@ -19,8 +19,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from devices import recording_format as fmt
-from devices.link import Chunk, Framing, SentChunk
+from devices.link import Chunk, InputEvent, LinkItem, SentChunk
 from devices.recording_file import RecordedMessage, RecordingError, RecordingParts, plain_json
+from devices.replay_link import event_of
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.errors import SettingsError
 from gateway.frames import MarkerFit, SkeletonFrame
@@ -30,6 +31,7 @@ from gateway.recording.marker_encoding import RecordedMarkers, decode_markers
 from gateway.recording.skeleton_encoding import decode_skeleton_frame
 from gateway.recording.suit_snapshot import decode_suit
 from gateway.settings import GatewaySettings
+from gateway.support.settings_files import is_union_tag
 
 _log = logging.getLogger(__name__)
 
@@ -40,17 +42,6 @@ _MESSAGES_A_TELLING = 512
 
 
 @dataclass(frozen=True, slots=True)
-class RecordedEvent:
-    """Something that happened while recording."""
-
-    time_ns: int
-    """Gateway time, ns."""
-    name: str
-    """``link``, ``module_restarted``, ``module_event``, ``recording_begun``, ``recording_ended``, …"""
-    data: dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
 class RecordedStatistics:
     """Counters and clock models at one instant, as in ``bridge/health``."""
 
@@ -58,7 +49,7 @@ class RecordedStatistics:
     values: dict[str, Any]
 
 
-RecordedItem = Chunk | SentChunk | RecordedEvent | RecordedStatistics | SkeletonFrame | RecordedMarkers
+RecordedItem = Chunk | SentChunk | InputEvent | RecordedStatistics | SkeletonFrame | RecordedMarkers
 
 
 class RecordingMeta:
@@ -83,7 +74,7 @@ class RecordingMeta:
         """Whether its poses were made forward and backward through another recording of the same bytes."""
         self.solved_by = session.get("solved_by", "")
         """The offline method that made its poses, which no pipeline makes again; empty: a pipeline did."""
-        self.links: dict[str, Framing] = parts.links
+        self.links: dict[str, str] = parts.links
         self.n_parts = len(parts.files)
         self.size = parts.size
         """Bytes, all parts."""
@@ -109,6 +100,7 @@ class RecordingMeta:
         try:
             plain = plain_json(self._attachment(fmt.SETTINGS))
             _take_delay_out_of_name(plain)
+            _take_out_receivers(plain)
             unknown = _take_out_unknown(plain)
             if unknown:
                 _log.warning("%s: settings of version %s left out: %s", self.path, self.software, unknown)
@@ -195,19 +187,19 @@ class Recording:
             item for item in self._decoded((fmt.CHUNKS, fmt.DATAGRAMS), progress) if isinstance(item, Chunk)
         )
 
-    def inputs(self, progress: Progress | None = None) -> Iterator[Chunk | SentChunk | RecordedEvent]:
+    def inputs(self, progress: Progress | None = None) -> Iterator[LinkItem]:
         """All that a reconstruction depends on: what came over the links, what was written to them, and
         events, of which resets and calibrations count."""
         inputs = self._decoded((*fmt.OF_LINKS, fmt.EVENTS), progress)
-        return (item for item in inputs if isinstance(item, Chunk | SentChunk | RecordedEvent))
+        return (item for item in inputs if isinstance(item, LinkItem))
 
     def sent(self) -> Iterator[SentChunk]:
         """What the gateway wrote to the links."""
         return (item for item in self._decoded(fmt.SENT) if isinstance(item, SentChunk))
 
-    def events(self) -> Iterator[RecordedEvent]:
-        """What happened."""
-        return (item for item in self._decoded(fmt.EVENTS) if isinstance(item, RecordedEvent))
+    def events(self) -> Iterator[InputEvent]:
+        """What happened: ``link``, ``module_restarted``, ``recording_begun``, ``reset``, ``calibrated``, …"""
+        return (item for item in self._decoded(fmt.EVENTS) if isinstance(item, InputEvent))
 
     def statistics(self) -> Iterator[RecordedStatistics]:
         """Counters and clock models, every so often."""
@@ -265,6 +257,15 @@ def _take_delay_out_of_name(plain: Any) -> None:
         plain["reconstructor"], plain["reconstructor_delay_ms"] = "gyro_free", DELAYS_IN_NAMES[name] * 1e3
 
 
+def _take_out_receivers(plain: Any) -> None:
+    """Remove what every link used to tell, and is the settings of a satellite receiver."""
+    links = plain.get("links", ()) if isinstance(plain, dict) else ()
+    for link in links:
+        if isinstance(link, dict) and link.get("carries") != "gnss":
+            for name in ("device", "latency_ms", "origin"):
+                link.pop(name, None)
+
+
 def _take_out_unknown(plain: dict[str, Any]) -> str:
     """Remove, and name, the settings that this version does not know."""
     try:
@@ -276,7 +277,7 @@ def _take_out_unknown(plain: dict[str, Any]) -> str:
     for *path, key in places:
         holder: Any = plain
         for part in path:
-            holder = holder[part]
+            holder = holder if is_union_tag(part) else holder[part]
         del holder[key]
     return ", ".join(".".join(map(str, place)) for place in places)
 
@@ -297,16 +298,13 @@ def decode_message(message: RecordedMessage) -> RecordedItem | None:
         return fmt.chunk_of(topic, time_ns, data)
     if topic.startswith(fmt.SENT):
         return SentChunk(data, time_ns, topic.removeprefix(fmt.SENT))
+    if topic == fmt.EVENTS:
+        return event_of(data)
     try:
         decode = _DECODERS.get(topic)
         return None if decode is None else decode(message)
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
-
-
-def _event(message: RecordedMessage) -> RecordedItem:
-    plain = plain_json(message.data)
-    return RecordedEvent(int(plain["time_ns"]), str(plain["name"]), dict(plain["data"]))
 
 
 def _statistics(message: RecordedMessage) -> RecordedItem:
@@ -316,6 +314,5 @@ def _statistics(message: RecordedMessage) -> RecordedItem:
 _DECODERS: dict[str, Callable[[RecordedMessage], RecordedItem]] = {
     fmt.SKELETON: lambda message: decode_skeleton_frame(message.data),
     fmt.MARKERS: lambda message: decode_markers(message.data),
-    fmt.EVENTS: _event,
     fmt.STATISTICS: _statistics,
 }

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from devices import recording_format as fmt
-from devices.link import Chunk, Framing, SentChunk, gateway_time_ns
+from devices.link import Chunk, SentChunk, gateway_time_ns
 from gateway.contract.messages import plain_json
 from gateway.frames import SkeletonFrame
 from gateway.recording.marker_encoding import encode_markers_of
@@ -97,16 +97,16 @@ class Recorder:
 
     # What the event loop calls.
 
-    def chunk(self, chunk: Chunk, framing: Framing) -> None:
+    def chunk(self, chunk: Chunk, content: str) -> None:
         """Take what a link gave."""
         self._handed += 1
-        metadata = {"link": chunk.link, "framing": framing.value}
+        metadata = {"link": chunk.link, "framing": str(content)}
         topic, data = fmt.message_of(chunk)
         self._put(topic, chunk.arrived_ns, data, metadata)
 
-    def sent(self, sent: SentChunk, framing: Framing) -> None:
+    def sent(self, sent: SentChunk, content: str) -> None:
         """Take what was written to a link."""
-        metadata = {"link": sent.link, "framing": framing.value}
+        metadata = {"link": sent.link, "framing": str(content)}
         self._put(fmt.SENT + sent.link, sent.sent_ns, sent.data, metadata)
 
     def skeleton(self, frame: SkeletonFrame, arrived_ns: int) -> None:

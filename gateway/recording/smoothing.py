@@ -11,10 +11,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from devices.link import Chunk, SentChunk
+from devices.link import Chunk, LinkItem, SentChunk
 from gateway.errors import GatewayError
 from gateway.frames import ImuFrame, SkeletonFrame
-from gateway.pipeline import CALIBRATED_EVENT, RESET_EVENT, InputEvent, Pipeline
+from gateway.pipeline import CALIBRATED_EVENT, RESET_EVENT, Pipeline
 from gateway.reconstruction.smoothing import Progress, Smoother
 
 FRAMES_AT_A_TIME = 256
@@ -25,7 +25,7 @@ class _Section:
 
     def __init__(self, pipeline: Pipeline, folder: Path) -> None:
         folder.mkdir()
-        self._smoother = Smoother(pipeline.reconstructor, folder)
+        self._smoother = Smoother(pipeline.module_stage.reconstructor, folder)
         self._resets = pipeline.resets
         self._asked: deque[tuple[int, Mapping[str, Any]]] = deque()
         self._waiting: list[ImuFrame] = []
@@ -76,7 +76,7 @@ class SmoothedPoses:
     def __exit__(self, *_: object) -> None:
         self._temporary.cleanup()
 
-    def take(self, item: Chunk | SentChunk | InputEvent | None) -> None:
+    def take(self, item: LinkItem | None) -> None:
         """The next input; None: one that cannot be read, which has no poses."""
         frames: list[ImuFrame] = []
         if isinstance(item, Chunk):

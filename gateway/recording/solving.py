@@ -16,20 +16,17 @@ import numpy as np
 
 import gateway
 from devices import recording_format as fmt
-from devices.link import Chunk, SentChunk
+from devices.link import Chunk, InputEvent, SentChunk
 from devices.recording_file import RecordedMessage, RecordingError
 from devices.recording_writer import DerivedRecordingWriter, session_record
 from gateway.body.skeleton import WornSuit
-from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.geometry.comparison import orientation_error
-from gateway.pipeline import InputEvent, Pipeline
+from gateway.pipeline import Pipeline
 from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.recording.marker_encoding import frame_messages
 from gateway.recording.reading import (
     Progress,
-    RecordedEvent,
-    RecordedItem,
     Recording,
     decode_message,
 )
@@ -78,8 +75,8 @@ def recording_pipeline(recording: Recording, source: Source) -> Pipeline:
     """A pipeline that has not begun yet; the recording's links are announced."""
     with with_recorded_table(recording, source.settings) as settings:
         pipeline = Pipeline.from_settings(settings, source.suit)
-    for name, framing in recording.meta.links.items():
-        pipeline.add_link(name, framing)
+    for name, content in recording.meta.links.items():
+        pipeline.add_link(name, content)
     return pipeline
 
 
@@ -92,11 +89,11 @@ def solve(
     chosen = source or recorded_source(recording)
     pipeline = recording_pipeline(recording, chosen)
     if not chosen.smoothed:
-        yield from pipeline.replay(map(_as_input, recording.inputs(progress)))
+        yield from pipeline.replay(recording.inputs(progress))
         return
     with SmoothedPoses(pipeline) as smoothing:
         for item in recording.inputs(_half(progress, 0)):
-            smoothing.take(_as_input(item))
+            smoothing.take(item)
         yield from smoothing.poses(_half(progress, 1))
 
 
@@ -204,8 +201,7 @@ def _poses_by_message(
         for message in _told(recording, _half(progress, 0)):
             if _is_input(message):
                 item = decode_message(message)
-                known = isinstance(item, Chunk | SentChunk | RecordedEvent)
-                smoothing.take(_as_input(item) if known else None)  # type: ignore[arg-type]  # just tested
+                smoothing.take(item if isinstance(item, Chunk | SentChunk | InputEvent) else None)
         groups = smoothing.groups(_half(progress, 1))
         yield lambda message: next(groups) if _is_input(message) else [], None
 
@@ -223,22 +219,8 @@ def _is_input(message: RecordedMessage) -> bool:
 
 def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
     """The frames that a message completes."""
-    return _fed_item(pipeline, decode_message(message)) if _is_input(message) else []
-
-
-def _as_input(item: Chunk | SentChunk | RecordedEvent) -> Chunk | SentChunk | InputEvent:
-    return InputEvent(item.name, item.data) if isinstance(item, RecordedEvent) else item
-
-
-def _fed_item(pipeline: Pipeline, item: RecordedItem | None) -> list[SkeletonFrame]:
-    if isinstance(item, Chunk):
-        return pipeline.feed(item)
-    if isinstance(item, SentChunk):
-        pipeline.sent(item)
-    elif isinstance(item, RecordedEvent):
-        with contextlib.suppress(GatewayError):  # with another suit or method it may not be possible
-            pipeline.event(item.name, item.data)
-    return []
+    item = decode_message(message) if _is_input(message) else None
+    return pipeline.take(item) if isinstance(item, Chunk | SentChunk | InputEvent) else []
 
 
 def _told(recording: Recording, progress: Progress | None) -> Iterator[RecordedMessage]:
@@ -256,7 +238,7 @@ def _told(recording: Recording, progress: Progress | None) -> Iterator[RecordedM
 def _metadata(recording: Recording, topic: str) -> dict[str, str]:
     """Of a link's channel; none of others."""
     link = fmt.link_of(topic)
-    return {} if link is None else {"link": link, "framing": recording.meta.links[link].value}
+    return {} if link is None else {"link": link, "framing": recording.meta.links[link]}
 
 
 @contextlib.contextmanager

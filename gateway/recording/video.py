@@ -14,15 +14,15 @@ import numpy as np
 
 from devices import recording_format as fmt
 from devices.cameras.heat_map_messages import retimed
-from devices.link import Chunk, Framing
+from devices.link import Chunk
 from devices.recording_writer import DerivedRecordingWriter
-from gateway.assembly.heat_map_frames import heat_map_frame
 from gateway.body.camera import Camera
 from gateway.body.camera_entries import entry_of
 from gateway.body.rig import WorldSettings, worn_without_modules
 from gateway.body.skeleton import VideoSetUp, WornSuit
 from gateway.body.subject_file import subject_content
 from gateway.errors import GatewayError
+from gateway.frames import HeatMapFrame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import OPTICAL
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
@@ -36,9 +36,13 @@ from gateway.recording.reading import Progress
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.recording.suit_files import body_of
-from gateway.settings import AssemblySettings, GatewaySettings, LinkSettings
+from gateway.settings import AssemblySettings, GatewaySettings
+from gateway.sources.heat_maps import heat_map_frame
+from gateway.sources.link_settings import LinkSettings
+from gateway.stages.cameras import CameraStage
 
 LINK = "cameras"
+CARRIES = "heat_maps"
 OFFLINE = "offline"
 """The method that goes through all instants forwards and backwards."""
 _BEGUN_NS = 10**9
@@ -65,7 +69,7 @@ def video_settings(subject: str, rate_hz: float, name: str = "video") -> Gateway
     """A configuration that solves the heat maps of one link."""
     return GatewaySettings(
         gateway=name,
-        links=[LinkSettings(name=LINK, url="tcp://localhost:9765", carries="heat_maps")],
+        links=[LinkSettings(name=LINK, url="tcp://localhost:9765", carries=CARRIES)],
         rig=subject,
         reconstructor=OPTICAL,
         assembly=AssemblySettings(rate_hz=rate_hz),
@@ -135,8 +139,9 @@ def write_solved_video(
     assert suit.markers is not None
     settings = video_settings(subject, rate_hz)
     pipeline = Pipeline.from_settings(settings, suit)
-    pipeline.add_link(LINK, Framing.HEAT_MAPS)
-    assert pipeline.video is not None
+    pipeline.add_link(LINK, CARRIES)
+    stage = pipeline.stage_of(HeatMapFrame)
+    assert isinstance(stage, CameraStage)
     poses: list[VideoPose] = []
     frames, spent = 0, 0.0
     chunks = video_chunks(messages, rate_hz)
@@ -147,17 +152,17 @@ def write_solved_video(
             began = time.process_time()
             made = pipeline.feed(chunk)
             spent += time.process_time() - began
-            writer.add_chunk(chunk, Framing.HEAT_MAPS)
+            writer.add_chunk(chunk, CARRIES)
             for frame in made:
                 writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(frame))
             frames += len(made)
-            if pipeline.video.last is not None and index < len(messages):
-                poses.append(pipeline.video.last)
+            if stage.last is not None and index < len(messages):
+                poses.append(stage.last)
             if progress is not None and index % _INSTANTS_A_TELLING == 0:
                 progress(index, len(chunks))
         writer.add(fmt.STATISTICS, chunks[-1].arrived_ns, json.dumps(pipeline.statistics()).encode())
     return SolvedVideo(
-        target, frames, suit.markers.labels, tuple(poses), pipeline.video.statistics(),
+        target, frames, suit.markers.labels, tuple(poses), pipeline.statistics()["video"],
         1e3 * spent / max(len(chunks), 1),
     )  # fmt: skip
 
@@ -192,14 +197,14 @@ def write_offline_video(
     attachments = attachments_of(video_settings(subject, rate_hz), suit)
     with DerivedRecordingWriter(target, _session(target, OFFLINE), attachments, _BEGUN_NS) as writer:
         for chunk, frame in zip(chunks, frames, strict=True):
-            writer.add_chunk(chunk, Framing.HEAT_MAPS)
+            writer.add_chunk(chunk, CARRIES)
             timed = replace(frame, time_ns=chunk.arrived_ns)
             writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(timed))
     return SolvedVideo(target, len(frames), suit.markers.labels, (), {}, 1e3 * spent / max(len(frames), 1))
 
 
 def _session(target: Path, solved_by: str = "") -> dict[str, str]:
-    return imported_session({LINK: Framing.HEAT_MAPS}, target, "video", _BEGUN_NS, solved_by=solved_by)
+    return imported_session({LINK: CARRIES}, target, "video", _BEGUN_NS, solved_by=solved_by)
 
 
 def video_chunks(messages: Sequence[Sequence[bytes]], rate_hz: float) -> list[Chunk]:

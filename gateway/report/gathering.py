@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from devices.link import Chunk, SentChunk
+from devices.link import Chunk, InputEvent, SentChunk
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, IntArray, SkeletonFrame, Status
+from gateway.pipeline import Pipeline
 from gateway.recording.arrays import SkeletonArrays, arrays_of
-from gateway.recording.reading import Progress, RecordedEvent, RecordedStatistics, Recording
+from gateway.recording.reading import Progress, RecordedStatistics, Recording
 from gateway.recording.solving import recorded_source, recording_pipeline
 from gateway.recording.summary import RecordingSummary, summarise
-from gateway.sources.stream import Stream
 
 _MOST_BINS = 400
 """Of time: more cannot be seen."""
@@ -49,7 +49,7 @@ class Findings:
     suit: WornSuit | None
     bin_times_s: FloatArray
     modules: list[ModuleFindings]
-    events: list[RecordedEvent]
+    events: list[InputEvent]
     more_events: int
     poses: SkeletonArrays | None
     """Thinned to what a plot can show."""
@@ -82,29 +82,29 @@ class _Modules:
     """The stream decoded anew, and looked at every so often."""
 
     def __init__(
-        self, stream: Stream | None, names: dict[int, str], begun_ns: int, bin_s: float, bins: int
+        self, pipeline: Pipeline | None, names: dict[int, str], begun_ns: int, bin_s: float, bins: int
     ) -> None:
-        self._stream, self._names = stream, names
+        self._pipeline, self._names = pipeline, names
         self._begun_ns, self._bin_ns, self._bins = begun_ns, bin_s * 1e9, bins
         self._bin = 0
         self.found: dict[int, ModuleFindings] = {}
         self._before: dict[int, tuple[int, int]] = {}
 
     def take(self, item: Chunk | SentChunk) -> None:
-        if self._stream is None or not self._stream.hears(item.link):
+        if self._pipeline is None or not self._pipeline.has_modules(item.link):
             return
         if isinstance(item, SentChunk):
-            self._stream.sent(item)
+            self._pipeline.sent(item)
             return
         at = min(int(max(item.arrived_ns - self._begun_ns, 0) // self._bin_ns), self._bins - 1)
         if at > self._bin:
             self.look()
             self._bin = at
-        self._stream.receive(item)
+        self._pipeline.receive(item)
 
     def look(self) -> None:
         """Enter what the bin brought."""
-        for module, record in self._stream.modules.items() if self._stream else ():
+        for module, record in self._pipeline.modules.records.items() if self._pipeline else ():
             found = self.found.get(module)
             if found is None:
                 found = ModuleFindings(module, self._names.get(module, ""), self._bins)
@@ -127,17 +127,17 @@ def gather(recording: Recording, progress: Progress | None = None) -> Findings:
     first_ns = next((chunk.arrived_ns for chunk in recording.chunks()), meta.begun_ns)
     bin_s = max(_SHORTEST_BIN_S, summary.duration_s / _MOST_BINS)
     bins = max(int(np.ceil(summary.duration_s / bin_s)), 1)
-    stream = recording_pipeline(recording, recorded_source(recording)).stream if suit else None
-    modules = _Modules(stream, _names(suit), first_ns, bin_s, bins)
+    pipeline = recording_pipeline(recording, recorded_source(recording)) if suit else None
+    modules = _Modules(pipeline, _names(suit), first_ns, bin_s, bins)
     poses = _Poses(suit.skeleton.n_segments if suit else 0)
-    events: list[RecordedEvent] = []
+    events: list[InputEvent] = []
     totals: dict[str, Any] = {}
     for item in recording.items(progress):
         if isinstance(item, Chunk | SentChunk):
             modules.take(item)
         elif isinstance(item, SkeletonFrame) and len(item.status) == len(poses.status):
             poses.add(item)
-        elif isinstance(item, RecordedEvent):
+        elif isinstance(item, InputEvent):
             events.append(item)
         elif isinstance(item, RecordedStatistics):
             totals = item.values

@@ -15,7 +15,7 @@ from gateway.frames import Status
 from gateway.report import drawing, plots
 from gateway.report.elements import document, picture, table, tiles, warning
 from gateway.report.gathering import Findings, ModuleFindings
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
 
 _BAD_LOSS_PERCENT = 1.0
 

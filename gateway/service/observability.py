@@ -67,8 +67,8 @@ class Observer:
             suit,
             silent_after_ns=round(settings.modules.silent_after_s * 1e9),
             interval_ns=round(settings.modules.state_interval_s * 1e9),
-            late=pipeline.assembler.late,
-            doubts=pipeline.doubts,
+            late=pipeline.module_stage.assembler.late,
+            doubts=pipeline.module_stage.doubts,
         )
         if settings.metrics.port is not None:
             self.metrics = MetricsServer(
@@ -101,18 +101,18 @@ class Observer:
 
     def figures(self) -> GatewayFigures:
         """All that is measured, now."""
-        dropped = self._pipeline.stream.dropped
+        dropped = self._pipeline.dropped()
         links = [
             LinkFigures(
                 name=link.name,
                 is_up=_is_up(link, has_begun=link.name in dropped),
                 reconnections=link.reconnections if isinstance(link, ReconnectingLink) else 0,
-                dropped={defect.name.lower(): count for defect, count in dropped.get(link.name, {}).items()},
+                dropped=dict(dropped.get(link.name, {})),
                 counts=link.counts.summary() if isinstance(link, ReconnectingLink) else {},
             )
             for link in self._links
         ]
-        lost = self._pipeline.assembler.lost
+        lost = self._pipeline.module_stage.assembler.lost
         return GatewayFigures(
             info=self._info,
             links=links,

@@ -19,7 +19,6 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from gateway.assembly import frame_assembler
 from gateway.body.rig import load_rig
 from gateway.clocks import delay_floor, floor_filter
 from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
@@ -28,6 +27,7 @@ from gateway.geometry.kernel_fingerprint import fingerprint
 from gateway.reconstruction import DELAYABLE, FUSED, RECONSTRUCTORS, create_reconstructor, whole_body
 from gateway.reconstruction.inertial import articulated, independent, joint, rate_free
 from gateway.reconstruction.whole_body import RootMode, RootSettings, WholeBodyReconstructor
+from gateway.stages import frame_assembler
 
 FALLBACK = "independent"
 """What it needs with a root that stays in its place compiles in seconds, and serves until then."""

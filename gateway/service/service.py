@@ -11,11 +11,19 @@ from typing import Any
 
 import gateway
 from devices.command_client import CommandClient
-from devices.link import Chunk, Framing, Link, LinkError, SentChunk, gateway_time_ns
+from devices.link import (
+    SUIT,
+    Chunk,
+    InputEvent,
+    Link,
+    LinkError,
+    SentChunk,
+    gateway_time_ns,
+)
 from devices.link_counts import LinkCounts
 from devices.marker_file_link import MarkerFileLink
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
-from devices.replay_link import ReplayLink, carried_links
+from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.cameras.broker_link import link_of
@@ -33,7 +41,7 @@ from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.requests import RequestResponder, in_turn
 from gateway.outputs.side_outputs import SideOutputs
-from gateway.pipeline import INPUT_EVENTS, LOAD_EVENT, Pipeline
+from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, LOAD_EVENT, Pipeline, Worn
 from gateway.recording.control import RecordingControl
 from gateway.service.accounting import balances_of
 from gateway.service.host_sender import HostSender
@@ -44,7 +52,9 @@ from gateway.service.synchronisation import Synchroniser
 from gateway.service.triggering import Triggerer
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.sources.losses import Cause
-from gateway.sources.stream import ClockMode, Stream
+from gateway.sources.module_table import ClockMode
+from gateway.sources.registry import source_kind
+from gateway.sources.stream import Stream
 from gateway.support.memory import bound_memory, give_back
 from gateway.support.supervision import kept_running
 
@@ -54,9 +64,6 @@ REPORT_INTERVAL_S = 10.0
 _MOST_STRANGERS_NAMED = 32
 _TOLD_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
-_LISTENED_TO = frozenset({Framing.GNSS, Framing.MARKERS, Framing.HEAT_MAPS})
-"""Links with no module at the other end."""
-_OTHERS = {"gnss": Framing.GNSS, "markers": Framing.MARKERS, "heat_maps": Framing.HEAT_MAPS}
 
 
 class Service:
@@ -73,8 +80,12 @@ class Service:
             links if links is not None else _links_of(settings, self._note_link, lambda: self.mqtt.port)
         )
         self.pipeline = Pipeline.from_settings(settings, suit)
+        self._carries = {link.name: link.carries for link in settings.links}
+        contents = {name: of for link in self.links for name, of in self._contents_of(link).items()}
+        for name, content in contents.items():
+            self.pipeline.expect(name, content)
         self.recording = RecordingControl(
-            settings, suit, _framings(self.links), self.pipeline.statistics, self.pipeline.stream.restarts
+            settings, suit, contents, self.pipeline.statistics, self.pipeline.modules.restarts
         )
         self._records_at_start = settings.recording.at_start
         info = _describe(settings, suit)
@@ -104,25 +115,25 @@ class Service:
         """Chunks that a defect of ours kept from being handled."""
         self._ingesting: list[asyncio.Task[None]] = []
         stream = self.pipeline.stream
-        suit_links = [link for link in self.links if link.framing not in _LISTENED_TO]
-        self.commands = CommandClient(suit_links, allow_writes=settings.allow_device_writes)
+        commanded = [link for link in self.links if self._takes_commands(link)]
+        self.commands = CommandClient(commanded, allow_writes=settings.allow_device_writes)
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
         self._strangers = Strangers(stream, suit)
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
         sender = HostSender(self._note_sent, senders=stream.senders)
-        self._announced: list[Link] = []  # to the pipeline, and with modules at the other end
+        self._announced: list[Link] = []  # to the pipeline, and with somebody who takes commands
         self._synchroniser = _synchroniser(settings, self._announced, sender)
         self._triggerer = _triggerer(settings, self._announced, sender, stream)
         self.own_requests = OwnRequests(self.mqtt)
-        self.calibration = CalibrationControl(self.pipeline, settings.rig, self._happened)
+        self.calibration = CalibrationControl(self.pipeline, settings.rig, self._calibrated)
         families = {
             "gateway": self.own_requests.perform,
             "modules": operations.perform,
             "recording": in_turn(self.recording.perform),
             "calibration": in_turn(self.calibration.perform),
-            "reset": in_turn(ResetControl(self._happened).perform),
+            "reset": in_turn(ResetControl(self._apply_event).perform),
         }
         self.requests = RequestResponder(settings.mqtt, settings.gateway, families)
 
@@ -231,37 +242,49 @@ class Service:
             for link in self.links:
                 self._ingesting.append(group.create_task(self._ingest(link), name=f"link {link.name}"))
 
+    def _contents_of(self, link: Link) -> Mapping[str, str]:
+        """Return what a link carries, by the names that its chunks bear."""
+        return contents_of(link, self._carries.get(link.name, SUIT))
+
+    def _takes_commands(self, link: Link) -> bool:
+        """Whether packets of ours may be written to a link."""
+        return source_kind(self._carries.get(link.name, SUIT)).takes_commands
+
     async def _ingest(self, link: Link) -> None:
         """link → pipeline → outputs, for one link."""
         await link.open()
-        is_live = not isinstance(link, ReplayLink)
-        carried = carried_links(link)
-        if isinstance(link, ReplayLink):
-            link.on_sent = self._note_sent
-            link.on_event = self._happened_then
-        for name, framing in carried.items():
-            self.pipeline.add_link(name, framing)
-        if is_live and link.framing not in _LISTENED_TO:
+        contents = self._contents_of(link)
+        for name, content in contents.items():
+            self.pipeline.add_link(name, content)
+        if not isinstance(link, ReplayLink) and self._takes_commands(link):
             self._announced.append(link)
         losses = 0
         try:
-            async for chunk in link:
+            async for item in link:
                 await self.recording.keep_pace()
                 if isinstance(link, ReconnectingLink) and link.counts.losses != losses:
                     losses = link.counts.losses
-                    self.pipeline.stream.notice(link.name, Cause.OVERRUN)
-                self.recording.chunk(chunk, carried[chunk.link])
-                skeleton_frames = self._fed(chunk)
-                if is_live:
-                    self._note_lag(link, chunk.arrived_ns)
-                for frame in skeleton_frames:
-                    self.recording.skeleton(frame, chunk.arrived_ns)
-                    for output in self._outputs:
-                        output.offer(frame)
-                if skeleton_frames:
+                    self.pipeline.modules.notice(link.name, Cause.OVERRUN)
+                if isinstance(item, SentChunk):
+                    self._note_sent(item)
+                elif isinstance(item, InputEvent):
+                    self._replay_event(item)
+                elif self._take_chunk(link, item, contents[item.link]):
                     await asyncio.sleep(0)  # a link that is never empty must not starve the outputs
         finally:
             await link.close()
+
+    def _take_chunk(self, link: Link, chunk: Chunk, content: str) -> int:
+        """Record a chunk, feed it, hand the poses on; return how many there are."""
+        self.recording.chunk(chunk, content)
+        skeleton_frames = self._fed(chunk)
+        if not isinstance(link, ReplayLink):
+            self._note_lag(link, chunk.arrived_ns)
+        for frame in skeleton_frames:
+            self.recording.skeleton(frame, chunk.arrived_ns)
+            for output in self._outputs:
+                output.offer(frame)
+        return len(skeleton_frames)
 
     def _fed(self, chunk: Chunk) -> list[SkeletonFrame]:
         """The pipeline must not raise; should it all the same, one chunk is lost and not the session."""
@@ -285,7 +308,7 @@ class Service:
         holds = self.load.holds
         self.side.pause(self.load.stage >= SIDE_OUTPUTS)
         self.mqtt.relieve(holds.poses_hz, has_segments=self.load.stage < SEGMENT_TOPICS)
-        self._happened(LOAD_EVENT, {"stage": holds.name, "solve_every": holds.solve_every})
+        self._apply_event(LOAD_EVENT, {"stage": holds.name, "solve_every": holds.solve_every})
         log.warning(
             "load stage %d of %d: %s (%.0f ms behind)",
             self.load.stage,
@@ -318,22 +341,27 @@ class Service:
         self.recording.sent(sent)
         self.pipeline.sent(sent)
 
-    def _happened(self, name: str, data: Mapping[str, Any]) -> dict[str, object]:
+    def _apply_event(self, name: str, data: Mapping[str, Any], worn: Worn | None = None) -> dict[str, object]:
         """A reset or a calibration: another input of the pipeline. Raises ``GatewayError``."""
-        changed = self.pipeline.event(name, data)
+        changed = self.pipeline.event(name, data, worn)
         self.recording.event(name, data)
         self.recording.worn(self.pipeline.suit)
         return changed
 
-    def _happened_then(self, name: str, data: Mapping[str, Any]) -> None:
-        """The same in a recording that is played; with another suit or method it may not be possible."""
-        if name in INPUT_EVENTS:
+    async def _calibrated(self, data: Mapping[str, Any]) -> None:
+        """A calibration: poses go on while another thread makes what it needs. Raises ``GatewayError``."""
+        worn = await asyncio.to_thread(self.pipeline.prepare, data)
+        self._apply_event(CALIBRATED_EVENT, data, worn)
+
+    def _replay_event(self, event: InputEvent) -> None:
+        """One of a recording that is played; with another suit or method it may not be possible."""
+        if event.name in INPUT_EVENTS:
             with contextlib.suppress(GatewayError):
-                self._happened(name, data)
+                self._apply_event(event.name, event.data)
 
     def _note_link(self, name: str, status: LinkStatus) -> None:
         if status.state is LinkState.DOWN:
-            self.pipeline.stream.notice(name, Cause.LINK_DOWN)
+            self.pipeline.modules.notice(name, Cause.LINK_DOWN)
         self.recording.event("link", {"link": name, "state": status.state.value, "reason": status.reason})
 
     def _warn_of_strangers(self, named: set[str]) -> None:
@@ -358,7 +386,7 @@ class Service:
         while True:
             await asyncio.sleep(REPORT_INTERVAL_S)
             self._warn_of_strangers(strangers)
-            modules = self.pipeline.stream.modules.values()
+            modules = self.pipeline.modules.records.values()
             frames = self.pipeline.skeleton_frames
             log.info(
                 "%.1f poses/s from %d of the rig's %d modules; packets received %d, lost %d; %s; "
@@ -380,20 +408,12 @@ def _links_of(
     settings: GatewaySettings, on_change: Callable[[str, LinkStatus], None], broker_port: Callable[[], int]
 ) -> list[Link]:
     links = [link_of(link, settings.mqtt, broker_port) for link in settings.links]
-    for link, wanted in zip(links, settings.links, strict=True):
-        if wanted.carries in _OTHERS and not isinstance(link, ReplayLink):
-            link.framing = _OTHERS[wanted.carries]
     return [
         link
         if isinstance(link, ReplayLink | MarkerFileLink)
         else ReconnectingLink(link, on_change=functools.partial(on_change, link.name))
         for link in links
     ]
-
-
-def _framings(links: Sequence[Link]) -> dict[str, Framing]:
-    """Of all names that chunks will bear."""
-    return {name: framing for link in links for name, framing in carried_links(link).items()}
 
 
 def _synchroniser(

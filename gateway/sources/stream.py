@@ -6,16 +6,13 @@ relay over one. Readings are routed by module id.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable
-from enum import StrEnum
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from devices.link import Chunk, Framing, SentChunk
 from devices.link_decoder import LinkDecoder, packet_decoder
 from firmware_protocol import (
-    Defect,
     DeviceInfo,
     FusedSample,
     Health,
@@ -32,102 +29,69 @@ from firmware_protocol import (
     SyncResponse,
 )
 from firmware_protocol.kinds import FROM_HOST
-from gateway.clocks import (
-    ClockTable,
-    EstimatedClock,
-    LinkBatching,
-    ModuleClock,
-    RelayBatching,
-    SharedClock,
-    SharedOffset,
-    TableClocks,
-    TriggerAnswers,
-    warm_up,
+from gateway.clocks import ClockTable, TriggerAnswers
+from gateway.contract.balances import Balance
+from gateway.frames import (
+    Clipped,
+    FusedReading,
+    InertialReading,
+    LightReading,
+    LocalReading,
+    Quantity,
+    Reading,
 )
-from gateway.frames import Clipped, FusedReading, InertialReading, LightReading, LocalReading, Quantity
 from gateway.sources.air_velocity import air_velocity
 from gateway.sources.exchanges import TimeExchanges
-from gateway.sources.losses import Cause, LinkLosses
+from gateway.sources.module_table import ClockMode, ModuleTable
+from gateway.sources.source import ListeningSource, SourceContext
 from gateway.sources.statistics import ModuleRecord
-
-Reading = InertialReading | FusedReading | LocalReading | LightReading
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
 """Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
 
 
-class ClockMode(StrEnum):
-    """Where gateway time comes from."""
-
-    ESTIMATED = "estimated"
-    """Every module has its own crystal: rate and offset are estimated from arrival times."""
-    SHARED = "shared"
-    """All modules count one clock already (wired suit, one controller): one offset for all."""
-    TABLE = "table"
-    """Rates come from a table measured beforehand (`calibrate clocks`), offsets from arrival times."""
-    TRIGGER = "trigger"
-    """The gateway says when to sample: a sample's instant is that at which its trigger left. What modules
-    send on their own timers has an estimated clock."""
-
-
-SAMPLE_KINDS = frozenset(
-    packet.KIND
-    for packet in (
-        InertialSample,
-        InertialSampleFine,
-        FusedSample,
-        LocalMeasurement,
-        LightSample,
-        PressureSample,
-    )
-)
-"""Of packets that readings are made from."""
-
 _TRIGGERED = 1 << 8
 """Added to the kind: triggered samples are counted by themselves, by the triggers' numbers."""
 
 
-class Stream:
-    """Decodes, counts and timestamps. Bytes are untrusted: nothing here raises for what they hold."""
+class Stream(ListeningSource):
+    """Decodes, counts and timestamps packets of modules."""
+
+    observes = InertialReading
+    """And all other kinds of reading."""
 
     def __init__(
         self,
         clock_mode: ClockMode = ClockMode.ESTIMATED,
         clock_table: ClockTable | None = None,
         triggers: TriggerAnswers | None = None,
+        table: ModuleTable | None = None,
     ) -> None:
-        """triggers: what answers are awaited in mode TRIGGER; None in any other."""
+        """triggers: what answers are awaited in mode TRIGGER; None in any other. table: of the modules of all
+        sources, where there are others; then clock_mode and clock_table are its own."""
         self.triggers = triggers
-        self.modules: dict[int, ModuleRecord] = {}
+        self.table = table or ModuleTable(clock_mode, clock_table)
+        self.modules = self.table.records
         self.readings = 0
         """Readings given out."""
         self.echoed = 0
         """Packets of a host, ours or another one's, that came back over a bus."""
         self._decoders: dict[str, LinkDecoder] = {}
         self._sent_decoders: dict[str, PacketDecoder] = {}
-        self._losses: dict[str, LinkLosses] = {}
-        self._batching: dict[str, LinkBatching] = {}
-        self._relays: dict[str, RelayBatching] = {}
         self._listeners: dict[type[Packet], list[Listener]] = {}
-        self._new_clock = _clock_factory(clock_mode, clock_table)
         self._exchanges = TimeExchanges(self.modules)
         self.listen(SyncResponse, self._exchanges.answered)
 
-    def add_link(self, name: str, framing: Framing) -> None:
-        """Announce a link, before its first chunk."""
-        self._decoders[name] = LinkDecoder(framing)
-        self._sent_decoders[name] = packet_decoder(framing)
-        self._batching[name], self._relays[name] = LinkBatching(), RelayBatching()
-        self._losses[name] = LinkLosses()
+    @classmethod
+    def of(cls, context: SourceContext) -> Stream:
+        """Return the stream of a suit in its surroundings."""
+        return cls(triggers=context.triggers, table=context.modules)
 
-    def hears(self, link: str) -> bool:
-        """Whether the link was announced here: one that brings markers or heat maps is not."""
-        return link in self._decoders
-
-    def notice(self, link: str, cause: Cause) -> None:
-        """Something was lost on a link since its last chunk: tells what missing packets fell victim to."""
-        if link in self._losses:
-            self._losses[link].notice(cause)
+    def add_link(self, name: str, content: str) -> None:
+        """Announce a link, before its first chunk. content: its framing."""
+        self._decoders[name] = LinkDecoder(Framing(content))
+        self._sent_decoders[name] = packet_decoder(Framing(content))
+        self.table.add_link(name)
 
     def listen(self, packet_class: type[Packet], listener: Listener) -> None:
         """Have every packet of a class told to ``listener`` too, also one that came before."""
@@ -142,11 +106,7 @@ class Stream:
         readings = []
         decoder = self._decoders[chunk.link]
         packets = decoder.feed(chunk)
-        if decoder.is_trusted:  # when a stranger sends says nothing about the modules
-            self._batching[chunk.link].observe(chunk.arrived_ns)
-        self._losses[chunk.link].chunk += 1
-        if decoder.is_damaged:
-            self._losses[chunk.link].notice(Cause.DAMAGED)
+        self.table.begin_chunk(chunk, is_trusted=decoder.is_trusted, is_damaged=decoder.is_damaged)
         for packet in packets:
             for listener in self._listeners.get(type(packet.packet), ()):
                 listener(packet, chunk)
@@ -170,10 +130,6 @@ class Stream:
         found = {name: decoder.statistics() for name, decoder in self._decoders.items()}
         return {name: statistics for name, statistics in found.items() if statistics}
 
-    def restarts(self) -> dict[int, int]:
-        """How often each module was found to count from anew."""
-        return {module: record.clock.restarts for module, record in self.modules.items()}
-
     def sent(self, chunk: SentChunk) -> None:
         """Take note of what the gateway put on a link, once it has left and before what answers it.
 
@@ -187,18 +143,30 @@ class Stream:
             elif isinstance(sent.packet, SamplingTrigger) and self.triggers is not None:
                 self.triggers.sent(sent.packet.number, chunk.link, chunk.sent_ns)
 
-    @property
-    def dropped(self) -> dict[str, Counter[Defect]]:
-        """What was dropped by link and reason."""
-        return {name: decoder.dropped for name, decoder in self._decoders.items()}
+    def dropped(self) -> dict[str, dict[str, int]]:
+        """Return what was dropped, by link and reason."""
+        return {
+            name: {defect.name.lower(): count for defect, count in decoder.dropped.items()}
+            for name, decoder in self._decoders.items()
+        }
 
-    @property
-    def decoded(self) -> int:
-        """Packets out of the decoders of all links."""
-        return sum(decoder.accepted for decoder in self._decoders.values())
+    def statistics(self) -> dict[str, object]:
+        """Return counters for the health message."""
+        return {} if self.triggers is None else {"triggers": self.triggers.figures.summary()}
+
+    def balances(self) -> Iterator[Balance]:
+        """Yield what came out of the decoders, and the readings given."""
+        parts = {"from_host": self.echoed}
+        if self.triggers is not None:
+            parts["unexpected"] = self.triggers.figures.unexpected
+        decoded = sum(decoder.accepted for decoder in self._decoders.values())
+        yield Balance("packets_decoded", decoded, parts)
+        yield Balance("readings", self.readings, {})
 
     def _read(self, received: ReceivedPacket, chunk: Chunk) -> Reading | None:
-        record, time_ns = self._timed(received, chunk)
+        record, time_ns = self.table.timed(
+            received.module, received.module_time_us, chunk, received.relayed_us
+        )
         if self.triggers is not None:
             packet = received.packet
             self.triggers.heard(received.module, chunk.link)
@@ -206,32 +174,8 @@ class Stream:
                 return self._read_triggered(self.triggers, record, received, chunk)
             if isinstance(packet, InertialSample | InertialSampleFine | FusedSample):
                 self.triggers.sampled_alone(received.module)
-        sequence = record.counter(received.kind).count(received.sequence, self._losses[chunk.link])
+        sequence = record.counter(received.kind).count(received.sequence, self.table.losses(chunk.link))
         return None if sequence is None else _reading(record, received.packet, sequence, time_ns)
-
-    def _timed(self, received: ReceivedPacket, chunk: Chunk) -> tuple[ModuleRecord, int]:
-        """The module's record, and the packet's instant by the module's clock."""
-        if received.relayed_us is not None:
-            self._relays[chunk.link].observe_tick(received.relayed_us)
-        record = self.modules.get(received.module)
-        if record is None:
-            record = self._new_record(received, chunk)
-        restarts = record.clock.restarts
-        time_ns = record.clock.gateway_time(received.module_time_us, chunk.arrived_ns)
-        if record.clock.restarts != restarts:
-            record.restarted_ns.append(chunk.arrived_ns)
-            for restarted in record.sequences.values():
-                restarted.restart()
-        record.last_arrival_ns = chunk.arrived_ns
-        return record, time_ns
-
-    def _new_record(self, received: ReceivedPacket, chunk: Chunk) -> ModuleRecord:
-        """Of a module that is heard for the first time."""
-        waits = self._batching if received.relayed_us is None else self._relays
-        clock = self._new_clock(received.module, waits[chunk.link])
-        record = ModuleRecord(received.module, clock, first_arrival_ns=chunk.arrived_ns)
-        self.modules[received.module] = record
-        return record
 
     def _read_triggered(
         self, triggers: TriggerAnswers, record: ModuleRecord, received: ReceivedPacket, chunk: Chunk
@@ -241,20 +185,9 @@ class Stream:
         if answer is None:
             return None
         sequence = record.counter(received.kind | _TRIGGERED).count_unwrapped(
-            answer.full, self._losses[chunk.link]
+            answer.full, self.table.losses(chunk.link)
         )
         return None if sequence is None else _reading(record, received.packet, sequence, answer.sent_ns)
-
-
-def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, LinkBatching], ModuleClock]:
-    if mode is ClockMode.SHARED:
-        shared = SharedOffset()
-        return lambda _module, _batching: SharedClock(shared)
-    warm_up()
-    if mode is ClockMode.TABLE and table is not None:
-        clocks = TableClocks(table)
-        return clocks.clock
-    return lambda _module, batching: EstimatedClock(batching)
 
 
 def _inertial(

@@ -108,7 +108,7 @@ class _Key(str):
 
 
 def _place(location: tuple[object, ...]) -> str:
-    named = (part for part in location if isinstance(part, _Key) or not _is_union_tag(part))
+    named = (part for part in location if isinstance(part, _Key) or not is_union_tag(part))
     return ".".join(_shortened(str(part)) for part in named)
 
 
@@ -116,7 +116,8 @@ def _shortened(text: str, length: int = 80) -> str:
     return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
-def _is_union_tag(part: object) -> bool:
+def is_union_tag(part: object) -> bool:
+    """Whether a part of a pydantic location names a member of a union, and no setting."""
     return isinstance(part, str) and (part[:1].isupper() or "[" in part)
 
 
@@ -124,7 +125,7 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
     """The keys allowed at a place inside ``model``."""
     current: list[type[BaseModel]] = [model]
     for part in location:
-        if isinstance(part, int) or _is_union_tag(part):
+        if isinstance(part, int) or is_union_tag(part):
             continue
         fields = [one.model_fields[part] for one in current if part in one.model_fields]
         if fields:

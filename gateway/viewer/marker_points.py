@@ -9,13 +9,13 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from devices.link import Chunk, Framing
-from gateway.assembly.marker_frames import MarkerFrames
+from devices.link import Chunk
 from gateway.body.markers import BodyMarkers
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.geometry import quaternion
 from gateway.recording import Recording, SkeletonArrays
 from gateway.recording.arrays import MarkerArrays
+from gateway.sources.markers import MarkerFrames
 from gateway.viewer.appearance import Colour, chips
 from gateway.viewer.stage import Stage
 
@@ -124,7 +124,7 @@ def recorded_markers(
     """The markers of a recording; None where no link carried any."""
     if arrays.markers is not None:
         return RecordedMarkers(arrays.markers)
-    links = {name for name, framing in recording.meta.links.items() if framing is Framing.MARKERS}
+    links = {name for name, content in recording.meta.links.items() if content == "markers"}
     if not links or recording.meta.suit.markers is None:
         return None
     markers = recording.meta.suit.markers

@@ -21,7 +21,8 @@ from gateway.doctor.listening import listen
 from gateway.emulation.rig import dress, move
 from gateway.outputs.settings import MqttSettings
 from gateway.service.service import Service
-from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
+from gateway.settings import ClockSettings, GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 from tests.running_suit import running
 

@@ -19,7 +19,8 @@ from gateway.modules.journal import Journal
 from gateway.modules.session import suit_session
 from gateway.outputs.settings import MqttSettings
 from gateway.service.service import Service
-from gateway.settings import ClockSettings, GatewaySettings, LinkSettings
+from gateway.settings import ClockSettings, GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 from tests.running_suit import running
 from tests.typed_here import typed_here
 

@@ -20,7 +20,7 @@ from devices.marker_messages import MarkerMessage, MarkerReceiver
 from devices.qtm_link import DEFAULT_PORT, QtmLink
 from devices.qtm_packets import HEADER, QtmPacketError, marking_of, packets_of
 from devices.reconnect import BackOff, LinkState, ReconnectingLink
-from gateway.settings import LinkSettings
+from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 
 pytest.importorskip("qtm_rt", reason="the extra 'optical' is not installed")
@@ -170,10 +170,10 @@ def test_addresses():
 
 
 def test_such_a_link_carries_markers_and_nothing_else():
+    assert LinkSettings(name="cameras", url="qtm://a").carries == "markers"
     assert (
-        LinkSettings(name="cameras", url="qtm://a").carries == "suit"
-    )  # the default; what it carries is known
-    LinkSettings(name="cameras", url="qtm://a", carries="markers")
+        LinkSettings(name="cameras", url="qtm://a", carries="suit").carries == "markers"
+    )  # as once recorded
     with pytest.raises(ValueError, match="qtm:// carries markers and nothing else: leave 'carries' out"):
         LinkSettings(name="cameras", url="qtm://a", carries="gnss")
 

@@ -13,14 +13,14 @@ from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit
 from devices.link import Chunk, Framing
 from firmware_protocol import InertialSample
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
 from gateway.contract.messages import OutputCounters
 from gateway.pipeline import Pipeline
 from gateway.service.accounting import balances_of
 from gateway.sources.despiking import Despiker
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 N_MODULES, STEP_S, LINK = 3, 0.02, "suit"
 PARAMS = AssemblyParams(
@@ -108,7 +108,7 @@ def test_the_gateways_count_of_losses_is_the_suits_own(kind):
     if kind == "duplication":
         assert (lost, repeated) == (0, befallen)
     elif kind == "bit_errors":
-        damaged = sum(gateway.stream.dropped[LINK].values())
+        damaged = sum(gateway.dropped()[LINK].values())
         # A bit of a delimiter joins two wire frames into one bad one.
         assert befallen <= lost <= 2 * befallen
         assert damaged >= befallen * 0.9
@@ -130,7 +130,7 @@ def test_restart_is_no_gap_and_what_was_sent_before_it_stays_counted():
     plan = FaultPlan.model_validate({"faults": [{"kind": "reset", "at": 2.5, "lasts": 0.3, "module": 2}]})
     suit, gateway = faulty(plan, Framing.BYTE_STREAM), pipeline(Framing.BYTE_STREAM)
     fed(suit, gateway, 4.0)
-    assert gateway.stream.restarts()[2] == 1
+    assert gateway.modules.restarts()[2] == 1
     assert sum(module.lost for module in gateway.stream.modules.values()) == 0
     received = sum(module.received for module in gateway.stream.modules.values())
     assert received == suit.traffic.counts["sent"]

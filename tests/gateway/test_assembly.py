@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.assembly.frame_assembler import AssemblyParams, FrameAssembler, Lost
 from gateway.frames import Clipped, InertialReading, LocalReading, Quantity, Status
+from gateway.stages.frame_assembler import AssemblyParams, FrameAssembler, Lost
 
 MS = 1_000_000
 PARAMS = AssemblyParams(frame_interval_ns=10 * MS, max_wait_ns=20 * MS, max_gap_ns=50 * MS, hold_ns=200 * MS)

@@ -11,12 +11,12 @@ import pytest
 
 from devices.link import Chunk, Framing
 from firmware_protocol import InertialSample, LightSample, LocalMeasurement, encode_frame, wire_frame
-from gateway.assembly.frame_assembler import MOST_WAITING, AssemblyParams, FrameAssembler, Lost
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
 from gateway.frames import InertialReading, LocalReading, Quantity
 from gateway.pipeline import Pipeline
 from gateway.service.accounting import balances_of
+from gateway.stages.frame_assembler import MOST_WAITING, AssemblyParams, FrameAssembler, Lost
 
 LINK = "suit"
 PARAMS = AssemblyParams(10e6, 30_000_000, 100_000_000, 500_000_000)

@@ -12,7 +12,8 @@ from gateway.body.rig import load_rig
 from gateway.cli.demo import SEED, SETTLING_S, Truth
 from gateway.emulation.rig import dress, move, move_about
 from gateway.pipeline import Pipeline
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 
 RIG = "robot_arm_4"
 

@@ -13,7 +13,8 @@ from gateway.doctor import Verdict, examine
 from gateway.doctor.camera_topics import camera_topic
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.settings import MqttSettings
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system

@@ -7,7 +7,8 @@ import logging
 from devices.link import Chunk
 from gateway.body.rig import load_rig
 from gateway.service.service import Service
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 
 
 def test_a_chunk_that_cannot_be_handled_is_told_and_counted(monkeypatch, caplog):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gateway.assembly.frame_assembler import AssemblyParams, Lost
-from gateway.assembly.fused_assembler import FusedAssembler
 from gateway.frames import FusedReading, Status
+from gateway.stages.frame_assembler import AssemblyParams, Lost
+from gateway.stages.fused_assembler import FusedAssembler
 
 MS = 1_000_000
 PARAMS = AssemblyParams(frame_interval_ns=10 * MS, max_wait_ns=30 * MS, max_gap_ns=50 * MS, hold_ns=200 * MS)

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
-from devices.link import Chunk, Framing
+from devices.link import Chunk
 from gateway.body.rig import load_rig
 from gateway.body.subject_file import write_subject
 from gateway.contract.balances import unaccounted
@@ -17,7 +17,8 @@ from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.recording.suit_snapshot import decode_suit, encode_suit
 from gateway.recording.video import video_subject, video_suit
 from gateway.service.accounting import balances_of
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 
 CAMERAS = ring_of_cameras(3)
 N, TURN, LATENCY_MS = 8, 90.0, 40
@@ -53,7 +54,7 @@ def fed(suit, instants, reconstructor="independent"):
         reconstructor=reconstructor,
     )
     pipeline = Pipeline.from_settings(settings, suit)
-    pipeline.add_link("cameras", Framing.HEAT_MAPS)
+    pipeline.add_link("cameras", "heat_maps")
     observed = []
     arrivals = [10**9 + round(t * 1e9 / 60) for t in range(N)]
     for t, instant in enumerate(instants):
@@ -61,7 +62,7 @@ def fed(suit, instants, reconstructor="independent"):
     for k in range(60):
         time_ns = 10**9 - 10**8 + k * 10**7
         reading = InertialReading(1, k, time_ns, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0), (0.0, 20.0, -40.0))
-        observed += pipeline.assembler.add(reading, time_ns)
+        observed += pipeline.module_stage.assembler.add(reading, time_ns)
     return pipeline, observed, arrivals
 
 
@@ -85,7 +86,7 @@ def test_the_root_is_where_the_cameras_see_the_hips(seen, reconstructor):
     folder, instants, truth = seen
     suit = load_rig(str(folder / "rig.yaml"))
     pipeline, observed, _ = fed(suit, instants, reconstructor)
-    placed = [pipeline.reconstructor.update(frame) for frame in observed]
+    placed = [pipeline.module_stage.reconstructor.update(frame) for frame in observed]
     pelvis = suit.skeleton.index("pelvis")
     last = max(k for k, frame in enumerate(observed) if frame.local)
     assert np.linalg.norm(placed[last].p_w[pelvis] - [-truth[-1, 1], truth[-1, 0], truth[-1, 2]]) < 0.05
@@ -109,10 +110,11 @@ def test_readings_of_cameras_are_accounted_for(seen):
         ),
         load_rig(str(folder / "rig.yaml")),
     )
-    pipeline.add_link("cameras", Framing.HEAT_MAPS)
+    pipeline.add_link("cameras", "heat_maps")
     for t, instant in enumerate(instants):
         pipeline.feed(Chunk(b"".join(instant), t, "cameras"))
-    assert pipeline.hips.readings == N
+    readings = next(each for each in pipeline.balances() if each.name == "readings")
+    assert (readings.total, readings.parts["taken"]) == (N, N)
     assert unaccounted(balances_of(pipeline)) == {}
 
 
@@ -121,8 +123,8 @@ def test_a_hip_that_nobody_sees_gives_no_reading(seen):
     nobody = [
         encode_heat_maps(HeatMapMessage(c.name, "full", N - 1, 0, None, np.zeros((2, 3)))) for c in CAMERAS
     ]
-    pipeline, _, _ = fed(load_rig(str(folder / "rig.yaml")), [*instants[:-1], nobody])
-    assert pipeline.hips.readings == N - 1
+    _, observed, _ = fed(load_rig(str(folder / "rig.yaml")), [*instants[:-1], nobody])
+    assert len([reading for frame in observed for reading in frame.local]) == N - 1
 
 
 def test_cameras_without_a_device_or_a_subject_without_cameras_are_refused(seen, tmp_path):

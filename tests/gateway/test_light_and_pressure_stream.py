@@ -6,13 +6,13 @@ import pytest
 
 from devices.link import Chunk, Framing
 from firmware_protocol import LightSample, PressureSample, encode_frame, wire_frame
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
 from gateway.frames import LightReading, LocalReading, Quantity
 from gateway.pipeline import Pipeline
 from gateway.service.accounting import balances_of
 from gateway.sources.stream import Stream
+from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "suit"
 LIGHT = LightSample((0.5, 0.0, 0.25, 0.0, 1.0, 0.0))
@@ -44,6 +44,6 @@ def test_every_light_reading_is_accounted_for(uses_sun):
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
     for sequence, module in enumerate([0, 1, 2, 3, 40]):
         pipeline.feed(chunk(LIGHT, module, sequence))
-    assert pipeline.unused["light"] == (0 if uses_sun else 5)
+    assert pipeline.module_stage.unused["light"] == (0 if uses_sun else 5)
     assert not unaccounted(balances_of(pipeline))
     assert ("light" in pipeline.statistics()) is uses_sun

@@ -7,14 +7,14 @@ import orjson
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from devices.link import Chunk, Framing
-from gateway.assembly.frame_assembler import AssemblyParams
+from devices.link import Chunk
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import WorldSettings, load_body, worn_without_modules
 from gateway.contract.balances import unaccounted
 from gateway.pipeline import LOAD_EVENT, Pipeline
 from gateway.reconstruction import OPTICAL
 from gateway.service.accounting import balances_of
+from gateway.stages.frame_assembler import AssemblyParams
 
 BODY = load_body("human_17")
 LABELS = ("a", "b", "c", "d")
@@ -42,7 +42,7 @@ BAD = st.sampled_from(
 def _gateway() -> Pipeline:
     made = Pipeline(SUIT, AssemblyParams(1e7, max_wait_ns=0, max_gap_ns=0, hold_ns=0), OPTICAL)
     for name in ("left", "right"):
-        made.add_link(name, Framing.MARKERS)
+        made.add_link(name, "markers")
     return made
 
 

@@ -22,13 +22,13 @@ from firmware_protocol import (
     encode_frame,
     wire_frame,
 )
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.rig import dress
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.sources.despiking import Despiker
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 from tests.invariance import (
     FADE,
     SAGITTAL,

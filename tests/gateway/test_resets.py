@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 from devices.emulators.imperfections import TYPICAL
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_body, load_rig
 from gateway.emulation.rig import dress, move
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import CALIBRATED_EVENT, RESET_EVENT, Pipeline
 from gateway.reconstruction.resets import FADE_S, Resets
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 STEP_NS = 10_000_000
 

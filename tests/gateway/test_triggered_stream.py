@@ -16,7 +16,8 @@ from firmware_protocol import (
     wire_frame,
 )
 from gateway.clocks import TriggerAnswers
-from gateway.sources.stream import ClockMode, Stream
+from gateway.sources.module_table import ClockMode
+from gateway.sources.stream import Stream
 
 MS = 1_000_000
 START_NS = 1_800_000_000_000_000_000

@@ -17,8 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from devices.link import Chunk, SentChunk
-from gateway.assembly.heat_map_frames import heat_map_frame
-from gateway.assembly.marker_frames import MarkerFrames
 from gateway.frames import MarkerFrame, SkeletonFrame
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.published_trial import published_trial
@@ -28,6 +26,8 @@ from gateway.reconstruction.video.offline import reconstruct_recorded
 from gateway.reconstruction.video.tracker import VideoOptions
 from gateway.recording import Recording, open_recording
 from gateway.recording.solving import recorded_source, recording_pipeline, solve
+from gateway.sources.heat_maps import heat_map_frame
+from gateway.sources.markers import MarkerFrames
 from tests.golden.poses import PoseMessages, messages_of
 
 FOLDER = Path(__file__).parent

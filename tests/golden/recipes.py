@@ -6,7 +6,6 @@ while the poses of the same bytes must not. ``RECIPES`` at the end names them al
 
 from __future__ import annotations
 
-import dataclasses
 import heapq
 import itertools
 import json
@@ -14,7 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,7 +32,7 @@ from devices.emulators import (
 )
 from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
 from devices.emulators.light_sampler import Shade
-from devices.link import Chunk, Framing, SentChunk
+from devices.link import Chunk, Framing, InputEvent, SentChunk
 from devices.marker_messages import encode_markers
 from devices.recording_writer import DerivedRecordingWriter, session_record
 from firmware_protocol import BROADCAST, SamplingTrigger, WireFrame, wire_frame
@@ -45,15 +44,16 @@ from gateway.emulation.rig import dress, move, sunlight
 from gateway.frames import FloatArray, Quantity
 from gateway.pipeline import CALIBRATED_EVENT, LOAD_EVENT, RESET_EVENT
 from gateway.reconstruction import OPTICAL
-from gateway.recording.reading import RecordedEvent
 from gateway.recording.suit_snapshot import encode_suit
 from gateway.recording.video import video_settings, video_suit
 from gateway.service.synchronisation import question
-from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings, LinkSettings
-from gateway.sources.stream import ClockMode
+from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.module_table import ClockMode
+from gateway.sources.registry import SOURCES
 from tests.seen_walk import CAMERAS, seen_walk
 
-Item = Chunk | SentChunk | RecordedEvent
+Item = Chunk | SentChunk | InputEvent
 
 BEGUN_NS = 1_800_010_000_000_000_000
 """Gateway time at time 0 of every motion: a winter's day before noon, so that the sun is up."""
@@ -78,7 +78,7 @@ class Capture:
 
     suit: WornSuit
     settings: GatewaySettings
-    framings: Mapping[str, Framing]
+    framings: Mapping[str, str]
     items: Sequence[Item]
     """In the order in which a gateway would have handled them."""
     clock_table: str | None = None
@@ -97,20 +97,20 @@ def write_capture(path: Path, capture: Capture) -> None:
     )
     with DerivedRecordingWriter(path, session, attachments, BEGUN_NS) as writer:
         for item in capture.items:
-            if isinstance(item, RecordedEvent):
-                writer.add(fmt.EVENTS, item.time_ns, json.dumps(dataclasses.asdict(item)).encode())
+            if isinstance(item, InputEvent):
+                writer.add(fmt.EVENTS, item.time_ns, json.dumps(item._asdict()).encode())
             elif isinstance(item, Chunk):
                 writer.add_chunk(item, capture.framings[item.link])
             else:
-                link = {"link": item.link, "framing": capture.framings[item.link].value}
+                link = {"link": item.link, "framing": capture.framings[item.link]}
                 writer.add(fmt.SENT + item.link, item.sent_ns, item.data, link)
 
 
 # What the recipes are made of.
 
 
-def _link(name: str, carries: Literal["suit", "gnss", "markers", "heat_maps"] = "suit") -> LinkSettings:
-    return LinkSettings(name=name, url="/dev/null", carries=carries)
+def _link(name: str, carries: str = "suit") -> LinkSettings:
+    return SOURCES[carries].settings(name=name, url="/dev/null", carries=carries)
 
 
 def _settings(*links: LinkSettings, **more: Any) -> GatewaySettings:
@@ -175,8 +175,8 @@ def _merged(*streams: Iterable[Item]) -> list[Item]:
     return list(heapq.merge(*streams, key=_time_ns))
 
 
-def _event(at_s: float, name: str, **data: Any) -> RecordedEvent:
-    return RecordedEvent(_instant_ns(at_s), name, data)
+def _event(at_s: float, name: str, **data: Any) -> InputEvent:
+    return InputEvent(name, data, _instant_ns(at_s))
 
 
 def _with_devices(suit: WornSuit, *devices: LocalDevice) -> WornSuit:
@@ -301,7 +301,7 @@ def _beside_gnss(seconds: float, kind: str) -> Capture:
         lambda sent: sent.time_s < until_s, gnss_traffic(place, BEGUN_NS, emulation, SEED)
     )
     items = _merged(_reads(traffic.transmissions(until_s), "suit"), _reads(fixes, "gnss"))
-    framings = {"suit": Framing.BYTE_STREAM, "gnss": Framing.GNSS}
+    framings = {"suit": Framing.BYTE_STREAM, "gnss": "gnss"}
     return Capture(suit, _settings(_link("suit"), _link("gnss", "gnss")), framings, items)
 
 
@@ -351,7 +351,7 @@ def hips(seconds: float) -> Capture:
         _reads(traffic.transmissions(until_s), "suit", from_s=0.0),
         _pictures(seen * n_pictures, 0.04),
     )
-    framings = {"suit": Framing.BYTE_STREAM, "cameras": Framing.HEAT_MAPS}
+    framings = {"suit": Framing.BYTE_STREAM, "cameras": "heat_maps"}
     return Capture(suit, _settings(_link("suit"), _link("cameras", "heat_maps")), framings, items)
 
 
@@ -385,7 +385,7 @@ def _seen_by_an_optical_system(
     assembly = AssemblySettings(rate_hz=MARKER_HZ)
     settings = _settings(_link("markers", "markers"), reconstructor=OPTICAL, assembly=assembly)
     suit = worn_without_modules(worn.skeleton, on_body, WorldSettings())
-    return Capture(suit, settings, {"markers": Framing.MARKERS}, chunks)
+    return Capture(suit, settings, {"markers": "markers"}, chunks)
 
 
 def markers(seconds: float) -> Capture:
@@ -415,7 +415,7 @@ def heat_maps(seconds: float) -> Capture:
     seen = seen_walk(SEEN_EVERY * n_pictures)[0][::SEEN_EVERY]
     suit = video_suit(CAMERAS, "full", seen)
     settings = video_settings("golden", VIDEO_HZ, "golden")
-    return Capture(suit, settings, {"cameras": Framing.HEAT_MAPS}, list(_pictures(seen, 0.02)))
+    return Capture(suit, settings, {"cameras": "heat_maps"}, list(_pictures(seen, 0.02)))
 
 
 RECIPES: dict[str, Callable[[float], Capture]] = {

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from devices.link import Chunk, Framing
+from devices.link import SUIT, Chunk, Framing
 from devices.recording_file import RecordingError
 from gateway.frames import Status
 from gateway.reconstruction import DELAYABLE, OFFLINE, OPTICAL, RECONSTRUCTORS
@@ -17,7 +17,8 @@ from gateway.reconstruction.smoothing import SMOOTHED as CAN_BE_SMOOTHED
 from gateway.recording import open_recording
 from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
 from gateway.recording.solving import solve
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.sources.registry import SOURCES
 from tests.golden.__main__ import main, record, renew
 from tests.golden.golden_set import DELAY, FOLDER, METHODS, SMOOTHED, Case, cases, fed_live
 from tests.golden.poses import (
@@ -81,7 +82,8 @@ def test_every_method_source_and_clock_is_in_the_set():
     assert {DELAY.sub("", name) for name in late} == DELAYABLE
     assert methods == {*RECONSTRUCTORS, OPTICAL, *OFFLINE, *smoothed, *late, "video", "video_offline"}
     metas = [open_recording(Case(name, "").recording_path).meta for name in METHODS]
-    assert {framing for meta in metas for framing in meta.links.values()} == set(Framing)
+    contents = {content for meta in metas for content in meta.links.values()}
+    assert contents == {*Framing, *SOURCES} - {SUIT}
     assert {meta.settings.clock.mode for meta in metas} == set(ClockMode)
 
 

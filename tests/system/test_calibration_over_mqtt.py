@@ -22,7 +22,8 @@ from gateway.outputs.settings import MqttSettings
 from gateway.recording import open_recording
 from gateway.recording.solving import verify
 from gateway.service.service import Service
-from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+from gateway.settings import GatewaySettings, RecordingSettings
+from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system

@@ -12,10 +12,10 @@ from devices.link import Chunk
 from devices.replay_link import ReplayLink
 from firmware_protocol import RELAY, FrameDecoder, PacketDecoder, encode_frame, wire_frame
 from firmware_protocol.commands import Verb
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.pipeline import Pipeline
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 pytestmark = pytest.mark.system
 

@@ -129,7 +129,7 @@ def test_another_method_for_a_subject_is_one_error_that_says_what_to_write(tmp_p
     path, _, _ = subject_file(tmp_path, "y")
     links = [LinkSettings(name="cameras", url="udp://:9763", carries="markers")]
     settings = GatewaySettings(links=links, rig=str(path), mqtt=MqttSettings())
-    assert Service(settings, load_rig(str(path))).pipeline.optical is not None
+    assert Service(settings, load_rig(str(path))).pipeline.stage_of(MarkerFrame) is not None
     with pytest.raises(SettingsError, match="write 'reconstructor: optical', or leave it out"):
         Service(GatewaySettings(**{**dict(settings), "reconstructor": "joint"}), load_rig(str(path)))
     with pytest.raises(ValueError, match="wants all frames at once"):

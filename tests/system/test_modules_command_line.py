@@ -19,7 +19,8 @@ from gateway.body.rig import load_rig
 from gateway.cli.main import app
 from gateway.outputs.settings import MqttSettings
 from gateway.service.service import Service
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system

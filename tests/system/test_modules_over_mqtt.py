@@ -24,7 +24,8 @@ from gateway.modules.remote import remote_suit
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.settings import MqttSettings
 from gateway.service.service import Service
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system

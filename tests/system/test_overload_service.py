@@ -97,7 +97,7 @@ async def test_order_report_recording_and_recovery(mosquitto, until, monkeypatch
         await until(lambda: service.load.stage == 0, PATIENCE_S)
         seen = service.side.counters["udp_json"].published
         await until(lambda: service.side.counters["udp_json"].published > seen, PATIENCE_S)
-        assert service.pipeline.left_out > 0
+        assert service.pipeline.module_stage.left_out > 0
         assert unaccounted(service.balances()) == {}
         monkeypatch.undo()
     told = [record.getMessage() for record in caplog.records if record.getMessage().startswith("load stage")]

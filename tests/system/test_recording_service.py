@@ -21,7 +21,8 @@ from gateway.recording import files, open_recording
 from gateway.recording.recovery import recover_in_place
 from gateway.recording.solving import verify
 from gateway.service.service import Service
-from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+from gateway.settings import GatewaySettings, RecordingSettings
+from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system

@@ -52,7 +52,7 @@ async def stream_over(medium, gateway_on, folder, port):
         await running.until_link_is_up()
         await (sending or emulated.run())
         await running.until_quiet(emulated.counts.sent_bytes if medium in {"serial", "tcp"} else 0)
-        assert not any(running.service.pipeline.stream.dropped["suit"].values())
+        assert not any(running.service.pipeline.dropped()["suit"].values())
     poses = [received.pose for received in running.received]
     return [(p.seq, p.t_ns - poses[0].t_ns, p.segments, p.status) for p in poses]
 

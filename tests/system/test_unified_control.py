@@ -103,8 +103,12 @@ class Capture:
         """
         pipeline, readings, truth = Pipeline.from_settings(self.settings, self.suit), [], {}
         pipeline.add_link("suit", self.framing)
-        add = pipeline.assembler.add
-        pipeline.assembler.add = lambda reading, at: (readings.append(reading), add(reading, at))[1]
+        assembler = pipeline.module_stage.assembler
+        add = assembler.add
+        assembler.add = lambda reading, at: (
+            readings.append(reading),
+            add(reading, at),
+        )[1]
 
         def take(got, _chunk):
             truth[got.module, got.sequence] = self._true_ns(got.module, got.module_time_us)

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray
+from gateway.frames import FloatArray, HeatMapFrame
 from gateway.reconstruction.video.camera import Camera
-from gateway.reconstruction.video.heat_maps import HeatMapFrame
 from gateway.reconstruction.video.keypoint_set import KeypointSet
 from gateway.reconstruction.video.masking import without_others
 from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.frames import FloatArray
+from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import cross, dot
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.lattice import Maps, add_likelihood, best_points
 from gateway.reconstruction.video.projection import CameraModel, ray
 

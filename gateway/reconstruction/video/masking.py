@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.frames import FloatArray
+from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.video.camera import Camera, project
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.lattice import Maps
 
 

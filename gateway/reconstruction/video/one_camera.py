@@ -13,8 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.frames import FloatArray
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.reconstruction.video.initial import LEAST_LIKELIHOOD, rays_through
 from gateway.reconstruction.video.projection import CameraModel
 

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.body.skeleton import Skeleton
-from gateway.frames import FloatArray, SkeletonFrame
+from gateway.body.skeleton import Skeleton, WornSuit
+from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
 from gateway.reconstruction.video.camera import Camera
-from gateway.reconstruction.video.heat_maps import HeatMapFrame
-from gateway.reconstruction.video.keypoint_set import KeypointSet
+from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
+from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses
 from gateway.reconstruction.video.region import PersonRegion
 from gateway.reconstruction.video.regions import person_region
 from gateway.reconstruction.video.tracker import KeypointTracker, VideoOptions
 
-__all__ = ["Tracking", "VideoOptions", "VideoPose", "VideoReconstructor"]
+__all__ = ["Tracking", "VideoOptions", "VideoPose", "VideoReconstructor", "video_reconstructor"]
 
 
 class Tracking(IntEnum):
@@ -134,3 +134,12 @@ class VideoReconstructor:
             no_frame(frame.sequence, frame.time_ns, self.skeleton.n_segments), None, unknown, unknown.copy(),
             np.zeros(n), np.full(n, Tracking.LOST, dtype=np.uint8), tuple(None for _ in self.cameras),
         )  # fmt: skip
+
+
+def video_reconstructor(suit: WornSuit) -> VideoReconstructor:
+    """Return a reconstructor of the person that a suit with cameras tells of, whose lengths are known."""
+    assert suit.video is not None
+    assert suit.markers is not None
+    keypoints = load_keypoint_set(weights_of(suit.video.network).keypoint_set)
+    person = replace(keypoints, skeleton=suit.skeleton, markers=suit.markers)
+    return VideoReconstructor(suit.video.cameras, person, VideoOptions(is_measured=True))

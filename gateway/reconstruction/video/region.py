@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.frames import FloatArray
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps, FloatArray
 
 ROLL_STEP = np.radians(30.0)
 """Pictures are turned in steps, so that the network sees steady pictures while a person sways."""

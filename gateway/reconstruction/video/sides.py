@@ -12,9 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.frames import FloatArray, IntArray
+from gateway.frames import CameraHeatMaps, FloatArray, IntArray
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.lattice import Maps, bilinear
 from gateway.reconstruction.video.projection import CameraModel, pixel
 

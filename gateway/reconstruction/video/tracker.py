@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.frames import FloatArray
+from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical.pose_solver import HELD_SIGMA
 from gateway.reconstruction.optical.tracking import rigid
 from gateway.reconstruction.video import initial, lattice, one_camera
 from gateway.reconstruction.video.camera import Camera
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
 from gateway.reconstruction.video.inverse_kinematics import (
     VideoBody,
     VideoBodyPose,

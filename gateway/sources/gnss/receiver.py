@@ -3,18 +3,50 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from devices.geodesy import LocalPlane
 from devices.link import Chunk
+from gateway.contract.balances import Balance
 from gateway.frames import FloatArray, LocalReading, Quantity
 from gateway.sources.gnss.sentences import Fix, GnssDecoder
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.source import ListeningSource, SourceContext
 
 DATING_WINDOW_NS = 60_000_000_000
 """The least delay of that time tells how the receiver's time stands to the gateway's."""
 SILENT_NS = 3_000_000_000
+
+
+class GnssLinkSettings(LinkSettings):
+    """A satellite receiver."""
+
+    carries: Literal["gnss"] = "gnss"
+    device: int = Field(
+        default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"
+    )
+    latency_ms: float = Field(
+        default=50,
+        ge=0,
+        le=5000,
+        description="for gnss: from the instant of a fix to its arrival, at the least",
+    )
+    origin: tuple[float, float, float] | None = Field(
+        default=None,
+        description="for gnss: latitude and longitude in degrees and height above the ellipsoid in metres of "
+        "the world's origin; none: the first fix",
+    )
+
+    @model_validator(mode="after")
+    def _is_on_earth(self) -> GnssLinkSettings:
+        if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):
+            raise ValueError("origin: latitude within ±90 and longitude within ±180 degrees are wanted")
+        return self
 
 
 @dataclass(frozen=True)
@@ -27,6 +59,43 @@ class GnssParams:
     """From the instant of a fix to its arrival, at the least."""
     origin: tuple[float, float, float] | None = None
     """Latitude and longitude, degrees, height above the ellipsoid, m; None: the first fix."""
+
+
+class GnssSource(ListeningSource):
+    """Satellite receivers, one a link."""
+
+    observes = LocalReading
+
+    def __init__(self, context: SourceContext) -> None:
+        self._links = context.links
+        self._receivers: dict[str, GnssReceiver] = {}
+        self._readings = 0
+
+    def add_link(self, name: str, content: str) -> None:
+        """Announce a receiver; one that the configuration does not name has the defaults."""
+        told = self._links.get(name)
+        params = GnssParams()
+        if isinstance(told, GnssLinkSettings):
+            params = GnssParams(told.device, round(told.latency_ms * 1e6), told.origin)
+        self._receivers[name] = GnssReceiver(params)
+
+    def receive(self, chunk: Chunk) -> Sequence[LocalReading]:
+        """Return the readings that a chunk completes."""
+        readings = self._receivers[chunk.link].receive(chunk)
+        self._readings += len(readings)
+        return readings
+
+    def dropped(self) -> Mapping[str, Mapping[str, int]]:
+        """Return what could not be read, by link and reason."""
+        return {name: receiver.dropped for name, receiver in self._receivers.items()}
+
+    def statistics(self) -> Mapping[str, object]:
+        """Return the state of every receiver."""
+        return {"gnss": {name: receiver.statistics() for name, receiver in self._receivers.items()}}
+
+    def balances(self) -> Iterator[Balance]:
+        """Yield the readings given."""
+        yield Balance("readings", self._readings, {})
 
 
 class GnssReceiver:
@@ -85,6 +154,11 @@ class GnssReceiver:
             self._delays.popleft()
         return utc_ns + self._delays[0][1] - self._params.latency_ns
 
+    @property
+    def dropped(self) -> dict[str, int]:
+        """What could not be read, by reason."""
+        return {defect.name.lower(): count for defect, count in self._decoder.dropped.items()}
+
     def statistics(self) -> dict[str, object]:
         """For the health message."""
         is_silent = self._now_ns - self._heard_ns > SILENT_NS or not self._heard_ns
@@ -95,5 +169,5 @@ class GnssReceiver:
             "horizontal_sigma_m": None if np.isnan(self._sigma_m) else round(self._sigma_m, 3),
             "fixes": self._fixes,
             "messages_without_fix": self._without_fix,
-            "dropped": {defect.name.lower(): count for defect, count in self._decoder.dropped.items()},
+            "dropped": self.dropped,
         }

@@ -15,7 +15,6 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.tumbling import TumblingMotion
 from devices.link import Chunk, Framing
 from firmware_protocol.device_settings import factory_settings
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.corrections import SensorCorrections
 from gateway.body.rig import load_rig
 from gateway.calibration.rig_file import write_calibrated_rig
@@ -25,6 +24,7 @@ from gateway.errors import SettingsError
 from gateway.frames import InertialReading
 from gateway.pipeline import Pipeline
 from gateway.sources.stream import Stream
+from gateway.stages.frame_assembler import AssemblyParams
 from gateway.support.settings_files import find_file
 
 SEED = 4
@@ -114,7 +114,7 @@ def norms(suit):
             self.frames.append(frame)
 
     pipeline = Pipeline(suit, AssemblyParams(4e7, 30_000_000, 100_000_000, 500_000_000))
-    pipeline.reconstructor = keep = Keep()
+    pipeline.module_stage.reconstructor = keep = Keep()
     pipeline.add_link("box", Framing.BYTE_STREAM)
     for sent in traffic(suit, 20.0):
         pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), "box"))

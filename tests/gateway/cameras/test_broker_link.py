@@ -7,7 +7,7 @@ from devices.link import LinkError
 from devices.tcp_link import TcpLink
 from gateway.cameras.broker_link import BrokerLink, link_of
 from gateway.outputs.settings import MqttSettings
-from gateway.settings import LinkSettings
+from gateway.sources.link_settings import LinkSettings
 
 MQTT = MqttSettings()
 
@@ -27,9 +27,10 @@ def test_another_broker_or_no_topic_is_refused(url):
         made(url)
 
 
-def test_packets_of_modules_do_not_come_over_mqtt():
-    with pytest.raises(ValueError, match="carries heat maps only"):
-        LinkSettings(name="suit", url="mqtt:///topic")
+def test_nothing_but_heat_maps_comes_over_mqtt():
+    assert LinkSettings(name="cameras", url="mqtt:///topic").carries == "heat_maps"
+    with pytest.raises(ValueError, match="carries heat_maps and nothing else: leave 'carries' out"):
+        LinkSettings(name="cameras", url="mqtt:///topic", carries="gnss")
 
 
 async def test_a_broker_that_is_away_is_told(unused_port):

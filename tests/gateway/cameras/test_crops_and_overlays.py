@@ -6,11 +6,10 @@ import pytest
 pytest.importorskip("cv2")
 
 from devices.cameras.heat_map_messages import HeatMapMessage
-from gateway.assembly.heat_map_frames import heat_maps_of
 from gateway.cameras.overlay import draw_heat_maps, side_by_side
 from gateway.cli.video import named, offsets_of
 from gateway.errors import GatewayError
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.networks.cropping import cropped, shrunk_map
 from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE
 from gateway.reconstruction.video.region import (
@@ -20,6 +19,7 @@ from gateway.reconstruction.video.region import (
     region_of_points,
     upright_region,
 )
+from gateway.sources.heat_maps import heat_maps_of
 
 
 def blob(x, y, spread, shape=(600, 800)):

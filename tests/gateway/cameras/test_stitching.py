@@ -9,7 +9,7 @@ pytest.importorskip("cv2")
 
 from gateway.body.camera import project
 from gateway.cameras.stitching import joined_heat_maps, joining
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.region import PersonRegion
 from tests.ring_of_cameras import CAMERAS
 

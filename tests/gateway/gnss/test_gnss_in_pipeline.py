@@ -11,13 +11,13 @@ from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
 from devices.emulators.imperfections import Imperfections
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.rig import load_rig
 from gateway.cli.emulate import without_position_devices
 from gateway.emulation.rig import dress, move
 from gateway.pipeline import Pipeline
-from gateway.sources.gnss import GnssParams
-from gateway.sources.stream import ClockMode
+from gateway.sources.gnss.receiver import GnssLinkSettings
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 SECONDS = 6.0
 
@@ -33,12 +33,16 @@ def test_the_root_is_where_the_receiver_says():
 
     emulation = GnssEmulation()
     fixes = takewhile(lambda s: s.time_s < SECONDS, gnss_traffic(path, 0, emulation, 1))
+    receiver = GnssLinkSettings(name="gnss", url="/dev/null", latency_ms=50, origin=emulation.origin)
     pipeline = Pipeline(
-        suit, AssemblyParams(10e6, 30_000_000, 10**8, 5 * 10**8), "gyro_free", ClockMode.ESTIMATED
+        suit,
+        AssemblyParams(10e6, 30_000_000, 10**8, 5 * 10**8),
+        "gyro_free",
+        ClockMode.ESTIMATED,
+        links={"gnss": receiver},
     )
-    pipeline.gnss_params = {"gnss": GnssParams(60, 50_000_000, emulation.origin)}
     pipeline.add_link("suit", Framing.BYTE_STREAM)
-    pipeline.add_link("gnss", Framing.GNSS)
+    pipeline.add_link("gnss", "gnss")
     chunks = heapq.merge(
         ((s.time_s, "suit", s.data) for s in traffic.transmissions(SECONDS)),
         ((s.time_s, "gnss", s.data) for s in fixes),

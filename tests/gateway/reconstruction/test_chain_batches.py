@@ -7,14 +7,14 @@ import pytest
 from simulated_body import arm, imu_frames, instants, simulate
 
 from devices.link import Framing
-from gateway.assembly.frame_assembler import AssemblyParams
 from gateway.body.skeleton import LocalDevice
 from gateway.emulation.simulation import LINK, relay_chunks, suit_17
 from gateway.frames import LocalReading, Quantity
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import update_many
 from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
-from gateway.sources.stream import ClockMode
+from gateway.sources.module_table import ClockMode
+from gateway.stages.frame_assembler import AssemblyParams
 
 BOTH = pytest.mark.parametrize("kind", [JointReconstructor, OutwardReconstructor])
 

@@ -59,7 +59,8 @@ from numba.core import event
 from gateway.body.rig import load_rig
 from gateway.cli.preparing import stand_in
 from gateway.service.service import Service
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 told, later = [], []
 class Watch(event.Listener):
     def on_start(self, event):

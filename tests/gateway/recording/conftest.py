@@ -21,7 +21,8 @@ from gateway.pipeline import Pipeline
 from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.recorder import Recorder, Sink
 from gateway.recording.snapshot import attachments_of
-from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+from gateway.settings import GatewaySettings, RecordingSettings
+from gateway.sources.link_settings import LinkSettings
 
 RIG = "robot_arm_4"
 ROOM = RecordingSettings(min_free_mb=1, warn_free_mb=2, flush_ms=10)

@@ -23,7 +23,8 @@ from gateway.recording import open_recording, recorder
 from gateway.recording.control import RecordingControl
 from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.recorder import Recorder, Sink
-from gateway.settings import GatewaySettings, LinkSettings, RecordingSettings
+from gateway.settings import GatewaySettings, RecordingSettings
+from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 
 MB = 10**6

@@ -23,7 +23,8 @@ from gateway.recording import open_recording
 from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of, without_secrets
 from gateway.recording.suit_snapshot import decode_suit, encode_suit
-from gateway.settings import GatewaySettings, LinkSettings
+from gateway.settings import GatewaySettings
+from gateway.sources.link_settings import LinkSettings
 
 FIELDS = ("q_wb", "angular_rate", "joint_acceleration", "p_w", "sigma", "status")
 RIGS = ("suit_17", "robot_arm_4", "chain_5", "pendulum_3", "single", "single_placed")

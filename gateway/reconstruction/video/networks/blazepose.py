@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.networks.cropping import cropped, shrunk_map
 from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE
 from gateway.reconstruction.video.networks.network import Picture

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.reconstruction.video.region import PersonRegion
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from devices.cameras.opencv import cv2
 from gateway.errors import GatewayError
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps
+from gateway.frames import CameraHeatMaps
 from gateway.reconstruction.video.networks.cropping import cropped, shrunk_map
 from gateway.reconstruction.video.networks.keypoints import OPENPOSE
 from gateway.reconstruction.video.networks.network import Picture

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.link import Framing
 from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial, read_markers
 from gateway.body.markers import BodyMarkers
@@ -30,6 +29,7 @@ from gateway.reconstruction.optical.published_chains import chain_gradient, chai
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.recording.optical import optical_settings
 from gateway.recording.suit_files import body_of
+from gateway.stages.markers import MarkerStage
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[5] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (DATA / "c3d_pycgm").is_dir(), reason="recordings are not here")
@@ -252,18 +252,19 @@ def test_a_fitted_subject_solves_its_trial_through_the_pipeline(tmp_path: Path) 
     assert suit.markers.labels == fit.markers.labels
     np.testing.assert_allclose(suit.markers.positions, fit.markers.positions, atol=1e-8)
     pipeline = Pipeline.from_settings(optical_settings(str(path), 100.0, "markers:///x.c3d"), suit)
-    pipeline.add_link("m", Framing.MARKERS)
+    pipeline.add_link("m", "markers")
     chunks = list(trial_chunks(replace(motion, positions=motion.positions[:60]), 10**9, "m"))
     frames = [frame for chunk in chunks for frame in pipeline.feed(chunk)]
     assert len(frames) == 60
-    assert pipeline.optical is not None
-    assert pipeline.optical.last is not None
-    assert pipeline.optical.last.rmse < 0.008
+    stage = pipeline.stage_of(MarkerFrame)
+    assert isinstance(stage, MarkerStage)
+    assert stage.reconstructor.last is not None
+    assert stage.reconstructor.last.rmse < 0.008
     knee = suit.skeleton.index("left_shank")
     theirs = motion.columns(("LFEO",))[:60, 0]
     assert np.median(np.linalg.norm([f.p_w[knee] for f in frames] - theirs, axis=1)) < 0.03
     again = Pipeline.from_settings(optical_settings(str(path), 100.0, "markers:///x.c3d"), suit)
-    again.add_link("m", Framing.MARKERS)
+    again.add_link("m", "markers")
     np.testing.assert_array_equal(
         [frame.q_wb for frame in again.replay(chunks)], [frame.q_wb for frame in frames]
     )
@@ -276,7 +277,7 @@ def test_markers_without_a_subject_are_refused() -> None:
         Pipeline.from_settings(settings, suit)
     pipeline = Pipeline.from_settings(settings.model_copy(update={"reconstructor": "independent"}), suit)
     with pytest.raises(SettingsError, match="carries markers"):
-        pipeline.add_link("m", Framing.MARKERS)
+        pipeline.add_link("m", "markers")
 
 
 def test_trials_without_the_sets_markers_are_one_clear_error() -> None:

@@ -7,10 +7,9 @@ import pytest
 
 from gateway.emulation.video_truth import rendered, ring_of_cameras, true_regions, walking
 from gateway.errors import GatewayError
-from gateway.frames import Status
+from gateway.frames import HeatMapFrame, Status
 from gateway.geometry import quaternion
 from gateway.reconstruction.video.crowd import VideoCrowd
-from gateway.reconstruction.video.heat_maps import HeatMapFrame
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.offline import reconstruct_recorded

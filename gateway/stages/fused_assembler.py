@@ -10,10 +10,10 @@ from collections import Counter
 
 import numpy as np
 
-from gateway.assembly.frame_assembler import AssemblyParams, Lost
 from gateway.clocks import Datum, ReferenceInstants
 from gateway.frames import FusedReading, ImuFrame, Status
 from gateway.geometry.quaternion import slerp
+from gateway.stages.frame_assembler import AssemblyParams, Lost
 
 _AT_REST = (1.0, 0.0, 0.0, 0.0)
 
@@ -27,6 +27,8 @@ class FusedAssembler:
     def __init__(self, module_ids: tuple[int, ...], params: AssemblyParams, reference: int) -> None:
         """reference: the module whose instants count; best the slowest by the clock table."""
         self.lost: Counter[Lost] = Counter()
+        self.late: Counter[int] = Counter()
+        """Readings no later than one before, by module id; those of ``lost`` one by one."""
         self.taken = 0
         """Readings that a frame can be made from."""
         self.reference = reference
@@ -59,6 +61,7 @@ class FusedAssembler:
         newest = self._newest.get(module)
         if newest is not None and datum.time_us <= newest.time_us:
             self.lost[Lost.LATE] += 1
+            self.late[module] += 1
             return []
         self.taken += 1
         if self._is_reference_silent(datum.time_us):

@@ -1,21 +1,19 @@
-"""Heat-map messages of several cameras to skeleton frames: put together by instant, solved in order."""
+"""Heat-map messages of several cameras to frames: put together by instant, given in order."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver
 from devices.link import Chunk
 from gateway.body.skeleton import WornSuit
-from gateway.frames import SkeletonFrame
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps, HeatMapFrame
-from gateway.reconstruction.video.keypoint_set import load_keypoint_set
-from gateway.reconstruction.video.networks.weights import weights_of
-from gateway.reconstruction.video.reconstructor import VideoOptions, VideoPose, VideoReconstructor
+from gateway.contract.balances import Balance
+from gateway.errors import SettingsError
+from gateway.frames import CameraHeatMaps, HeatMapFrame
+from gateway.sources.source import ListeningSource
 
 NO_CAMERAS = (
     "the rig has no cameras: 'rig' must name a subject that `mocap-gateway video solve` wrote, or a rig with "
@@ -31,69 +29,65 @@ _BEGUN_ANEW = 8
 """Pictures by which a camera's numbers must fall: less is a message that comes twice or late."""
 
 
-class HeatMapFrames:
-    """Chunks of all links with cameras. Sans-I/O and deterministic."""
+class HeatMapSource(ListeningSource):
+    """Cameras, on as many links as one likes; what they show of one instant is one frame."""
+
+    observes = HeatMapFrame
 
     def __init__(self, suit: WornSuit) -> None:
-        assert suit.video is not None
-        assert suit.markers is not None
+        """suit: of the person as the cameras see them. Raises ``SettingsError`` without cameras."""
+        if suit.video is None:
+            raise SettingsError(NO_CAMERAS)
         self._row = {camera.name: row for row, camera in enumerate(suit.video.cameras)}
         self._network = suit.video.network
-        keypoints = load_keypoint_set(weights_of(suit.video.network).keypoint_set)
-        keypoints = replace(keypoints, skeleton=suit.skeleton, markers=suit.markers)
-        self.reconstructor = VideoReconstructor(suit.video.cameras, keypoints, VideoOptions(is_measured=True))
-        self.last: VideoPose | None = None
-        """How the last instant was explained."""
         self._receivers: dict[str, HeatMapReceiver] = {}
         self._instants = _Instants(len(self._row))
-        self.dropped: Counter[str] = Counter()
-        """unknown_camera, other_network, too_late."""
-        self.settling = 0
-        """Instants that gave no pose: the smoothing is late, and its first ones come later."""
+        self._refused: dict[str, Counter[str]] = {}
+        """By link: unknown_camera, other_network, too_late."""
 
-    @property
-    def instants(self) -> int:
-        """Put together so far."""
-        return self._instants.given
+    def add_link(self, name: str, content: str) -> None:
+        """Announce a link."""
+        self._receivers[name] = HeatMapReceiver()
+        self._refused[name] = Counter()
 
-    def receive(self, chunk: Chunk) -> list[SkeletonFrame]:
-        """The smoothed poses that a chunk completes."""
-        return [pose.skeleton for pose in self.poses(chunk) if pose.skeleton is not None]
+    def receive(self, chunk: Chunk) -> list[HeatMapFrame]:
+        """Return the instants that a chunk completes, in order."""
+        frames: list[HeatMapFrame] = []
+        for message in self._receivers[chunk.link].receive(chunk.data):
+            self._take(message, chunk)
+            frames += self._instants.complete()
+        return frames
 
-    def poses(self, chunk: Chunk) -> list[VideoPose]:
-        """The instants that a chunk completes, smoothed and not."""
-        receiver = self._receivers.setdefault(chunk.link, HeatMapReceiver())
-        poses = []
-        for message in receiver.receive(chunk.data):
-            self._take(message, chunk.arrived_ns)
-            poses += [self._solved(frame) for frame in self._instants.complete()]
-        return poses
+    def dropped(self) -> Mapping[str, Mapping[str, int]]:
+        """Return what could not be read or used, by link and reason."""
+        return {name: receiver.dropped + self._refused[name] for name, receiver in self._receivers.items()}
 
-    def statistics(self) -> dict[str, object]:
-        """What became of the messages."""
-        dropped = Counter(self.dropped)
-        for receiver in self._receivers.values():
-            dropped += receiver.dropped
+    def statistics(self) -> Mapping[str, object]:
+        """Return what became of the messages."""
+        dropped: Counter[str] = Counter()
+        for of_link in self.dropped().values():
+            dropped.update(of_link)
         return {
-            "received": sum(receiver.received for receiver in self._receivers.values()),
-            "dropped": dict(dropped),
-            "incomplete": self._instants.incomplete,
-            "begun_anew": self._instants.begun_anew,
+            "video": {
+                "received": sum(receiver.received for receiver in self._receivers.values()),
+                "dropped": dict(dropped),
+                "incomplete": self._instants.incomplete,
+                "begun_anew": self._instants.begun_anew,
+            }
         }
 
-    def _solved(self, frame: HeatMapFrame) -> VideoPose:
-        self.last = self.reconstructor.update(frame)
-        self.settling += self.last.skeleton is None
-        return self.last
+    def balances(self) -> Iterator[Balance]:
+        """Yield the instants given."""
+        yield Balance("frames", self._instants.given, {})
 
-    def _take(self, message: HeatMapMessage, arrived_ns: int) -> None:
-        row = self._row.get(message.camera)
+    def _take(self, message: HeatMapMessage, chunk: Chunk) -> None:
+        row, refused = self._row.get(message.camera), self._refused[chunk.link]
         if row is None:
-            self.dropped["unknown_camera"] += 1
+            refused["unknown_camera"] += 1
         elif message.network != self._network:
-            self.dropped["other_network"] += 1
-        elif not self._instants.add(row, message, arrived_ns):
-            self.dropped["too_late"] += 1
+            refused["other_network"] += 1
+        elif not self._instants.add(row, message, chunk.arrived_ns):
+            refused["too_late"] += 1
 
 
 class _Instants:

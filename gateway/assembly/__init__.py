@@ -1,1 +1,0 @@
-"""Readings of many modules, markers or cameras to one instant: frames."""

@@ -1,0 +1,63 @@
+"""What the configuration says of one link. A source with settings of its own extends this."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from devices.link import SUIT
+
+_CARRIED = {"qtm": "markers", "markers": "markers", "mqtt": "heat_maps"}
+"""What links of some schemes carry, and nothing else."""
+
+
+class LinkSettings(BaseModel):
+    """One serial port, CAN bus, socket or recording."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(min_length=1, description="short name for logs and statistics")
+    url: str = Field(
+        min_length=1,
+        description="where the suit is: /dev/serial/by-id/…?baud=…, slcan:///dev/ttyACM0?bitrate=1000000, "
+        "can://socketcan/can0, tcp://host:port, udp://host:port (signed: ?key_file=…), qtm://host, "
+        "markers:///path/walk.c3d, recording:///path/to/file.mcap; of heat maps also mqtt:///topic, at the "
+        "broker of section mqtt",
+    )
+    carries: str = Field(
+        default=SUIT,
+        description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver; "
+        "markers: messages of an optical system; heat_maps: those of `mocap-gateway video serve-camera`",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_credentials(cls, given: Any) -> Any:
+        url = given.get("url") if isinstance(given, dict) else None
+        if isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]:
+            # Raised without the value: it would stand in the message otherwise.
+            del given["url"]
+            raise ValueError("url: a link takes no user name or password: leave out what stands before the @")
+        return given
+
+    @model_validator(mode="before")
+    @classmethod
+    def _carries_what_its_scheme_says(cls, given: Any) -> Any:
+        """Fill in what a scheme can carry alone, where nothing is said."""
+        if not isinstance(given, dict) or not isinstance(given.get("url"), str):
+            return given
+        scheme = given["url"].partition("://")[0]
+        if scheme in _CARRIED and given.get("carries", SUIT) == SUIT:
+            return {**given, "carries": _CARRIED[scheme]}
+        return given
+
+    @model_validator(mode="after")
+    def _carries_what_it_can(self) -> LinkSettings:
+        scheme = self.url.partition("://")[0]
+        wanted = _CARRIED.get(scheme, self.carries)
+        if self.carries != wanted:
+            raise ValueError(f"carries: {scheme}:// carries {wanted} and nothing else: leave 'carries' out")
+        if "key_file=" in self.url and self.carries != SUIT:
+            raise ValueError("url: key_file is for links of modules: nothing else is signed")
+        return self

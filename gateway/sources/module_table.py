@@ -1,0 +1,171 @@
+"""All modules that are heard, whatever source they come from: their clocks, counters and losses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+
+from devices.link import Chunk
+from firmware_protocol import (
+    FusedSample,
+    InertialSample,
+    InertialSampleFine,
+    LightSample,
+    LocalMeasurement,
+    PressureSample,
+)
+from gateway.clocks import (
+    ClockTable,
+    EstimatedClock,
+    LinkBatching,
+    ModuleClock,
+    RelayBatching,
+    SharedClock,
+    SharedOffset,
+    TableClocks,
+    warm_up,
+)
+from gateway.contract.balances import Balance
+from gateway.sources.losses import Cause, LinkLosses
+from gateway.sources.statistics import ModuleRecord
+
+SAMPLE_KINDS = frozenset(
+    packet.KIND
+    for packet in (
+        InertialSample,
+        InertialSampleFine,
+        FusedSample,
+        LocalMeasurement,
+        LightSample,
+        PressureSample,
+    )
+)
+"""Of packets that readings are made from."""
+
+
+class ClockMode(StrEnum):
+    """Where gateway time comes from."""
+
+    ESTIMATED = "estimated"
+    """Every module has its own crystal: rate and offset are estimated from arrival times."""
+    SHARED = "shared"
+    """All modules count one clock already (wired suit, one controller): one offset for all."""
+    TABLE = "table"
+    """Rates come from a table measured beforehand (`calibrate clocks`), offsets from arrival times."""
+    TRIGGER = "trigger"
+    """The gateway says when to sample: a sample's instant is that at which its trigger left. What modules
+    send on their own timers has an estimated clock."""
+
+
+class ModuleTable:
+    """One record a module, made when it is first heard. Sans-I/O and deterministic.
+
+    A source of modules announces its links, tells of every chunk before its samples, then asks for the time
+    of each sample and counts its number.
+    """
+
+    def __init__(
+        self, clock_mode: ClockMode = ClockMode.ESTIMATED, clock_table: ClockTable | None = None
+    ) -> None:
+        self.records: dict[int, ModuleRecord] = {}
+        """By module id."""
+        self._losses: dict[str, LinkLosses] = {}
+        self._batching: dict[str, LinkBatching] = {}
+        self._relays: dict[str, RelayBatching] = {}
+        self._new_clock = _clock_factory(clock_mode, clock_table)
+
+    def add_link(self, name: str) -> None:
+        """Announce a link, before its first chunk."""
+        self._batching[name], self._relays[name] = LinkBatching(), RelayBatching()
+        self._losses[name] = LinkLosses()
+
+    def begin_chunk(self, chunk: Chunk, *, is_trusted: bool = True, is_damaged: bool = False) -> None:
+        """Take note of a chunk, before the samples in it.
+
+        is_trusted: False where a stranger sent it, whose time says nothing about the modules. is_damaged:
+        something before its samples could not be read.
+        """
+        if is_trusted:
+            self._batching[chunk.link].observe(chunk.arrived_ns)
+        self._losses[chunk.link].chunk += 1
+        if is_damaged:
+            self._losses[chunk.link].notice(Cause.DAMAGED)
+
+    def notice(self, link: str, cause: Cause) -> None:
+        """Take note that something was lost on a link since its last chunk: what missing samples fell to."""
+        if link in self._losses:
+            self._losses[link].notice(cause)
+
+    def losses(self, link: str) -> LinkLosses:
+        """Return what befell a link, for ``SequenceCounter.count``."""
+        return self._losses[link]
+
+    def timed(
+        self, module: int, module_time_us: int, chunk: Chunk, relayed_us: int | None = None
+    ) -> tuple[ModuleRecord, int]:
+        """Return the module's record, and an instant of its clock in gateway time, ns.
+
+        module_time_us: µs, counted by the module; relayed_us: when the relay sent it on, by the relay's
+        clock.
+        """
+        if relayed_us is not None:
+            self._relays[chunk.link].observe_tick(relayed_us)
+        record = self.records.get(module)
+        if record is None:
+            waits = self._batching if relayed_us is None else self._relays
+            clock = self._new_clock(module, waits[chunk.link])
+            record = ModuleRecord(module, clock, first_arrival_ns=chunk.arrived_ns)
+            self.records[module] = record
+        restarts = record.clock.restarts
+        time_ns = record.clock.gateway_time(module_time_us, chunk.arrived_ns)
+        if record.clock.restarts != restarts:
+            record.restarted_ns.append(chunk.arrived_ns)
+            for restarted in record.sequences.values():
+                restarted.restart()
+        record.last_arrival_ns = chunk.arrived_ns
+        return record, time_ns
+
+    def restarts(self) -> dict[int, int]:
+        """Return how often each module was found to count from anew."""
+        return {module: record.clock.restarts for module, record in self.records.items()}
+
+    def restless(self) -> dict[int, str]:
+        """Return what to say of modules whose clocks begin anew again and again, by id."""
+        found = ((module, record.restlessness) for module, record in self.records.items())
+        return {module: why for module, why in found if why is not None}
+
+    def balances(self) -> Iterator[Balance]:
+        """Yield what became of all samples sent; and the share of modules in the packets decoded."""
+        of_samples = [
+            counter
+            for record in self.records.values()
+            for kind, counter in record.sequences.items()
+            if kind & 0xFF in SAMPLE_KINDS
+        ]
+        lost = {
+            f"lost_{cause.name.lower()}": sum(counter.lost_by[cause] for counter in of_samples)
+            for cause in Cause
+        }
+        received = sum(counter.received for counter in of_samples)
+        numbered = sum(counter.numbered for counter in of_samples)
+        yield Balance("samples_sent", numbered, {"received": received, **lost})
+        parts = {
+            "received": sum(record.received for record in self.records.values()),
+            "repeated": sum(record.duplicates for record in self.records.values()),
+        }
+        yield Balance("packets_decoded", 0, parts)
+
+    def statistics(self) -> dict[str, object]:
+        """Return counters and clock models of all modules, for the health message."""
+        return {str(module): record.summary() for module, record in self.records.items()}
+
+
+def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, LinkBatching], ModuleClock]:
+    if mode is ClockMode.SHARED:
+        shared = SharedOffset()
+        return lambda _module, _batching: SharedClock(shared)
+    warm_up()
+    if mode is ClockMode.TABLE and table is not None:
+        clocks = TableClocks(table)
+        return clocks.clock
+    return lambda _module, batching: EstimatedClock(batching)

@@ -1,0 +1,55 @@
+"""The sources by the word that the configuration has for them. A new device is a file, and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from devices.link import SUIT, Framing
+from gateway.errors import SettingsError, nearest
+from gateway.sources.gnss.receiver import GnssLinkSettings, GnssSource
+from gateway.sources.heat_maps import HeatMapSource
+from gateway.sources.hips import HipSource
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.markers import MarkerSource
+from gateway.sources.source import Source, SourceContext
+from gateway.sources.stream import Stream
+
+
+class SourceKind(NamedTuple):
+    """How the links that carry one thing are read."""
+
+    make: Callable[[SourceContext], Source]
+    settings: type[LinkSettings] = LinkSettings
+    """What the configuration may say of such a link."""
+    takes_commands: bool = False
+    """Whether packets of ours may be written to it: time requests, triggers, commands."""
+
+
+def _cameras(context: SourceContext) -> Source:
+    """Return what reads heat maps: of a person alone, or of one whose hips are a local device of the modules.
+
+    Raises ``SettingsError`` for a suit without cameras."""
+    at_hips = context.suit.camera_position
+    return HeatMapSource(context.suit) if at_hips is None else HipSource(at_hips)
+
+
+SOURCES: dict[str, SourceKind] = {
+    SUIT: SourceKind(Stream.of, takes_commands=True),
+    "gnss": SourceKind(GnssSource, GnssLinkSettings),
+    "markers": SourceKind(MarkerSource),
+    "heat_maps": SourceKind(_cameras),
+}
+"""By what a link carries."""
+
+
+def carried_by(content: str) -> str:
+    """Return what a link carries, by the word that recordings keep (``devices.link.content_of``)."""
+    return SUIT if content in list(Framing) else content
+
+
+def source_kind(carries: str) -> SourceKind:
+    """Return how such links are read. Raises ``SettingsError`` for what nothing reads here."""
+    if carries not in SOURCES:
+        raise SettingsError(f"no source of this version reads '{carries}'{nearest(carries, SOURCES)}")
+    return SOURCES[carries]

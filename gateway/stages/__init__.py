@@ -1,0 +1,1 @@
+"""Observations of one kind put together by instant, and solved: modules, markers, cameras."""

@@ -1,0 +1,48 @@
+"""Instants of several cameras to poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from gateway.contract.balances import Balance
+from gateway.errors import SettingsError
+from gateway.frames import HeatMapFrame, SkeletonFrame
+from gateway.reconstruction.video.reconstructor import VideoPose, video_reconstructor
+from gateway.sources.heat_maps import NO_CAMERAS
+from gateway.stages.stage import StageContext
+
+
+class CameraStage:
+    """Instants are put together by their source; their poses are smoothed, so that they come a few later."""
+
+    def __init__(self, context: StageContext) -> None:
+        """Raises ``SettingsError`` for a suit without cameras."""
+        if context.suit.video is None:
+            raise SettingsError(NO_CAMERAS)
+        self.reconstructor = video_reconstructor(context.suit)
+        self.last: VideoPose | None = None
+        """How the last instant was explained."""
+        self._settling = 0
+
+    def add(self, observations: Sequence[HeatMapFrame], arrived_ns: int) -> list[HeatMapFrame]:
+        """Return the instants themselves."""
+        return list(observations)
+
+    def solve(self, frames: Sequence[HeatMapFrame]) -> list[SkeletonFrame]:
+        """Return the smoothed poses that instants in time order complete."""
+        found = []
+        for frame in frames:
+            self.last = self.reconstructor.update(frame)
+            if self.last.skeleton is None:
+                self._settling += 1
+            else:
+                found.append(self.last.skeleton)
+        return found
+
+    def statistics(self) -> Mapping[str, object]:
+        """Return nothing: the source tells what became of the messages."""
+        return {}
+
+    def balances(self) -> Iterator[Balance]:
+        """Yield the instants before the first smoothed pose."""
+        yield Balance("frames", 0, {"settling": self._settling})
