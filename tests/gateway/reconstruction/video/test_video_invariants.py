@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps
-from devices.link import Chunk, Framing
+from devices.link import Chunk
 from gateway.assembly.heat_map_frames import heat_map_frame
 from gateway.body.camera import Camera
 from gateway.body.skeleton import WornSuit
@@ -200,7 +200,7 @@ def chunks() -> tuple[Chunk, ...]:
 def piped(sent: Sequence[Chunk]) -> list[SkeletonFrame]:
     """What the pipeline makes of messages."""
     pipeline = Pipeline.from_settings(video_settings("walker", RATE_HZ), suit())
-    pipeline.add_link(LINK, Framing.HEAT_MAPS)
+    pipeline.add_link(LINK, "heat_maps")
     return [pose for chunk in sent for pose in pipeline.feed(chunk)]
 
 
@@ -231,7 +231,7 @@ def test_names_of_cameras_may_be_others_on_the_wire_too() -> None:
     cameras = tuple(replace(camera, name=camera.name[::-1]) for camera in worn.video.cameras)
     renamed = replace(worn, video=replace(worn.video, cameras=cameras))
     pipeline = Pipeline.from_settings(video_settings("walker", RATE_HZ), renamed)
-    pipeline.add_link(LINK, Framing.HEAT_MAPS)
+    pipeline.add_link(LINK, "heat_maps")
     found = []
     for chunk in chunks():
         (message,) = HeatMapReceiver().receive(chunk.data)
