@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
 
 import numpy as np
 import pytest
@@ -68,6 +69,13 @@ async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypat
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.chdir(tmp_path)
     async with served(mosquitto, tmp_path) as (service, mqtt):
+        prepare, threads = service.pipeline.prepare, []
+
+        def prepared(data):
+            threads.append(threading.current_thread())
+            return prepare(data)
+
+        monkeypatch.setattr(service.pipeline, "prepare", prepared)
         async with remote_suit(mqtt, "lab", "calibration") as ask:
             with pytest.raises(RequestError, match="calibration/begin"):
                 await ask.perform("result", {})
@@ -90,6 +98,8 @@ async def test_calibrated_and_reset_while_running(mosquitto, tmp_path, monkeypat
             before = service.pipeline.suit.sensor_to_segment.copy()
             accepted = await ask.perform("accept", {"poor": True, "save": True})
             assert len(accepted["accepted"]) == 7
+            assert len(threads) == 1
+            assert threads[0] is not threading.main_thread()  # poses went on meanwhile
             assert not np.allclose(service.pipeline.suit.sensor_to_segment, before)
             worn = load_rig(str(tmp_path / accepted["file"]))
             np.testing.assert_allclose(
