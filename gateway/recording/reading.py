@@ -271,13 +271,14 @@ def _take_out_unknown(plain: dict[str, Any]) -> str:
     try:
         GatewaySettings.model_validate(plain)
     except ValidationError as error:
-        places = [problem["loc"] for problem in error.errors() if problem["type"] == "extra_forbidden"]
+        unknown = [problem["loc"] for problem in error.errors() if problem["type"] == "extra_forbidden"]
     else:
         return ""
+    places = [(*(part for part in path if not is_union_tag(part)), key) for *path, key in unknown]
     for *path, key in places:
         holder: Any = plain
         for part in path:
-            holder = holder if is_union_tag(part) else holder[part]
+            holder = holder[part]
         del holder[key]
     return ", ".join(".".join(map(str, place)) for place in places)
 

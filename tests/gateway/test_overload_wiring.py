@@ -34,7 +34,7 @@ def test_each_stage_takes_what_it_says_and_gives_it_back(service, stage, caplog)
     assert service.mqtt._publications.has_segments == (stage < 2)
     admitted = sum(service.mqtt._relief.admits(k * 10_000_000) for k in range(100))
     assert admitted == (100 if stage < 3 else SHED[stage].poses_hz)
-    assert service.pipeline._solve_every == SHED[stage].solve_every
+    assert service.pipeline.module_stage.solve_every == SHED[stage].solve_every
     assert SHED[stage].meaning in caplog.text
     assert service.statistics()["load"]["shed"] == [each.name for each in SHED[1 : stage + 1]]
     assert service.observer.health()["load"]["stage"] == stage

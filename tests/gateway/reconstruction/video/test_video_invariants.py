@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps
 from devices.link import Chunk
-from gateway.assembly.heat_map_frames import heat_map_frame
 from gateway.body.camera import Camera
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, IntArray, SkeletonFrame
@@ -25,6 +24,7 @@ from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.reconstructor import VideoOptions, VideoReconstructor
 from gateway.reconstruction.video.tracker import FINE
 from gateway.recording.video import LINK, video_chunks, video_settings, video_suit
+from gateway.sources.heat_maps import heat_map_frame
 from tests.invariance import (
     SAGITTAL,
     Listing,
