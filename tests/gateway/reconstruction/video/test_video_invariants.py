@@ -16,9 +16,8 @@ from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps
 from devices.link import Chunk
 from gateway.body.camera import Camera
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, IntArray, SkeletonFrame
+from gateway.frames import CameraHeatMaps, FloatArray, HeatMapFrame, IntArray, SkeletonFrame
 from gateway.pipeline import Pipeline
-from gateway.reconstruction.video.heat_maps import CameraHeatMaps, HeatMapFrame
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.reconstructor import VideoOptions, VideoReconstructor
