@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import difflib
 from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 import can
 
 from devices.arrivals import Arrivals
+from devices.known_names import nearest
 from devices.link import Chunk, Framing, LinkError
 from devices.link_counts import LinkCounts
 from devices.reader_thread import ReaderThread, open_in_thread
@@ -123,10 +123,7 @@ def _waiting_records(bus: can.BusABC) -> bytes:
 
 
 def _unknown_interface(interface: str) -> str:
-    known = sorted(can.VALID_INTERFACES)
-    near = difflib.get_close_matches(interface, known, 1)
-    hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
-    return f"unknown CAN interface '{interface}': {hint}"
+    return f"unknown CAN interface '{interface}'{nearest(interface, can.VALID_INTERFACES)}"
 
 
 def _send_all(bus: can.BusABC, messages: list[can.Message]) -> None:

@@ -18,18 +18,18 @@
 
 from __future__ import annotations
 
-import difflib
 import ipaddress
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from devices.can_link import CanLink
+from devices.known_names import nearest
 from devices.link import Link, LinkError, LiveLink
 from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink
@@ -198,7 +198,7 @@ def _parameters(query: str, scheme: _Scheme) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for key, text in parse_qsl(query, keep_blank_values=True):
         if key not in scheme.parameters:
-            raise ValueError(f"unknown parameter '{key}'{_nearest(key, scheme.parameters)}")
+            raise ValueError(f"unknown parameter '{key}'{nearest(key, scheme.parameters)}")
         if key in values:
             raise ValueError(f"parameter '{key}' is given twice")
         try:
@@ -236,10 +236,4 @@ def _unknown_scheme(url: str, scheme: str) -> str:
     if not scheme:
         examples = ", ".join(known.example for known in _SCHEMES.values())
         return f"'{url}' is neither a path (/dev/ttyUSB0) nor a URL; write one like: {examples}"
-    return f"{url}: unknown scheme '{scheme}'{_nearest(scheme, _SCHEMES)}"
-
-
-def _nearest(word: str, known: Iterable[str]) -> str:
-    known = list(known)
-    near = difflib.get_close_matches(word, known, 1)
-    return f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(known)}"
+    return f"{url}: unknown scheme '{scheme}'{nearest(scheme, _SCHEMES)}"

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from devices.back_off import BackOff
 from devices.link import Link, LinkError, LinkItem
 from devices.link_counts import LinkCounts
 
@@ -37,25 +38,6 @@ class LinkStatus:
 
     state: LinkState
     reason: str = ""
-
-
-class BackOff:
-    """Delays between attempts, s: doubling from the first to the longest."""
-
-    def __init__(self, first: float = FIRST_DELAY_S, longest: float = LONGEST_DELAY_S) -> None:
-        self.longest = longest
-        self._first = first
-        self._next = first
-
-    def next_delay(self) -> float:
-        """How long to wait before the next attempt, s; twice as long at every call, up to the longest."""
-        delay = self._next
-        self._next = min(2 * delay, self.longest)
-        return delay
-
-    def reset(self) -> None:
-        """Begin anew with the first delay: an attempt has succeeded."""
-        self._next = self._first
 
 
 class ReconnectingLink:
@@ -84,7 +66,7 @@ class ReconnectingLink:
         self.reconnections = 0
         """How often the link came up again since it was opened."""
         self._strict = strict
-        self._back_off = back_off or BackOff()
+        self._back_off = back_off or BackOff(FIRST_DELAY_S, LONGEST_DELAY_S)
         self._on_change = on_change
         self._clock = clock
         self._sleep = sleep

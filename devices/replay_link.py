@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import difflib
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from devices import recording_format as fmt
+from devices.known_names import nearest
 from devices.link import (
     SUIT,
     Framing,
@@ -184,6 +184,4 @@ def _chosen(path: Path, recorded: dict[str, str], wanted: str | None) -> dict[st
         return recorded
     if wanted in recorded:
         return {wanted: recorded[wanted]}
-    near = difflib.get_close_matches(wanted, recorded, 1)
-    hint = f"did you mean '{near[0]}'?" if near else f"it has: {', '.join(recorded) or 'none'}"
-    raise LinkError(f"{path} has no link '{wanted}': {hint}")
+    raise LinkError(f"{path} has no link '{wanted}'{nearest(wanted, recorded)}")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import Any
 
+from devices.known_names import nearest
 from firmware_protocol.device_settings import SETTINGS, decode_value, encode_value
 from firmware_protocol.fields import INTEGER_RANGE, WireField
 
@@ -18,9 +18,7 @@ SETTING_KEYS: dict[str, int] = {setting.name: key for key, setting in SETTINGS.i
 def setting_key(name: str) -> int:
     """The number of a setting. Raises ``ValueError`` naming those there are."""
     if name not in SETTING_KEYS:
-        near = difflib.get_close_matches(name, SETTING_KEYS, 1)
-        hint = f"did you mean '{near[0]}'?" if near else f"there are: {', '.join(SETTING_KEYS)}"
-        raise ValueError(f"there is no setting '{name}'; {hint}")
+        raise ValueError(f"there is no setting '{name}'{nearest(name, SETTING_KEYS)}")
     return SETTING_KEYS[name]
 
 

@@ -10,8 +10,9 @@ they are dropped and counted.
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable
+from devices.known_names import nearest
+
+__all__ = ["GatewayError", "OutputError", "SettingsError", "nearest"]
 
 
 class GatewayError(Exception):
@@ -24,10 +25,3 @@ class SettingsError(GatewayError):
 
 class OutputError(GatewayError):
     """An output could not be started."""
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """`` (did you mean 'x'?)`` for the most similar known name, or the list of all when none is near."""
-    names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    return f" (did you mean '{close[0]}'?)" if close else f" (known: {', '.join(names)})"

@@ -11,7 +11,13 @@ from collections import deque
 import aiomqtt
 
 from gateway.cameras.serving import Served
-from gateway.outputs.connection import Backoff, broker_connection, end_tasks, explain, unique_identifier
+from gateway.outputs.connection import (
+    broker_back_off,
+    broker_connection,
+    end_tasks,
+    explain,
+    unique_identifier,
+)
 from gateway.outputs.settings import MqttSettings
 
 _MOST_WAITING = 8
@@ -73,22 +79,22 @@ class BrokerOutlet:
         self._arrival.set()
 
     async def _publish_for_ever(self) -> None:
-        backoff, waited, last = Backoff(), 0.0, ""
+        back_off, last = broker_back_off(), ""
         while True:
             try:
                 async with broker_connection(
                     self._settings, self._settings.port, unique_identifier("camera")
                 ) as client:
                     self._is_connected.set()
-                    waited, last = 0.0, ""
+                    last = ""
+                    back_off.reset()
                     await self._publish(client)
             except Exception as error:
                 reason = explain(error, self._settings, self._settings.port)
                 if reason != last:
                     _log.warning("%s; trying again", reason)
                 last = reason
-            waited = backoff.after(waited)
-            await asyncio.sleep(waited)
+            await asyncio.sleep(back_off.next_delay())
 
     async def _publish(self, client: aiomqtt.Client) -> None:
         while True:

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from gateway.errors import OutputError
-from gateway.outputs.connection import Backoff
+from gateway.outputs.connection import broker_back_off
 from gateway.outputs.settings import WEBSOCKET_TOKEN_VARIABLE
 from gateway.support.credentials import AccessToken
 
@@ -109,14 +109,14 @@ class BrokerProcess:
         return process
 
     async def _keep_alive(self, process: asyncio.subprocess.Process) -> None:
-        backoff = Backoff()
+        back_off = broker_back_off()
         while True:
             code = await process.wait()
             logger.warning("the embedded broker ended (exit code %d): starting it again", code)
-            waited, restarted = 0.0, None
+            back_off.reset()
+            restarted = None
             while restarted is None:
-                waited = backoff.after(waited)
-                await asyncio.sleep(waited)
+                await asyncio.sleep(back_off.next_delay())
                 try:
                     restarted = await self._launch()
                 except (EmbeddedBrokerError, OSError) as error:

@@ -14,7 +14,6 @@ import socket
 import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
@@ -24,6 +23,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
+from devices.back_off import BackOff
 from gateway.errors import OutputError
 from gateway.outputs.incoming import LARGEST_MESSAGE, MOST_MESSAGES, Inbox, refuse_huge_packets
 from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, TlsSettings
@@ -55,16 +55,9 @@ _NOT_AUTHORISED = 135
 _CANCEL_AGAIN_S = 0.5
 
 
-@dataclass(frozen=True)
-class Backoff:
-    """Waits between attempts: ``first``, doubling up to ``longest``, s."""
-
-    first: float = 0.2
-    longest: float = 1.0
-
-    def after(self, waited: float) -> float:
-        """The wait that follows one of ``waited``; 0 for none yet."""
-        return min(2 * waited, self.longest) if waited else self.first
+def broker_back_off() -> BackOff:
+    """Waits between attempts to reach a broker: short, since poses are lost meanwhile."""
+    return BackOff(0.2, 1.0)
 
 
 @asynccontextmanager

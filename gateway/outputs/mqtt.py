@@ -39,7 +39,7 @@ from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
 from gateway.outputs.broker_process import BrokerProcess
 from gateway.outputs.connection import (
-    Backoff,
+    broker_back_off,
     broker_connection,
     check_admittance,
     check_files,
@@ -296,14 +296,14 @@ class MqttOutput:
 
     async def _run(self) -> None:
         """Connect and publish, for ever: nothing that goes wrong with a broker ends the output."""
-        backoff, waited = Backoff(), 0.0
+        back_off = broker_back_off()
         will = aiomqtt.Will(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
         while not self._stopping.is_set():
             try:
                 async with broker_connection(
                     self._settings, self.port, self._identifier, will, on_answer=self.rights.answered
                 ) as client:
-                    waited = 0.0
+                    back_off.reset()
                     self.rights.begin_again()
                     self._probe_due = 0.0
                     await self._watch_own_topics(client)
@@ -316,8 +316,7 @@ class MqttOutput:
             except Exception as error:
                 self._report_outage(error)
             self.is_connected = self._queue.has_broker = False
-            waited = backoff.after(waited)
-            await nap(waited, self._stopping)
+            await nap(back_off.next_delay(), self._stopping)
 
     async def _watch_own_topics(self, client: aiomqtt.Client) -> None:
         """Subscribe to what tells of another gateway of our name.

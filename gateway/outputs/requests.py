@@ -32,7 +32,7 @@ from gateway.contract.request_messages import (
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError, nearest
 from gateway.outputs.connection import (
-    Backoff,
+    broker_back_off,
     broker_connection,
     end_tasks,
     explain,
@@ -113,7 +113,7 @@ class RequestResponder:
         self._tasks = []
 
     async def _listen_for_ever(self, port: int) -> None:
-        backoff, waited = Backoff(), 0.0
+        back_off = broker_back_off()
         while True:
             try:
                 identifier = unique_identifier("requests")
@@ -121,15 +121,15 @@ class RequestResponder:
                     self._settings, port, identifier, on_full=self._note_dropped
                 ) as client:
                     await client.subscribe(self._topics.request("#"), qos=1)
-                    self._client, self.is_connected, waited = client, True, 0.0
+                    self._client, self.is_connected = client, True
+                    back_off.reset()
                     async for message in client.messages:
                         await self._take(message)
             except Exception as error:
                 # The output for poses says so too, as a warning.
                 _log.debug("requests: %s", explain(error, self._settings, port))
             self._client, self.is_connected = None, False
-            waited = backoff.after(waited)
-            await asyncio.sleep(waited)
+            await asyncio.sleep(back_off.next_delay())
 
     async def _take(self, message: aiomqtt.Message) -> None:
         verb = self._verb_of(message)

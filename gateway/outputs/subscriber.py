@@ -33,7 +33,7 @@ from gateway.contract.messages import (
 from gateway.contract.topics import ANY_GATEWAY, Topics
 from gateway.errors import GatewayError
 from gateway.outputs.connection import (
-    Backoff,
+    broker_back_off,
     broker_connection,
     end_tasks,
     explain,
@@ -130,7 +130,7 @@ class PoseSubscriber:
             self._task = None
 
     async def _receive_for_ever(self, subscribed: asyncio.Future[None]) -> None:
-        backoff, waited = Backoff(), 0.0
+        back_off = broker_back_off()
         port = self._settings.port
         while True:
             try:
@@ -138,7 +138,7 @@ class PoseSubscriber:
                 identifier = unique_identifier("subscriber")
                 async with broker_connection(self._settings, port, identifier) as client:
                     await self._subscribe(client)
-                    waited = 0.0
+                    back_off.reset()
                     if not subscribed.done():
                         subscribed.set_result(None)
                     await self._receive(client)
@@ -150,8 +150,7 @@ class PoseSubscriber:
                 if self.is_connected:
                     logger.warning("%s; trying again", reason)
             self.is_connected = False
-            waited = backoff.after(waited)
-            await asyncio.sleep(waited)
+            await asyncio.sleep(back_off.next_delay())
 
     async def _subscribe(self, client: aiomqtt.Client) -> None:
         kept = (self._topics.bridge_state, self._topics.bridge_info, self._topics.body)

@@ -6,6 +6,8 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable
 
+from devices.back_off import BackOff
+
 log = logging.getLogger(__name__)
 
 FIRST_PAUSE_S = 0.5
@@ -17,13 +19,13 @@ async def kept_running(name: str, run: Callable[[], Awaitable[None]]) -> None:
 
     The pause doubles with every failure, up to half a minute. Returning is an orderly end.
     """
-    pause_s = FIRST_PAUSE_S
+    back_off = BackOff(FIRST_PAUSE_S, LONGEST_PAUSE_S)
     while True:
         try:
             await run()
         except Exception:
+            pause_s = back_off.next_delay()
             log.exception("%s failed; it is started again in %g s", name, pause_s)
         else:
             return
         await asyncio.sleep(pause_s)
-        pause_s = min(2 * pause_s, LONGEST_PAUSE_S)

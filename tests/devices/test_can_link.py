@@ -99,7 +99,7 @@ async def test_cancelled_opening_leaves_no_bus_behind(until):
 
 
 def test_unknown_interface_names_the_nearest():
-    with pytest.raises(ValueError, match="unknown CAN interface 'virtul': did you mean 'virtual'"):
+    with pytest.raises(ValueError, match=r"unknown CAN interface 'virtul' \(did you mean 'virtual'\?\)"):
         CanLink("virtul", "suit")
 
 

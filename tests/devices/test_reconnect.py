@@ -8,9 +8,10 @@ from collections.abc import AsyncIterator
 
 import pytest
 
+from devices.back_off import BackOff
 from devices.emulators.loopback_link import loopback_pair
 from devices.link import Chunk, Framing, Link, LinkError
-from devices.reconnect import BackOff, LinkState, LinkStatus, ReconnectingLink
+from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.serial_link import SerialLink
 from devices.tcp_link import TcpLink
 from tests.patience import PATIENCE_S

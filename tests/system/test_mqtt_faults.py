@@ -216,7 +216,7 @@ async def test_restarted_broker_knows_everything_again(
         in_vain = len(attempts)
         await until(lambda: output.counters.connections == 2 and early.is_connected)
         assert len(attempts) <= in_vain + 1  # back within one pause, of a second at most
-        assert connection.Backoff().longest <= 1.0
+        assert connection.broker_back_off().longest <= 1.0
         async with PoseSubscriber(settings) as late:
             await until(lambda: late.states == {"lab": "online"} and {*late.infos, *late.bodies} == {"lab"})
         output.offer(pose_source.frame(3))
