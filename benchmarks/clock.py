@@ -33,7 +33,7 @@ from gateway.emulation.clock_simulation import (
     relay_errors,
     transport_limit_us,
 )
-from gateway.frames import FloatArray
+from gateway.frames import FloatArray, InertialBatch
 from gateway.sources.module_table import ClockMode
 from gateway.sources.stream import Stream
 
@@ -226,8 +226,9 @@ def by_trigger() -> tuple[Errors, TriggerTimer, TriggerAnswers]:
         answering = np.flatnonzero(rng.random(MODULES) >= LOSS).tolist()
         frames = [wire_frame(sample, module, trigger.number, sent_ns // 1000 % 2**32) for module in answering]
         readings = stream.receive(Chunk(b"".join(map(encode_frame, frames)), sent_ns + 3_000_000, "radio"))
-        if second >= SETTLED_S and len(readings) == MODULES:
-            published_ns = np.array([reading.time_ns for reading in readings])
+        batches = [reading for reading in readings if isinstance(reading, InertialBatch)]
+        if second >= SETTLED_S and sum(map(len, batches)) == MODULES:
+            published_ns = np.concatenate([batch.samples["time_ns"] for batch in batches])
             shown.append((published_ns - sampled_ns) * 1e-3)
     return Errors(np.array(shown).T), timer, answers
 

@@ -16,7 +16,7 @@ from devices.link import Chunk, Framing
 from firmware_protocol import FrameDecoder, PacketDecoder
 from gateway.body.skeleton import WornSuit
 from gateway.emulation.simulation import LINK, relay_chunks, suit_17
-from gateway.frames import ImuFrame, LocalReading
+from gateway.frames import ImuFrame, InertialBatch, LocalReading
 from gateway.pipeline import FRAMES_AT_A_TIME, Pipeline
 from gateway.reconstruction import RECONSTRUCTORS, Reconstructor, update_many
 from gateway.sources.module_table import ClockMode
@@ -179,6 +179,6 @@ def _imu_frames(module_ids: tuple[int, ...], chunks: list[Chunk]) -> list[ImuFra
         for reading in stream.receive(chunk):
             if isinstance(reading, LocalReading):
                 assembler.add_local(reading)
-            else:
-                frames += assembler.add(reading, chunk.arrived_ns)
+            elif isinstance(reading, InertialBatch):
+                frames += assembler.add(reading.samples, chunk.arrived_ns)
     return frames

@@ -1,7 +1,7 @@
 """Every value that flows, in the order it flows.
 
 ``Chunk`` (``devices.link``: bytes and when they arrived) → ``WireFrame`` (``firmware_protocol.framing``)
-→ packets (``firmware_protocol.packets``) → ``InertialReading`` / ``FusedReading`` / ``LocalReading`` (one
+→ packets (``firmware_protocol.packets``) → ``InertialBatch`` / ``FusedReading`` / ``LocalReading`` (one
 module, one instant, gateway time) → ``ImuFrame`` (all modules, one instant) → ``SkeletonFrame``. An optical
 system's chunks become ``MarkerFrame`` → ``SkeletonFrame``, those of cameras ``HeatMapFrame`` →
 ``SkeletonFrame``.
@@ -13,6 +13,7 @@ coordinates in a. Letters: w world (ENU), s sensor, b body segment.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
@@ -55,20 +56,35 @@ class Clipped(IntFlag):
     ANGULAR_RATE = 2
 
 
-@dataclass(frozen=True, slots=True)
-class InertialReading:
-    """One reading of one module, in its sensor axes. A sensor that was not read is None."""
+INERTIAL_SAMPLE = np.dtype(
+    [
+        ("module", np.int64),
+        ("sequence", np.int64),  # unwrapped sample count of the module
+        ("time_ns", np.int64),  # gateway time at which the module sampled, by its clock model
+        ("measured", np.float64, (3, 3)),  # a row a sensor, its own axes; NaN: it was not read
+        ("clipped", np.uint8),  # ``Clipped`` sensors
+    ],
+    align=True,
+)
+"""One sample of one module; ``measured`` by ``SPECIFIC_FORCE``, ``ANGULAR_RATE``, ``MAGNETIC_FIELD``."""
+SPECIFIC_FORCE, ANGULAR_RATE, MAGNETIC_FIELD = range(3)
+"""m/s², rad/s, µT."""
+NOT_READ = (float("nan"),) * 3
 
-    module: int
-    sequence: int
-    """Unwrapped sample count of the module."""
-    time_ns: int
-    """Gateway time at which the module sampled, by its clock model."""
-    specific_force: Vector3 | None  # m/s²
-    angular_rate: Vector3 | None  # rad/s
-    magnetic_field: Vector3 | None  # µT
-    clipped: int = 0
-    """``Clipped`` sensors."""
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialBatch:
+    """Samples of modules in order of arrival."""
+
+    samples: NDArray[np.void]  # (n,) INERTIAL_SAMPLE
+
+    @classmethod
+    def of(cls, rows: Sequence[tuple[int, int, int, tuple[Vector3, Vector3, Vector3], int]]) -> InertialBatch:
+        """Return a batch of samples, each in the order of ``INERTIAL_SAMPLE``."""
+        return cls(np.array(rows, INERTIAL_SAMPLE))
+
+    def __len__(self) -> int:
+        return len(self.samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +131,8 @@ class LightReading:
     intensity: FloatArray  # (6,) share of full scale, cells in the order of the wire
 
 
-Reading = InertialReading | FusedReading | LocalReading | LightReading
-"""Of one module or local device."""
+Reading = InertialBatch | FusedReading | LocalReading | LightReading
+"""Of modules, or of a local device."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from gateway.body.skeleton import WornSuit, remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.contract.balances import Balance, joined
 from gateway.errors import GatewayError, SettingsError
-from gateway.frames import ImuFrame, InertialReading, Observation, SkeletonFrame
+from gateway.frames import ImuFrame, InertialBatch, Observation, SkeletonFrame
 from gateway.reconstruction import RootSettings
 from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.resets import Resets
@@ -141,7 +141,7 @@ class Pipeline:
 
     def has_modules(self, link: str) -> bool:
         """Whether modules are at the other end of a link that was announced."""
-        return self._routes[link][0].observes is InertialReading
+        return self._routes[link][0].observes is InertialBatch
 
     def stage_of(self, observes: type[Observation]) -> Stage[Any]:
         """Return the stage that takes a kind of observation, made when it is first asked for.

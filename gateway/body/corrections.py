@@ -1,12 +1,14 @@
-"""Readings of modules put right by the rig file's calibrations, as they enter the gateway."""
+"""Samples of modules put right by the rig file's calibrations, as they enter the gateway."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from devices.calibration import SensorCalibration
-from gateway.frames import FloatArray, InertialReading, Vector3
+from gateway.frames import ANGULAR_RATE, MAGNETIC_FIELD, SPECIFIC_FORCE
 
 
 class SensorCorrections:
@@ -15,20 +17,23 @@ class SensorCorrections:
     def __init__(self, calibrations: Mapping[int, SensorCalibration]) -> None:
         self._calibrations = dict(calibrations)
 
-    def apply(self, reading: InertialReading) -> InertialReading:
-        """The reading as a faultless module would have sent it."""
-        calibration = self._calibrations.get(reading.module)
-        if calibration is None:
-            return reading
-        force, rate, field = reading.specific_force, reading.angular_rate, reading.magnetic_field
-        return replace(
-            reading,
-            specific_force=None if force is None else _vector(calibration.specific_force(force)),
-            angular_rate=None if rate is None else _vector(calibration.angular_rate(rate)),
-            magnetic_field=None if field is None else _vector(calibration.magnetic_field(field)),
-        )
+    def apply(self, samples: NDArray[np.void]) -> NDArray[np.void]:
+        """Return samples (n,) ``INERTIAL_SAMPLE`` as faultless modules would have sent them."""
+        if not self._calibrations:
+            return samples
+        corrected = samples.copy()
+        for sample in corrected:
+            calibration = self._calibrations.get(int(sample["module"]))
+            if calibration is not None:
+                _correct(sample["measured"], calibration)
+        return corrected
 
 
-def _vector(values: FloatArray) -> Vector3:
-    x, y, z = values.tolist()
-    return x, y, z
+def _correct(measured: NDArray[np.float64], calibration: SensorCalibration) -> None:
+    for sensor, correct in (
+        (SPECIFIC_FORCE, calibration.specific_force),
+        (ANGULAR_RATE, calibration.angular_rate),
+        (MAGNETIC_FIELD, calibration.magnetic_field),
+    ):
+        if not np.isnan(measured[sensor, 0]):
+            measured[sensor] = correct(measured[sensor].copy())

@@ -7,9 +7,12 @@ goes in one sampling interval and back in the next. It becomes the median. That 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from gateway.frames import InertialReading, Vector3
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.frames import INERTIAL_SAMPLE, FloatArray
 
 
 @dataclass(frozen=True)
@@ -25,50 +28,51 @@ class SpikeLimits:
 
 
 class Despiker:
-    """Readings in, readings out, one later; each module by itself."""
+    """Samples in, samples out, one later; each module by itself."""
 
     def __init__(self, limits: SpikeLimits | None = None) -> None:
         self.spikes: Counter[int] = Counter()
         """Values of a sensor that were replaced, by module."""
-        self._limits = limits or SpikeLimits()
-        self._last: dict[int, tuple[InertialReading | None, InertialReading]] = {}
+        chosen = limits or SpikeLimits()
+        self._limits = chosen.specific_force, chosen.angular_rate, chosen.magnetic_field
+        self._last: dict[int, tuple[np.void | None, np.void]] = {}
 
-    def add(self, reading: InertialReading) -> InertialReading | None:
-        """The reading before this one, clean; None for the first.
+    def add(self, samples: NDArray[np.void]) -> NDArray[np.void]:
+        """Return the sample of each module before each of these (n,) ``INERTIAL_SAMPLE``, clean; none for a
+        module's first.
 
         Only three samples in a row are compared: around lost ones everything passes as it is.
         """
-        before, middle = self._last.get(reading.module, (None, None))
-        self._last[reading.module] = (middle, reading)
-        if middle is None or before is None:
-            return middle
-        if not before.sequence + 1 == middle.sequence == reading.sequence - 1:
-            return middle
-        clean = self._cleaned(before, middle, reading)
-        self._last[reading.module] = (clean, reading)
-        return clean
+        found = map(self._add, samples.copy())
+        return np.array([sample for sample in found if sample is not None], INERTIAL_SAMPLE)
 
     @property
     def held_back(self) -> int:
-        """Readings taken in and not given out yet: the newest of each module."""
+        """Samples taken in and not given out yet: the newest of each module."""
         return len(self._last)
 
     def summary(self) -> dict[str, int]:
         """For the health message: spikes by module."""
         return {str(module): count for module, count in sorted(self.spikes.items()) if count}
 
-    def _cleaned(
-        self, before: InertialReading, middle: InertialReading, after: InertialReading
-    ) -> InertialReading:
-        changes: dict[str, Vector3] = {}
-        for name in ("specific_force", "angular_rate", "magnetic_field"):
-            three = getattr(before, name), getattr(middle, name), getattr(after, name)
-            if None in three:
+    def _add(self, sample: np.void) -> np.void | None:
+        module = int(sample["module"])
+        before, middle = self._last.get(module, (None, None))
+        self._last[module] = (middle, sample)
+        if middle is None or before is None:
+            return middle
+        if before["sequence"] + 1 == middle["sequence"] == sample["sequence"] - 1:
+            self._clean(before["measured"], middle, sample["measured"])
+        return middle
+
+    def _clean(self, before: FloatArray, middle: np.void, after: FloatArray) -> None:
+        """Replace what stands out in the middle one of three, by sensor. before, after: (3, 3)."""
+        measured = middle["measured"]
+        for sensor, limit in enumerate(self._limits):
+            three = np.stack((before[sensor], measured[sensor], after[sensor]))
+            if np.isnan(three).any():
                 continue
-            median = tuple(sorted(values)[1] for values in zip(*three, strict=True))
-            limit = getattr(self._limits, name)
-            if any(abs(a - b) > limit for a, b in zip(three[1], median, strict=True)):
-                x, y, z = median
-                changes[name] = (x, y, z)
-        self.spikes[middle.module] += len(changes)
-        return replace(middle, **changes) if changes else middle  # type: ignore[arg-type]
+            median = np.sort(three, axis=0)[1]
+            if (np.abs(measured[sensor] - median) > limit).any():
+                measured[sensor] = median
+                self.spikes[int(middle["module"])] += 1

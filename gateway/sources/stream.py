@@ -32,19 +32,24 @@ from firmware_protocol.kinds import FROM_HOST
 from gateway.clocks import ClockTable, TriggerAnswers
 from gateway.contract.balances import Balance
 from gateway.frames import (
+    NOT_READ,
     Clipped,
     FusedReading,
-    InertialReading,
+    InertialBatch,
     LightReading,
     LocalReading,
     Quantity,
     Reading,
+    Vector3,
 )
 from gateway.sources.air_velocity import air_velocity
 from gateway.sources.exchanges import TimeExchanges
 from gateway.sources.module_table import ClockMode, ModuleTable
 from gateway.sources.source import ListeningSource, SourceContext
 from gateway.sources.statistics import ModuleRecord
+
+Sample = tuple[int, int, int, tuple[Vector3, Vector3, Vector3], int]
+"""One row of a batch, in the order of ``INERTIAL_SAMPLE``."""
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
 """Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
@@ -57,7 +62,7 @@ _TRIGGERED = 1 << 8
 class Stream(ListeningSource):
     """Decodes, counts and timestamps packets of modules."""
 
-    observes = InertialReading
+    observes = InertialBatch
     """And all other kinds of reading."""
 
     def __init__(
@@ -103,7 +108,8 @@ class Stream(ListeningSource):
 
     def receive(self, chunk: Chunk) -> list[Reading]:
         """The readings that a chunk completes, in order of arrival."""
-        readings = []
+        readings: list[Reading] = []
+        samples: list[Sample] = []
         decoder = self._decoders[chunk.link]
         packets = decoder.feed(chunk)
         self.table.begin_chunk(chunk, is_trusted=decoder.is_trusted, is_damaged=decoder.is_damaged)
@@ -113,10 +119,18 @@ class Stream(ListeningSource):
             if packet.kind in FROM_HOST:
                 self.echoed += 1
                 continue  # our own, echoed by a bus; its time is that of no module
-            reading = self._read(packet, chunk)
-            if reading is not None:
-                readings.append(reading)
-        self.readings += len(readings)
+            read = self._read(packet, chunk)
+            if isinstance(read, tuple):
+                samples.append(read)
+            elif read is not None:
+                if samples:  # what stands between two readings of another kind is one batch
+                    readings.append(InertialBatch.of(samples))
+                    samples = []
+                readings.append(read)
+                self.readings += 1
+            self.readings += isinstance(read, tuple)
+        if samples:
+            readings.append(InertialBatch.of(samples))
         return readings
 
     def senders(self, link: str) -> tuple[str, ...]:
@@ -163,7 +177,7 @@ class Stream(ListeningSource):
         yield Balance("packets_decoded", decoded, parts)
         yield Balance("readings", self.readings, {})
 
-    def _read(self, received: ReceivedPacket, chunk: Chunk) -> Reading | None:
+    def _read(self, received: ReceivedPacket, chunk: Chunk) -> Reading | Sample | None:
         record, time_ns = self.table.timed(
             received.module, received.module_time_us, chunk, received.relayed_us
         )
@@ -179,7 +193,7 @@ class Stream(ListeningSource):
 
     def _read_triggered(
         self, triggers: TriggerAnswers, record: ModuleRecord, received: ReceivedPacket, chunk: Chunk
-    ) -> Reading | None:
+    ) -> Reading | Sample | None:
         """A sample that answers a trigger: its instant is the trigger's, whatever the module's clock says."""
         answer = triggers.answered(received.module, received.sequence, chunk.link, chunk.arrived_ns)
         if answer is None:
@@ -192,13 +206,12 @@ class Stream(ListeningSource):
 
 def _inertial(
     record: ModuleRecord, packet: InertialSample | InertialSampleFine, sequence: int, time_ns: int
-) -> Reading:
+) -> Sample:
     clipped = Clipped.SPECIFIC_FORCE if packet.specific_force_clipped else Clipped(0)
     clipped |= Clipped.ANGULAR_RATE if packet.angular_rate_clipped else Clipped(0)
     field = None if packet.magnetic_field_clipped else packet.magnetic_field  # it points elsewhere
-    return InertialReading(
-        record.module, sequence, time_ns, packet.specific_force, packet.angular_rate, field, int(clipped)
-    )
+    measured = packet.specific_force or NOT_READ, packet.angular_rate or NOT_READ, field or NOT_READ
+    return record.module, sequence, time_ns, measured, int(clipped)
 
 
 def _fused(record: ModuleRecord, packet: FusedSample, sequence: int, time_ns: int) -> Reading:
@@ -232,13 +245,13 @@ def _health(record: ModuleRecord, packet: Health, _sequence: int, _time_ns: int)
     record.health = packet
 
 
-def _reading(record: ModuleRecord, packet: Packet, sequence: int, time_ns: int) -> Reading | None:
+def _reading(record: ModuleRecord, packet: Packet, sequence: int, time_ns: int) -> Reading | Sample | None:
     handler = _HANDLERS.get(type(packet))
     # What has no handler is for the listeners alone; it is counted like the rest.
     return None if handler is None else handler(record, packet, sequence, time_ns)
 
 
-_HANDLERS: dict[type, Callable[..., Reading | None]] = {
+_HANDLERS: dict[type, Callable[..., Reading | Sample | None]] = {
     InertialSample: _inertial,
     InertialSampleFine: _inertial,
     FusedSample: _fused,

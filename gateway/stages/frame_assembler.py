@@ -1,4 +1,4 @@
-"""Readings of many modules, each at its own instants, to ``ImuFrame``s: all modules at one instant.
+"""Samples of many modules, each at its own instants, to ``ImuFrame``s: all modules at one instant.
 
 Frames lie on a regular grid of gateway time that begins when every module has been heard (or after
 ``start_wait_ns``). A frame is emitted as soon as every live module has a reading at or after its
@@ -19,11 +19,15 @@ from operator import attrgetter
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.frames import (
+    ANGULAR_RATE,
+    INERTIAL_SAMPLE,
+    MAGNETIC_FIELD,
+    SPECIFIC_FORCE,
     FloatArray,
     ImuFrame,
-    InertialReading,
     IntArray,
     LightReading,
     LocalReading,
@@ -38,7 +42,6 @@ _REST_OF_BURST_NS = 5_000_000
 _DEPTH = 64  # readings kept of each module; at 1000 Hz 64 ms, more than any sensible wait
 MOST_WAITING = 1024
 """Readings of local devices, and of photoelectric cells, kept for the next frame while none is completed."""
-_NAN3 = (float("nan"),) * 3
 _Dated = TypeVar("_Dated", LocalReading, LightReading)
 
 
@@ -79,11 +82,9 @@ class FrameAssembler:
         """Readings that a frame can be made from."""
         self._params = params
         self._row = {module: row for row, module in enumerate(module_ids)}
-        self._times = np.full((n, _DEPTH), np.iinfo(np.int64).min, dtype=np.int64)
-        self._sequences = np.zeros((n, _DEPTH), dtype=np.int64)
-        self._values = np.full((n, _DEPTH, 9), np.nan)
-        self._clipped = np.zeros((n, _DEPTH), dtype=np.uint8)
-        self._heads = np.zeros(n, dtype=np.int64)  # ring position of the newest reading
+        self._ring = np.zeros((n, _DEPTH), INERTIAL_SAMPLE)
+        self._ring["time_ns"], self._ring["measured"] = _NEVER, np.nan
+        self._heads = np.zeros(n, dtype=np.int64)  # ring position of the newest sample
         self._newest = [-1] * n  # plain integers: compared once a reading
         self._newest_of_all = -1
         self._passed: deque[tuple[int, int]] = deque()
@@ -131,31 +132,33 @@ class FrameAssembler:
             self.taken -= 1
             self.lost[Lost.NO_FRAME] += 1
 
-    def add(self, reading: InertialReading, arrived_ns: int) -> list[ImuFrame]:
-        """Take a reading; the frames that it, or the time it arrived, completes."""
-        row = self._row.get(reading.module)
-        if row is None:
-            self.lost[Lost.UNKNOWN_MODULE] += 1
-            return []
-        if self._store(row, reading):
-            self.taken += 1
-            reached_ns = self._passed[-1][0] if self._passed else self._instant_ns - 1
-            if self._newest_of_all > reached_ns:
-                self._passed.append((self._newest_of_all, arrived_ns))
-            if self._first_arrival_ns is None:
-                self._first_arrival_ns = arrived_ns
-            return self._emit(arrived_ns)
-        return []
+    def add(self, samples: NDArray[np.void], arrived_ns: int) -> list[ImuFrame]:
+        """Take samples (n,) ``INERTIAL_SAMPLE``; return the frames that they, or the time they arrived,
+        complete."""
+        frames: list[ImuFrame] = []
+        modules, times_ns = samples["module"].tolist(), samples["time_ns"].tolist()
+        for index, (module, time_ns) in enumerate(zip(modules, times_ns, strict=True)):
+            row = self._row.get(module)
+            if row is None:
+                self.lost[Lost.UNKNOWN_MODULE] += 1
+            elif self._store(row, time_ns, samples[index]):
+                self.taken += 1
+                reached_ns = self._passed[-1][0] if self._passed else self._instant_ns - 1
+                if self._newest_of_all > reached_ns:
+                    self._passed.append((self._newest_of_all, arrived_ns))
+                if self._first_arrival_ns is None:
+                    self._first_arrival_ns = arrived_ns
+                frames += self._emit(arrived_ns)
+        return frames
 
-    def _store(self, row: int, reading: InertialReading) -> bool:
-        time_ns = reading.time_ns
+    def _store(self, row: int, time_ns: int, sample: np.void) -> bool:
         newest = self._newest[row]
         if newest < 0:
             self._heard += 1
         elif time_ns <= newest:
-            return self._insert_late(row, reading)
+            return self._insert_late(row, time_ns, sample)
         head = (int(self._heads[row]) + 1) % _DEPTH
-        self._write(row, head, reading)
+        self._ring[row, head] = sample
         self._heads[row] = head
         self._newest[row] = time_ns
         self._newest_of_all = max(self._newest_of_all, time_ns)
@@ -163,33 +166,23 @@ class FrameAssembler:
             self._awaited.discard(row)
         return True
 
-    def _write(self, row: int, slot: int, reading: InertialReading) -> None:
-        self._times[row, slot] = reading.time_ns
-        self._sequences[row, slot] = reading.sequence
-        self._values[row, slot] = (
-            *(reading.specific_force or _NAN3),
-            *(reading.angular_rate or _NAN3),
-            *(reading.magnetic_field or _NAN3),
-        )
-        self._clipped[row, slot] = reading.clipped
-
-    def _insert_late(self, row: int, reading: InertialReading) -> bool:
-        """A reading overtaken by newer ones on its way: still useful if its instant is yet to come."""
+    def _insert_late(self, row: int, time_ns: int, sample: np.void) -> bool:
+        """A sample overtaken by newer ones on its way: still useful if its instant is yet to come."""
+        ring = self._ring[row]
         order = (int(self._heads[row]) - np.arange(_DEPTH)) % _DEPTH  # newest first
-        times = self._times[row, order]
-        if reading.time_ns in times:
+        times = ring["time_ns"][order]
+        if time_ns in times:
             self.lost[Lost.DUPLICATE] += 1
             return False
-        if reading.time_ns <= self._last_instant_ns:
+        if time_ns <= self._last_instant_ns:
             self.lost[Lost.LATE] += 1
-            self.late[reading.module] += 1
+            self.late[int(sample["module"])] += 1
             return False
-        newer = int(np.count_nonzero(times > reading.time_ns))
+        newer = int(np.count_nonzero(times > time_ns))
         head = (int(self._heads[row]) + 1) % _DEPTH
         target = (head - np.arange(newer)) % _DEPTH
-        for array in (self._times, self._sequences, self._values, self._clipped):
-            array[row, target] = array[row, order[:newer]]
-        self._write(row, (head - newer) % _DEPTH, reading)
+        ring[target] = ring[order[:newer]]
+        ring[(head - newer) % _DEPTH] = sample
         self._heads[row] = head
         return True
 
@@ -256,9 +249,9 @@ class FrameAssembler:
         frame = ImuFrame(
             sequence=self._sequence,
             time_ns=instant_ns,
-            specific_force=values[:, 0:3],
-            angular_rate=values[:, 3:6],
-            magnetic_field=values[:, 6:9],
+            specific_force=values[:, SPECIFIC_FORCE],
+            angular_rate=values[:, ANGULAR_RATE],
+            magnetic_field=values[:, MAGNETIC_FIELD],
             status=status,
             gap_ns=gap_ns,
             local=local,
@@ -269,16 +262,8 @@ class FrameAssembler:
         return frame
 
     def _interpolate(self, instant_ns: int) -> tuple[FloatArray, StatusArray, IntArray, StatusArray]:
-        return _interpolate_modules(
-            instant_ns,
-            self._times,
-            self._sequences,
-            self._values,
-            self._clipped,
-            self._heads,
-            self._params.max_gap_ns,
-            self._params.hold_ns,
-        )
+        params = self._params
+        return _interpolate_modules(instant_ns, self._ring, self._heads, params.max_gap_ns, params.hold_ns)
 
 
 def _take_due(waiting: deque[_Dated], instant_ns: int) -> tuple[_Dated, ...]:
@@ -298,17 +283,17 @@ _NEVER = np.iinfo(np.int64).min
 
 
 @compiled
-def _bracket(times: IntArray, values: FloatArray, head: int, sensor: int, instant_ns: int) -> tuple[int, int]:
-    """Ring slots of the sensor's readings just before (or at) and just after the instant; -1: none."""
-    depth = times.shape[0]
+def _bracket(ring: NDArray[np.void], head: int, sensor: int, instant_ns: int) -> tuple[int, int]:
+    """Return the slots of the sensor's samples just before (or at) and just after the instant; -1: none."""
+    depth = ring.shape[0]
     after = -1
     for back in range(depth):
         slot = (head - back) % depth
-        if times[slot] == _NEVER:
+        if ring[slot].time_ns == _NEVER:
             break
-        if np.isnan(values[slot, 3 * sensor]):
+        if np.isnan(ring[slot].measured[sensor, 0]):
             continue
-        if times[slot] <= instant_ns:
+        if ring[slot].time_ns <= instant_ns:
             return slot, after
         after = slot
     return -1, after
@@ -316,48 +301,43 @@ def _bracket(times: IntArray, values: FloatArray, head: int, sensor: int, instan
 
 @compiled
 def _interpolate_modules(
-    instant_ns: int,
-    times: IntArray,
-    sequences: IntArray,
-    values: FloatArray,
-    clipped: StatusArray,
-    heads: IntArray,
-    max_gap_ns: int,
-    hold_ns: int,
+    instant_ns: int, ring: NDArray[np.void], heads: IntArray, max_gap_ns: int, hold_ns: int
 ) -> tuple[FloatArray, StatusArray, IntArray, StatusArray]:
-    """All modules at one instant: values (n, 9), status, gap and ``Clipped`` sensors (n,) of n modules.
+    """Return all modules at one instant: values (n, 3, 3), status, gap and ``Clipped`` sensors (n,).
 
-    times, sequences, clipped: (n, depth); values: (n, depth, 9); heads: (n,) ring position of the newest.
-    A module's status is that of the first sensor that it has, in the order of the columns.
+    ring: (n, depth) ``INERTIAL_SAMPLE``; heads: (n,) place of the newest in it. A module's status is that of
+    the first sensor that it has, in the order of the rows.
     """
     n = heads.shape[0]
-    out = np.full((n, 9), np.nan)
+    out = np.full((n, 3, 3), np.nan)
     status = np.full(n, _MISSING, dtype=np.uint8)
     gap_ns = np.zeros(n, dtype=np.int64)
     at_end = np.zeros(n, dtype=np.uint8)
     for m in range(n):
         judged = False
         for sensor in range(3):
-            before, after = _bracket(times[m], values[m], heads[m], sensor, instant_ns)
-            if before < 0:
+            slot, slot_after = _bracket(ring[m], heads[m], sensor, instant_ns)
+            if slot < 0:
                 continue
-            columns = slice(3 * sensor, 3 * sensor + 3)
-            age_ns = instant_ns - times[m, before]
-            span_ns = times[m, after] - times[m, before] if after >= 0 else age_ns
-            at_end[m] |= clipped[m, before]
+            before, after = ring[m, slot], ring[m, slot_after]  # the latter of no use where there is none
+            is_next = slot_after >= 0 and after.sequence - before.sequence == 1
+            age_ns = instant_ns - before.time_ns
+            span_ns = after.time_ns - before.time_ns if slot_after >= 0 else age_ns
+            at_end[m] |= before.clipped
             if age_ns == 0:
-                out[m, columns] = values[m, before, columns]
+                out[m, sensor] = before.measured[sensor]
                 kind = _MEASURED
                 span_ns = 0
-            elif after >= 0 and (span_ns <= max_gap_ns or sequences[m, after] - sequences[m, before] == 1):
+            elif slot_after >= 0 and (span_ns <= max_gap_ns or is_next):
                 weight = age_ns / span_ns
-                at_end[m] |= clipped[m, after]
-                out[m, columns] = (1.0 - weight) * values[m, before, columns] + weight * values[
-                    m, after, columns
-                ]
-                kind = _MEASURED if sequences[m, after] - sequences[m, before] == 1 else _INTERPOLATED
+                at_end[m] |= after.clipped
+                for axis in range(3):
+                    out[m, sensor, axis] = (1.0 - weight) * before.measured[
+                        sensor, axis
+                    ] + weight * after.measured[sensor, axis]
+                kind = _MEASURED if is_next else _INTERPOLATED
             elif age_ns <= hold_ns:
-                out[m, columns] = values[m, before, columns]
+                out[m, sensor] = before.measured[sensor]
                 kind = _HELD
             else:
                 kind = _MISSING

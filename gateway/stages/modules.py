@@ -22,7 +22,7 @@ from gateway.errors import GatewayError, SettingsError
 from gateway.frames import (
     FusedReading,
     ImuFrame,
-    InertialReading,
+    InertialBatch,
     LightReading,
     LocalReading,
     Reading,
@@ -46,7 +46,7 @@ from gateway.stages.frame_assembler import FrameAssembler, Lost
 from gateway.stages.fused_assembler import FusedAssembler
 from gateway.stages.stage import StageContext
 
-_UNUSED = {FusedReading: "fused", InertialReading: "raw", LocalReading: "local", LightReading: "light"}
+_UNUSED = {FusedReading: "fused", InertialBatch: "raw", LocalReading: "local", LightReading: "light"}
 """What readings are called that the method has no use for."""
 _OF_READINGS = frozenset(Lost) - {Lost.SKIPPED_INSTANT}
 
@@ -99,7 +99,7 @@ class ModuleStage:
         else:
             self.assembler = raw = FrameAssembler(suit.module_ids, params)
             self._add = {
-                InertialReading: partial(self._add_inertial, raw),
+                InertialBatch: partial(self._add_inertial, raw),
                 LocalReading: _kept(raw.add_local),
             }
             if self.sun is not None:
@@ -115,7 +115,8 @@ class ModuleStage:
         for reading in observations:
             add = self._add.get(type(reading))
             if add is None:
-                self.unused[_UNUSED[type(reading)]] += 1
+                count = len(reading) if isinstance(reading, InertialBatch) else 1
+                self.unused[_UNUSED[type(reading)]] += count
             else:
                 frames += add(reading, arrived_ns)
         if self.sun is not None:
@@ -170,11 +171,12 @@ class ModuleStage:
         yield Balance("frames", assembler.frames, {"left_out": self.left_out})
 
     def _add_inertial(
-        self, assembler: FrameAssembler, reading: InertialReading, arrived_ns: int
+        self, assembler: FrameAssembler, batch: InertialBatch, arrived_ns: int
     ) -> list[ImuFrame]:
-        corrected = self._corrections.apply(reading)
-        clean = corrected if self._despiker is None else self._despiker.add(corrected)
-        return [] if clean is None else assembler.add(clean, arrived_ns)
+        samples = self._corrections.apply(batch.samples)
+        if self._despiker is not None:
+            samples = self._despiker.add(samples)
+        return assembler.add(samples, arrived_ns)
 
     def _note_restless(self, frames: Sequence[ImuFrame]) -> None:
         """Remember whose modules begin their clocks anew again and again, until the frames are solved."""

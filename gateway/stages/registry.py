@@ -8,7 +8,7 @@ from typing import Any
 from gateway.frames import (
     FusedReading,
     HeatMapFrame,
-    InertialReading,
+    InertialBatch,
     LightReading,
     LocalReading,
     MarkerFrame,
@@ -20,7 +20,7 @@ from gateway.stages.modules import ModuleStage
 from gateway.stages.stage import Stage, StageContext
 
 STAGES: dict[type[Observation], Callable[[StageContext], Stage[Any]]] = {
-    InertialReading: ModuleStage,
+    InertialBatch: ModuleStage,
     FusedReading: ModuleStage,
     LocalReading: ModuleStage,
     LightReading: ModuleStage,

@@ -1,11 +1,9 @@
 """Frame assembly: interpolation against closed form, status, waiting, gaps, determinism."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from gateway.frames import Clipped, InertialReading, LocalReading, Quantity, Status
+from gateway.frames import NOT_READ, Clipped, InertialBatch, LocalReading, Quantity, Status
 from gateway.stages.frame_assembler import AssemblyParams, FrameAssembler, Lost
 
 MS = 1_000_000
@@ -14,14 +12,15 @@ PARAMS = AssemblyParams(frame_interval_ns=10 * MS, max_wait_ns=20 * MS, max_gap_
 
 def reading(module, sequence, time_ns, value=None, magnetic_field=(1.0, 2.0, 3.0)):
     x = time_ns / 1e9 if value is None else value
-    return InertialReading(module, sequence, time_ns, (x, 2 * x, -x), (3 * x, 0.0, x), magnetic_field)
+    measured = (x, 2 * x, -x), (3 * x, 0.0, x), magnetic_field or NOT_READ
+    return InertialBatch.of([(module, sequence, time_ns, measured, 0)]).samples
 
 
 def run(readings, ids=(0, 1), params=PARAMS, delay_ns=MS):
     assembler = FrameAssembler(ids, params)
     frames = []
     for item in readings:
-        frames += assembler.add(item, item.time_ns + delay_ns)
+        frames += assembler.add(item, int(item["time_ns"][0]) + delay_ns)
     return frames, assembler
 
 
@@ -45,7 +44,8 @@ def test_what_rests_on_a_clipped_reading_is_marked_so():
     readings = []
     for k in range(50):
         early = reading(0, k, 10 * MS * k)
-        readings.append(replace(early, clipped=int(Clipped.ANGULAR_RATE)) if k == 20 else early)
+        early["clipped"] = int(Clipped.ANGULAR_RATE) if k == 20 else 0
+        readings.append(early)
         readings.append(reading(1, k, 10 * MS * k + 3 * MS))
     frames, _ = run(readings)
     marked = {frame.time_ns // MS: frame.clipped.tolist() for frame in frames if frame.clipped is not None}
@@ -113,8 +113,8 @@ def test_late_duplicate_and_unknown_readings_are_counted():
 
 def test_a_reading_overtaken_on_its_way_is_put_in_its_place():
     in_order = [reading(m, k, 10 * MS * k) for k in range(20) for m in (0, 1)]
-    swapped = [r for r in in_order if r.sequence not in {10, 11}]
-    at = swapped.index(reading(0, 12, 120 * MS))
+    swapped = [samples for samples in in_order if samples["sequence"][0] not in {10, 11}]
+    at = next(k for k, samples in enumerate(swapped) if samples["sequence"][0] == 12)
     swapped[at:at] = [in_order[23], in_order[21], in_order[20], in_order[22]]  # 1: 11, 10; then 0: 10, 11
     frames, assembler = run(swapped)
     assert not assembler.lost

@@ -13,7 +13,7 @@ from devices.link import Chunk, Framing
 from firmware_protocol import InertialSample, LightSample, LocalMeasurement, encode_frame, wire_frame
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
-from gateway.frames import InertialReading, LocalReading, Quantity
+from gateway.frames import NOT_READ, InertialBatch, LocalReading, Quantity
 from gateway.pipeline import Pipeline
 from gateway.service.accounting import balances_of
 from gateway.stages.frame_assembler import MOST_WAITING, AssemblyParams, FrameAssembler, Lost
@@ -81,8 +81,9 @@ def test_readings_of_one_module_leave_nothing_behind(silent):
     frames = 0
     for k in range(20_000):
         time_ns = k * INTERVAL_NS
-        reading = InertialReading(0, k, time_ns, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0), None)
-        frames += len(assembler.add(reading, time_ns))
+        measured = (0.0, 0.0, 9.81), (0.0, 0.0, 0.0), NOT_READ
+        batch = InertialBatch.of([(0, k, time_ns, measured, 0)])
+        frames += len(assembler.add(batch.samples, time_ns))
     assert frames > 19_000
     assert items_held(assembler) < 500
 
@@ -94,8 +95,7 @@ def test_local_readings_that_no_frame_comes_for_are_bounded_and_counted():
         assembler.add_local(LocalReading(60, k * INTERVAL_NS, Quantity.POSITION, nothing, nothing))
     assert assembler.lost == {Lost.NO_FRAME: 100}
     assert assembler.taken == MOST_WAITING
-    (first, *_) = assembler.add(
-        InertialReading(0, 0, MOST_WAITING * INTERVAL_NS, (0.0, 0.0, 9.81), None, None), 10**12
-    )
+    last = 0, 0, MOST_WAITING * INTERVAL_NS, ((0.0, 0.0, 9.81), NOT_READ, NOT_READ), 0
+    (first, *_) = assembler.add(InertialBatch.of([last]).samples, 10**12)
     assert len(first.local) == MOST_WAITING - 99
     assert first.local[0].time_ns == 100 * INTERVAL_NS

@@ -11,7 +11,7 @@ from gateway.body.subject_file import write_subject
 from gateway.contract.balances import unaccounted
 from gateway.emulation.video_truth import messages_of, ring_of_cameras, walking
 from gateway.errors import SettingsError
-from gateway.frames import InertialReading, Quantity
+from gateway.frames import InertialBatch, Quantity
 from gateway.pipeline import Pipeline
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.recording.suit_snapshot import decode_suit, encode_suit
@@ -61,8 +61,9 @@ def fed(suit, instants, reconstructor="independent"):
         assert pipeline.feed(Chunk(b"".join(instant), arrivals[t], "cameras")) == []
     for k in range(60):
         time_ns = 10**9 - 10**8 + k * 10**7
-        reading = InertialReading(1, k, time_ns, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0), (0.0, 20.0, -40.0))
-        observed += pipeline.module_stage.assembler.add(reading, time_ns)
+        measured = (0.0, 0.0, 9.81), (0.0, 0.0, 0.0), (0.0, 20.0, -40.0)
+        batch = InertialBatch.of([(1, k, time_ns, measured, 0)])
+        observed += pipeline.module_stage.assembler.add(batch.samples, time_ns)
     return pipeline, observed, arrivals
 
 

@@ -16,7 +16,7 @@ from firmware_protocol import InertialSample
 from gateway.body.rig import load_rig
 from gateway.contract.balances import Balance, unaccounted
 from gateway.errors import SettingsError
-from gateway.frames import InertialReading
+from gateway.frames import NOT_READ, InertialBatch
 from gateway.outputs.settings import MqttSettings
 from gateway.pipeline import Pipeline
 from gateway.recording import open_recording
@@ -33,7 +33,7 @@ GOOD = b"1,%d,%d,0.0,0.0,9.81,0.0,0.0,0.5\n"
 class TextSource(ListeningSource):
     """Lines of text to readings."""
 
-    observes = InertialReading
+    observes = InertialBatch
 
     def __init__(self, context):
         self.modules = context.modules
@@ -46,9 +46,9 @@ class TextSource(ListeningSource):
     def receive(self, chunk: Chunk):
         *lines, self.rest[chunk.link] = (self.rest[chunk.link] + chunk.data).split(b"\n")
         self.modules.begin_chunk(chunk)
-        readings = [reading for line in lines if (reading := self.read(line, chunk)) is not None]
-        self.readings += len(readings)
-        return readings
+        samples = [sample for line in lines if (sample := self.read(line, chunk)) is not None]
+        self.readings += len(samples)
+        return [InertialBatch.of(samples)] if samples else []
 
     def read(self, line, chunk):
         try:
@@ -62,7 +62,7 @@ class TextSource(ListeningSource):
         number = counter.count(int(count) & 0xFFFF, self.modules.losses(chunk.link))
         if number is None:
             return None
-        return InertialReading(record.module, number, time_ns, (fx, fy, fz), (wx, wy, wz), None)
+        return record.module, number, time_ns, ((fx, fy, fz), (wx, wy, wz), NOT_READ), 0
 
     def dropped(self):
         return {name: {"bad_line": count} for name, count in self.bad.items()}

@@ -105,10 +105,7 @@ class Capture:
         pipeline.add_link("suit", self.framing)
         assembler = pipeline.module_stage.assembler
         add = assembler.add
-        assembler.add = lambda reading, at: (
-            readings.append(reading),
-            add(reading, at),
-        )[1]
+        assembler.add = lambda samples, at: (readings.extend(samples.copy()), add(samples, at))[1]
 
         def take(got, _chunk):
             truth[got.module, got.sequence] = self._true_ns(got.module, got.module_time_us)
@@ -146,14 +143,15 @@ async def test_samples_belong_to_the_triggers(tmp_path, mosquitto, medium, caplo
         assert live.time_ns == again.time_ns
         np.testing.assert_array_equal(live.q_wb, again.q_wb)
 
-    triggered = [reading for reading in readings if reading.module != ON_OWN_TIMER]
+    triggered = [reading for reading in readings if reading["module"] != ON_OWN_TIMER]
     sent = {given.sent_ns for given in capture.inputs if not isinstance(given, Chunk)}
-    assert {reading.time_ns for reading in triggered} <= sent
+    assert {int(reading["time_ns"]) for reading in triggered} <= sent
     late_us = {}
     for reading in triggered:
-        late_ns = truth[reading.module, reading.sequence % 2**16] - reading.time_ns
+        module, sequence, time_ns, *_ = reading.tolist()
+        late_ns = truth[module, sequence % 2**16] - time_ns
         assert late_ns > 0  # never before the trigger left
-        late_us.setdefault(reading.time_ns, []).append(late_ns * 1e-3)
+        late_us.setdefault(time_ns, []).append(late_ns * 1e-3)
     apart_us = [max(of_one) - min(of_one) for of_one in late_us.values() if len(of_one) == 3]
     assert len(apart_us) > 50
     late = [late for of_one in late_us.values() for late in of_one]

@@ -1,7 +1,5 @@
 """A whole suit in a box, through the wire: its errors are found, written to a rig file, and taken out."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import yaml
@@ -21,7 +19,7 @@ from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_session import SensorSession, combined
 from gateway.emulation.rig import dress
 from gateway.errors import SettingsError
-from gateway.frames import InertialReading
+from gateway.frames import ANGULAR_RATE, NOT_READ, SPECIFIC_FORCE, InertialBatch
 from gateway.pipeline import Pipeline
 from gateway.sources.stream import Stream
 from gateway.stages.frame_assembler import AssemblyParams
@@ -46,13 +44,8 @@ def session():
     stream.add_link("box", Framing.BYTE_STREAM)
     for sent in traffic(suit, SECONDS):
         for reading in stream.receive(Chunk(sent.data, round(sent.time_s * 1e9), "box")):
-            session.add(
-                reading.module,
-                reading.time_ns,
-                reading.specific_force,
-                reading.angular_rate,
-                reading.magnetic_field,
-            )
+            for module, _, time_ns, measured, _ in reading.samples.tolist():
+                session.add(module, time_ns, *(None if np.isnan(m[0]) else tuple(m) for m in measured))
     return session
 
 
@@ -137,13 +130,16 @@ def test_a_rig_file_takes_them_out_of_the_readings(session, tmp_path):
 
 
 def test_modules_without_calibration_pass_as_they_are():
-    reading = InertialReading(3, 0, 0, (1.0, 2.0, 3.0), None, (4.0, 5.0, 6.0))
-    corrections = SensorCorrections({4: SensorCalibration(gyrometer_bias=np.ones(3))})
-    assert corrections.apply(reading) is reading
-    corrected = corrections.apply(replace(reading, module=4, angular_rate=(1.0, 2.0, 3.0)))
-    assert corrected.angular_rate == (0.0, 1.0, 2.0)
-    assert corrected.specific_force == (1.0, 2.0, 3.0)
-    assert corrections.apply(replace(reading, module=4)).angular_rate is None
+    force, rate, field = (1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (4.0, 5.0, 6.0)
+    rows = [(3, 0, 0, (force, rate, field), 0), (4, 0, 0, (force, rate, field), 0)]
+    samples = InertialBatch.of([*rows, (4, 1, 9, (force, NOT_READ, field), 0)]).samples
+    assert SensorCorrections({}).apply(samples) is samples
+    corrected = SensorCorrections({4: SensorCalibration(gyrometer_bias=np.ones(3))}).apply(samples)
+    assert corrected[0] == samples[0]
+    assert corrected["measured"][1, ANGULAR_RATE].tolist() == [0.0, 1.0, 2.0]
+    assert (corrected["measured"][:, SPECIFIC_FORCE] == force).all()
+    assert np.isnan(corrected["measured"][2, ANGULAR_RATE]).all()
+    assert samples["measured"][1, ANGULAR_RATE].tolist() == list(rate)  # what came is left as it was
 
 
 def random_calibration(seed):
