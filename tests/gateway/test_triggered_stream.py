@@ -106,11 +106,11 @@ def test_every_reading_has_the_instant_of_its_trigger(data):
             told = [repr([batch.samples.tolist() for batch in given]) for given in of_both]
             assert told[0] == told[1]  # the same inputs give the same readings
         for batch in of_both[0] if of_both else ():
-            for sample in batch.samples:
-                name = int(sample["module"]), int(sample["sequence"])
+            for row in batch.samples:
+                name = int(row["module"]), int(row["sequence"])
                 assert name not in seen
                 seen.add(name)
-                assert sample["time_ns"] == sent_at[name]
+                assert row["time_ns"] == sent_at[name]
     assert {(m, k) for m, k in seen} <= set(sent_at)
 
 
