@@ -14,9 +14,9 @@ from gateway.analysis.analysing import Analysis
 from gateway.analysis.drawing import draw, scene_of
 from gateway.analysis.drawing import png as drawn_png
 from gateway.analysis.muscles import MuscleResult
-from gateway.errors import GatewayError
 from gateway.report.drawing import require_matplotlib
 from gateway.report.elements import document, picture, table, tiles
+from gateway.support.whole_files import writing
 
 _PICTURES = 3
 _FULL = 0.99
@@ -26,10 +26,8 @@ _FULL = 0.99
 def write_page(found: Analysis, muscles: MuscleResult | None, target: Path, film: Path | None = None) -> None:
     """film: goes into the page. Raises ``GatewayError`` without matplotlib, or when it cannot be written."""
     require_matplotlib()
-    try:
+    with writing(target):
         target.write_text(page(found, muscles, film), encoding="utf-8")
-    except OSError as error:
-        raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
 
 
 def page(found: Analysis, muscles: MuscleResult | None = None, film: Path | None = None) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.batch.job import Job, Outcome
-from gateway.errors import GatewayError
+from gateway.support.whole_files import writing
 
 NAME = "manifest.jsonl"
 
@@ -21,12 +21,10 @@ class Manifest:
         """Raises ``GatewayError`` when the folder cannot be written."""
         self.path = folder / NAME
         self._entries: dict[str, dict[str, Any]] = {}
-        try:
+        with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             text = self.path.read_text(encoding="utf-8") if self.path.exists() else ""
             self._file = self.path.open("a", encoding="utf-8")
-        except OSError as error:
-            raise GatewayError(f"{folder} cannot be written: {error.strerror}") from error
         if text and not text.endswith("\n"):
             self._file.write("\n")
         for line in text.splitlines():

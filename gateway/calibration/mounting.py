@@ -13,7 +13,7 @@ from gateway.calibration.body_result import ModuleResult
 from gateway.calibration.rig_file import write_rig
 from gateway.errors import GatewayError
 from gateway.support.settings_files import load_settings, load_yaml, shipped_folder
-from gateway.support.whole_files import write_whole
+from gateway.support.whole_files import write_whole, writing
 
 _DATE = r"\d{8}T\d{6}Z"
 
@@ -108,8 +108,6 @@ def restore(rig: Path, version: str | None = None, now: datetime | None = None) 
         raise GatewayError(f"{rig} has {wanted} in {history_folder(rig).name}/ (there: {there})")
     content = chosen[0].read_bytes()
     keep(rig, now or datetime.now(UTC))
-    try:
+    with writing(rig):
         write_whole(rig, content)
-    except OSError as error:
-        raise GatewayError(f"{rig} cannot be written: {error.strerror}") from error
     return chosen[0]

@@ -12,9 +12,8 @@ import yaml
 from devices.calibration import SensorCalibration
 from gateway.body.rig import RigFile
 from gateway.body.sensor_entries import CalibrationEntry
-from gateway.errors import GatewayError
 from gateway.support.settings_files import load_settings, load_yaml
-from gateway.support.whole_files import write_whole
+from gateway.support.whole_files import write_whole, writing
 
 
 def write_calibrated_rig(
@@ -61,7 +60,5 @@ def write_rig(
     if beside.is_file() and source.parent.resolve() != target.parent.resolve():
         content["body"] = str(beside.resolve())
     text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
-    try:
+    with writing(target):
         write_whole(target, text.encode())
-    except OSError as error:
-        raise GatewayError(f"{target} cannot be written: {error.strerror}") from error

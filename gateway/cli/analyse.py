@@ -33,6 +33,7 @@ from gateway.errors import GatewayError
 from gateway.recording import SkeletonArrays, open_recording
 from gateway.recording.optical import write_solved_trial
 from gateway.report.drawing import require_matplotlib
+from gateway.support.whole_files import writing
 
 MASS_PARAMETERS = ("BODYMASS", "WEIGHT")
 _NO_MASS = "{file} does not tell what the person weighs: tell it with --mass KG"
@@ -120,11 +121,9 @@ def _write(
 ) -> list[Path]:  # fmt: skip
     """Everything into the folder. slower: of the film; None: without."""
     page, moving = folder / "report.html", folder / "film.webm"
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         written = write_tables(found, pulled, folder, to.value)
-    except OSError as error:
-        raise GatewayError(f"{folder} cannot be written: {error.strerror}") from error
     if slower is not None:
         with progress_bar("film", is_shown=not as_json) as tell:
             write_film(found, pulled, moving, slower, tell)

@@ -23,6 +23,7 @@ from gateway.body.urdf import import_urdf
 from gateway.contract.messages import describe_body
 from gateway.errors import GatewayError
 from gateway.support.settings_files import find_file, load_yaml, shipped_folder
+from gateway.support.whole_files import writing
 
 body_app = typer.Typer(help="Bodies: segments, joints, lengths.", no_args_is_help=True)
 
@@ -148,10 +149,8 @@ def _write(path: Path, head: str, content: dict[str, Any], force: bool) -> None:
     if path.exists() and not force:
         raise GatewayError(f"{path} is there already: name another file, or give --force")
     text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
-    try:
+    with writing(path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise GatewayError(f"{path} cannot be written: {error.strerror}") from error
     typer.echo(f"written to {path}")
 
 

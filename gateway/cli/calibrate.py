@@ -24,12 +24,14 @@ from gateway.body.rig import load_rig
 from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
 from gateway.cli.calibrate_body import body, put_back, versions
 from gateway.cli.calibrate_sensors import sensors
+from gateway.cli.options import refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.clocks import ClockCalibration, ClockTable, LinkBatching, save_clock_table, warm_up
 from gateway.clocks.table import MINUTE_S
 from gateway.errors import GatewayError
 from gateway.settings import GatewaySettings, load_gateway_settings
 from gateway.support.video_extra import require_video_extra
+from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
     from gateway.calibration.boards import Board
@@ -101,8 +103,7 @@ def cameras(
 def _check_cameras(output: Path, *, force: bool) -> None:
     """Raises ``GatewayError`` for what can be told before any picture is read."""
     require_video_extra()
-    if output.exists() and not force:
-        raise GatewayError(f"{output} exists: name another file with --output, or replace it with --force")
+    refuse_existing(output, force)
 
 
 def _calibrated(
@@ -125,10 +126,8 @@ def _draw_boards(board: str, result: CamerasResult, folder: Path) -> int:
     from gateway.calibration.boards import board_of  # noqa: PLC0415 - OpenCV is an extra
     from gateway.calibration.cameras_session import write_board_pictures  # noqa: PLC0415
 
-    try:
+    with writing(folder):
         return write_board_pictures(board_of(board), result, folder)
-    except OSError as error:
-        raise GatewayError(f"{folder} cannot be written: {error.strerror}") from error
 
 
 def _looked_for(
@@ -175,10 +174,8 @@ def _camera_row(camera: Camera) -> dict[str, Any]:
 
 
 def _write_cameras(output: Path, text: str) -> None:
-    try:
+    with writing(output):
         output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise GatewayError(f"{output} cannot be written: {error.strerror}") from error
 
 
 def _tell_cameras(output: Path, rows: list[dict[str, Any]], as_json: bool) -> None:

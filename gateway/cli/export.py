@@ -16,8 +16,8 @@ from rich.table import Table
 from gateway.batch import Job, Manifest, Outcome, Task, jobs_in, run_jobs
 from gateway.batch.job import KINDS, REPORT
 from gateway.body.rig import load_rig
+from gateway.cli.options import refuse_existing
 from gateway.cli.terminal import progress_bar
-from gateway.errors import GatewayError
 from gateway.recording import open_recording
 from gateway.recording.exporters import FORMATS, Axes, Take, take_of
 from gateway.recording.solving import smoothed_arrays
@@ -99,8 +99,7 @@ def _target(file: Path, name: str, output: Path | None, is_folder: bool, force: 
         path = output / f"{file.stem}{suffix}"
     else:
         path = output
-    if path.exists() and not force:
-        raise GatewayError(f"{path} exists: name another file with --output, or replace it with --force")
+    refuse_existing(path, force)
     return path
 
 
@@ -152,8 +151,7 @@ def report(
     """
     require_matplotlib()
     target = output or file.with_suffix(".html")
-    if target.exists() and not force:
-        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    refuse_existing(target, force)
     recording = open_recording(file)
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell:
         found = gather(recording, tell)

@@ -30,6 +30,7 @@ from gateway.imports.map_files import read_maps
 from gateway.imports.suits import BODY, aligned
 from gateway.imports.writing import is_fused, settings_of, solved
 from gateway.settings import GatewaySettings, check_method
+from gateway.support.whole_files import writing
 
 FormatName = StrEnum("FormatName", {name: name for name in ("auto", *FORMATS)})  # type: ignore[misc]  # from the list
 _AUTO = FormatName("auto")
@@ -104,11 +105,8 @@ def import_files(
         suit = _aligned(recording, suit, settings, wanted.neutral, wanted.forward)
     elif wanted.rig is None and name != "mvnx":
         notes.append("modules are taken to lie along their segments; --neutral FROM:TO finds how they sit")
-    with progress_bar(f"importing {recording.name}", is_shown=not wanted.as_json) as tell:
-        try:
-            done = write_imported(recording, suit, settings, files, target, tell)
-        except OSError as error:
-            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+    with progress_bar(f"importing {recording.name}", is_shown=not wanted.as_json) as tell, writing(target):
+        done = write_imported(recording, suit, settings, files, target, tell)
     outcome = {
         "file": str(done.path), "format": name, "modules": done.modules, "seconds": round(done.seconds, 3),
         "rate_hz": recording.sampling_rate_hz, "poses": done.poses, "reconstructor": settings.reconstructor,

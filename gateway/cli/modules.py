@@ -25,6 +25,7 @@ from gateway.modules.assignment import Proposal, Wardrobe
 from gateway.modules.motion_watch import AmbiguousMotionError
 from gateway.modules.operations import RequestError
 from gateway.support.settings_files import load_yaml
+from gateway.support.whole_files import writing
 
 Wide = Annotated[
     bool, typer.Option("--wide", help="Firmware, gaps, resets and clocks too; takes 150 columns.")
@@ -236,10 +237,8 @@ def _yaml(content: Any) -> str:
 
 
 def _write(file: Path, text: str) -> None:
-    try:
+    with writing(file):
         file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise GatewayError(f"{file} cannot be written: {error.strerror}") from error
 
 
 _STILL_S = 2.0

@@ -18,6 +18,7 @@ from devices.link import gateway_time_ns
 from gateway.cli.modules_suit import Operations, SuitChoice, run_with_suit, with_suit
 from gateway.cli.terminal import wide_console
 from gateway.errors import GatewayError
+from gateway.support.whole_files import writing
 
 _READ_AT_ONCE = 12 * 192
 
@@ -101,10 +102,8 @@ def download_file(
             typer.echo(f"{target}: {entry.size} bytes, checksum {entry.crc32:08x} verified")
             return 0
         start_ns = None if started is None else round(started.replace(tzinfo=UTC).timestamp() * 1e9)
-        try:
+        with writing(target):
             made = convert_card_file(fetched, target, start_ns=start_ns, end_ns=gateway_time_ns())
-        except OSError as error:
-            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
         fetched.unlink()
         damaged = f", {made.dropped} damaged wire frames left out" if made.dropped else ""
         typer.echo(
@@ -143,12 +142,10 @@ async def _fetch(operations: Operations, device: str, entry: CardFile, target: P
     columns = (BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=wide_console(), transient=True) as progress:
         task = progress.add_task("", total=entry.size)
-        try:
+        with writing(target):
             await download(
                 read, entry, target, lambda done: progress.update(task, completed=done), step=_READ_AT_ONCE
             )
-        except OSError as error:
-            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
 
 
 def _entry(files: list[dict[str, Any]], wanted: int) -> CardFile:

@@ -23,7 +23,7 @@ from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.body.subject_file import subject_content, write_subject
 from gateway.cli.export import export
-from gateway.cli.options import seconds_of
+from gateway.cli.options import refuse_existing, seconds_of
 from gateway.cli.preparing import make_ready
 from gateway.cli.replay import QUEUE, Brake, speed_of, tell_outcome
 from gateway.cli.replay import play as play_link
@@ -46,6 +46,7 @@ from gateway.recording.optical import (
 from gateway.recording.suit_files import body_of
 from gateway.service.service import Service
 from gateway.settings import load_gateway_settings
+from gateway.support.whole_files import writing
 
 MOST_UNEVEN = 1.15
 """Longer over shorter, of the two segments of one name: beyond it a marker may sit elsewhere."""
@@ -103,8 +104,7 @@ def fit(
     joints, from the motion.
     """
     target = output or files[0].with_suffix(".yaml")
-    if target.exists() and not force:
-        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    refuse_existing(target, force)
     if functional and rules_only:
         raise GatewayError("--functional and --rules-only contradict each other: leave one out")
     options = FitOptions(
@@ -142,10 +142,8 @@ def _write_fit(found: Fit, outcome: dict[str, object], target: Path) -> None:
         target.stem, found.marker_set, body_of(found.skeleton), found.skeleton, found.markers,
         {key: outcome[key] for key in ("trials", "frames", "rmse_mm")}, found.lengths, found.angles,
     )  # fmt: skip
-    try:
+    with writing(target):
         write_subject(target, content)
-    except OSError as error:
-        raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
 
 
 def _axis(text: str | None) -> str | None:
@@ -291,17 +289,13 @@ def solve(
             raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
     suffix = "" if write is write_solved_trial else f"_{method}"
     target = output or file.with_name(f"{file.stem}{suffix}.mcap")
-    if target.exists() and not force:
-        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    refuse_existing(target, force)
     trial = read_markers(file)
     target.unlink(missing_ok=True)
     if write is write_solved_trial:
         make_ready(OPTICAL)
-    with progress_bar("solving", is_shown=not as_json) as tell:
-        try:
-            done = write(trial, file, suit, subject, target, tell)
-        except OSError as error:
-            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+    with progress_bar("solving", is_shown=not as_json) as tell, writing(target):
+        done = write(trial, file, suit, subject, target, tell)
     if plot is not None:
         write_residual_plot(done, trial.rate_hz, plot)
     if as_json:

@@ -93,3 +93,9 @@ def seconds_of(option: str, text: str) -> tuple[float, float]:
     if span is None or float(span[1]) >= float(span[2]):
         raise GatewayError(f"{option} {text}: seconds FROM:TO are wanted, such as 0.5:3")
     return float(span[1]), float(span[2])
+
+
+def refuse_existing(path: Path, force: bool, option: str = "--output") -> None:
+    """Raise ``GatewayError`` for a file that is there, unless it may be replaced. option: what names it."""
+    if path.exists() and not force:
+        raise GatewayError(f"{path} exists: name another file with {option}, or replace it with --force")

@@ -21,6 +21,7 @@ from gateway.recording import RecordingMeta, open_recording
 from gateway.recording.recovery import recover as recover_file
 from gateway.recording.recovery import recover_in_place
 from gateway.recording.summary import RecordingSummary, recordings_in, summarise
+from gateway.support.whole_files import writing
 from gateway.viewer.printable import printable
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for a script.")]
@@ -154,12 +155,10 @@ def _print_modules(summary: RecordingSummary, console: Console) -> None:
 
 
 def _extract(attachments: Mapping[str, bytes], folder: Path) -> None:
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, data in attachments.items():
             (folder / Path(name).name).write_bytes(data)
-    except OSError as error:
-        raise GatewayError(f"{folder} cannot be written: {error.strerror}") from error
 
 
 def _plain(summary: RecordingSummary) -> dict[str, object]:

@@ -21,7 +21,7 @@ from gateway.cameras.broker_outlet import BrokerOutlet
 from gateway.cameras.camera_process import MOST_PEOPLE, CameraTask
 from gateway.cameras.film import drawn_instants, write_film
 from gateway.cameras.serving import Outlet, Sink, listening, serve
-from gateway.cli.options import CaFile, PasswordFile, Protocol, Username, broker_settings
+from gateway.cli.options import CaFile, PasswordFile, Protocol, Username, broker_settings, refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import CAMERA
 from gateway.errors import GatewayError
@@ -198,8 +198,8 @@ def overlay(
     if video is None:
         raise GatewayError(f"{recording} was not made of cameras: `mocap-gateway video solve` makes one")
     target = output or recording.with_name(f"{recording.stem}_overlay.mp4")
-    if target.is_file() and not force:
-        raise GatewayError(f"{target} exists: name another file with --output, or replace it with --force")
+    if not target.is_dir():
+        refuse_existing(target, force)
     known = [camera.name for camera in video.cameras]
     places = named(files, known, recording)
     absent = [name for name in known if name not in places]

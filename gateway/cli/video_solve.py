@@ -21,7 +21,7 @@ from gateway.cameras.camera_process import CameraTask
 from gateway.cameras.consistency import Consistency, consistency_of
 from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
 from gateway.cli.export import export
-from gateway.cli.options import with_options
+from gateway.cli.options import refuse_existing, with_options
 from gateway.cli.terminal import progress_bar
 from gateway.cli.video import Cameras, Join, People, Pictures, Places, joined_of, matched, people_of
 from gateway.errors import GatewayError
@@ -36,6 +36,7 @@ from gateway.recording.video import (
     write_solved_video,
 )
 from gateway.support.video_extra import require_video_extra
+from gateway.support.whole_files import writing
 
 Instants = list[list[bytes]]
 """Messages of one person: of every instant, one a camera."""
@@ -134,8 +135,7 @@ def _places(target: Path, n: int, *, force: bool) -> list[Path]:
     """Of n recordings. Raises ``GatewayError`` where one stands in the way."""
     places = _named(target, n)
     for place in places:
-        if place.exists() and not force:
-            raise GatewayError(f"{place} exists: name another file with --output, or replace it with --force")
+        refuse_existing(place, force)
     return places
 
 
@@ -164,20 +164,14 @@ def _written(
     """The recording, in the place of an older one."""
     target.unlink(missing_ok=True)
     write = write_offline_video if offline else write_solved_video
-    with progress_bar("solving", is_shown=is_shown) as tell:
-        try:
-            return write(messages, rate_hz, suit, target.stem, target, tell)
-        except OSError as error:
-            raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
+    with progress_bar("solving", is_shown=is_shown) as tell, writing(target):
+        return write(messages, rate_hz, suit, target.stem, target, tell)
 
 
 def _write_subject(path: Path, suit: WornSuit, *, force: bool) -> None:
-    if path.exists() and not force:
-        raise GatewayError(f"{path} exists: name another file with --fit-subject, or replace it with --force")
-    try:
+    refuse_existing(path, force, "--fit-subject")
+    with writing(path):
         write_subject(path, video_subject(path.stem, suit))
-    except OSError as error:
-        raise GatewayError(f"{path} cannot be written: {error.strerror}") from error
 
 
 def looked_at(

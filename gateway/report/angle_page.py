@@ -13,6 +13,7 @@ import numpy as np
 from devices.extras import how_to_add
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
+from gateway.support.whole_files import writing
 
 _MOST_POINTS = 2000
 """Of a curve: more cannot be seen."""
@@ -44,10 +45,8 @@ def save_page(page: AnglePage, path: Path) -> None:
         raise GatewayError(f"{path}: a plot is written as .png, .svg, .pdf or .html")
     picture = _picture(page, "png" if kind == "html" else kind)
     content = _html(page, picture).encode() if kind == "html" else picture
-    try:
+    with writing(path):
         path.write_bytes(content)
-    except OSError as error:
-        raise GatewayError(f"{path} cannot be written: {error.strerror}") from error
 
 
 def _picture(page: AnglePage, kind: str) -> bytes:

