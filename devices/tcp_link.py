@@ -12,6 +12,10 @@ from devices.link import Chunk, Framing, LinkError, gateway_time_ns
 from devices.link_counts import LinkCounts
 
 CONNECT_TIMEOUT_S = 5.0
+RECEIVE_BUFFER_BYTES = 1 << 20
+"""Asked of the system, which gives less by default. After the gateway stood still for long, a sender waits
+for room for a whole segment, or for a timer of up to two minutes: on loopback segments are as large as the
+window of the default buffer, and the room that reading makes in it is less."""
 
 # A peer that vanishes without a word (power, radio) is noticed after 5 + 3 × 2 s of silence.
 _KEEPALIVE = (
@@ -129,6 +133,7 @@ class _Connection(asyncio.Protocol):
         self._transport = transport
         connected = transport.get_extra_info("socket")
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         keep_alive(connected)
 
     def data_received(self, data: bytes) -> None:

@@ -64,6 +64,16 @@ async def test_socket_sends_at_once_and_notices_a_silent_peer(joined):
     assert connected.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 5
 
 
+async def test_room_for_more_than_the_largest_segment_is_told_to_the_sender(joined):
+    """With less, a sender waits for its timer when the gateway reads again after it stood still."""
+    link, _, _ = joined
+    connected = link._connection._transport.get_extra_info("socket")
+    granted = (
+        connected.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) / 2
+    )  # told with as much again for heads
+    assert granted > 2 * 65_536
+
+
 async def test_arrival_is_stamped_before_a_busy_reader_looks(joined, stamped_on_arrival):
     link, _, writer = joined
     await stamped_on_arrival(link, lambda: writer.write(b"x"))
