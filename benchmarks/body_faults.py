@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from benchmarks.figures import Figure, Report, table
@@ -13,8 +15,10 @@ from gateway.emulation.body_faults import (
     MODULE_CASES,
     RECOVERED_DEG,
     VICTIM,
+    VICTIM_SEGMENT,
     Case,
     Run,
+    doubtful_after_s,
     emulated,
     is_finite,
     largest_step_deg,
@@ -31,40 +35,82 @@ def run() -> Report:
     suit = suit_with_position()
     calm = emulated(suit, Case("nothing", lasts_s=0.0, seconds=LONG_SECONDS))
     _module_table(report, suit, calm)
+    _worn_table(report, suit)
     _ml_table(report, suit, calm)
     return report
 
 
-def _module_table(report: Report, suit: WornSuit, calm: Run) -> None:
-    victim = int(np.flatnonzero(suit.module_of_segment == suit.module_ids.index(VICTIM))[0])
+def _others(suit: WornSuit, victims: list[int]) -> tuple[list[int], list[int]]:
+    """The segments that have a joint with one of the victims, and those that have none."""
     parents = suit.skeleton.parents
-    neighbours = [int(parents[victim]), *map(int, np.flatnonzero(parents == victim))]
-    others = [s for s in range(len(parents)) if s not in {victim, *neighbours}]
+    near = {int(parents[s]) for s in victims} | set(np.flatnonzero(np.isin(parents, victims)).tolist())
+    near -= {-1, *victims}
+    return sorted(near), [s for s in range(len(parents)) if s not in near and s not in victims]
+
+
+WALKS = 4
+"""Each with noise and a walk of its own."""
+WORN_S = 16.0
+
+
+def _worn_table(report: Report, suit: WornSuit) -> None:
+    """How soon it is told that modules are worn wrong, and whether others are suspected."""
+    calm = Case("as the rig says", lasts_s=0.0, seconds=WORN_S)
+    cases = (calm, *(replace(case, seconds=WORN_S) for case in MODULE_CASES if case.worn))
+    rows, slowest_s, others = [], {}, 0
+    for case in cases:
+        runs = [emulated(suit, case, seed=seed) for seed in range(1, WALKS + 1)]
+        wrong = [suit.skeleton.index(name) for name in case.worn_wrong]
+        told_s = [doubtful_after_s(run, wrong) for run in runs] if wrong else []
+        ever = [np.flatnonzero((run.status == Status.DOUBTFUL).any(axis=0)) for run in runs]
+        suspected = sum(len(set(segments.tolist()) - set(wrong)) for segments in ever)
+        others += suspected
+        slowest_s[case.worn] = max(told_s, default=0.0) if not np.isnan(told_s).any() else np.nan
+        agreement = [run.agreement.get(VICTIM_SEGMENT, np.nan) for run in runs]
+        why = next((run.doubts[VICTIM] for run in runs if VICTIM in run.doubts), "–")
+        cells = [", ".join(map(_seconds, told_s)) or "–", str(suspected), f"{np.mean(agreement):.2f}", why]
+        rows.append([case.name, *cells])
+    head = ["case", "doubtful after, s of walking", "others suspected", "joint agreement", "what is told"]
+    report.tables.append(
+        f"### Modules worn wrong: how soon it is told, in {WALKS} walks of {WORN_S:g} s\n\n"
+        "Why, and what is not seen: [walking](walking.md#modules-worn-wrong-stuck-modules).\n\n"
+        f"{table(head, rows)}"
+    )
+    for worn in ("upside_down", "swapped", "swapped_shanks"):
+        note = f"slowest of {WALKS} walks, from setting off until all that are worn wrong are doubtful"
+        report.figures.append(Figure(f"worn_{worn}_told_s", slowest_s[worn], "s", "<=10", note))
+    note = "segments worn as the rig says that were ever doubtful, all walks"
+    report.figures.append(Figure("worn_others_suspected", others, "", "<=0", note))
+
+
+def _module_table(report: Report, suit: WornSuit, calm: Run) -> None:
     rows, finite, worst_others = [], True, 0.0
     for case in MODULE_CASES:
         found = emulated(suit, case)
         finite &= is_finite(found)
-        own, near, far = (outcome(found, calm, s) for s in ([victim], neighbours, others))
+        victims = [suit.skeleton.index(name) for name in case.worn_wrong or (VICTIM_SEGMENT,)]
+        groups = (victims, *_others(suit, victims))
+        own, near, far = (outcome(found, calm, segments) for segments in groups)
         worst_others = max(worst_others, far.worst_deg)
-        name = suit.skeleton.segment_names[victim]
-        cells = [_seconds(told_after_s(found, [victim])), f"{found.agreement.get(name, np.nan):.2f}"]
+        agreement = _seconds(found.agreement.get(VICTIM_SEGMENT, np.nan))
+        cells = [_seconds(told_after_s(found, victims)), agreement]
         for one in (own, near, far):
             cells += [f"{one.worst_deg:.1f}", _seconds(one.recovery_s)]
         rows.append([case.name, *cells])
-    name = suit.skeleton.segment_names[victim]
     head = ["case", "status tells after, s", "joint agreement", "own worst, °", "over after, s"]
     head += ["neighbours' worst, °", "over after, s", "others' worst, °", "over after, s"]
     report.tables.append(
-        f"### A module fails: `joint` on the 7-module suit, walking; the module of the {name}\n\n"
-        "Excess over the run without fault. *Joint agreement*: 0 agrees with its neighbours, 1 has nothing "
-        f"to do with them (in `bridge/health`); without fault {calm.agreement.get(name, np.nan):.2f}. "
+        f"### A module fails: `joint` on the 7-module suit, walking; the module of the {VICTIM_SEGMENT}\n\n"
+        "Excess over the run without fault. *Own*: of all whose module is faulty or worn wrong. "
+        "*Joint agreement* (in `bridge/health`): 0 agrees with its neighbours, 1 has nothing to do with "
+        f"them; without fault {calm.agreement.get(VICTIM_SEGMENT, np.nan):.2f}. "
         "*Over after*: from the end of the fault until the excess stays "
         f"below {RECOVERED_DEG:g}°; –: the fault lasts.\n\n" + table(head, rows)
     )
     report.figures.append(
         Figure("module_faults_finite", float(finite), "", ">=1", "every orientation and sigma is a number")
     )
-    note = "largest excess of segments that are no neighbours of the faulty one, any module fault"
+    note = "largest excess of segments that are no neighbours of the faulty ones, any module fault"
     report.figures.append(Figure("module_faults_others_deg", worst_others, "°", "", note))
 
 

@@ -19,7 +19,7 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import LocalDevice, WornSuit
-from gateway.emulation.rig import LOCAL_SIGMA, dress, move
+from gateway.emulation.rig import LOCAL_SIGMA, dress, move, worn_wrong
 from gateway.frames import FloatArray, Quantity, Status, StatusArray
 from gateway.geometry import quaternion
 from gateway.geometry.comparison import orientation_error
@@ -29,6 +29,7 @@ from gateway.stages.frame_assembler import AssemblyParams
 BEGIN_S, SECONDS, LONG_SECONDS = 12.0, 32.0, 84.0
 VICTIM, ML = 12, 60
 """Module on the left shank, and the device that measures the pelvis' position."""
+VICTIM_SEGMENT = "left_shank"
 RECOVERED_DEG = 1.0
 STEP_S = 0.05
 LINK = "suit"
@@ -45,12 +46,20 @@ class Case:
     """To the end of the run, if longer than that."""
     begins_s: float = BEGIN_S
     worn: str = ""
-    """``turned``, ``upside_down`` or ``swapped``: how the victim is worn, throughout."""
+    """``turned``, ``upside_down``, ``swapped`` (with the foot's) or ``swapped_shanks``: how the victim is
+    worn, throughout."""
     seconds: float = SECONDS
 
     @property
     def ends_s(self) -> float:
         return self.begins_s + self.lasts_s
+
+    @property
+    def worn_wrong(self) -> tuple[str, ...]:
+        """The segments whose modules are worn wrong."""
+        if not self.worn:
+            return ()
+        return (VICTIM_SEGMENT, *([_SWAPPED_WITH[self.worn]] if self.worn in _SWAPPED_WITH else []))
 
     def plan(self) -> FaultPlan:
         """Return what befalls the emulated suit."""
@@ -68,6 +77,7 @@ MODULE_CASES = (
     Case("module worn turned by 180° about the leg", worn="turned"),
     Case("module worn upside down", worn="upside_down"),
     Case("module and that of the foot swapped", worn="swapped"),
+    Case("modules of both shanks swapped", worn="swapped_shanks"),
     Case("gyrometer saturated for 2 s", _module("saturated"), 2.0),
     Case("accelerometer saturated for 2 s", _module("saturated", sensor="specific_force"), 2.0),
     Case("gyrometer stuck for 5 s", _module("stuck"), 5.0),
@@ -98,6 +108,8 @@ class Run:
     sigma_deg: FloatArray  # (T, n)
     status: StatusArray  # (T, n)
     agreement: dict[str, float]
+    doubts: dict[int, str]
+    """By module at the end, why its segment is doubtful."""
 
 
 def suit_with_position(quantity: Quantity = Quantity.POSITION) -> WornSuit:
@@ -128,7 +140,7 @@ def emulated(suit: WornSuit, case: Case, method: str = "joint", seed: int = 1) -
     times_s = np.array([frame.time_ns for frame in frames]) * 1e-9
     q_wb, state = np.stack([frame.q_wb for frame in frames]), truth.state(times_s)
     error = orientation_error(q_wb, state.q_wb)
-    agreement: Any = pipeline.statistics()["joint_agreement"]
+    statistics: Any = pipeline.statistics()
     return Run(
         case,
         times_s,
@@ -139,26 +151,26 @@ def emulated(suit: WornSuit, case: Case, method: str = "joint", seed: int = 1) -
         state.joint_position,
         np.degrees(np.stack([frame.sigma for frame in frames])),
         np.stack([frame.status for frame in frames]),
-        agreement,
+        statistics["joint_agreement"],
+        {int(module): why for module, why in statistics["doubts"].items()},
     )
 
 
-_TURNS = {"turned": (0.0, 0.0, 1.0, 0.0), "upside_down": (0.0, 1.0, 0.0, 0.0)}
-"""About the length of the segment, and about the axis that looks forward."""
+_ABOUT_THE_LEG = np.array([0.0, 0.0, 1.0, 0.0])
+_SWAPPED_WITH = {"swapped": "left_foot", "swapped_shanks": "right_shank"}
 
 
 def _worn(body: EmulatedBody, how: str) -> EmulatedBody:
     """The body with the victim's module put on wrong."""
-    segment = int(np.flatnonzero(body.module_ids == VICTIM)[0])
-    if how in _TURNS:
+    if how == "turned":
         q = body.sensor_to_segment.copy()
-        q[segment] = quaternion.multiply(np.array(_TURNS[how]), q[segment])
+        segment = int(np.flatnonzero(body.module_ids == VICTIM)[0])
+        q[segment] = quaternion.multiply(_ABOUT_THE_LEG, q[segment])
         return replace(body, sensor_to_segment=q)
-    if how == "swapped":
-        ids = body.module_ids.copy()
-        ids[segment], ids[segment + 1] = ids[segment + 1], ids[segment]
-        return replace(body, module_ids=ids)
-    return body
+    if how == "upside_down":
+        return worn_wrong(body, [VICTIM], [])
+    other = body.module_ids[body.segment_names.index(_SWAPPED_WITH[how])]
+    return worn_wrong(body, [], [VICTIM, int(other)])
 
 
 @dataclass(frozen=True)
@@ -191,6 +203,16 @@ def told_after_s(run: Run, segments: list[int]) -> float:
     """From the beginning until the status of all the segments is another than measured or interpolated."""
     told = (run.status[:, segments] > Status.INTERPOLATED).all(axis=1) & (run.times_s >= run.case.begins_s)
     return float(run.times_s[told][0] - run.case.begins_s) if told.any() else np.nan
+
+
+WALK_S = 2.75
+"""When the walk sets off."""
+
+
+def doubtful_after_s(run: Run, segments: list[int]) -> float:
+    """From when the walk sets off until all the segments are doubtful; NaN: never."""
+    told = (run.status[:, segments] == Status.DOUBTFUL).all(axis=1)
+    return float(run.times_s[told][0] - WALK_S) if told.any() else np.nan
 
 
 def is_finite(run: Run) -> bool:
