@@ -207,7 +207,7 @@ def main() -> None:
     """Run the command line. What the user can put right is one line on standard error, exit code 1."""
     logging.basicConfig(format="%(asctime)s %(levelname)-7s %(message)s", level=logging.WARNING)
     try:
-        app()
+        app(prog_name="mocap-gateway")
     except Exception as error:
         message = str(error) if isinstance(error, _user_errors()) else _file_trouble(error)
         if message is None:

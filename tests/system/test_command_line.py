@@ -72,6 +72,14 @@ def test_articulated_is_told_whose_heading_it_does_not_observe_without_gyrometer
     assert "gyrometers" not in said("suit_17", "joint")
 
 
+def test_help_tells_the_command_as_it_is_typed():
+    """The installed command runs the module, whose name nobody types."""
+    for words in ([], ["modules", "list"]):
+        typed = [sys.executable, "-m", "gateway", *words, "--help"]
+        done = subprocess.run(typed, capture_output=True, text=True, check=True)
+        assert " ".join(["Usage: mocap-gateway", *words, "[OPTIONS]"]) in done.stdout
+
+
 def test_the_schema_describes_every_setting():
     code, out, _ = typed_here(["config", "schema"])
     schema = json.loads(out)
