@@ -171,8 +171,12 @@ class _ChunkIndices:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Raises OSError as opening a file does."""
-        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - closed with the writer
+        """Raises OSError, which names the folder: nobody knows the file that is opened there."""
+        try:
+            self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - closed with the writer
+        except OSError as error:
+            error.filename = str(folder)
+            raise
 
     def append(self, index: ChunkIndex) -> None:
         record = RecordBuilder()

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from gateway.batch import Job, Manifest, Outcome, Task, jobs_in, run_jobs
 from gateway.batch.job import KINDS, REPORT
@@ -125,7 +125,9 @@ def _summary_of(name: str, path: Path, take: Take, units_per_m: float) -> dict[s
 
 
 def _print_written(written: list[dict[str, object]]) -> None:
-    table = Table("file", "frames", "Hz", "world axes", "units/m", "MB", "interpolated")
+    table = Table(
+        Column("file", overflow="fold"), "frames", "Hz", "world axes", "units/m", "MB", "interpolated"
+    )
     for row in written:
         filled = row["interpolated"]
         assert isinstance(filled, dict)

@@ -152,6 +152,7 @@ def test_full_speed_replay_publishes_every_pose(record, tmp_path, mosquitto):
         (("replay", "{path}", "--verify", "--with", "single"), "leave out --with"),
         (("replay", "{path}", "--output", "{path}"), "exists already"),
         (("compare", "{path}", "{path}", "--same-session", "--plot", "plot.gif"), "a plot is written as"),
+        (("replay", "{path}", "--output", "none/x.mcap"), "none: No such file or directory: name a place"),
     ],
 )
 def test_what_cannot_be_is_said_in_a_line(
@@ -196,6 +197,16 @@ def test_an_output_without_ending_is_a_folder(record, tmp_path):
     code, _, _ = typed_here(["export", file, "--to", "bvh", "-o", tmp_path / "new" / "folder"])
     assert code == 0
     assert (tmp_path / "new" / "folder" / f"{file.stem}.bvh").is_file()
+
+
+def test_files_that_were_written_are_named_whole_on_80_columns(record, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    arguments = ["export", record(), "--to", "bvh", "--to", "csv", "-o", tmp_path / "a_rather_long_name"]
+    arguments[1] = arguments[1].rename(tmp_path / "20261123T062415Z_walk.mcap")
+    code, output, _ = typed_here(arguments)
+    cells = [line.split("│")[1].strip() for line in output.splitlines() if line.count("│") > 2]
+    assert code == 0
+    assert "".join(cells) == "20261123T062415Z_walk.bvh20261123T062415Z_walk.csv"
 
 
 def test_compare_says_how_far_two_sources_agree(record, tmp_path):
