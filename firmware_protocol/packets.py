@@ -168,6 +168,8 @@ class PacketDecoder:
     def damaged(self) -> int:
         """How many drops there were that packets of ours may have been lost in."""
         frames = self._frames.dropped
+        if not frames and not self._dropped:
+            return 0  # asked twice a chunk, and mostly so
         return frames.total() + self._dropped.total() - frames[Defect.FOREIGN]
 
     def feed(self, chunk: bytes) -> list[ReceivedPacket]:

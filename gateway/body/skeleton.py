@@ -144,6 +144,11 @@ class WornSuit:
     camera_position: CameraPosition | None = None
     """For cameras that look at somebody with modules."""
 
+    @property
+    def marker_labels(self) -> tuple[str, ...]:
+        """Names of the markers that poses tell of; none where they are keypoints, which no pose tells of."""
+        return () if self.markers is None or self.video is not None else self.markers.labels
+
 
 def field_vector(norm_ut: float, dip_deg: float, declination_deg: float = 0.0) -> FloatArray:
     """The local magnetic field in ENU, µT.

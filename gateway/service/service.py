@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import functools
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import gateway
@@ -96,7 +96,7 @@ class Service:
             info,
             self.statistics,
             lambda: self.side.counters,
-            () if suit.markers is None or suit.video is not None else suit.markers.labels,
+            suit.marker_labels,
         )
         self._outputs: tuple[Output, ...] = (self.mqtt, self.side)
         self.load = LoadWatch()
@@ -124,8 +124,7 @@ class Service:
         operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
         sender = HostSender(self._note_sent, senders=stream.senders)
         self._announced: list[Link] = []  # to the pipeline, and with somebody who takes commands
-        self._synchroniser = _synchroniser(settings, self._announced, sender)
-        self._triggerer = _triggerer(settings, self._announced, sender, stream)
+        self._askers = list(_askers(settings, self._announced, sender, stream))
         self.own_requests = OwnRequests(self.mqtt)
         self.calibration = CalibrationControl(self.pipeline, settings.rig, self._calibrated)
         families = {
@@ -158,9 +157,8 @@ class Service:
     def statistics(self) -> dict[str, object]:
         """Counters for the health message."""
         accounting = {balance.name: balance.summary() for balance in self.balances()}
-        timer = {} if self._triggerer is None else {"trigger_timer": self._triggerer.statistics()}
         return {
-            **timer,
+            **{section: told for asker in self._askers for section, told in asker.statistics().items()},
             **self.pipeline.statistics(),
             "accounting": accounting,
             "links": {name: counts.summary() for name, counts in self._link_counts.items()},
@@ -219,16 +217,10 @@ class Service:
                 asyncio.create_task(kept_running("the load", self._watch_load), name="load"),
                 asyncio.create_task(kept_running("giving memory back", give_back), name="memory"),
             ]
-            if self._synchroniser is not None:
-                companions.append(
-                    asyncio.create_task(
-                        kept_running("the synchroniser", self._synchroniser.run), name="synchroniser"
-                    )
-                )
-            if self._triggerer is not None:
-                companions.append(
-                    asyncio.create_task(kept_running("the triggerer", self._triggerer.run), name="triggerer")
-                )
+            companions += [
+                asyncio.create_task(kept_running(f"the {asker.name}", asker.run), name=asker.name)
+                for asker in self._askers
+            ]
             try:
                 await first_to_end(self._ingest_all(), self.mqtt.until_name_is_taken())
             finally:
@@ -416,23 +408,16 @@ def _links_of(
     ]
 
 
-def _synchroniser(
-    settings: GatewaySettings, links: Sequence[Link], sender: HostSender
-) -> Synchroniser | None:
-    """None where clocks need no exchanges, or none are wanted."""
-    estimates = settings.clock.mode in {ClockMode.ESTIMATED, ClockMode.TRIGGER}
-    if not estimates or not settings.clock.sync_rate_hz:
-        return None
-    return Synchroniser(links, sender, 1.0 / settings.clock.sync_rate_hz)
-
-
-def _triggerer(
+def _askers(
     settings: GatewaySettings, links: Sequence[Link], sender: HostSender, stream: Stream
-) -> Triggerer | None:
-    """None unless the gateway says when to sample."""
-    if stream.triggers is None:
-        return None
-    return Triggerer(links, sender, stream.triggers, settings.clock.trigger_rate_hz)
+) -> Iterator[Synchroniser | Triggerer]:
+    """Yield what sends to all modules time and again: for their time, where clocks are estimated from it, and
+    for samples, where the gateway says when to take them."""
+    clock = settings.clock
+    if clock.mode in {ClockMode.ESTIMATED, ClockMode.TRIGGER} and clock.sync_rate_hz:
+        yield Synchroniser(links, sender, 1.0 / clock.sync_rate_hz)
+    if (answers := stream.triggers) is not None:
+        yield Triggerer(links, sender, answers, clock.trigger_rate_hz)
 
 
 def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:

@@ -29,6 +29,8 @@ def question(asked: int, now_ns: int) -> WireFrame:
 class Synchroniser:
     """Asks over every link in turn; belongs to one event loop."""
 
+    name = "synchroniser"
+
     def __init__(
         self,
         links: Sequence[Link],
@@ -48,6 +50,10 @@ class Synchroniser:
         while True:
             await asyncio.sleep(self._interval_s * random.uniform(*UNEVENNESS))
             await self.ask_all()
+
+    def statistics(self) -> dict[str, object]:
+        """Return nothing: what the answers are worth, the clocks tell."""
+        return {}
 
     async def ask_all(self) -> None:
         """Ask once, over every link."""

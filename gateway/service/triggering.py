@@ -23,7 +23,9 @@ _LOOK_INTERVAL_NS = 1_000_000_000
 
 
 class Triggerer:
-    """Belongs to one event loop."""
+    """Tells modules when to sample; belongs to one event loop."""
+
+    name = "triggerer"
 
     def __init__(
         self,
@@ -62,8 +64,8 @@ class Triggerer:
                 sending.cancel()
 
     def statistics(self) -> dict[str, object]:
-        """For the health message."""
-        return self.timer.figures.summary()
+        """Return the timer's figures, for the health message."""
+        return {"trigger_timer": self.timer.figures.summary()}
 
     def _broadcast(self, trigger: Trigger) -> None:
         """Over all links at once; one that still hangs in the write before it is left out."""

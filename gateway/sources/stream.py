@@ -55,6 +55,7 @@ Listener = Callable[[ReceivedPacket, Chunk], None]
 """Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
 
 
+_FORCE_CLIPPED, _RATE_CLIPPED = int(Clipped.SPECIFIC_FORCE), int(Clipped.ANGULAR_RATE)
 _TRIGGERED = 1 << 8
 """Added to the kind: triggered samples are counted by themselves, by the triggers' numbers."""
 
@@ -207,11 +208,10 @@ class Stream(ListeningSource):
 def _inertial(
     record: ModuleRecord, packet: InertialSample | InertialSampleFine, sequence: int, time_ns: int
 ) -> Sample:
-    clipped = Clipped.SPECIFIC_FORCE if packet.specific_force_clipped else Clipped(0)
-    clipped |= Clipped.ANGULAR_RATE if packet.angular_rate_clipped else Clipped(0)
+    clipped = _FORCE_CLIPPED * packet.specific_force_clipped | _RATE_CLIPPED * packet.angular_rate_clipped
     field = None if packet.magnetic_field_clipped else packet.magnetic_field  # it points elsewhere
     measured = packet.specific_force or NOT_READ, packet.angular_rate or NOT_READ, field or NOT_READ
-    return record.module, sequence, time_ns, measured, int(clipped)
+    return record.module, sequence, time_ns, measured, clipped
 
 
 def _fused(record: ModuleRecord, packet: FusedSample, sequence: int, time_ns: int) -> Reading:
