@@ -46,8 +46,8 @@ _LONGEST_PART = 6
 _RECORD_HEAD = struct.Struct("<BQ")
 """Opcode and length of what follows."""
 
-DAMAGE = (McapError, ValueError, struct.error, ZstdError, RuntimeError, MemoryError)
-"""What the library raises for bytes that are not what they should be."""
+DAMAGE = (McapError, ValueError, struct.error, ZstdError, RuntimeError, MemoryError, OverflowError)
+"""What the library raises for bytes that are not what they should be, lengths beyond any memory too."""
 
 
 class RecordingError(LinkError):

@@ -13,6 +13,7 @@ import zstandard
 from mcap.records import Chunk
 from pydantic import ValidationError
 
+from devices.link import Chunk as LinkChunk
 from devices.link import Framing
 from devices.recording_file import DAMAGE, LARGEST_CHUNK, RecordingError, chunk_records
 from devices.recording_writer import RecordingWriter, session_record
@@ -122,6 +123,24 @@ def test_found_by_fuzzing_texts_that_are_none(tmp_path):
         with pytest.raises(SettingsError, match=f"'{name}.yaml' is damaged"):
             getattr(meta, name)
     assert meta.host == {}
+
+
+@pytest.mark.parametrize("length", [1 << 40, 1 << 63, (1 << 64) - 1])
+def test_found_by_fuzzing_a_length_beyond_any_memory(tmp_path, length):
+    """The library asked for so many bytes: OverflowError."""
+    path = tmp_path / "made.mcap"
+    keys = session_record({"suit": Framing.BYTE_STREAM}, session="s")
+    with RecordingWriter(path, keys, {}, 0) as writer:
+        writer.add_chunk(LinkChunk(b"abc", 5, "suit"), Framing.BYTE_STREAM)
+    data = bytearray(path.read_bytes())
+    place = data.index(b"zstd") + len(b"zstd")  # of a chunk, how long its packed records are
+    packed = int.from_bytes(data[place : place + 8], "little")
+    assert packed < 1000
+    data[place : place + 8] = length.to_bytes(8, "little")
+    path.write_bytes(data)
+    recording = open_recording(path)
+    assert list(recording.items()) == []
+    assert "read up to byte" in recording.defect
 
 
 def test_a_beginning_that_is_no_number_is_refused(tmp_path):
