@@ -33,7 +33,7 @@ help:
 	@echo "make docs    the pages in docs/ as HTML"
 	@echo "make soak    ten million wire frames, damaged and good, through the decoders;"
 	@echo "             then MINUTES=20 of random faults on a running gateway (make soak-faults: these alone)"
-	@echo "make fuzz    MINUTES=30 of coverage-guided fuzzing (Linux on x86-64); what it finds stays in tests/fuzz"
+	@echo "make fuzz    MINUTES=30 of coverage-guided fuzzing (Linux on x86-64); what it reaches stays in build/fuzz"
 	@echo "make audit   known vulnerabilities of the pinned dependencies"
 	@echo "make lock    pin the dependencies anew"
 

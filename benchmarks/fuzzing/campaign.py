@@ -1,30 +1,37 @@
 """``python -m benchmarks.fuzzing.campaign --minutes 30 [TARGET …]``: fuzz one target after another.
 
-What reached new code is kept in ``tests/fuzz/corpora``; time, executions and findings are added up in
-``tests/fuzz/ledger.json``. Ends with 1 when an input broke a check; that input is kept where it says.
+Begins with what ``seeds`` makes and with what once broke something (``tests/fuzz/corpora``). What reached
+new code is kept in ``build/fuzz/corpora`` for the next campaign here; time, executions and findings are added
+up in ``tests/fuzz/ledger.json``. Ends with 1 when an input broke a check; that input is kept where it says.
+Once it is mended, the input goes to ``tests/fuzz/corpora``, named for what it found.
 Needs Atheris (Linux on x86-64): ``make fuzz`` installs it.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import re
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.fuzzing.seeds import seeds
 from benchmarks.fuzzing.targets import CORPORA, TARGETS, Target
 
 LEDGER = CORPORA.parent / "ledger.json"
 FINDINGS = Path("build/fuzz")
 """Where inputs go that broke something."""
+KEPT = FINDINGS / "corpora"
+"""A folder for every target, of inputs that reached something new."""
 LARGEST_CORPUS = 64 * 1024
-"""Bytes kept a target, beside the seeds."""
+"""Bytes kept a target."""
 INPUT_TIMEOUT_S = 10
 LARGEST_MEMORY_MB = 2048
 _GRACE_S = 120
@@ -52,18 +59,27 @@ class Result:
 
 
 def fuzz(target: Target, seconds: float) -> Result:
-    """Run one target; what it found goes to its corpus."""
-    FINDINGS.mkdir(parents=True, exist_ok=True)
-    kept = CORPORA / target.name
+    """Run one target; what it found is kept."""
+    kept = KEPT / target.name
     kept.mkdir(parents=True, exist_ok=True)
     before = set(FINDINGS.iterdir())
-    with tempfile.TemporaryDirectory(prefix="mocap-fuzz-") as folder:
+    with tempfile.TemporaryDirectory(prefix="mocap-fuzz-") as folder, _beginnings(target) as first:
         begun = time.monotonic()
-        output = _run(target, [f"-max_total_time={round(seconds)}", folder, str(kept)], seconds + _GRACE_S)
+        arguments = [f"-max_total_time={round(seconds)}", folder, str(kept), first]
+        output = _run(target, arguments, seconds + _GRACE_S)
         took_s = time.monotonic() - begun
         _keep(target, Path(folder))
     new = sorted(set(FINDINGS.iterdir()) - before)
     return Result(_executions(output), took_s, new[0] if new else None, output)
+
+
+@contextlib.contextmanager
+def _beginnings(target: Target) -> Iterator[str]:
+    """Lay out, in a folder for the time being, what is good and what once broke something."""
+    with tempfile.TemporaryDirectory(prefix="mocap-fuzz-") as folder:
+        for number, data in enumerate([*seeds(target), *(path.read_bytes() for path in target.found)]):
+            (Path(folder) / str(number)).write_bytes(data)
+        yield folder
 
 
 def _run(target: Target, arguments: list[str], timeout_s: float) -> str:
@@ -95,10 +111,10 @@ def surveyed(target: Target, *folder: str) -> dict[str, Any]:
 
 
 def _keep(target: Target, found: Path) -> None:
-    """Of what was found, what reaches more than the corpus does, shortest first, while there is room."""
-    kept = CORPORA / target.name
-    room = LARGEST_CORPUS - sum(path.stat().st_size for path in target.corpus if "seed" not in path.name)
-    for name in surveyed(target, str(found))["adding"]:
+    """Of what was found, keep what reaches more than all before, shortest first, while there is room."""
+    kept = KEPT / target.name
+    room = LARGEST_CORPUS - sum(path.stat().st_size for path in kept.iterdir())
+    for name in surveyed(target, str(kept), str(found))["adding"]:
         data = (found / name).read_bytes()
         room -= len(data)
         if room < 0:

@@ -1,7 +1,8 @@
-"""``python -m benchmarks.fuzzing.coverage TARGET [FOLDER]``: what a corpus reaches, as the interpreter tells.
+"""``python -m benchmarks.fuzzing.coverage TARGET [KEPT NEW]``: what inputs reach, as the interpreter tells.
 
-Prints JSON: lines of functions in the watched modules, how many of them the corpus reaches, and which inputs
-of the folder would reach something new (a line, or a line after another one), shortest first.
+Prints JSON: lines of functions in the watched modules, how many of them are reached by what once broke
+something, by what is generated and by the files of the folder KEPT; and which files of the folder NEW would
+reach more (a line, or a line after another one), shortest first.
 """
 
 from __future__ import annotations
@@ -15,9 +16,8 @@ from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
-from benchmarks.fuzzing.targets import CORPORA, TARGETS, Target
+from benchmarks.fuzzing.targets import ROOT, TARGETS, Target
 
-ROOT = CORPORA.parent.parent.parent
 Step = tuple[str, int, int]
 """File, line, and the line before it in the same call."""
 
@@ -75,25 +75,32 @@ def source_of(module: str) -> str:
     return str(own if own.is_file() else importlib.util.find_spec(module).origin)  # type: ignore[union-attr]
 
 
-def survey(target: Target, folder: Path | None = None) -> dict[str, Any]:
-    """What the module's page says; the target must not be imported yet."""
+def survey(target: Target, kept: Path | None = None, new: Path | None = None) -> dict[str, Any]:
+    """Return what the module's page says; the target must not be imported yet."""
     files = [source_of(name) for name in target.watched]
     tracer = Tracer(files)
     tracer.run(target.check)
     check = target.check()
-    for path in target.corpus:
-        tracer.run(partial(check, path.read_bytes()))
+    from benchmarks.fuzzing.seeds import generated  # noqa: PLC0415 - imports the target
+
+    old = [path.read_bytes() for path in (*target.found, *_files(kept))]
+    for data in (*old, *(data for _, data in generated(target))):
+        tracer.run(partial(check, data))
     reached = {(name, line) for name, line, _ in tracer.steps}
     lines = set().union(*map(function_lines, files))
-    more = sorted(folder.iterdir(), key=lambda path: path.stat().st_size) if folder is not None else []
-    adding = [path.name for path in more if tracer.run(partial(check, path.read_bytes()))]
+    adding = [path.name for path in _files(new) if tracer.run(partial(check, path.read_bytes()))]
     return {"lines": len(lines), "reached": len(reached & lines), "adding": adding}
+
+
+def _files(folder: Path | None) -> list[Path]:
+    """Return the files of a folder, the shortest first."""
+    return sorted(folder.iterdir(), key=lambda path: path.stat().st_size) if folder is not None else []
 
 
 def main() -> None:
     """Survey one target."""
     name, *folders = sys.argv[1:]
-    print(json.dumps(survey(TARGETS[name], Path(folders[0]) if folders else None)))
+    print(json.dumps(survey(TARGETS[name], *map(Path, folders))))
 
 
 if __name__ == "__main__":

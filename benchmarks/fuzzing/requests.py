@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
@@ -18,6 +19,7 @@ from gateway.contract.messages import BridgeInfo
 from gateway.contract.request_messages import ResponseMessage
 from gateway.contract.requests import CALIBRATION_REQUESTS, MODULE_REQUESTS, RESET_REQUESTS
 from gateway.errors import GatewayError
+from gateway.outputs.incoming import Allowance
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.requests import RequestResponder
 from gateway.outputs.settings import MqttSettings
@@ -66,6 +68,7 @@ class _Gateway:
         self.client = _Client()
         self.responder = RequestResponder(MqttSettings(), _GATEWAY, families)
         self.responder._client = self.client  # type: ignore[assignment]
+        self.responder._allowance = Allowance(math.inf, 1 << 62)  # every input is to be answered
 
 
 def _validating(requests: Mapping[str, type[BaseModel]]) -> Any:

@@ -1,28 +1,24 @@
-"""``python -m benchmarks.fuzzing.seeds``: a first corpus for every target, from what is known to be good.
-
-Inputs that the fuzzer found stay beside them.
-"""
+"""What is known to be good, for every target, and what becomes of it by small damage."""
 
 from __future__ import annotations
 
-import io
 import json
-import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import c3d
 import numpy as np
 
 import firmware_protocol
-from benchmarks.fuzzing.targets import CORPORA, TARGETS
-from benchmarks.fuzzing.vendors import PARTS
+from benchmarks.fuzzing.mutants import mutants
+from benchmarks.fuzzing.targets import ROOT, Target
+from benchmarks.fuzzing.vendor_seeds import of_vendors
 from devices.link import Chunk, Framing
 from devices.marker_messages import encode_markers
 from devices.recording_file import RecordingFile
+from devices.recording_format import HOST
 from devices.recording_writer import RecordingWriter, session_record
 from firmware_protocol import CanFrame, pack_can_records
 from firmware_protocol.device_settings import factory_settings
@@ -41,8 +37,6 @@ from gateway.sources.link_settings import LinkSettings
 from gateway.support.settings_files import shipped_folder
 
 _VECTORS = Path(firmware_protocol.__file__).parent / "vectors"
-_DATA = Path(os.environ.get("MOCAP_DATA", CORPORA.parent.parent.parent.parent / "shared" / "data"))
-_ROWS = 6
 _RIG = "arm_4"
 _EVENTS: dict[str, dict[str, Any]] = {
     "reset": {"kind": "heading", "facing": 0.0},
@@ -56,25 +50,19 @@ mqtt: {tls: {}, include: [sigma]}
 """
 
 
-def main() -> None:
-    """Write what is missing."""
-    for name, inputs in _all().items():
-        folder = CORPORA / name
-        folder.mkdir(parents=True, exist_ok=True)
-        for number, data in enumerate(inputs):
-            if len(data) <= TARGETS[name].largest:
-                (folder / f"seed_{number:02}").write_bytes(data)
+def seeds(target: Target) -> list[bytes]:
+    """Return good inputs of a target, none larger than it takes."""
+    return [data for data in _MAKERS[target.place]()[target.name] if len(data) <= target.largest]
 
 
-def _all() -> dict[str, list[bytes]]:
-    return {
-        **_of_the_wire(),
-        **_of_files(),
-        **_of_recordings(),
-        **_of_vendors(),
-        "requests": list(_requests()),
-        "published": [bytes([n]) + text for n, text in enumerate(_published())],
-    }
+def generated(target: Target) -> Iterator[tuple[str, bytes]]:
+    """Yield the seeds of a target and damaged ones, the same ones every time, each with a name."""
+    good = seeds(target)
+    yield from ((f"seed {number}", data) for number, data in enumerate(good))
+    yield from (
+        (f"mutant {number}", data)
+        for number, data in enumerate(mutants(good, target.largest, target.name, target.mutants))
+    )
 
 
 def _vectors(name: str) -> list[dict[str, Any]]:
@@ -143,11 +131,11 @@ def _of_files() -> dict[str, list[bytes]]:
         return [path.read_bytes() for path in paths]
 
     return {
-        "gateway_file": [*texts(*sorted(config.glob("*.yaml")), *Path("docker").glob("*.yaml")), _GATEWAY],
+        "gateway_file": [*texts(*sorted(config.glob("*.yaml")), *(ROOT / "docker").glob("*.yaml")), _GATEWAY],
         "rig_file": texts(*sorted((config / "rigs").glob("*.yaml"))),
         "body_file": texts(*sorted((config / "bodies").glob("*.yaml"))),
         "clock_table": list(_clock_tables()),
-        "urdf": texts(Path("tests/data/arm6.urdf")),
+        "urdf": texts(ROOT / "tests" / "data" / "arm6.urdf"),
         "map_file": [
             b"00B42279: pelvis\n00B42268: thorax\n",
             b'<x><ExperimentalSensor name="_00B42279"><name_in_model>pelvis_imu</name_in_model>'
@@ -191,7 +179,7 @@ def _frame(sequence: int) -> SkeletonFrame:
 def _of_recordings() -> dict[str, list[bytes]]:
     suit = load_rig(_RIG)
     settings = GatewaySettings(links=[LinkSettings(name="suit", url="tcp://127.0.0.1:1")], rig=_RIG)
-    attachments = dict(attachments_of(settings, suit))
+    attachments = {**attachments_of(settings, suit), HOST: b'{"python": "3.11"}'}  # the same on every machine
     whole, bare = _recording(attachments), _recording({})
     cut = [whole[:-8], whole[: len(whole) // 2], bare[:-40]]
     spoilt = whole[:200] + b"\xff\xff\xff\x7f" + whole[204:]
@@ -225,57 +213,6 @@ def _recording(attachments: Mapping[str, bytes]) -> bytes:
         return path.read_bytes()
 
 
-def _of_vendors() -> dict[str, list[bytes]]:
-    mvnx = (
-        b'<mvnx version="4"><subject label="a" frameRate="60" segmentCount="1"><segments>'
-        b'<segment label="Pelvis" id="1"/></segments><frames>'
-        + b"".join(
-            b'<frame time="%d" index="%d" type="normal"><orientation>1 0 0 0</orientation>'
-            b"<position>0 0 1</position></frame>" % (n, n)
-            for n in range(3)
-        )
-        + b"</frames></subject></mvnx>"
-    )
-    columns = (
-        b"rate_hz: 100\nmodules:\n- name: pelvis\n  specific_force: {columns: [x, y, z], unit: g}\n"
-        b"  orientation: {columns: [a, b, c, d], order: xyzw, world: nwu, inverse: true}\n"
-    )
-    table = b"x,y,z,a,b,c,d\n" + b"0,0,1,0,0,0,1\n" * 4
-    timed = columns.replace(b"rate_hz: 100", b"time: {column: t, unit: ms}")
-    rows = b"".join(b"%d,0,0,1,0,0,0,1\n" % (10 * n) for n in range(4))
-    return {
-        "import_mvnx": [mvnx],
-        "import_csv": [columns + PARTS + table, timed + PARTS + b"t,x,y,z,a,b,c,d\n" + rows],
-        "import_xsens": _heads("hipose_mtw17/*.csv", "opensense_gait8/IMUData/**/*.txt"),
-        "import_movella_dot": _heads("movella_dot_pairs/**/*.csv"),
-        "import_c3d": [_c3d()],
-        "import_trc": _heads("trc_opensim/**/*.trc"),
-        "import_ximu3": [PARTS.join(_heads("xio_lower_body7/**/Inertial.csv")[:1] or [b""])],
-    }
-
-
-def _c3d() -> bytes:
-    """Three frames of two markers."""
-    writer = c3d.Writer(point_rate=100)
-    writer.set_point_labels(["A", "B"])
-    frame = np.tile([100.0, 200.0, 300.0, 0.0, 1.0], (2, 1)).astype(np.float32)
-    writer.add_frames([(frame, np.empty((0, 0), np.float32))] * 3)
-    file = io.BytesIO()
-    writer.write(file)
-    return file.getvalue()
-
-
-def _heads(*patterns: str) -> list[bytes]:
-    """The first rows of one file each of the shared recordings."""
-    found: list[bytes] = []
-    for pattern in patterns:
-        for path in sorted(_DATA.glob(pattern))[:1]:
-            lines = path.read_bytes().splitlines(keepends=True)
-            wide = (i for i, line in enumerate(lines) if max(map(line.count, (b",", b"\t", b";"))) > 5)
-            found.append(b"".join(lines[: next(wide, 0) + _ROWS]))
-    return found
-
-
 def _requests() -> Iterator[bytes]:
     asked: Iterable[tuple[str, str]] = (
         ("gateway/health", ""),
@@ -303,6 +240,7 @@ def _published() -> list[bytes]:
         version="0", gateway="g", reconstructor="independent", frame_rate=100.0, modules=modules
     )
     health = MqttOutput(everything, suit.skeleton, info).health()
+    health = health.model_copy(update={"t_ns": 1, "instance": "0", "uptime_s": 1.0})
     return [
         next(poses.of(frame)).payload,
         BridgeState(state="online").payload(),
@@ -312,4 +250,18 @@ def _published() -> list[bytes]:
     ]
 
 
-main()
+def _of_requests() -> dict[str, list[bytes]]:
+    return {
+        "requests": list(_requests()),
+        "published": [bytes([n]) + text for n, text in enumerate(_published())],
+    }
+
+
+_MAKERS: dict[str, Callable[[], dict[str, list[bytes]]]] = {
+    "wire": _of_the_wire,
+    "configuration": _of_files,
+    "recordings": _of_recordings,
+    "vendors": of_vendors,
+    "requests": _of_requests,
+}
+"""By place of the checks."""

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-CORPORA = Path(__file__).parent.parent.parent / "tests" / "fuzz" / "corpora"
-"""A folder of inputs for every target, kept in the repository."""
+ROOT = Path(__file__).parent.parent.parent
+CORPORA = ROOT / "tests" / "fuzz" / "corpora"
+"""Inputs that once broke something, named for what they found: a folder for every target that has some."""
 
 Check = Callable[[bytes], None]
 """Reads an input as the gateway would. Raises for a defect, never for an input that is merely bad."""
@@ -29,6 +30,8 @@ class Target:
     """Modules whose coverage guides the fuzzer, and is reported."""
     largest: int
     """Bytes of an input."""
+    mutants: int = 1000
+    """Damaged inputs that the tests try."""
 
     def check(self) -> Check:
         """The check; imports what it needs."""
@@ -36,8 +39,8 @@ class Target:
         return check
 
     @property
-    def corpus(self) -> list[Path]:
-        """Inputs kept, in a fixed order."""
+    def found(self) -> list[Path]:
+        """Inputs that once broke something, in a fixed order."""
         return sorted(path for path in (CORPORA / self.name).glob("*") if path.is_file())
 
 
@@ -49,6 +52,8 @@ _WIRE = (
     "firmware_protocol.packets",
     "firmware_protocol.relay",
 )
+_MANY = 5000
+"""Mutants of readers that take a tenth of a millisecond."""
 _SETTINGS = ("gateway.settings", "gateway.support.settings_files")
 _SHEETS = (
     "devices.vendor_formats.gaps",
@@ -57,21 +62,23 @@ _SHEETS = (
 )
 
 _ALL = (
-    Target("wire_stream", "wire frames on a byte stream, to packets", "wire", _WIRE, 4096),
+    Target("wire_stream", "wire frames on a byte stream, to packets", "wire", _WIRE, 4096, _MANY),
     Target(
         "can_stream",
         "CAN frames, reassembled, to packets",
         "wire",
         (*_WIRE, "firmware_protocol.can_framing", "firmware_protocol.can_records"),
         4096,
+        _MANY,
     ),
-    Target("slcan_text", "lines of an slcan adapter", "wire", ("devices.slcan",), 1024),
+    Target("slcan_text", "lines of an slcan adapter", "wire", ("devices.slcan",), 1024, _MANY),
     Target(
         "can_transfers",
         "long transfers over CAN, both directions of the receiver",
         "wire",
         ("firmware_protocol.can_transfer", "firmware_protocol.can_transfer_receiver"),
         4096,
+        _MANY,
     ),
     Target(
         "commands",
@@ -84,10 +91,18 @@ _ALL = (
             "devices.emulators.command_responder",
         ),
         2048,
+        _MANY,
     ),
     Target("flash_slots", "settings in a module's flash", "wire", ("firmware_protocol.flash_slots",), 2048),
     Target("markers", "markers of an optical system, as JSON", "wire", ("devices.marker_messages",), 2048),
-    Target("gnss", "NMEA and UBX of a satellite receiver", "wire", ("gateway.sources.gnss.sentences",), 2048),
+    Target(
+        "gnss",
+        "NMEA and UBX of a satellite receiver",
+        "wire",
+        ("gateway.sources.gnss.sentences",),
+        2048,
+        _MANY,
+    ),
     Target("card_file", "a memory card's file, to a recording", "wire", ("devices.card_recording",), 4096),
     Target("gateway_file", "gateway.yaml", "configuration", _SETTINGS, 4096),
     Target(
@@ -105,7 +120,7 @@ _ALL = (
         4096,
     ),
     Target("clock_table", "clock tables", "configuration", ("gateway.clocks.table",), 2048),
-    Target("urdf", "robots as URDF", "configuration", ("gateway.body.urdf",), 4096),
+    Target("urdf", "robots as URDF", "configuration", ("gateway.body.urdf",), 4096, _MANY),
     Target("map_file", "maps of modules to segments", "configuration", ("gateway.imports.map_files",), 2048),
     Target(
         "requests",

