@@ -22,7 +22,7 @@ from devices.link import SUIT, Chunk, InputEvent, LinkItem, SentChunk
 from gateway.body.skeleton import WornSuit, remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.contract.balances import Balance, joined
-from gateway.errors import GatewayError, SettingsError
+from gateway.errors import GatewayError
 from gateway.frames import ImuFrame, InertialBatch, Observation, SkeletonFrame
 from gateway.reconstruction import RootSettings
 from gateway.reconstruction.reconstructor import Reconstructor
@@ -31,7 +31,7 @@ from gateway.settings import GatewaySettings, fitting_suit
 from gateway.sources.despiking import Despiker
 from gateway.sources.link_settings import LinkSettings
 from gateway.sources.module_table import ClockMode, ModuleTable
-from gateway.sources.registry import carried_by, source_kind
+from gateway.sources.registry import carried_by, refuse_unsuited, source_kind
 from gateway.sources.source import Source, SourceContext
 from gateway.sources.stream import Stream
 from gateway.stages.frame_assembler import AssemblyParams
@@ -131,22 +131,18 @@ class Pipeline:
 
         Raises ``SettingsError`` where the suit has no use for what it carries."""
         carries = carried_by(content)
-        try:
-            if carries not in self._sources:
-                self._sources[carries] = source_kind(carries).make(self._source_context)
-            source = self._sources[carries]
-            return source, self.stage_of(source.observes)
-        except SettingsError as error:
-            raise SettingsError(f"link '{name}' carries {carries.replace('_', ' ')}: {error}") from error
+        refuse_unsuited(name, carries, self.suit)
+        if carries not in self._sources:
+            self._sources[carries] = source_kind(carries).make(self._source_context)
+        source = self._sources[carries]
+        return source, self.stage_of(source.observes)
 
     def has_modules(self, link: str) -> bool:
         """Whether modules are at the other end of a link that was announced."""
         return self._routes[link][0].observes is InertialBatch
 
     def stage_of(self, observes: type[Observation]) -> Stage[Any]:
-        """Return the stage that takes a kind of observation, made when it is first asked for.
-
-        Raises ``SettingsError`` where the suit has nothing to be observed so."""
+        """Return the stage that takes a kind of observation, made when it is first asked for."""
         make = STAGES[observes]
         if make not in self._stages:
             self._stages[make] = make(self._stage_context)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -36,7 +37,7 @@ from gateway.reconstruction import (
 )
 from gateway.sources.link_settings import LinkSettings
 from gateway.sources.module_table import ClockMode
-from gateway.sources.registry import SOURCES
+from gateway.sources.registry import SOURCES, refuse_unsuited
 from gateway.stages.frame_assembler import AssemblyParams
 from gateway.support.credentials import AccessToken, token_for
 from gateway.support.log_format import LogFormat
@@ -56,12 +57,22 @@ def _settings_class(given: Any) -> str:
     return SOURCES.get(str(carries), SOURCES[SUIT]).settings.__name__
 
 
+def _is_carried(link: LinkSettings) -> LinkSettings:
+    if link.carries not in SOURCES:
+        raise ValueError(f"carries: no source reads '{link.carries}'{nearest(link.carries, SOURCES)}")
+    return link
+
+
 if TYPE_CHECKING:
     AnyLinkSettings = LinkSettings
 else:
     _kinds = dict.fromkeys(source.settings for source in SOURCES.values())
     _tagged = [Annotated[kind, Tag(kind.__name__)] for kind in _kinds]
-    AnyLinkSettings = Annotated[functools.reduce(operator.or_, _tagged), Discriminator(_settings_class)]
+    AnyLinkSettings = Annotated[
+        functools.reduce(operator.or_, _tagged),
+        Discriminator(_settings_class),
+        AfterValidator(_is_carried),
+    ]
 """Those of the source that reads what the link carries."""
 
 
@@ -305,9 +316,6 @@ class GatewaySettings(_Strict):
     @field_validator("links")
     @classmethod
     def _names_differ(cls, value: list[LinkSettings]) -> list[LinkSettings]:
-        for link in value:
-            if link.carries not in SOURCES:
-                raise ValueError(f"'{link.carries}' is carried by no link{nearest(link.carries, SOURCES)}")
         names = [link.name for link in value]
         if len(set(names)) < len(names):
             raise ValueError("every link needs a name of its own")
@@ -348,6 +356,8 @@ def fitting_suit(settings: GatewaySettings, suit: WornSuit) -> GatewaySettings:
     if settings.root_motion.mode is RootMode.WALKING and not suit.skeleton.contacts:
         raise SettingsError(f"root_motion.mode: walking: {NO_CONTACTS.format(suit.skeleton.name)}")
     refuse_unreadable(settings.reconstructor, suit)
+    for link in settings.links:
+        refuse_unsuited(link.name, link.carries, suit)
     if suit.markers is None or suit.module_ids or settings.reconstructor == OPTICAL:
         return settings
     if "reconstructor" in settings.model_fields_set:

@@ -21,9 +21,8 @@ from gateway.body.rig import load_rig
 from gateway.cameras.broker_link import link_of
 from gateway.doctor import Finding, Verdict, examine_file
 from gateway.errors import GatewayError, SettingsError, nearest
-from gateway.reconstruction import refuse_unreadable
 from gateway.reconstruction.inertial.heading_observability import FACINGS, unobserved_headings
-from gateway.settings import GatewaySettings, load_gateway_settings
+from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
 from gateway.support.whole_files import write_whole
 
 _COLOURS = {Verdict.GOOD: "green", Verdict.WARNING: "yellow", Verdict.BAD: "red"}
@@ -81,7 +80,7 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
     """Check a configuration, the rig and the body it names. Opens nothing."""
     settings = load_gateway_settings(file)
     suit = load_rig(settings.rig, file)
-    refuse_unreadable(settings.reconstructor, suit)
+    fitting_suit(settings, suit)
     for link in settings.links:
         link_of(link, settings.mqtt, lambda: settings.mqtt.port)
     Console().print(

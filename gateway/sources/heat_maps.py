@@ -11,7 +11,6 @@ from devices.cameras.heat_map_messages import HeatMapMessage, HeatMapReceiver
 from devices.link import Chunk
 from gateway.body.skeleton import WornSuit
 from gateway.contract.balances import Balance
-from gateway.errors import SettingsError
 from gateway.frames import CameraHeatMaps, HeatMapFrame
 from gateway.sources.source import ListeningSource
 
@@ -35,9 +34,8 @@ class HeatMapSource(ListeningSource):
     observes = HeatMapFrame
 
     def __init__(self, suit: WornSuit) -> None:
-        """suit: of the person as the cameras see them. Raises ``SettingsError`` without cameras."""
-        if suit.video is None:
-            raise SettingsError(NO_CAMERAS)
+        """suit: of the person as the cameras see them."""
+        assert suit.video is not None
         self._row = {camera.name: row for row, camera in enumerate(suit.video.cameras)}
         self._network = suit.video.network
         self._receivers: dict[str, HeatMapReceiver] = {}

@@ -11,7 +11,6 @@ from devices.link import Chunk
 from devices.marker_messages import MarkerReceiver
 from gateway.body.markers import BodyMarkers
 from gateway.contract.balances import Balance
-from gateway.errors import SettingsError
 from gateway.frames import FloatArray, MarkerFrame
 from gateway.reconstruction.optical.landmarks import to_world
 from gateway.sources.source import ListeningSource, SourceContext
@@ -58,9 +57,7 @@ class MarkerSource(ListeningSource):
     observes = MarkerFrame
 
     def __init__(self, context: SourceContext) -> None:
-        """Raises ``SettingsError`` for a suit without markers."""
-        if context.suit.markers is None:
-            raise SettingsError(NO_MARKERS)
+        assert context.suit.markers is not None  # or it would have been refused
         self._markers = context.suit.markers
         self._links: dict[str, MarkerFrames] = {}
 

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from devices.link import SUIT, Framing
+from gateway.body.skeleton import WornSuit
 from gateway.errors import SettingsError, nearest
 from gateway.sources.gnss.receiver import GnssLinkSettings, GnssSource
-from gateway.sources.heat_maps import HeatMapSource
+from gateway.sources.heat_maps import NO_CAMERAS, HeatMapSource
 from gateway.sources.hips import HipSource
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.markers import MarkerSource
+from gateway.sources.markers import NO_MARKERS, MarkerSource
 from gateway.sources.source import Source, SourceContext
 from gateway.sources.stream import Stream
 
@@ -24,12 +25,20 @@ class SourceKind(NamedTuple):
     """What the configuration may say of such a link."""
     takes_commands: bool = False
     """Whether packets of ours may be written to it: time requests, triggers, commands."""
+    refusal: Callable[[WornSuit], str | None] = lambda _suit: None
+    """Why a suit has no use for it; None: it has."""
+
+
+def _without_markers(suit: WornSuit) -> str | None:
+    return NO_MARKERS if suit.markers is None else None
+
+
+def _without_cameras(suit: WornSuit) -> str | None:
+    return NO_CAMERAS if suit.video is None and suit.camera_position is None else None
 
 
 def _cameras(context: SourceContext) -> Source:
-    """Return what reads heat maps: of a person alone, or of one whose hips are a local device of the modules.
-
-    Raises ``SettingsError`` for a suit without cameras."""
+    """Return what reads heat maps: of a person alone, or of one whose hips are a local device of modules."""
     at_hips = context.suit.camera_position
     return HeatMapSource(context.suit) if at_hips is None else HipSource(at_hips)
 
@@ -37,8 +46,8 @@ def _cameras(context: SourceContext) -> Source:
 SOURCES: dict[str, SourceKind] = {
     SUIT: SourceKind(Stream.of, takes_commands=True),
     "gnss": SourceKind(GnssSource, GnssLinkSettings),
-    "markers": SourceKind(MarkerSource),
-    "heat_maps": SourceKind(_cameras),
+    "markers": SourceKind(MarkerSource, refusal=_without_markers),
+    "heat_maps": SourceKind(_cameras, refusal=_without_cameras),
 }
 """By what a link carries."""
 
@@ -46,6 +55,13 @@ SOURCES: dict[str, SourceKind] = {
 def carried_by(content: str) -> str:
     """Return what a link carries, by the word that recordings keep (``devices.link.content_of``)."""
     return SUIT if content in list(Framing) else content
+
+
+def refuse_unsuited(name: str, carries: str, suit: WornSuit) -> None:
+    """Raise ``SettingsError`` where a suit has no use for what the link of that name carries."""
+    why = source_kind(carries).refusal(suit)
+    if why is not None:
+        raise SettingsError(f"link '{name}' carries {carries.replace('_', ' ')}: {why}")
 
 
 def source_kind(carries: str) -> SourceKind:

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from gateway.contract.balances import Balance
-from gateway.errors import SettingsError
 from gateway.frames import HeatMapFrame, SkeletonFrame
 from gateway.reconstruction.video.reconstructor import VideoPose, video_reconstructor
-from gateway.sources.heat_maps import NO_CAMERAS
 from gateway.stages.stage import StageContext
 
 
@@ -16,9 +14,6 @@ class CameraStage:
     """Instants are put together by their source; their poses are smoothed, so that they come a few later."""
 
     def __init__(self, context: StageContext) -> None:
-        """Raises ``SettingsError`` for a suit without cameras."""
-        if context.suit.video is None:
-            raise SettingsError(NO_CAMERAS)
         self.reconstructor = video_reconstructor(context.suit)
         self.last: VideoPose | None = None
         """How the last instant was explained."""

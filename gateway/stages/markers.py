@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from gateway.contract.balances import Balance
-from gateway.errors import SettingsError
 from gateway.frames import MarkerFrame, SkeletonFrame
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.warm_up import warm_up
-from gateway.sources.markers import NO_MARKERS
 from gateway.stages.stage import StageContext
 
 
@@ -17,9 +15,7 @@ class MarkerStage:
     """An optical system's frames are whole as they come."""
 
     def __init__(self, context: StageContext) -> None:
-        """Raises ``SettingsError`` for a suit without markers."""
-        if context.suit.markers is None:
-            raise SettingsError(NO_MARKERS)
+        assert context.suit.markers is not None  # or their source would have been refused
         warm_up()
         self.reconstructor = OpticalReconstructor(context.suit.skeleton, context.suit.markers)
 

@@ -126,6 +126,7 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
     current: list[type[BaseModel]] = [model]
     for part in location:
         if isinstance(part, int) or is_union_tag(part):
+            current = [one for one in current if one.__name__ == part] or current
             continue
         fields = [one.model_fields[part] for one in current if part in one.model_fields]
         if fields:

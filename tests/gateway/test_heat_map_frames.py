@@ -147,12 +147,9 @@ def test_a_subject_file_stands_in_a_rigs_place(suit, tmp_path):
 
 
 def test_heat_maps_without_cameras_are_refused(suit):
-    pipeline = Pipeline.from_settings(
-        video_settings("suit_17", RATE).model_copy(update={"reconstructor": "independent"}),
-        load_rig("suit_17"),
-    )
-    with pytest.raises(SettingsError, match="the rig has no cameras"):
-        pipeline.add_link(LINK, "heat_maps")
+    settings = video_settings("suit_17", RATE).model_copy(update={"reconstructor": "independent"})
+    with pytest.raises(SettingsError, match="link 'cameras' carries heat maps: the rig has no cameras"):
+        Pipeline.from_settings(settings, load_rig("suit_17"))
 
 
 def test_a_scene_without_anybody_is_told():

@@ -275,8 +275,10 @@ def test_markers_without_a_subject_are_refused() -> None:
     settings = optical_settings("single", 100.0, "udp://:5000")
     with pytest.raises(SettingsError, match="optical fit"):
         Pipeline.from_settings(settings, suit)
-    pipeline = Pipeline.from_settings(settings.model_copy(update={"reconstructor": "independent"}), suit)
-    with pytest.raises(SettingsError, match="carries markers"):
+    with pytest.raises(SettingsError, match="link 'markers' carries markers: the rig has no markers"):
+        Pipeline.from_settings(settings.model_copy(update={"reconstructor": "independent"}), suit)
+    pipeline = Pipeline(suit, settings.assembly.params())
+    with pytest.raises(SettingsError, match="link 'm' carries markers: the rig has no markers"):
         pipeline.add_link("m", "markers")
 
 
