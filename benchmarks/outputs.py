@@ -21,9 +21,9 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs import MqttSettings, PoseSubscriber
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
-from gateway.outputs.pose_publications import PosePublications
+from gateway.outputs.pose_encoding import PosePublications
+from gateway.outputs.settings import OutputsSettings
 from gateway.outputs.side_outputs import SideOutputs
-from gateway.outputs.side_settings import OutputsSettings
 
 SECONDS = 3.0
 REPEATS = 3

@@ -18,10 +18,10 @@ from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.contract.topics import Topics
-from gateway.outputs.pose_publications import PosePublications
+from gateway.outputs.output import Thinning
+from gateway.outputs.pose_encoding import PosePublications
 from gateway.outputs.settings import MqttSettings, PoseFormat, PoseMap
-from gateway.outputs.thinning import Thinning
-from gateway.outputs.vmc import VmcEncoder
+from gateway.outputs.side_outputs import VmcEncoder
 from gateway.pipeline import LOAD_EVENT, Pipeline
 from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, LoadWatch
 from gateway.sources.module_table import ClockMode

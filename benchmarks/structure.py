@@ -28,7 +28,7 @@ from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
 from gateway.contract.topics import Topics
 from gateway.emulation.rig import dress
-from gateway.outputs.pose_publications import PosePublications
+from gateway.outputs.pose_encoding import PosePublications
 from gateway.outputs.settings import MqttSettings
 from gateway.pipeline import Pipeline
 from gateway.stages.frame_assembler import AssemblyParams

@@ -22,8 +22,7 @@ from devices.link import SUIT
 from gateway.body.skeleton import WornSuit
 from gateway.contract.requests import RECORDING_NAME
 from gateway.errors import SettingsError, nearest
-from gateway.outputs.settings import MqttSettings
-from gateway.outputs.side_settings import OutputsSettings
+from gateway.outputs.settings import MqttSettings, OutputsSettings
 from gateway.reconstruction import (
     NO_CONTACTS,
     OFFLINE,

@@ -6,7 +6,7 @@ from benchmarks.fuzzing.files import in_a_file, refused_or_read
 from gateway.body.rig import load_body, load_rig
 from gateway.body.urdf import import_urdf
 from gateway.clocks.table import load_clock_table, save_clock_table
-from gateway.imports.map_files import read_maps
+from gateway.imports.segment_names import read_maps
 from gateway.settings import load_gateway_settings
 
 

@@ -19,7 +19,7 @@ from gateway.contract.messages import BridgeInfo
 from gateway.contract.request_messages import ResponseMessage
 from gateway.contract.requests import CALIBRATION_REQUESTS, MODULE_REQUESTS, RESET_REQUESTS
 from gateway.errors import GatewayError
-from gateway.outputs.incoming import Allowance
+from gateway.outputs.connection import Allowance
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.requests import RequestResponder
 from gateway.outputs.settings import MqttSettings

@@ -28,7 +28,7 @@ from gateway.contract.messages import BridgeInfo, BridgeState, ModuleInfo, descr
 from gateway.contract.topics import Topics
 from gateway.frames import SkeletonFrame
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.pose_publications import PosePublications
+from gateway.outputs.pose_encoding import PosePublications
 from gateway.outputs.settings import MqttSettings, PoseMap
 from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of

@@ -121,7 +121,9 @@ _ALL = (
     ),
     Target("clock_table", "clock tables", "configuration", ("gateway.clocks.table",), 2048),
     Target("urdf", "robots as URDF", "configuration", ("gateway.body.urdf",), 4096, _MANY),
-    Target("map_file", "maps of modules to segments", "configuration", ("gateway.imports.map_files",), 2048),
+    Target(
+        "map_file", "maps of modules to segments", "configuration", ("gateway.imports.segment_names",), 2048
+    ),
     Target(
         "requests",
         "requests over MQTT, up to what carries them out",

@@ -7,7 +7,7 @@ import numpy as np
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.muscles import MuscleResult
 from gateway.frames import FloatArray
-from gateway.report.drawing import LINES, panels, png, small_multiples
+from gateway.report.elements import LINES, panels, png, small_multiples
 
 _MOST_MUSCLES = 24
 

@@ -14,8 +14,7 @@ from gateway.analysis.analysing import Analysis
 from gateway.analysis.drawing import draw, scene_of
 from gateway.analysis.drawing import png as drawn_png
 from gateway.analysis.muscles import MuscleResult
-from gateway.report.drawing import require_matplotlib
-from gateway.report.elements import document, picture, table, tiles
+from gateway.report.elements import document, picture, require_matplotlib, table, tiles
 from gateway.support.whole_files import writing
 
 _PICTURES = 3

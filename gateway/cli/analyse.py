@@ -32,7 +32,7 @@ from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.recording import SkeletonArrays, open_recording
 from gateway.recording.optical import write_solved_trial
-from gateway.report.drawing import require_matplotlib
+from gateway.report.elements import require_matplotlib
 from gateway.support.whole_files import writing
 
 MASS_PARAMETERS = ("BODYMASS", "WEIGHT")

@@ -23,7 +23,7 @@ from gateway.recording.exporters import FORMATS, Axes, Take, take_of
 from gateway.recording.solving import smoothed_arrays
 from gateway.recording.suit_snapshot import encode_suit
 from gateway.report import gather, write_report
-from gateway.report.drawing import require_matplotlib
+from gateway.report.elements import require_matplotlib
 from gateway.settings import MAX_DELAY_MS, check_method
 
 FormatName = StrEnum("FormatName", {name: name for name in FORMATS})  # type: ignore[misc]  # from the list

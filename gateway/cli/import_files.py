@@ -26,7 +26,7 @@ from gateway.imports import (
     read,
     write_imported,
 )
-from gateway.imports.map_files import read_maps
+from gateway.imports.segment_names import read_maps
 from gateway.imports.suits import BODY, aligned
 from gateway.imports.writing import is_fused, settings_of, solved
 from gateway.settings import GatewaySettings, check_method

@@ -22,7 +22,7 @@ from gateway.cli.modules_suit import WIDEST, Operations, SuitChoice, modules_scr
 from gateway.cli.terminal import TypedLines, wide_console
 from gateway.errors import GatewayError, nearest
 from gateway.modules.assignment import Proposal, Wardrobe
-from gateway.modules.motion_watch import AmbiguousMotionError
+from gateway.modules.motion import AmbiguousMotionError
 from gateway.modules.operations import RequestError
 from gateway.support.settings_files import load_yaml
 from gateway.support.whole_files import writing

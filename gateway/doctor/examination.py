@@ -1,8 +1,10 @@
-"""What is looked at, in which order."""
+"""What is looked at, in which order; this computer itself at the end."""
 
 from __future__ import annotations
 
 import asyncio
+import os
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,15 +13,53 @@ from devices.link import SUIT
 from devices.replay_link import ReplayLink
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.doctor import can, listening, ports, running
-from gateway.doctor.broker import broker
-from gateway.doctor.camera_topics import camera_topic, is_at_broker
-from gateway.doctor.findings import Finding, Surroundings, Verdict, bad, good
-from gateway.doctor.host import disk, metrics_port
-from gateway.doctor.lines import capacity
+from gateway.doctor import running
+from gateway.doctor.broker import broker, camera_topic, is_at_broker
+from gateway.doctor.findings import Finding, Surroundings, Verdict, bad, good, warning
+from gateway.doctor.links import can_interface, capacity, latency, listen, naming, opening
 from gateway.errors import SettingsError
-from gateway.settings import GatewaySettings, load_gateway_settings
+from gateway.settings import GatewaySettings, MetricsSettings, RecordingSettings, load_gateway_settings
 from gateway.sources.link_settings import LinkSettings
+
+_MB = 1e6
+
+
+def disk(settings: RecordingSettings, surroundings: Surroundings) -> Finding:
+    """Whether there is room where recordings go."""
+    folder = Path(settings.folder).absolute()
+    present = next(each for each in (folder, *folder.parents) if each.exists())
+    if not present.is_dir() or not os.access(present, os.W_OK | os.X_OK):
+        found = f"{present} cannot be written by this user"
+        return bad("disk", found, f"sudo chown $USER {present}, or another recording.folder")
+    free_mb = surroundings.free_bytes(present) / _MB
+    found = f"{free_mb:,.0f} MB free for recordings in {folder}"
+    remedy = "delete or move recordings, or choose another recording.folder"
+    if free_mb < settings.min_free_mb:
+        least = f"recording stops below {settings.min_free_mb:,.0f} MB (recording.min_free_mb)"
+        return bad("disk", f"{found}: {least}", remedy)
+    if free_mb < settings.warn_free_mb:
+        return warning("disk", found, remedy)
+    return good("disk", found)
+
+
+def metrics_port(settings: MetricsSettings, *, gateway_runs: bool) -> Iterator[Finding]:
+    """Whether the port of the metrics is free, or taken by the running gateway."""
+    if not settings.port:
+        return
+    where = f"{settings.host}:{settings.port}"
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((settings.host, settings.port))
+        except OSError as error:
+            if gateway_runs:
+                yield good("metrics", f"{where} is taken, by the running gateway")
+            else:
+                remedy = "another metrics.port, or stop what listens there (ss -ltnp)"
+                yield bad("metrics", f"{where} cannot be listened on ({error.strerror})", remedy)
+            return
+    yield good("metrics", f"{where} is free")
+
 
 LISTEN_S = 2.0
 
@@ -60,13 +100,13 @@ def examine(
         if is_at_broker(link):
             yield from asyncio.run(camera_topic(link, settings.mqtt, listen_s))
             continue
-        opening = asyncio.run(ports.opening(link, gateway_runs=states is not None))
-        yield opening
-        yield from ports.naming(link, here)
-        yield from ports.latency(link, here)
-        yield from can.can_interface(link, here)
+        opened = asyncio.run(opening(link, gateway_runs=states is not None))
+        yield opened
+        yield from naming(link, here)
+        yield from latency(link, here)
+        yield from can_interface(link, here)
         yield from capacity(link.name, link.url, len(suit.module_ids), rate_hz)
-        if opening.verdict is Verdict.GOOD and _speaks_as_a_suit(link):
+        if opened.verdict is Verdict.GOOD and _speaks_as_a_suit(link):
             readable.append(link)
     yield from asyncio.run(broker(settings.mqtt, settings.gateway, here))
     if states is not None:
@@ -78,7 +118,7 @@ def examine(
 
 
 def _listen(links: list[LinkSettings], suit: WornSuit, seconds: float) -> list[Finding]:
-    return asyncio.run(listening.listen(links, suit, seconds)) if links and seconds else []
+    return asyncio.run(listen(links, suit, seconds)) if links and seconds else []
 
 
 def _speaks_as_a_suit(link: LinkSettings) -> bool:

@@ -28,7 +28,7 @@ from gateway.contract import requests
 from gateway.contract.messages import plain_json
 from gateway.errors import GatewayError, nearest
 from gateway.modules.journal import Entry, Journal, JournalError
-from gateway.modules.motion_watch import MotionWatch
+from gateway.modules.motion import MotionWatch
 from gateway.modules.summary import count_samples, segments_of, summarise
 from gateway.sources.stream import Stream
 

@@ -1,16 +1,23 @@
-"""What is told of each module in a list."""
+"""What is told of each module: in a list, and published from time to time.
+
+Whether a module is heard is judged by packets coming in from one look to the next, not by their arrival
+times: a recording's are those of the day it was made.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from devices.roster import Conflict, Device, Roster
 from firmware_protocol.kinds import Kind
 from gateway.body.skeleton import WornSuit
-from gateway.contract.messages import ModuleClockState
+from gateway.contract.messages import Message, ModuleAvailability, ModuleClockState, ModuleState
+from gateway.contract.topics import MODULE_AVAILABILITY, MODULE_STATE
 from gateway.sources.statistics import ModuleRecord
 from gateway.sources.stream import Stream
 
@@ -176,3 +183,159 @@ def _loss_percent(record: ModuleRecord | None) -> float | None:
     if record is None or not record.received:
         return None
     return round(100 * record.lost / (record.received + record.lost), 2)
+
+
+_RATE_WINDOW_NS = 2_000_000_000
+_RATE_FROM_NS = 900_000_000
+"""A rate of a shorter time would say more of when we looked than of the module."""
+
+
+@dataclass
+class _Watched:
+    """One module as seen so far."""
+
+    module: int
+    segment: str | None
+    is_online: bool = False
+    packets: int = 0
+    heard_ns: int | None = None
+    """When packets were last found to have come."""
+    samples: deque[tuple[int, int]] = field(default_factory=deque)
+    """(when, samples until then) of recent looks."""
+    said_ns: int | None = None
+    said: ModuleState | None = None
+
+    def look(self, record: ModuleRecord, now_ns: int) -> None:
+        """Take note of what has come since the last look."""
+        packets = record.received + record.duplicates
+        if packets != self.packets:
+            self.packets, self.heard_ns = packets, now_ns
+        self.samples.append((now_ns, count_module_samples(record)))
+        while now_ns - self.samples[0][0] > _RATE_WINDOW_NS:
+            self.samples.popleft()
+
+    @property
+    def rate_hz(self) -> float | None:
+        if not self.samples:
+            return None
+        (first_ns, first), (last_ns, last) = self.samples[0], self.samples[-1]
+        span_ns = last_ns - first_ns
+        return round((last - first) * 1e9 / span_ns, 1) if span_ns >= _RATE_FROM_NS else None
+
+
+class ModuleStates:
+    """The modules of the rig, and whoever else is heard.
+
+    silent_after_ns: a module counts as offline after so long without a packet.
+    interval_ns: the figures of one module are told at most so often; silence and return are told at once.
+    late: samples that came too late for their frame, by module.
+    doubts: asked why modules' segments are doubtful, by module; a new doubt is told at once.
+    """
+
+    def __init__(
+        self,
+        stream: Stream,
+        suit: WornSuit,
+        *,
+        silent_after_ns: int,
+        interval_ns: int,
+        late: Mapping[int, int] | None = None,
+        doubts: Callable[[], Mapping[int, str]] = dict,
+    ) -> None:
+        self._stream = stream
+        self._silent_after_ns = silent_after_ns
+        self._interval_ns = interval_ns
+        self._late: Mapping[int, int] = Counter() if late is None else late
+        self._doubts = doubts
+        self._doubted: Mapping[int, str] = {}
+        self._names = module_names(suit)
+        self._watched = {module: _Watched(module, name) for module, name in sorted(self._names.items())}
+        self._started_ns: int | None = None
+
+    def look(self, now_ns: int) -> Iterator[tuple[str, Message]]:
+        """Topics (below the gateway's) and messages that are due. Call it a few times a second."""
+        if self._started_ns is None:
+            self._started_ns = now_ns
+        for module, record in self._stream.modules.items():
+            if module not in self._watched:
+                self._watched[module] = _Watched(module, self._names.get(module))
+            self._watched[module].look(record, now_ns)
+        self._doubted = self._doubts()
+        for watched in self._watched.values():
+            yield from self._news(watched, now_ns)
+
+    def farewell(self, now_ns: int) -> Iterator[tuple[str, Message]]:
+        """What is to be said when the gateway stops: every module is offline."""
+        for watched in self._watched.values():
+            watched.is_online = False
+            yield from self._say(watched, self.state(watched.module, now_ns), is_change=True)
+
+    def states(self, now_ns: int) -> list[ModuleState]:
+        """The figures of all modules as of the last look, by id."""
+        return [self.state(module, now_ns) for module in sorted(self._watched)]
+
+    def state(self, module: int, now_ns: int) -> ModuleState:
+        """The figures of one module. Raises ``KeyError`` for one that is neither in the rig nor heard."""
+        watched, record = self._watched[module], self._stream.modules.get(module)
+        last_ns = None if record is None else record.last_arrival_ns
+        told = _told(record)
+        return ModuleState(
+            t_ns=now_ns,
+            module=module,
+            segment=watched.segment,
+            availability="online" if watched.is_online else "offline",
+            doubt=self._doubted.get(module),
+            silent_since_ns=None if watched.is_online else last_ns,
+            last_arrival_ns=last_ns,
+            rate_hz=watched.rate_hz,
+            late=self._late.get(module, 0),
+            clock=None if record is None else clock_state(record),
+            **told,
+        )
+
+    def _news(self, watched: _Watched, now_ns: int) -> Iterator[tuple[str, Message]]:
+        heard_ns = watched.heard_ns
+        is_online = heard_ns is not None and now_ns - heard_ns <= self._silent_after_ns
+        is_first = watched.said is None
+        if is_first and not is_online and now_ns - (self._started_ns or 0) <= self._silent_after_ns:
+            return  # it may just be slow to begin
+        is_change = is_first or is_online != watched.is_online
+        watched.is_online = is_online
+        is_due = watched.said_ns is None or now_ns - watched.said_ns >= self._interval_ns
+        doubt = None if watched.said is None else watched.said.doubt
+        is_new_doubt = (doubt is None) != (watched.module not in self._doubted)
+        if not (is_change or is_due or is_new_doubt):
+            return
+        state = self.state(watched.module, now_ns)
+        if is_change or watched.said is None or _differs(state, watched.said):
+            yield from self._say(watched, state, is_change)
+
+    def _say(self, watched: _Watched, state: ModuleState, is_change: bool) -> Iterator[tuple[str, Message]]:
+        watched.said_ns, watched.said = state.t_ns, state
+        if is_change:
+            topic = MODULE_AVAILABILITY.format(id=watched.module)
+            yield topic, ModuleAvailability(state=state.availability)
+        yield MODULE_STATE.format(id=watched.module), state
+
+
+def _told(record: ModuleRecord | None) -> dict[str, Any]:
+    """What was counted of a module, and what it says of itself."""
+    health = None if record is None else record.health
+    info = None if record is None else record.info
+    return {
+        "received": 0 if record is None else record.received,
+        "lost": 0 if record is None else record.lost,
+        "duplicates": 0 if record is None else record.duplicates,
+        "gaps": {} if record is None else record.gap_histogram,
+        "resets": 0 if record is None else record.clock.restarts,
+        "battery_percent": None if health is None else health.battery_percent,
+        "temperature_celsius": None if health is None else health.temperature_celsius,
+        "rssi_dbm": None if health is None else health.rssi_dbm,
+        "unique_id": None if info is None else info.unique_id.hex(),
+        "firmware": None if info is None else ".".join(map(str, info.firmware_version)),
+    }
+
+
+def _differs(state: ModuleState, before: ModuleState) -> bool:
+    """Whether there is anything new but the time of the message."""
+    return state.model_copy(update={"t_ns": before.t_ns}) != before

@@ -2,8 +2,8 @@
 
 ``mqtt.MqttOutput`` publishes them, ``PoseSubscriber`` receives them; ``messages`` declares every payload
 and ``topics`` where it is published. Reading order: ``messages``, ``topics``, ``settings``,
-``mqtt``, ``connection``, ``pose_encoding``, ``pose_publications``, ``subscriber``, ``broker_process``; then
-``side_outputs``, ``latest``, ``datagrams``, ``unity``, ``vmc``, ``lsl``.
+``mqtt``, ``connection``, ``pose_encoding``, ``queues``, ``subscriber``, ``broker_process``; then
+``side_outputs``, ``unity``.
 """
 
 from gateway.contract.messages import BridgeInfo, ModuleInfo, PoseMessage

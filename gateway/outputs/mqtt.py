@@ -51,12 +51,11 @@ from gateway.outputs.connection import (
     unique_identifier,
 )
 from gateway.outputs.home_assistant import discovery
+from gateway.outputs.output import Thinning
 from gateway.outputs.own_topics import PublishRights, TwinWatch
-from gateway.outputs.pose_publications import Outgoing, PosePublications
-from gateway.outputs.pose_queue import PoseQueue
-from gateway.outputs.retained import RetainedMessages
+from gateway.outputs.pose_encoding import Outgoing, PosePublications
+from gateway.outputs.queues import PoseQueue, RetainedMessages
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.thinning import Thinning
 
 logger = logging.getLogger(__name__)
 

@@ -1,22 +1,28 @@
-"""A skeleton frame as the bytes of a pose message.
+"""The messages that one skeleton frame becomes.
 
-Runs for every published frame, so it goes round the ``PoseMessage`` model: whole arrays are rounded
-and turned into lists at once, and what seldom changes (the status of the segments) is kept.
+Runs for every published frame, so it goes round the models of messages: whole arrays are rounded and
+turned into lists at once, and what seldom changes (the status of the segments) is kept.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import orjson
 import ormsgpack
+from paho.mqtt.properties import Properties
 
 from gateway.body.joint_angles import JointAngles
+from gateway.body.skeleton import Skeleton
 from gateway.contract.messages import STATUS_NAMES
-from gateway.frames import FloatArray, SkeletonFrame, StatusArray
-from gateway.outputs.settings import PoseMap
+from gateway.contract.properties import JSON, MSGPACK, properties_of
+from gateway.contract.topics import Topics
+from gateway.frames import FloatArray, MarkerFit, SkeletonFrame, StatusArray
+from gateway.outputs.output import Thinning
+from gateway.outputs.settings import MqttSettings, PoseFormat, PoseMap
 
 _ATTRIBUTES: dict[PoseMap, str] = {
     PoseMap.POSITION: "p_w",
@@ -135,3 +141,97 @@ class PoseEncoder:
             names = (STATUS_NAMES[value] for value in key)
             self._status_key, self._status = key, dict(zip(self._names, names, strict=True))
         return self._status
+
+
+_DECIMALS = 6  # a micrometre: less than any optical system resolves
+
+
+def markers_message(labels: tuple[str, ...], frame: SkeletonFrame) -> dict[str, Any] | None:
+    """The fields of a ``MarkersMessage``; None for a pose that was made of something else, or of no marker.
+
+    labels: of the fitted body, in the order of the fit. Raises ``ValueError`` for another number of them.
+    """
+    fit = frame.markers
+    if fit is None or not np.isfinite(fit.virtual).all():
+        return None
+    rows = zip(
+        labels, _places(fit.positions), _places(fit.virtual), _residuals(fit), fit.used.tolist(), strict=True
+    )
+    markers = {
+        label: {"position": seen, "expected": expected, "residual": residual, "used": used}
+        for label, seen, expected, residual, used in rows
+    }
+    for marker, whose in fit.renamed:
+        markers[labels[marker]]["taken_from"] = "" if whose < 0 else labels[whose]
+    return {
+        "t_ns": frame.time_ns,
+        "seq": frame.sequence,
+        "frame": "ENU",
+        "markers": markers,
+        "unlabelled": [place for place in _places(fit.unlabelled) if place is not None],
+    }
+
+
+def _places(places: FloatArray) -> list[list[float] | None]:
+    """Rows as JSON values; None for one that is not known."""
+    rounded = np.round(places, _DECIMALS) + 0.0
+    rows: list[list[float]] = rounded.tolist()
+    known: list[bool] = np.logical_and.reduce(np.isfinite(rounded), axis=1).tolist()
+    return [row if is_known else None for row, is_known in zip(rows, known, strict=True)]
+
+
+def _residuals(fit: MarkerFit) -> list[float | None]:
+    rounded: list[float] = np.round(fit.residuals, _DECIMALS).tolist()
+    return [residual if math.isfinite(residual) else None for residual in rounded]
+
+
+class Outgoing(NamedTuple):
+    """One message as it is published, with QoS 0."""
+
+    topic: str
+    payload: bytes
+    properties: Properties | None
+
+
+class PosePublications:
+    """Frames of one skeleton to messages."""
+
+    def __init__(
+        self, settings: MqttSettings, skeleton: Skeleton, topics: Topics, markers: tuple[str, ...] = ()
+    ) -> None:
+        """markers: names of those that the body has, for poses made from them."""
+        angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
+        self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include, angles)
+        self._formats = settings.pose_formats
+        self._topics = topics
+        self._segment_topics = {name: topics.segment(name) for name in skeleton.segment_names}
+        self._segments_due = None if settings.segment_rate is None else Thinning(settings.segment_rate)
+        self._markers = markers
+        self._markers_due = None if settings.marker_rate is None else Thinning(settings.marker_rate)
+        self.has_segments = True
+        """Whether messages of single segments and of markers are made, where they are configured."""
+        protocol, expiry_s = settings.spoken_protocol, settings.pose_expiry_s
+        self._json = properties_of(protocol, JSON, expiry_s)
+        self._msgpack = properties_of(protocol, MSGPACK, expiry_s)
+
+    def of(self, frame: SkeletonFrame) -> Iterator[Outgoing]:
+        """The messages of a frame. Raises ``ValueError`` for one of another skeleton."""
+        message = self._encoder.message(frame)
+        if PoseFormat.JSON in self._formats:
+            yield Outgoing(self._topics.pose, as_json(message), self._json)
+        if PoseFormat.MSGPACK in self._formats:
+            yield Outgoing(self._topics.pose_msgpack, as_msgpack(message), self._msgpack)
+        due = self._segments_due if self.has_segments else None
+        if due is not None and due.admits(frame.time_ns):
+            for name, segment in segment_messages(message):
+                yield Outgoing(self._segment_topics[name], as_json(segment), self._json)
+        if self.has_segments:
+            yield from self._of_markers(frame)
+
+    def _of_markers(self, frame: SkeletonFrame) -> Iterator[Outgoing]:
+        due = self._markers_due
+        if due is None or frame.markers is None or not due.admits(frame.time_ns):
+            return
+        message = markers_message(self._markers, frame)
+        if message is not None:
+            yield Outgoing(self._topics.markers, as_json(message), self._json)

@@ -32,13 +32,13 @@ from gateway.contract.request_messages import (
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError, nearest
 from gateway.outputs.connection import (
+    Allowance,
     broker_back_off,
     broker_connection,
     end_tasks,
     explain,
     unique_identifier,
 )
-from gateway.outputs.incoming import Allowance
 from gateway.outputs.settings import MqttSettings
 
 _log = logging.getLogger(__name__)

@@ -1,21 +1,277 @@
-"""All outputs beside MQTT, as configured."""
+"""All outputs beside MQTT, as configured: UDP, VMC, LSL. They send the newest pose and never wait.
+
+LSL: channels ``<segment>_w, _x, _y, _z``, segment to world (ENU), NaN where not known. Time stamps are the
+instants of the poses on LSL's own clock, so recorders line them up with other devices. VMC (OSC over UDP)
+is what Unity, Blender and VR apps take as an avatar.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import importlib
+import logging
+import socket
+import struct
 from collections.abc import AsyncIterator
+from typing import Any, Protocol
 
+from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+from pythonosc.osc_message_builder import OscMessageBuilder
+
+from devices.extras import how_to_add
+from devices.link import gateway_time_ns
 from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
 from gateway.contract.messages import OutputCounters
+from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
-from gateway.outputs.datagrams import DatagramSink
-from gateway.outputs.latest import LatestOutput, Sink
-from gateway.outputs.lsl import LslSink
+from gateway.outputs.connection import end_tasks
+from gateway.outputs.output import Thinning
 from gateway.outputs.pose_encoding import PoseEncoder
-from gateway.outputs.settings import PoseMap
-from gateway.outputs.side_settings import OutputsSettings, UdpJsonSettings
-from gateway.outputs.vmc import VmcEncoder
+from gateway.outputs.settings import OutputsSettings, PoseMap, UdpJsonSettings
+from gateway.outputs.unity import AvatarPoses
+
+_log = logging.getLogger(__name__)
+
+
+class Sink(Protocol):
+    """Where poses go. Nothing here waits for whoever reads them."""
+
+    async def open(self) -> None:
+        """Raises ``OutputError``."""
+
+    def send(self, frame: SkeletonFrame) -> bool:
+        """Whether the system took all of it. May raise ``OSError``."""
+
+    def close(self) -> None: ...
+
+
+class LatestOutput:
+    """An ``Output`` in front of a sink. Belongs to one event loop.
+
+    name: in the counters and the log; rate: most poses a second.
+    """
+
+    def __init__(self, name: str, sink: Sink, rate: float) -> None:
+        self.name = name
+        self.is_paused = False
+        """Frames offered meanwhile count as thinned."""
+        self._sink = sink
+        self._thinning = Thinning(rate)
+        self._waiting: SkeletonFrame | None = None
+        self._wake = asyncio.Event()
+        self._published = self._dropped = self._thinned = 0
+        self._has_complained = False
+        self._task: asyncio.Task[None] | None = None
+        self._is_open = False
+
+    @property
+    def counters(self) -> OutputCounters:
+        """What became of the offered poses so far."""
+        return OutputCounters(
+            published=self._published,
+            dropped=self._dropped,
+            thinned=self._thinned,
+            queued=int(self._waiting is not None),
+        )
+
+    def offer(self, frame: SkeletonFrame) -> None:
+        """Take a frame. Never waits; one that still waits gives way."""
+        if self.is_paused or not self._thinning.admits(frame.time_ns):
+            self._thinned += 1
+            return
+        if self._waiting is not None:
+            self._dropped += 1
+        self._waiting = frame
+        self._wake.set()
+
+    async def open(self) -> None:
+        """Open the sink; does nothing for the second time. Raises ``OutputError``."""
+        if not self._is_open:
+            await self._sink.open()
+            self._is_open = True
+
+    async def start(self) -> None:
+        """Begin. Raises ``OutputError`` when the sink cannot be opened."""
+        await self.open()
+        self._task = asyncio.create_task(self._run(), name=f"output {self.name}")
+
+    async def stop(self) -> None:
+        """End, begun or not; what still waits is dropped."""
+        if self._task is not None:
+            await end_tasks(self._task)
+            self._task = None
+        self._sink.close()
+        self._is_open = False
+
+    async def _run(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            frame, self._waiting = self._waiting, None
+            if frame is not None:
+                self._send(frame)
+
+    def _send(self, frame: SkeletonFrame) -> None:
+        try:
+            is_sent = self._sink.send(frame)
+        except Exception as error:
+            # Nothing that is wrong with one output may end it, or the others.
+            is_sent = False
+            if not self._has_complained:
+                self._has_complained = True
+                _log.warning("output %s: a pose could not be sent (%s)", self.name, error)
+        if is_sent:
+            self._published += 1
+        else:
+            self._dropped += 1
+
+
+class Encoder(Protocol):
+    """Makes the datagrams of a frame."""
+
+    def encode(self, frame: SkeletonFrame) -> list[bytes]: ...
+
+
+class DatagramSink:
+    """Sends to one address. name: of the output, for errors."""
+
+    def __init__(self, name: str, host: str, port: int, encoder: Encoder) -> None:
+        self._name = name
+        self._host = host
+        self._port = port
+        self._encoder = encoder
+        self._socket: socket.socket | None = None
+        self._address: tuple[object, ...] = ()
+
+    async def open(self) -> None:
+        """Find the address. Raises ``OutputError`` for a host that nobody knows."""
+        loop = asyncio.get_running_loop()
+        try:
+            found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
+        except OSError as error:
+            raise OutputError(
+                f"outputs.{self._name}: no such host '{self._host}' ({error.strerror}): correct host"
+            ) from error
+        family, kind, protocol, _, self._address = found[0]
+        self._socket = socket.socket(family, kind, protocol)
+        self._socket.setblocking(False)
+
+    def send(self, frame: SkeletonFrame) -> bool:
+        """Whether the system took all datagrams. Raises ``OSError``, such as for a network that is away."""
+        assert self._socket is not None
+        try:
+            for datagram in self._encoder.encode(frame):
+                self._socket.sendto(datagram, self._address)
+        except BlockingIOError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Give the socket back."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+STREAM_TYPE = "MoCap"
+
+
+class LslSink:
+    """A stream outlet; frame_rate: poses a second, as far as known beforehand, Hz."""
+
+    def __init__(self, name: str, source: str, segment_names: tuple[str, ...], frame_rate: float) -> None:
+        self._name = name
+        self._source = source
+        self._segment_names = segment_names
+        self._frame_rate = frame_rate
+        self._pylsl: Any = None
+        self._outlet: Any = None
+
+    async def open(self) -> None:
+        """Announce the stream. Raises ``OutputError`` where LSL is not installed."""
+        try:
+            self._pylsl = importlib.import_module("pylsl")
+        except (ImportError, RuntimeError, OSError) as error:  # the package, or its native library
+            raise OutputError(f"outputs.lsl: LSL is not there ({error}): {how_to_add('lsl')}") from error
+        channels = 4 * len(self._segment_names)
+        info = self._pylsl.StreamInfo(
+            self._name, STREAM_TYPE, channels, self._frame_rate, self._pylsl.cf_float32, self._source
+        )
+        described = info.desc().append_child("channels")
+        for segment in self._segment_names:
+            for component in "wxyz":
+                channel = described.append_child("channel")
+                channel.append_child_value("label", f"{segment}_{component}")
+                channel.append_child_value("type", "Orientation")
+                channel.append_child_value("unit", "quaternion")
+        self._outlet = self._pylsl.StreamOutlet(info)
+
+    def send(self, frame: SkeletonFrame) -> bool:
+        """LSL buffers for whoever listens, and drops for whoever does not read."""
+        age_s = (gateway_time_ns() - frame.time_ns) * 1e-9
+        self._outlet.push_sample(frame.q_wb.ravel().tolist(), self._pylsl.local_clock() - age_s)
+        return True
+
+    def close(self) -> None:
+        """Withdraw the stream."""
+        self._outlet = None
+
+
+MESSAGES_TOGETHER = 12
+"""In a datagram: below the 1,500 bytes that a network takes whole."""
+
+_PLACE = struct.Struct(">7f")
+_SIZE = struct.Struct(">i")
+_BUNDLE_HEAD = OscBundleBuilder(IMMEDIATELY).build().dgram
+_NOWHERE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+class VmcEncoder:
+    """Frames of one body as OSC bundles. Raises ``OutputError`` for a body that no avatar has.
+
+    A bone's message differs from frame to frame in its last seven numbers only, and those end it: all before
+    them is kept. Built anew each time, a frame would take several times as long.
+    """
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        self._avatar = AvatarPoses(skeleton)
+        if not self._avatar.bones:
+            raise OutputError(
+                f"outputs.vmc: body '{skeleton.name}' is not a person's (its root is no pelvis): "
+                "take udp_json for other bodies"
+            )
+        self._start_ns: int | None = None
+        self._state = _message("/VMC/Ext/OK", 1)
+        self._root = _message("/VMC/Ext/Root/Pos", "root", *_NOWHERE)
+        self._heads = [
+            _message("/VMC/Ext/Bone/Pos", bone.name, *_NOWHERE)[: -_PLACE.size] for bone in self._avatar.bones
+        ]
+
+    def encode(self, frame: SkeletonFrame) -> list[bytes]:
+        """The datagrams of one frame: state, time and root, then the bones."""
+        if self._start_ns is None:
+            self._start_ns = frame.time_ns
+        seconds = (frame.time_ns - self._start_ns) * 1e-9
+        positions, rotations = self._avatar.update(frame)
+        places = zip(self._heads, positions.tolist(), rotations.tolist(), strict=True)
+        messages = [self._state, _message("/VMC/Ext/T", seconds), self._root]
+        messages += [head + _PLACE.pack(*p, *q) for head, p, q in places]
+        return [
+            _bundle(messages[i : i + MESSAGES_TOGETHER]) for i in range(0, len(messages), MESSAGES_TOGETHER)
+        ]
+
+
+def _message(address: str, *values: str | float) -> bytes:
+    builder = OscMessageBuilder(address)
+    for value in values:
+        builder.add_arg(value)
+    return builder.build().dgram
+
+
+def _bundle(messages: list[bytes]) -> bytes:
+    return _BUNDLE_HEAD + b"".join(_SIZE.pack(len(message)) + message for message in messages)
 
 
 class SideOutputs:

@@ -15,7 +15,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.clocks import AnchorWatch
 from gateway.contract.balances import Balance, unaccounted
 from gateway.contract.messages import BridgeInfo, UtcAnchor
-from gateway.modules.module_states import ModuleStates
+from gateway.modules.summary import ModuleStates
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.pipeline import Pipeline

@@ -32,10 +32,9 @@ from gateway.contract.messages import BridgeInfo, ModuleInfo
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.modules.journal import Journal, default_journal_path
-from gateway.modules.module_log import ModuleLog
+from gateway.modules.module_log import ModuleLog, Strangers
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
-from gateway.modules.strangers import Strangers
 from gateway.outputs.connection import first_to_end
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output

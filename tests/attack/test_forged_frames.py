@@ -17,7 +17,7 @@ from firmware_protocol.commands import encode_arguments
 from firmware_protocol.messages import ANYONE
 from firmware_protocol.signing import SignedFrames
 from gateway.body.rig import load_rig
-from gateway.doctor.listening import listen
+from gateway.doctor.links import listen
 from gateway.emulation.rig import dress, move
 from gateway.outputs.settings import MqttSettings
 from gateway.service.service import Service

@@ -24,8 +24,8 @@ from gateway.body.rig import load_rig
 from gateway.frames import SkeletonFrame
 from gateway.outputs import BridgeInfo, MqttSettings
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.settings import OutputsSettings
 from gateway.outputs.side_outputs import SideOutputs
-from gateway.outputs.side_settings import OutputsSettings
 from gateway.outputs.unity import AvatarPoses, t_pose
 from tests.patience import PATIENCE_S
 

@@ -10,7 +10,7 @@ import pytest
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
 from gateway.doctor import Verdict, examine
-from gateway.doctor.camera_topics import camera_topic
+from gateway.doctor.broker import camera_topic
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.settings import MqttSettings
 from gateway.settings import GatewaySettings

@@ -15,7 +15,7 @@ import yaml
 
 from gateway.contract.messages import ModuleClockState, ModuleState
 from gateway.doctor import Surroundings, Verdict, examine_file
-from gateway.doctor.host import disk, metrics_port
+from gateway.doctor.examination import disk, metrics_port
 from gateway.doctor.running import judge, module_states
 from gateway.outputs.settings import MqttSettings
 from gateway.settings import LinkSettings, MetricsSettings, RecordingSettings
@@ -100,7 +100,7 @@ def test_no_permission(examined, pty):
     assert examined(url=pty[1])["suit: port"].verdict is Verdict.GOOD
     os.seteuid(65534)
     try:
-        from gateway.doctor.ports import opening  # noqa: PLC0415
+        from gateway.doctor.links import opening  # noqa: PLC0415
 
         finding = asyncio.run(opening(LinkSettings(name="suit", url=pty[1]), gateway_runs=False))
     finally:

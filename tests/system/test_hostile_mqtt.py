@@ -13,7 +13,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from gateway.contract.request_messages import LARGEST_REQUEST
-from gateway.outputs.incoming import LARGEST_MESSAGE
+from gateway.outputs.connection import LARGEST_MESSAGE
 from gateway.outputs.requests import MOST_AT_ONCE, RequestResponder
 from gateway.outputs.settings import MqttSettings
 

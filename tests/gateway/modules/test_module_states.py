@@ -8,7 +8,7 @@ from firmware_protocol import DeviceInfo, Health, InertialSample, wire_frame
 from firmware_protocol.framing import encode_frame
 from gateway.body.rig import load_rig
 from gateway.contract.messages import ModuleAvailability, ModuleState
-from gateway.modules.module_states import ModuleStates
+from gateway.modules.summary import ModuleStates
 from gateway.sources.stream import Stream
 
 SECOND_NS = 10**9

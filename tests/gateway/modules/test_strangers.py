@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from firmware_protocol import RELAY
 from gateway.body.rig import load_rig
-from gateway.modules.strangers import Strangers
+from gateway.modules.module_log import Strangers
 
 
 def heard(unique_id=None):

@@ -7,8 +7,8 @@ import asyncio
 from devices.link import Chunk, gateway_time_ns
 from firmware_protocol import ReceivedPacket
 from firmware_protocol.messages import Event
-from gateway.modules import motion_watch
-from gateway.modules.motion_watch import MotionWatch
+from gateway.modules import motion
+from gateway.modules.motion import MotionWatch
 from gateway.sources.stream import Stream
 from tests.patience import PATIENCE_S
 
@@ -32,7 +32,7 @@ async def tapped_until_found(stream, module, looking):
 
 
 async def test_a_long_look_hears_what_happens_late_in_it(monkeypatch):
-    monkeypatch.setattr(motion_watch, "_IDLE_S", 0.1)
+    monkeypatch.setattr(motion, "_IDLE_S", 0.1)
     stream = Stream()
     looking = asyncio.create_task(MotionWatch(stream).next(PATIENCE_S))
     await asyncio.sleep(0.3)  # longer than listening goes on unused

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.outputs.incoming import LARGEST_INBOX, LARGEST_MESSAGE, Allowance, Inbox, refuse_huge_packets
+from gateway.outputs.connection import LARGEST_INBOX, LARGEST_MESSAGE, Allowance, Inbox, refuse_huge_packets
 
 
 def message(size):

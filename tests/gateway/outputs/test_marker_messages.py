@@ -16,8 +16,7 @@ from gateway.contract.messages import MarkersMessage
 from gateway.contract.topics import Topics
 from gateway.frames import MarkerFit, SkeletonFrame, Status
 from gateway.geometry import quaternion
-from gateway.outputs.marker_encoding import markers_message
-from gateway.outputs.pose_publications import PosePublications
+from gateway.outputs.pose_encoding import PosePublications, markers_message
 from gateway.outputs.settings import MqttSettings
 from gateway.reconstruction.resets import Resets
 from gateway.recording.marker_encoding import decode_markers, encode_markers_of

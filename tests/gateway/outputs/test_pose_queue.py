@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.outputs.pose_queue import LONGEST_BURST, LONGEST_HOLD_S, PoseQueue
+from gateway.outputs.queues import LONGEST_BURST, LONGEST_HOLD_S, PoseQueue
 
 
 class Clock:

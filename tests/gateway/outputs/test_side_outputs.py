@@ -15,9 +15,8 @@ from gateway.body.rig import load_rig
 from gateway.contract.messages import PoseMessage
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
-from gateway.outputs.latest import LatestOutput
-from gateway.outputs.side_outputs import SideOutputs
-from gateway.outputs.side_settings import OutputsSettings
+from gateway.outputs.settings import OutputsSettings
+from gateway.outputs.side_outputs import LatestOutput, SideOutputs
 from gateway.outputs.unity import t_pose
 from tests.patience import PATIENCE_S
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.outputs.thinning import Thinning
+from gateway.outputs.output import Thinning
 
 
 @pytest.mark.parametrize(
