@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING
 import aiomqtt
 import psutil
 import pytest
+from amqtt.adapters import StreamReaderAdapter, StreamWriterAdapter
 
 from gateway.outputs import BrokerProcess, EmbeddedBrokerError, MqttSettings, PoseSubscriber
 from gateway.outputs.connection import broker_connection
+from gateway.outputs.embedded_broker import _Broker, broker_config
 from gateway.outputs.mqtt import MqttOutput
 from tests.patience import PATIENCE_S
 
@@ -187,3 +189,25 @@ async def test_comes_back_when_it_dies(
         async with PoseSubscriber(settings.model_copy(update={"port": port})) as poses:
             await until(lambda: poses.states == {"lab": "online"})
     assert "the embedded broker ended (exit code -9): starting it again" in caplog.text
+
+
+@pytest.mark.parametrize("is_clean", [True, False])
+async def test_who_has_gone_is_forgotten(until: Until, is_clean: bool) -> None:
+    """Ever new client ids leave nothing behind, sessions that ask to be kept neither."""
+    broker = _Broker(broker_config(), None, ())
+
+    async def take_client(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await broker.external_connected(StreamReaderAdapter(reader), StreamWriterAdapter(writer), "default")
+
+    server = await asyncio.start_server(take_client, "127.0.0.1", 0)
+    await broker.start()
+    port = server.sockets[0].getsockname()[1]
+    for number in range(20):
+        name = f"client{number}"
+        async with aiomqtt.Client("127.0.0.1", port, identifier=name, clean_session=is_clean) as client:
+            await client.subscribe(f"topic/{number}")
+            assert name in broker.sessions
+    await until(lambda: not broker.sessions)
+    assert not broker.subscriptions
+    server.close()
+    await broker.shutdown()
