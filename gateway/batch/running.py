@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import signal
+import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -105,11 +106,20 @@ def _performed(
 def _interrupts_for_this_process() -> Iterator[None]:
     """Processes started meanwhile never see a Ctrl-C, which a terminal sends to all: what becomes of them is
     decided here. One that comes meanwhile is seen at the end."""
+    came: list[int] = []
+    is_main = threading.current_thread() is threading.main_thread()
+    # Blocked for what is started, and kept for later: another thread, such as that of a progress bar, does
+    # not block it, and Python then interrupts the main thread in the middle of a start.
+    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number)) if is_main else None
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if is_main:
+            signal.signal(signal.SIGINT, handler)
+    if came:
+        signal.raise_signal(signal.SIGINT)
 
 
 def _end(processes: Sequence[BaseProcess], jobs: Sequence[Job]) -> None:

@@ -8,12 +8,14 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import psutil
 import pytest
 
 from gateway.batch import Job, Manifest, Outcome, Task, jobs_in, perform, run_jobs
+from gateway.batch.running import _interrupts_for_this_process
 from gateway.errors import GatewayError
 from gateway.recording import open_recording
 from tests.patience import PATIENCE_S
@@ -196,3 +198,26 @@ def test_a_failed_outcome_is_tried_again(sessions, tmp_path):
     manifest.add(job, Outcome(job.name, error="disk full"))
     assert not manifest.is_done(job)
     manifest.close()
+
+
+def test_an_interrupt_waits_until_all_processes_have_started():
+    """It came in the middle of a start, by a thread that does not block it: that of the progress bar."""
+    started, is_over = [], threading.Event()
+    other = threading.Thread(target=is_over.wait)
+
+    def start() -> None:
+        with _interrupts_for_this_process():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.1)
+            started.append(True)
+
+    before = signal.getsignal(signal.SIGINT)
+    other.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            start()
+    finally:
+        is_over.set()
+        other.join()
+    assert started
+    assert signal.getsignal(signal.SIGINT) is before
