@@ -206,10 +206,11 @@ def test_the_demo_prints_poses_and_their_error(gateway, unused_port):
     """In real time: a machine that does not keep up must be told to be the reason of what errs."""
     code, out, err = gateway("demo", "--seconds", 5, "--port", unused_port)
     assert code == 0, err
-    assert len(re.findall(r"^pose +\d+ .*latency", out, flags=re.MULTILINE)) >= 2
+    is_busy = "this machine was too busy" in out
+    assert len(re.findall(r"^pose +\d+ .*latency", out, flags=re.MULTILINE)) >= (1 if is_busy else 2)
     means = re.search(r"mean +│ +([\d.]+) │ +([\d.]+) │ +([\d.]+)", out).groups()
     total, inclination, _ = map(float, means)
-    assert (inclination < 3.0 and total < 6.0) or "this machine was too busy" in out, out
+    assert (inclination < 3.0 and total < 6.0) or is_busy, out
 
 
 def test_a_recording_is_played_as_if_modules_sent_it(
