@@ -70,6 +70,8 @@ INERTIAL_SAMPLE = np.dtype(
 SPECIFIC_FORCE, ANGULAR_RATE, MAGNETIC_FIELD = range(3)
 """m/s², rad/s, µT."""
 NOT_READ = (float("nan"),) * 3
+Sample = tuple[int, int, int, tuple[Vector3, Vector3, Vector3], int]
+"""A row of a batch, in the order of ``INERTIAL_SAMPLE``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +81,7 @@ class InertialBatch:
     samples: NDArray[np.void]  # (n,) INERTIAL_SAMPLE
 
     @classmethod
-    def of(cls, rows: Sequence[tuple[int, int, int, tuple[Vector3, Vector3, Vector3], int]]) -> InertialBatch:
+    def of(cls, rows: Sequence[Sample]) -> InertialBatch:
         """Return a batch of samples, each in the order of ``INERTIAL_SAMPLE``."""
         return cls(np.array(rows, INERTIAL_SAMPLE))
 

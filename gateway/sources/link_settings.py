@@ -27,7 +27,8 @@ class LinkSettings(BaseModel):
     )
     carries: str = Field(
         default=SUIT,
-        description="suit: packets of modules; gnss: NMEA 0183 or UBX of a satellite receiver; "
+        description="suit: packets of modules; ximu3: an x-IMU3 of x-io; "
+        "gnss: NMEA 0183 or UBX of a satellite receiver; "
         "markers: messages of an optical system; heat_maps: those of `mocap-gateway video serve-camera`",
     )
 

@@ -15,6 +15,7 @@ from gateway.sources.link_settings import LinkSettings
 from gateway.sources.markers import NO_MARKERS, MarkerSource
 from gateway.sources.source import Source, SourceContext
 from gateway.sources.stream import Stream
+from gateway.sources.ximu3 import Ximu3LinkSettings, Ximu3Source
 
 
 class SourceKind(NamedTuple):
@@ -46,6 +47,7 @@ def _cameras(context: SourceContext) -> Source:
 SOURCES: dict[str, SourceKind] = {
     SUIT: SourceKind(Stream.of, takes_commands=True),
     "gnss": SourceKind(GnssSource, GnssLinkSettings),
+    "ximu3": SourceKind(Ximu3Source, Ximu3LinkSettings),
     "markers": SourceKind(MarkerSource, refusal=_without_markers),
     "heat_maps": SourceKind(_cameras, refusal=_without_cameras),
 }

@@ -40,16 +40,13 @@ from gateway.frames import (
     LocalReading,
     Quantity,
     Reading,
-    Vector3,
+    Sample,
 )
 from gateway.sources.air_velocity import air_velocity
 from gateway.sources.exchanges import TimeExchanges
 from gateway.sources.module_table import ClockMode, ModuleTable
 from gateway.sources.source import ListeningSource, SourceContext
 from gateway.sources.statistics import ModuleRecord
-
-Sample = tuple[int, int, int, tuple[Vector3, Vector3, Vector3], int]
-"""One row of a batch, in the order of ``INERTIAL_SAMPLE``."""
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
 """Told of a packet and of the chunk that completed it, at once. Must neither wait nor raise."""
