@@ -52,6 +52,7 @@ METHODS = {
     "light": ("independent", "joint"),
     "light_and_field": ("joint_smoothed",),
     "hips": ("joint",),
+    "ximu3": ("independent", "joint"),
     "markers": ("optical", "both_ways"),
     "few_markers": ("optical", "published"),
     "heat_maps": ("video", "video_offline"),

@@ -32,6 +32,7 @@ from devices.emulators import (
 )
 from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
 from devices.emulators.light_sampler import Shade
+from devices.emulators.ximu3_voice import Ximu3Voice
 from devices.link import Chunk, Framing, InputEvent, SentChunk
 from devices.marker_messages import encode_markers
 from devices.recording_writer import DerivedRecordingWriter, session_record
@@ -51,6 +52,7 @@ from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings
 from gateway.sources.link_settings import LinkSettings
 from gateway.sources.module_table import ClockMode
 from gateway.sources.registry import SOURCES
+from gateway.sources.ximu3 import Ximu3LinkSettings
 from tests.seen_walk import CAMERAS, seen_walk
 
 Item = Chunk | SentChunk | InputEvent
@@ -64,6 +66,7 @@ FRAME_HZ = 40.0
 READ_S = 0.004
 """Bytes of a link are read so often."""
 SEED = 20
+FIELD_UT = 49.0
 DEVICE = 60
 """Id of the first local measuring device: the one that a satellite receiver has by default."""
 MARKER_HZ = 25.0
@@ -355,6 +358,21 @@ def hips(seconds: float) -> Capture:
     return Capture(suit, _settings(_link("suit"), _link("cameras", "heat_maps")), framings, items)
 
 
+def ximu3(seconds: float) -> Capture:
+    """An arm whose hand wears a module of another maker, on a link of its own."""
+    suit, until_s = load_rig("arm_3"), FROM_S + seconds
+    module = suit.module_ids[-1]
+    traffic = SuitTraffic(_moving(suit), _worn_settings(suit), TYPICAL, SEED)
+    voice, items = Ximu3Voice(module, FIELD_UT), []
+    for chunk in _reads(traffic.transmissions(until_s), "suit"):
+        ours, theirs = voice.feed(chunk.data)
+        items += [replace(chunk, data=ours)] if ours else []
+        items += [replace(chunk, data=theirs, link="hand")] if theirs else []
+    device = Ximu3LinkSettings(name="hand", url="/dev/null", module=module, field_ut=FIELD_UT)
+    framings = {"suit": Framing.BYTE_STREAM, "hand": "ximu3"}
+    return Capture(suit, _settings(_link("suit"), device), framings, items)
+
+
 # No modules.
 
 
@@ -422,7 +440,7 @@ RECIPES: dict[str, Callable[[float], Capture]] = {
     recipe.__name__: recipe
     for recipe in (
         serial, can, relay, trigger, devices, walking, fused,
-        gnss_nmea, gnss_ubx, light, light_and_field, hips, markers, few_markers, heat_maps,
+        gnss_nmea, gnss_ubx, light, light_and_field, hips, ximu3, markers, few_markers, heat_maps,
     )
 }  # fmt: skip
 """By the name of the recording; the argument: how long it lasts, s."""

@@ -10,10 +10,7 @@ import numpy as np
 from devices.emulators.imperfections import Imperfections
 from devices.emulators.motions import generic_motion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
-from devices.link import Framing
-from devices.link_decoder import packet_decoder
-from devices.vendor_protocols.ximu3 import encode_binary, encode_text
-from firmware_protocol import InertialSample
+from devices.emulators.ximu3_voice import Ximu3Voice
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
 from gateway.emulation.rig import dress
@@ -29,29 +26,20 @@ SECONDS = 8.0
 FIELD_UT = 49.0
 
 
-def spoken(motion):
-    """(s, message) of a module that moves so: every eighth with its magnetometer, every fifth as text."""
-    decoder = packet_decoder(Framing.BYTE_STREAM)
+def spoken(motion, module):
+    """(s, messages) of a module that moves so."""
     traffic = SuitTraffic(motion, SuitSettings(), Imperfections(), 1)
-    samples = 0
+    voice = Ximu3Voice(module, FIELD_UT)
     for sent in traffic.transmissions(SECONDS):
-        for received in decoder.feed(sent.data):
-            if not isinstance(received.packet, InertialSample):
-                continue
-            samples += 1
-            encode = encode_text if samples % 5 == 0 else encode_binary
-            sample, stamp = received.packet, received.module_time_us + 2**33
-            rate, force = np.degrees(sample.angular_rate), np.divide(sample.specific_force, 9.80665)
-            data = encode(b"I", stamp, (*rate, *force))
-            if samples % 8 == 0 and sample.magnetic_field is not None:
-                data += encode_binary(b"M", stamp - 1_000, np.divide(sample.magnetic_field, FIELD_UT))
+        _, data = voice.feed(sent.data)
+        if data:
             yield sent.time_s, data
 
 
 async def test_a_device_moves_a_body_and_replays_bit_for_bit(tmp_path, mosquitto, until):
     suit = load_rig("single")
     motion = generic_motion(dress(suit), 1)
-    messages, times = list(spoken(motion)), []
+    messages, times = list(spoken(motion, suit.module_ids[0])), []
 
     async def send(_reader, writer):
         loop = asyncio.get_running_loop()
