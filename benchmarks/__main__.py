@@ -34,6 +34,7 @@ SUITES = (
     "fuzz",
     "overload",
     "held",
+    "running",
     "optical",
     "video_speed",
     "camera_boards",

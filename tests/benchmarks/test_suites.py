@@ -36,12 +36,20 @@ SMALL: dict[str, dict[str, Any]] = {
     "outputs": {"SECONDS": 0.5, "REPEATS": 1, "FLOOD": 200, "FROZEN_S": 1.0},
     "overload": {"MODULES": (17,), "RATES_HZ": (100,), "SECONDS": 0.5, "LONG_SECONDS": 2.0},
     "record": {"REPLAYED_S": 3.0, "REPEATS": 1},
+    "running": {
+        "METHOD": "independent",
+        "STOPPED_ON": ("pty",),
+        "STOPPED_S": 3.0,
+        "WATCHED_S": 4.0,
+        "FLOODED_S": 3.0,
+        "CALM_AFTER_S": 2.0,
+    },
     "sensors": {"SYNTHETIC": 3},
     "speed": {"REPEATS": 1, "GROWTH_FRAMES": 20},
 }
 """What makes a suite's constants those of a small case. Suites that are not here have none but their own."""
 ARGUMENTS: dict[str, dict[str, Any]] = {"record": {"seconds": 6.0, "kills": 1}}
-NEED_BROKER = {"faults", "held", "latency", "outputs", "record"}
+NEED_BROKER = {"faults", "held", "latency", "outputs", "record", "running"}
 
 
 def suite(name: str) -> ModuleType:
