@@ -15,7 +15,7 @@ from gateway.emulation.rig import dress, move
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.recording.files import Contents, SessionFiles
-from gateway.recording.skeleton_encoding import encode_skeleton_frame
+from gateway.recording.pose_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings, RecordingSettings
 

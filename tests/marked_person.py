@@ -12,7 +12,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.body.subject_file import subject_content, write_subject
 from gateway.frames import FloatArray
 from gateway.reconstruction.optical import kernels
-from gateway.recording.suit_files import body_of
+from gateway.recording.snapshot import body_of
 
 
 def subject_file(folder: Path, vertical: str) -> tuple[Path, Skeleton, BodyMarkers]:

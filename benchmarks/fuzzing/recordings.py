@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from benchmarks.fuzzing.files import in_a_file, refused_or_read
+from gateway.recording.pose_encoding import decode_skeleton_frame, encode_skeleton_frame
 from gateway.recording.reading import open_recording
-from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
-from gateway.recording.suit_snapshot import decode_suit, encode_suit
+from gateway.recording.snapshot import decode_suit, encode_suit
 from gateway.recording.summary import summarise
 
 

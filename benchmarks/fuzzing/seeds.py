@@ -30,7 +30,7 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.pose_encoding import PosePublications
 from gateway.outputs.settings import MqttSettings, PoseMap
-from gateway.recording.skeleton_encoding import encode_skeleton_frame
+from gateway.recording.pose_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings

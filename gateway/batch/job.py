@@ -15,8 +15,8 @@ from devices.link import LinkError
 from gateway.errors import GatewayError
 from gateway.recording import Recording, open_recording
 from gateway.recording.exporters import FORMATS, Axes, take_of
+from gateway.recording.snapshot import decode_suit
 from gateway.recording.solving import Source, recorded_source, write_solved
-from gateway.recording.suit_snapshot import decode_suit
 from gateway.report import gather, write_report
 
 REPORT = "report"
@@ -34,7 +34,7 @@ class Task:
     axes: str | None = None
     units_per_m: float | None = None
     suit: bytes | None = None
-    """Solve with this suit (``suit_snapshot``) instead of the recorded one."""
+    """Solve with this suit (``snapshot``) instead of the recorded one."""
     reconstructor: str | None = None
     """Solve by this method instead of the recorded one."""
     delay_ms: float | None = None

@@ -20,8 +20,8 @@ from gateway.cli.options import refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.recording import open_recording
 from gateway.recording.exporters import FORMATS, Axes, Take, take_of
+from gateway.recording.snapshot import encode_suit
 from gateway.recording.solving import smoothed_arrays
-from gateway.recording.suit_snapshot import encode_suit
 from gateway.report import gather, write_report
 from gateway.report.elements import require_matplotlib
 from gateway.settings import MAX_DELAY_MS, check_method

@@ -43,7 +43,7 @@ from gateway.recording.optical import (
     write_published_trial,
     write_solved_trial,
 )
-from gateway.recording.suit_files import body_of
+from gateway.recording.snapshot import body_of
 from gateway.service.service import Service
 from gateway.settings import load_gateway_settings
 from gateway.support.whole_files import writing

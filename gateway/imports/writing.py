@@ -18,8 +18,8 @@ from gateway.pipeline import Pipeline
 from gateway.reconstruction import FUSED
 from gateway.recording.arrays import SkeletonArrays, arrays_of
 from gateway.recording.imported import imported_session, origin_event
+from gateway.recording.pose_encoding import encode_skeleton_frame
 from gateway.recording.reading import Progress
-from gateway.recording.skeleton_encoding import encode_skeleton_frame
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings
 from gateway.sources.link_settings import LinkSettings

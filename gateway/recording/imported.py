@@ -1,16 +1,27 @@
-"""What a recording says of itself when it was made from files that another system wrote."""
+"""Recordings made from what another system wrote, by files or by cameras."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import time
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import gateway
-from devices.recording_writer import session_record
+from devices.link import Chunk
+from devices.recording_writer import RecordingWriter, session_record
+from gateway.frames import SkeletonFrame
+from gateway.pipeline import Pipeline
+from gateway.reconstruction import OPTICAL
+from gateway.recording.pose_encoding import frame_messages
+from gateway.recording.reading import Progress
+from gateway.settings import AssemblySettings, GatewaySettings
+from gateway.sources.link_settings import LinkSettings
+
+_CHUNKS_A_TELLING = 16
 
 
 def imported_session(
@@ -37,6 +48,50 @@ def imported_session(
         imported_from=imported_from,
     )
     return record | ({"solved_by": solved_by} if solved_by else {})
+
+
+def solved_settings(subject: str, rate_hz: float, link: LinkSettings, name: str) -> GatewaySettings:
+    """Return a configuration that solves what the markers or cameras of one link show of a subject."""
+    return GatewaySettings(
+        gateway=name,
+        links=[link],
+        rig=subject,
+        reconstructor=OPTICAL,
+        assembly=AssemblySettings(rate_hz=rate_hz),
+    )
+
+
+def add_solved(writer: RecordingWriter, chunk: Chunk, content: str, frames: Iterable[SkeletonFrame]) -> None:
+    """Write a chunk of a link that carries ``content``, and the poses made of it."""
+    writer.add_chunk(chunk, content)
+    for frame in frames:
+        for topic, message in frame_messages(frame):
+            writer.add(topic, chunk.arrived_ns, message)
+
+
+def solve_into(
+    writer: RecordingWriter,
+    pipeline: Pipeline,
+    chunks: Sequence[Chunk],
+    content: str,
+    solved: Callable[[int], None],
+    progress: Progress | None = None,
+) -> tuple[int, float]:
+    """Write chunks and the poses that a pipeline makes of them, and its statistics at the end.
+
+    solved: told the number of every chunk after it. Returns how many poses, and processor time in s.
+    """
+    frames, spent = 0, 0.0
+    for index, chunk in enumerate(chunks):
+        began = time.process_time()
+        made = pipeline.feed(chunk)
+        spent += time.process_time() - began
+        add_solved(writer, chunk, content, made)
+        frames += len(made)
+        solved(index)
+        if progress is not None and index % _CHUNKS_A_TELLING == 0:
+            progress(index, len(chunks))
+    return frames, spent
 
 
 def origin_event(kind: str, sources: Iterable[Path], time_ns: int, **more: Any) -> bytes:

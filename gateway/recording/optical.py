@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices import recording_format as fmt
-from devices.link import Chunk
 from devices.marker_file_link import trial_chunks
 from devices.marker_files import MarkerTrial
 from devices.marker_files.naming import spelt
@@ -21,24 +20,22 @@ from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray, MarkerFit, MarkerFrame, SkeletonFrame
+from gateway.frames import FloatArray, MarkerFit, MarkerFrame
 from gateway.pipeline import Pipeline
-from gateway.reconstruction import BOTH_WAYS, OPTICAL, PUBLISHED
+from gateway.reconstruction import BOTH_WAYS, PUBLISHED
 from gateway.reconstruction.optical.both_ways import solve_both_ways
 from gateway.reconstruction.optical.landmarks import to_world
 from gateway.reconstruction.optical.published_trial import published_trial
-from gateway.recording.imported import imported_session, origin_event
-from gateway.recording.marker_encoding import frame_messages
+from gateway.recording.imported import add_solved, imported_session, origin_event, solve_into, solved_settings
 from gateway.recording.reading import Progress
 from gateway.recording.snapshot import attachments_of
-from gateway.settings import AssemblySettings, GatewaySettings
+from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
 from gateway.sources.markers import MarkerFrames
 from gateway.stages.markers import MarkerStage
 
 LINK = "markers"
 CARRIES = "markers"
-_CHUNKS_A_TELLING = 64
 _BEGUN_NS = 10**9
 """Gateway time that a trial begins at."""
 _FEWEST_MARKERS = 3
@@ -89,13 +86,7 @@ class _Fits:
 
 def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optical") -> GatewaySettings:
     """A configuration that plays markers."""
-    return GatewaySettings(
-        gateway=name,
-        links=[LinkSettings(name=LINK, url=url, carries=CARRIES)],
-        rig=subject,
-        reconstructor=OPTICAL,
-        assembly=AssemblySettings(rate_hz=rate_hz),
-    )
+    return solved_settings(subject, rate_hz, LinkSettings(name=LINK, url=url, carries=CARRIES), name)
 
 
 def write_solved_trial(
@@ -116,18 +107,11 @@ def write_solved_trial(
     assert isinstance(stage, MarkerStage)
     optical = stage.reconstructor
     fits = _Fits(trial.n_frames, markers)
-    spent = 0.0
-    frames = 0
+    chunks = list(trial_chunks(trial, _BEGUN_NS, LINK))
     with _writer(target, source, attachments_of(settings, suit)) as writer:
-        for index, chunk in enumerate(trial_chunks(trial, _BEGUN_NS, LINK)):
-            began = time.process_time()
-            made: list[SkeletonFrame] = pipeline.feed(chunk)
-            spent += time.process_time() - began
-            _add(writer, chunk, made)
-            frames += len(made)
-            fits.add(index, optical.last)
-            if progress is not None and index % _CHUNKS_A_TELLING == 0:
-                progress(index, trial.n_frames)
+        frames, spent = solve_into(
+            writer, pipeline, chunks, CARRIES, lambda index: fits.add(index, optical.last), progress
+        )
         end_ns = _BEGUN_NS + round(trial.duration_s * 1e9)
         writer.add(fmt.STATISTICS, end_ns, json.dumps(pipeline.statistics()).encode())
     return SolvedTrial(
@@ -157,7 +141,7 @@ def write_published_trial(
     with _writer(target, source, attachments, solved_by=PUBLISHED) as writer:
         frames = solved.frames([chunk.arrived_ns for chunk in chunks])
         for chunk, frame in zip(chunks, frames, strict=True):
-            _add(writer, chunk, [frame])
+            add_solved(writer, chunk, CARRIES, [frame])
     return SolvedTrial(
         target, trial.n_frames, markers.labels, solved.residuals, solved.seen, (),
         {"passes": solved.motion.passes}, 1e3 * spent / max(trial.n_frames, 1),
@@ -184,7 +168,7 @@ def write_both_ways_trial(
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     with _writer(target, source, attachments_of(settings, suit), solved_by=BOTH_WAYS) as writer:
         for index, (chunk, frame) in enumerate(zip(chunks, solved, strict=True)):
-            _add(writer, chunk, [frame])
+            add_solved(writer, chunk, CARRIES, [frame])
             fits.add(index, frame.markers)
     return SolvedTrial(
         target, len(solved), markers.labels, fits.residuals, fits.used, tuple(fits.renamed), dict(counts),
@@ -219,10 +203,3 @@ def _writer(
     with DerivedRecordingWriter(target, session, attachments, _BEGUN_NS) as writer:
         writer.add(fmt.EVENTS, _BEGUN_NS, origin_event(kind, [source], _BEGUN_NS))
         yield writer
-
-
-def _add(writer: RecordingWriter, chunk: Chunk, made: Sequence[SkeletonFrame]) -> None:
-    writer.add_chunk(chunk, CARRIES)
-    for frame in made:
-        for topic, message in frame_messages(frame):
-            writer.add(topic, chunk.arrived_ns, message)

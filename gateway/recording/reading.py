@@ -27,9 +27,8 @@ from gateway.errors import SettingsError
 from gateway.frames import MarkerFit, SkeletonFrame
 from gateway.reconstruction import DELAYS_IN_NAMES
 from gateway.recording.arrays import SkeletonArrays, arrays_of, marker_arrays
-from gateway.recording.marker_encoding import RecordedMarkers, decode_markers
-from gateway.recording.skeleton_encoding import decode_skeleton_frame
-from gateway.recording.suit_snapshot import decode_suit
+from gateway.recording.pose_encoding import RecordedMarkers, decode_markers, decode_skeleton_frame
+from gateway.recording.snapshot import decode_suit
 from gateway.settings import GatewaySettings
 from gateway.support.settings_files import is_union_tag
 

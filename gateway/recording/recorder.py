@@ -21,8 +21,7 @@ from devices import recording_format as fmt
 from devices.link import Chunk, SentChunk, gateway_time_ns
 from gateway.contract.messages import plain_json
 from gateway.frames import SkeletonFrame
-from gateway.recording.marker_encoding import encode_markers_of
-from gateway.recording.skeleton_encoding import encode_skeleton_frame
+from gateway.recording.pose_encoding import encode_markers_of, encode_skeleton_frame
 
 LONGEST_QUEUE_BYTES = 32 << 20
 """17 modules at 100 Hz fill it in about two minutes."""

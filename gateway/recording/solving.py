@@ -24,13 +24,12 @@ from gateway.frames import SkeletonFrame
 from gateway.geometry.comparison import orientation_error
 from gateway.pipeline import Pipeline
 from gateway.recording.arrays import SkeletonArrays, arrays_of
-from gateway.recording.marker_encoding import frame_messages
+from gateway.recording.pose_encoding import decode_skeleton_frame, frame_messages
 from gateway.recording.reading import (
     Progress,
     Recording,
     decode_message,
 )
-from gateway.recording.skeleton_encoding import decode_skeleton_frame
 from gateway.recording.smoothing import SmoothedPoses
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings

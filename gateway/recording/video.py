@@ -24,19 +24,16 @@ from gateway.body.subject_file import subject_content
 from gateway.errors import GatewayError
 from gateway.frames import HeatMapFrame
 from gateway.pipeline import Pipeline
-from gateway.reconstruction import OPTICAL
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
 from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.reconstruction.video.offline import reconstruct_recorded
 from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor
 from gateway.reconstruction.video.tracker import VideoOptions
-from gateway.recording.imported import imported_session
+from gateway.recording.imported import add_solved, imported_session, solve_into, solved_settings
 from gateway.recording.reading import Progress
-from gateway.recording.skeleton_encoding import encode_skeleton_frame
-from gateway.recording.snapshot import attachments_of
-from gateway.recording.suit_files import body_of
-from gateway.settings import AssemblySettings, GatewaySettings
+from gateway.recording.snapshot import attachments_of, body_of
+from gateway.settings import GatewaySettings
 from gateway.sources.heat_maps import heat_map_frame
 from gateway.sources.link_settings import LinkSettings
 from gateway.stages.cameras import CameraStage
@@ -48,7 +45,6 @@ OFFLINE = "offline"
 _BEGUN_NS = 10**9
 """Gateway time that a capture begins at."""
 _SIZING_FRAMES = 40
-_INSTANTS_A_TELLING = 16
 
 
 @dataclass(frozen=True)
@@ -67,13 +63,8 @@ class SolvedVideo:
 
 def video_settings(subject: str, rate_hz: float, name: str = "video") -> GatewaySettings:
     """A configuration that solves the heat maps of one link."""
-    return GatewaySettings(
-        gateway=name,
-        links=[LinkSettings(name=LINK, url="tcp://localhost:9765", carries=CARRIES)],
-        rig=subject,
-        reconstructor=OPTICAL,
-        assembly=AssemblySettings(rate_hz=rate_hz),
-    )
+    link = LinkSettings(name=LINK, url="tcp://localhost:9765", carries=CARRIES)
+    return solved_settings(subject, rate_hz, link, name)
 
 
 def video_suit(
@@ -143,23 +134,16 @@ def write_solved_video(
     stage = pipeline.stage_of(HeatMapFrame)
     assert isinstance(stage, CameraStage)
     poses: list[VideoPose] = []
-    frames, spent = 0, 0.0
+
+    def note(index: int) -> None:
+        if stage.last is not None and index < len(messages):
+            poses.append(stage.last)
+
     chunks = video_chunks(messages, rate_hz)
     with DerivedRecordingWriter(
         target, _session(target), attachments_of(settings, suit), _BEGUN_NS
     ) as writer:
-        for index, chunk in enumerate(chunks):
-            began = time.process_time()
-            made = pipeline.feed(chunk)
-            spent += time.process_time() - began
-            writer.add_chunk(chunk, CARRIES)
-            for frame in made:
-                writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(frame))
-            frames += len(made)
-            if stage.last is not None and index < len(messages):
-                poses.append(stage.last)
-            if progress is not None and index % _INSTANTS_A_TELLING == 0:
-                progress(index, len(chunks))
+        frames, spent = solve_into(writer, pipeline, chunks, CARRIES, note, progress)
         writer.add(fmt.STATISTICS, chunks[-1].arrived_ns, json.dumps(pipeline.statistics()).encode())
     return SolvedVideo(
         target, frames, suit.markers.labels, tuple(poses), pipeline.statistics()["video"],
@@ -197,9 +181,7 @@ def write_offline_video(
     attachments = attachments_of(video_settings(subject, rate_hz), suit)
     with DerivedRecordingWriter(target, _session(target, OFFLINE), attachments, _BEGUN_NS) as writer:
         for chunk, frame in zip(chunks, frames, strict=True):
-            writer.add_chunk(chunk, CARRIES)
-            timed = replace(frame, time_ns=chunk.arrived_ns)
-            writer.add(fmt.SKELETON, chunk.arrived_ns, encode_skeleton_frame(timed))
+            add_solved(writer, chunk, CARRIES, [replace(frame, time_ns=chunk.arrived_ns)])
     return SolvedVideo(target, len(frames), suit.markers.labels, (), {}, 1e3 * spent / max(len(frames), 1))
 
 

@@ -14,7 +14,7 @@ from gateway.errors import SettingsError
 from gateway.frames import InertialBatch, Quantity
 from gateway.pipeline import Pipeline
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
-from gateway.recording.suit_snapshot import decode_suit, encode_suit
+from gateway.recording.snapshot import decode_suit, encode_suit
 from gateway.recording.video import video_subject, video_suit
 from gateway.service.accounting import balances_of
 from gateway.settings import GatewaySettings

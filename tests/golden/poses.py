@@ -20,8 +20,7 @@ from devices.recording_file import RecordingParts
 from devices.recording_writer import DerivedRecordingWriter, session_record
 from gateway.frames import FloatArray, MarkerFit, SkeletonFrame
 from gateway.geometry.comparison import orientation_error
-from gateway.recording.marker_encoding import decode_markers, frame_messages
-from gateway.recording.skeleton_encoding import decode_skeleton_frame
+from gateway.recording.pose_encoding import decode_markers, decode_skeleton_frame, frame_messages
 
 TOLERANCES = {
     "angle": 1e-9,  # rad

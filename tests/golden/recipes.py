@@ -45,7 +45,7 @@ from gateway.emulation.rig import dress, move, sunlight
 from gateway.frames import FloatArray, Quantity
 from gateway.pipeline import CALIBRATED_EVENT, LOAD_EVENT, RESET_EVENT
 from gateway.reconstruction import OPTICAL
-from gateway.recording.suit_snapshot import encode_suit
+from gateway.recording.snapshot import encode_suit
 from gateway.recording.video import video_settings, video_suit
 from gateway.service.synchronisation import question
 from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings

@@ -15,7 +15,7 @@ from gateway.frames import Status
 from gateway.reconstruction import DELAYABLE, OFFLINE, OPTICAL, RECONSTRUCTORS
 from gateway.reconstruction.smoothing import SMOOTHED as CAN_BE_SMOOTHED
 from gateway.recording import open_recording
-from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
+from gateway.recording.pose_encoding import decode_skeleton_frame, encode_skeleton_frame
 from gateway.recording.solving import solve
 from gateway.sources.module_table import ClockMode
 from gateway.sources.registry import SOURCES

@@ -7,8 +7,7 @@ import yaml
 from gateway.body.rig import load_rig
 from gateway.errors import SettingsError
 from gateway.frames import Quantity
-from gateway.recording.suit_files import rig_of
-from gateway.recording.suit_snapshot import decode_suit, encode_suit
+from gateway.recording.snapshot import decode_suit, encode_suit, rig_of
 from gateway.support.settings_files import find_file
 
 SLANTED = [[1, 0, 0.2], [-1, 0, 0.2], [0, 1, 0.2], [0, -1, 0.2], [0, 0, 1], [0, 0, -1]]

@@ -19,7 +19,7 @@ from gateway.geometry import quaternion
 from gateway.outputs.pose_encoding import PosePublications, markers_message
 from gateway.outputs.settings import MqttSettings
 from gateway.reconstruction.resets import Resets
-from gateway.recording.marker_encoding import decode_markers, encode_markers_of
+from gateway.recording.pose_encoding import decode_markers, encode_markers_of
 
 BODY = load_body("human_17")
 LABELS = ("LASI", "RASI", "SACR")

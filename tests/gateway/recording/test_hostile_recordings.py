@@ -21,7 +21,7 @@ from gateway.body.rig import load_rig
 from gateway.errors import SettingsError
 from gateway.recording import open_recording
 from gateway.recording.files import Contents, SessionFiles
-from gateway.recording.suit_snapshot import decode_suit, encode_suit
+from gateway.recording.snapshot import decode_suit, encode_suit
 from gateway.settings import RecordingSettings
 
 MOST = 100

@@ -20,9 +20,8 @@ from gateway.errors import SettingsError
 from gateway.frames import SkeletonFrame
 from gateway.outputs.settings import MqttSettings
 from gateway.recording import open_recording
-from gateway.recording.skeleton_encoding import decode_skeleton_frame, encode_skeleton_frame
-from gateway.recording.snapshot import attachments_of, without_secrets
-from gateway.recording.suit_snapshot import decode_suit, encode_suit
+from gateway.recording.pose_encoding import decode_skeleton_frame, encode_skeleton_frame
+from gateway.recording.snapshot import attachments_of, decode_suit, encode_suit, without_secrets
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
 

@@ -28,7 +28,7 @@ from gateway.reconstruction.optical.pose_solver import BodyModel, body_model, no
 from gateway.reconstruction.optical.published_chains import chain_gradient, chains_of
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.recording.optical import optical_settings
-from gateway.recording.suit_files import body_of
+from gateway.recording.snapshot import body_of
 from gateway.stages.markers import MarkerStage
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[5] / "shared" / "data"))
