@@ -38,6 +38,8 @@ PACKAGES = ("firmware_protocol", "devices", "gateway", "benchmarks", "tests")
 PRODUCTION = ("firmware_protocol", "devices", "gateway")
 SHARED = ("devices/emulators", "gateway/emulation", "firmware_protocol/__init__.py")
 """What tests share, and what is offered to authors of firmware: whatever these name is in use."""
+OWN = tuple(f"{REPOSITORY / package}/" for package in PACKAGES[:3])
+"""Where functions of ours stand; the libraries in a virtual environment are none."""
 HUB = ("pipeline.py", "service.py", "accounting.py", "observability.py")
 """Where nothing should ask for the kind of a source (in ``gateway/`` or a room of that name)."""
 NAMING = re.compile(r"[\w.:\[\], |]{1,200}")
@@ -205,7 +207,7 @@ def calls_of_a_frame() -> tuple[float, int]:
 
     def note(frame: FrameType, event: str, _: object) -> None:
         name = frame.f_code.co_filename
-        if event == "call" and name.startswith(str(REPOSITORY)) and "benchmarks" not in name:
+        if event == "call" and name.startswith(OWN):
             calls[name] += 1
 
     for sent in traffic.transmissions(4.0):
