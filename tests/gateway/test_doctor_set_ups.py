@@ -165,7 +165,10 @@ def test_a_broker_without_nodelay(examined, mosquitto):
     assert quick.verdict is Verdict.GOOD, quick
     mosquitto.configure("set_tcp_nodelay false")
     mosquitto.restart()
-    slow = examined(mqtt={"port": mosquitto.port})["broker"]
+    for _ in range(5):  # a machine that is busy may hide a stall of 40 ms behind its own delays
+        slow = examined(mqtt={"port": mosquitto.port})["broker"]
+        if "stalls for" in slow.found:
+            break
     assert_named(slow, Verdict.WARNING, "stalls for", "set_tcp_nodelay true")
 
 
