@@ -170,6 +170,13 @@ def contents_of(link: Link, carries: str = SUIT) -> Mapping[str, str]:
     return link.contents if isinstance(link, ReplayLink) else {link.name: content_of(carries, link.framing)}
 
 
+def framings_of(link: Link) -> dict[str, Framing]:
+    """Return how the packets of modules on an open link are framed, by the names that its chunks bear.
+
+    A recording may hold other links beside, which are left out."""
+    return {name: Framing(of) for name, of in contents_of(link).items() if of in list(Framing)}
+
+
 def event_of(message: bytes) -> InputEvent | None:
     """Return the event that a message on ``recording_format.EVENTS`` tells of; None for a damaged one."""
     try:

@@ -15,10 +15,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from devices.endpoints import link_from_url
-from devices.link import SUIT, Chunk, Framing, Link, gateway_time_ns
+from devices.link import SUIT, Chunk, Link, gateway_time_ns
 from devices.link_decoder import LinkDecoder
 from devices.reconnect import ReconnectingLink
-from devices.replay_link import ReplayLink, contents_of
+from devices.replay_link import ReplayLink, framings_of
 from gateway.body.camera import Camera
 from gateway.body.rig import load_rig
 from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
@@ -263,11 +263,11 @@ async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibrati
 
 async def _listen(link: Link, calibration: ClockCalibration) -> None:
     await link.open()
-    decoders = {name: LinkDecoder(Framing(content)) for name, content in contents_of(link).items()}
+    decoders = {name: LinkDecoder(framing) for name, framing in framings_of(link).items()}
     batchings = {name: LinkBatching() for name in decoders}
     try:
         async for chunk in link:
-            if not isinstance(chunk, Chunk):
+            if not isinstance(chunk, Chunk) or chunk.link not in decoders:
                 continue
             batching, decoder = batchings[chunk.link], decoders[chunk.link]
             packets = decoder.feed(chunk)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Iterator, Mapping, Sequence
 
 from devices.command_client import LISTENS_TO, CommandClient
 from devices.endpoints import link_from_url
 from devices.link import Chunk, Link, LinkError
 from devices.reconnect import ReconnectingLink
-from devices.replay_link import contents_of
+from devices.replay_link import framings_of
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
 from gateway.modules.operations import ModuleOperations
@@ -48,9 +48,12 @@ async def suit_session(
         for link in links:
             await _open(link)
             stack.push_async_callback(link.close)
-            for name, content in contents_of(link.link).items():
-                stream.add_link(name, content)
-            readers.append(asyncio.create_task(_read(link, stream), name=f"link {link.name}"))
+            framings = framings_of(link.link)
+            for name, framing in framings.items():
+                stream.add_link(name, framing)
+            readers.append(
+                asyncio.create_task(_read(link, stream, framings.keys()), name=f"link {link.name}")
+            )
         stack.push_async_callback(_end, readers)
         if any(url.startswith("udp:") for url in urls.values()):
             await asyncio.sleep(_LISTENED_S)
@@ -85,9 +88,9 @@ def _unsaid(logger: logging.Logger) -> Iterator[None]:
         logger.setLevel(level)
 
 
-async def _read(link: Link, stream: Stream) -> None:
+async def _read(link: Link, stream: Stream, names: Collection[str]) -> None:
     async for item in link:
-        if isinstance(item, Chunk):
+        if isinstance(item, Chunk) and item.link in names:
             stream.receive(item)
 
 

@@ -9,7 +9,7 @@ import pytest
 from devices.link import Chunk, Framing, LinkError, SentChunk
 from devices.recording_format import SENT
 from devices.recording_writer import RecordingWriter, session_record
-from devices.replay_link import ReplayLink
+from devices.replay_link import ReplayLink, framings_of
 from tests.patience import PATIENCE_S
 from tests.simulated_time import in_simulated_time
 
@@ -59,6 +59,11 @@ async def test_all_links_come_in_the_recorded_order_under_their_names(both):
     link = ReplayLink(both, speed=None, name="all of it")
     assert link.contents == LINKS
     assert await replay(link) == CHUNKS
+
+
+async def test_links_that_carry_no_packets_have_no_framing(tmp_path):
+    path = record(tmp_path / "log", {"suit": Framing.CAN, "gnss": "gnss"}, [Chunk(b"a", 1, "suit")])
+    assert framings_of(ReplayLink(path)) == {"suit": Framing.CAN}
 
 
 async def test_what_was_sent_is_told_in_its_place(tmp_path):
