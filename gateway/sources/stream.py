@@ -45,7 +45,7 @@ from gateway.frames import (
 from gateway.sources.air_velocity import air_velocity
 from gateway.sources.exchanges import TimeExchanges
 from gateway.sources.module_table import ClockMode, ModuleTable
-from gateway.sources.source import ListeningSource, SourceContext
+from gateway.sources.source import SourceContext
 from gateway.sources.statistics import ModuleRecord
 
 Listener = Callable[[ReceivedPacket, Chunk], None]
@@ -57,7 +57,7 @@ _TRIGGERED = 1 << 8
 """Added to the kind: triggered samples are counted by themselves, by the triggers' numbers."""
 
 
-class Stream(ListeningSource):
+class Stream:
     """Decodes, counts and timestamps packets of modules."""
 
     observes = InertialBatch
