@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import subprocess
 import sys
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -19,9 +21,14 @@ from benchmarks.figures import Figure, Report, table
 from devices.emulators.local_broker import mosquitto
 from gateway.frames import FloatArray
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.subscriber import PoseSubscriber
+from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
+from gateway.service import readiness
 
+METHOD = "joint"
 SECONDS = 12.0
+FLOOR_SECONDS = 22.0
+FLOOR_RUNS = 2
+"""Of the gateway and of the floor each, in turn; the least of each counts."""
 SETTLING_TICKS = 100
 LOADS = ((17, 100.0), (64, 100.0), (17, 500.0), (17, 1000.0), (34, 1000.0), (51, 1000.0), (64, 1000.0))
 """Modules and sampling rates tried for the highest load; poses at 100 Hz."""
@@ -39,38 +46,92 @@ class Run:
     cpu_percent: float
     poses_per_s: float
     """As they reach the subscriber."""
+    wakeups_per_s: float
+    """How often a thread of the process went to sleep and was woken."""
+    turns_per_s: float
+    """Of the event loop."""
+    last_pose: bytes
 
     @property
     def is_held(self) -> bool:
         """Whether the gateway kept up: every pose came, and none piled up."""
-        return self.lost_poses == 0 and float(np.percentile(self.latency_ms, 99)) < HELD_LATENCY_MS
+        return self.lost_poses == 0 and self.percentile_ms(99) < HELD_LATENCY_MS
+
+    def percentile_ms(self, q: float) -> float:
+        """Latency that ``q`` % of the poses are below, ms."""
+        return float(np.percentile(self.latency_ms, q))
+
+
+@dataclass(frozen=True)
+class Load:
+    """What is measured: a suit, and the program at the other end of its port."""
+
+    broker_port: int
+    n_modules: int
+    rate_hz: float
+    seconds: float
+    floor_pose: bytes | None = None
+    """The floor program runs, and publishes poses like this one; None: the gateway."""
 
 
 def run() -> Report:
-    """17 modules at 100 Hz, then more until the gateway no longer keeps up."""
+    """17 modules at 100 Hz, then more until the gateway no longer keeps up; then beside the floor."""
+    subprocess.run(readiness.command(METHOD), check=True)  # else another method would run meanwhile
     with mosquitto() as (port, _):
         runs = []
         for n_modules, rate_hz in LOADS:
-            runs.append(asyncio.run(_measure(port, n_modules, rate_hz)))
+            runs.append(asyncio.run(_measure(Load(port, n_modules, rate_hz, SECONDS))))
             if not runs[-1].is_held:
                 break
-    base = runs[0]
+        beside = _beside_floor(port, runs[0].last_pose)
     held = [r for r in runs if r.is_held]
     best = max((r.n_modules * r.rate_hz for r in held), default=0.0)
-    p50, p99 = (float(np.percentile(base.latency_ms, q)) for q in (50, 99))
     report = Report("latency")
     report.figures = [
         Figure(
-            "pty_to_mqtt_p50_ms", p50, "ms", "", "last byte written to the port → subscriber, 17 × 100 Hz"
+            "pty_to_mqtt_p50_ms",
+            runs[0].percentile_ms(50),
+            "ms",
+            note="last byte written to the port → subscriber, 17 × 100 Hz",
         ),
-        Figure("pty_to_mqtt_p99_ms", p99, "ms", "", "the same, 99th percentile"),
+        Figure("pty_to_mqtt_p99_ms", runs[0].percentile_ms(99), "ms", "", "the same, 99th percentile"),
         *(figure for r in runs if r.rate_hz == 100.0 for figure in _load_figures(r)),
         Figure(
             "max_samples_per_s_one_core", best, "1/s", "", "modules × rate held without loss, poses at 100 Hz"
         ),
+        *_floor_figures(*beside),
     ]
-    report.tables = [_table(runs)]
+    report.tables = [_table(runs), _floor_table(*beside)]
     return report
+
+
+def _beside_floor(port: int, pose: bytes) -> tuple[list[Run], list[Run]]:
+    """Runs of the gateway and of the floor, in turn, 17 × 100 Hz."""
+    gateways, floors = [], []
+    for _ in range(FLOOR_RUNS):
+        gateways.append(asyncio.run(_measure(Load(port, 17, 100.0, FLOOR_SECONDS))))
+        floors.append(asyncio.run(_measure(Load(port, 17, 100.0, FLOOR_SECONDS, pose))))
+    return gateways, floors
+
+
+def _floor_figures(gateways: list[Run], floors: list[Run]) -> list[Figure]:
+    def least(of: Callable[[Run], float]) -> tuple[float, float]:
+        return min(map(of, gateways)), min(map(of, floors))
+
+    cpu, floor_cpu = least(lambda r: r.cpu_percent)
+    p99, floor_p99 = least(lambda r: r.percentile_ms(99))
+    wakeups, floor_wakeups = least(lambda r: r.wakeups_per_s)
+    turns, floor_turns = least(lambda r: r.turns_per_s)
+    return [
+        Figure("cpu_ratio_floor_17x100", cpu / floor_cpu, "", "<=1.5", "processor time, gateway over floor"),
+        Figure("cpu_percent_floor_17x100", floor_cpu, "%", "", "of one core, the floor's"),
+        Figure("pty_to_mqtt_p99_ratio_floor", p99 / floor_p99, "", "<=2", "99th percentile over the floor's"),
+        Figure("pty_to_mqtt_p99_floor_ms", floor_p99, "ms", "", "of the floor"),
+        Figure("wakeups_per_s_17x100", wakeups, "1/s", "", "threads of the gateway that slept were woken"),
+        Figure("wakeups_per_s_floor_17x100", floor_wakeups, "1/s", "", "the same, of the floor"),
+        Figure("loop_turns_per_s_17x100", turns, "1/s", "", "turns of the gateway's event loop"),
+        Figure("loop_turns_per_s_floor_17x100", floor_turns, "1/s", "", "the same, of the floor"),
+    ]
 
 
 def _load_figures(run: Run) -> list[Figure]:
@@ -86,52 +147,90 @@ def _table(runs: list[Run]) -> str:
     rows = [
         [
             *(str(r.n_modules), f"{r.rate_hz:g}", f"{r.cpu_percent:.0f}", f"{r.poses_per_s:.0f}"),
-            *(f"{np.percentile(r.latency_ms, q):.2f}" for q in (50, 99, 100)),
+            *(f"{r.percentile_ms(q):.2f}" for q in (50, 99, 100)),
             *(str(r.lost_poses), "yes" if r.is_held else "no"),
         ]
         for r in runs
     ]
     heads = ["modules", "Hz", "CPU %", "messages/s", "p50 ms", "p99 ms", "max ms", "poses lost", "held"]
-    return "### Load on one gateway process (reconstructor `independent`)\n\n" + table(heads, rows)
+    return f"### Load on one gateway process (reconstructor `{METHOD}`)\n\n" + table(heads, rows)
 
 
-async def _measure(broker_port: int, n_modules: int, rate_hz: float) -> Run:
-    with tempfile.TemporaryDirectory() as folder:
-        port = Path(folder) / "suit"
-        config = write_config(Path(folder), port, broker_port, n_modules)
-        async with process_of(
-            "-m", "devices.emulators.paced_writer", str(port), str(n_modules), str(rate_hz), str(SECONDS)
-        ) as suit:
+def _floor_table(gateways: list[Run], floors: list[Run]) -> str:
+    pairs = zip(gateways, floors, strict=True)
+    programs = [each for pair in pairs for each in zip(("gateway", "floor"), pair, strict=True)]
+    rows = [
+        [
+            program,
+            *(f"{r.cpu_percent:.1f}", *(f"{r.percentile_ms(q):.2f}" for q in (50, 99, 100))),
+            *(f"{r.wakeups_per_s:.0f}", f"{r.turns_per_s:.0f}", str(r.lost_poses)),
+        ]
+        for program, r in programs
+    ]
+    heads = ["program", "CPU %", "p50 ms", "p99 ms", "max ms", "wake-ups/s", "loop turns/s", "poses lost"]
+    return f"""### Beside the floor, 17 × 100 Hz, in turn
+
+The floor (`benchmarks/floor_program.py`) reads the same port and publishes payloads of the same size on the
+same topic through the same client library, as often; it decodes nothing.
+
+{table(heads, rows)}"""
+
+
+async def _measure(load: Load) -> Run:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        port = folder / "suit"
+        writer = (str(port), str(load.n_modules), str(load.rate_hz), str(load.seconds))
+        async with process_of("-m", "devices.emulators.paced_writer", *writer) as suit:
             await line_of(suit)
-            async with process_of("-m", "gateway", "run", "-c", str(config)) as gateway:
-                return await _listen(suit, gateway, broker_port, n_modules, rate_hz)
+            program = _program(folder, port, load)
+            async with process_of("-m", "benchmarks.counted_loop", *program) as measured:
+                return await _listen(suit, measured, load)
 
 
-async def _listen(
-    suit: asyncio.subprocess.Process,
-    gateway: asyncio.subprocess.Process,
-    broker_port: int,
-    n_modules: int,
-    rate_hz: float,
-) -> Run:
-    received: list[tuple[int, int]] = []
-    async with PoseSubscriber(MqttSettings(port=broker_port), "bench") as poses:
+def _program(folder: Path, port: Path, load: Load) -> tuple[str, ...]:
+    """The module to be run, and its arguments."""
+    if load.floor_pose is None:
+        return ("gateway", "run", "-c", str(write_config(folder, port, load.broker_port, load.n_modules)))
+    pose = folder / "pose.json"
+    pose.write_bytes(load.floor_pose)
+    return ("benchmarks.floor_program", str(port), str(load.broker_port), str(load.rate_hz), str(pose))
+
+
+async def _listen(suit: asyncio.subprocess.Process, measured: asyncio.subprocess.Process, load: Load) -> Run:
+    received: list[ReceivedPose] = []
+    async with PoseSubscriber(MqttSettings(port=load.broker_port), "bench") as poses:
         await await_online(poses)
-        process = begin(suit, gateway)
+        process = begin(suit, measured)
 
         async def collect() -> None:
             async for pose in poses:
-                received.append((pose.pose.t_ns, pose.received_ns))
+                received.append(pose)
 
         collecting = asyncio.create_task(collect())
         await asyncio.sleep(1.0)
-        before = sum(process.cpu_times()[:2])
-        await asyncio.sleep(SECONDS - 2.0)
-        cpu_percent = (sum(process.cpu_times()[:2]) - before) / (SECONDS - 2.0) * 100
+        before = await _spent(process, measured)
+        await asyncio.sleep(load.seconds - 2.0)
+        spent = (await _spent(process, measured) - before) / (load.seconds - 2.0)
         written_ns = np.array((await line_of(suit))["written_ns"])
         await asyncio.sleep(1.0)
         collecting.cancel()
-    return _evaluate(np.array(received), written_ns, n_modules, rate_hz, cpu_percent)
+    return _evaluate(received, written_ns, load, spent)
+
+
+async def _spent(process: psutil.Process, measured: asyncio.subprocess.Process) -> FloatArray:
+    """Processor time in s, wake-ups, and turns of the event loop so far."""
+    assert measured.stdin is not None
+    cpu_s = sum(process.cpu_times()[:2])
+    measured.stdin.write(b"\n")
+    return np.array([cpu_s, _wakeups(process.pid), (await line_of(measured))["turns"]])
+
+
+def _wakeups(pid: int) -> int:
+    """How often threads of a process gave their processor up to wait, and so were woken."""
+    heads = [task / "status" for task in Path(f"/proc/{pid}/task").iterdir()]
+    words = [head.read_text().split() for head in heads]
+    return sum(int(each[each.index("voluntary_ctxt_switches:") + 1]) for each in words)
 
 
 async def await_online(poses: PoseSubscriber) -> None:
@@ -149,22 +248,24 @@ def begin(suit: asyncio.subprocess.Process, gateway: asyncio.subprocess.Process)
     return psutil.Process(gateway.pid)
 
 
-def _evaluate(
-    received: FloatArray, written_ns: FloatArray, n_modules: int, rate_hz: float, cpu_percent: float
-) -> Run:
-    """Poses belong to ticks by their instants: both count from the first."""
-    every = round(rate_hz / 100.0)
-    ticks = np.round((received[:, 0] - received[0, 0]) * 1e-9 * rate_hz).astype(int)
-    latency_ms = (received[:, 1] - written_ns[ticks]) * 1e-6
-    expected = len(written_ns[::every])
-    span_s = (received[-1, 1] - received[0, 1]) * 1e-9
+def _evaluate(received: list[ReceivedPose], written_ns: FloatArray, load: Load, spent: FloatArray) -> Run:
+    """Poses belong to ticks by their instants: both count from the first. spent: a second."""
+    every = round(load.rate_hz / 100.0)
+    t_ns = np.array([each.pose.t_ns for each in received])
+    received_ns = np.array([each.received_ns for each in received])
+    ticks = np.round((t_ns - t_ns[0]) * 1e-9 * load.rate_hz).astype(int)
+    latency_ms = (received_ns - written_ns[ticks]) * 1e-6
+    cpu, wakeups, turns = spent.tolist()
     return Run(
-        n_modules,
-        rate_hz,
+        load.n_modules,
+        load.rate_hz,
         latency_ms[SETTLING_TICKS:],
-        expected - len(received),
-        cpu_percent,
-        (len(received) - 1) / span_s,
+        len(written_ns[::every]) - len(received),
+        100.0 * cpu,
+        (len(received) - 1) / float((received_ns[-1] - received_ns[0]) * 1e-9),
+        wakeups,
+        turns,
+        received[-1].payload,
     )
 
 
@@ -181,6 +282,7 @@ def write_config(folder: Path, port: Path, broker_port: int, n_modules: int) -> 
         "gateway": "bench",
         "links": [{"name": "suit", "url": str(port)}],
         "rig": "rig.yaml",
+        "reconstructor": METHOD,
         "clock": {"mode": "shared"},
         "mqtt": {"port": broker_port, "queue_length": 64},
         "log": {"level": "warning"},
@@ -205,7 +307,7 @@ async def process_of(*arguments: str) -> AsyncIterator[asyncio.subprocess.Proces
         await process.wait()
 
 
-async def line_of(process: asyncio.subprocess.Process) -> dict[str, list[int]]:
+async def line_of(process: asyncio.subprocess.Process) -> dict[str, Any]:
     """The next line that it prints, JSON."""
     assert process.stdout is not None
     return json.loads(await process.stdout.readline())  # type: ignore[no-any-return]
