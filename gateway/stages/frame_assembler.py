@@ -174,11 +174,11 @@ class FrameAssembler:
         if time_ns in times:
             self.lost[Lost.DUPLICATE] += 1
             return False
-        if time_ns <= self._last_instant_ns:
+        newer = int(np.count_nonzero(times > time_ns))
+        if time_ns <= self._last_instant_ns or newer == _DEPTH:  # there would be no place for it
             self.lost[Lost.LATE] += 1
             self.late[int(sample["module"])] += 1
             return False
-        newer = int(np.count_nonzero(times > time_ns))
         head = (int(self._heads[row]) + 1) % _DEPTH
         target = (head - np.arange(newer)) % _DEPTH
         ring[target] = ring[order[:newer]]

@@ -176,3 +176,18 @@ def test_in_a_late_burst_a_dead_module_holds_up_the_others_for_milliseconds_only
                 frames[frame.time_ns] = arrived_ns
     assert frames[700 * MS] <= 740 * MS
     assert len(frames) >= 95
+
+
+def test_a_reading_older_than_all_that_are_remembered_is_late_and_takes_no_place():
+    """Modules at 1000 Hz, frames at 5 Hz: more samples lie between two instants than are remembered."""
+    params = AssemblyParams(200 * MS, 20 * MS, 50 * MS, 400 * MS)
+    in_order = [reading(0, k, MS * k) for k in range(390)]
+    frames, assembler = run(
+        [*in_order, reading(0, 205, 205 * MS + 1), reading(0, 390, 399 * MS)], (0,), params
+    )
+    assert [frame.time_ns for frame in frames] == [0, 200 * MS]
+    assert assembler.lost == {Lost.LATE: 1}
+    assert assembler.taken == 391
+    (frame,) = assembler.add(reading(0, 391, 401 * MS), 402 * MS)
+    assert frame.gap_ns.tolist() == [2 * MS]
+    assert frame.specific_force[0, 0] == pytest.approx(0.4)
