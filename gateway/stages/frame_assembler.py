@@ -21,25 +21,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.frames import (
-    ANGULAR_RATE,
-    INERTIAL_SAMPLE,
-    MAGNETIC_FIELD,
-    SPECIFIC_FORCE,
-    FloatArray,
-    ImuFrame,
-    IntArray,
-    LightReading,
-    LocalReading,
-    Status,
-    StatusArray,
-)
-from gateway.geometry.compiled import compiled
+from gateway.frames import INERTIAL_SAMPLE, ImuFrame, LightReading, LocalReading
+from gateway.stages.frame_grid import GRID, MODULE, PASSED, new_block, new_rings, take
 
-_LONGEST_CATCH_UP_NS = 1_000_000_000
-_REST_OF_BURST_NS = 5_000_000
-"""So long after a module's reading those of the others come, however late they all are."""
-_DEPTH = 64  # readings kept of each module; at 1000 Hz 64 ms, more than any sensible wait
+_BLOCK = 64
+"""Frames that room is made for at once."""
+_PASSED_AT_FIRST = 64
 MOST_WAITING = 1024
 """Readings of local devices, and of photoelectric cells, kept for the next frame while none is completed."""
 _Dated = TypeVar("_Dated", LocalReading, LightReading)
@@ -53,6 +40,10 @@ class Lost(Enum):
     UNKNOWN_MODULE = "module that the rig does not name"
     NO_FRAME = "local or light reading that gave way to newer ones, since no frame came for it"
     SKIPPED_INSTANT = "instants without any data, left out"
+
+
+_COUNTED = (Lost.LATE, Lost.DUPLICATE, Lost.UNKNOWN_MODULE, Lost.SKIPPED_INSTANT)
+"""What the kernel counts, each in the field of ``GRID`` that bears its name."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +62,7 @@ class AssemblyParams:
 
 
 class FrameAssembler:
-    """Gathers readings; gives frames. One call of ``add`` a reading."""
+    """Gathers readings; gives frames. One call of ``add`` a batch."""
 
     def __init__(self, module_ids: tuple[int, ...], params: AssemblyParams) -> None:
         n = len(module_ids)
@@ -80,27 +71,15 @@ class FrameAssembler:
         """Readings that came after their frame, by module id; those of ``lost`` one by one."""
         self.taken = 0
         """Readings that a frame can be made from."""
-        self._params = params
-        self._row = {module: row for row, module in enumerate(module_ids)}
-        self._ring = np.zeros((n, _DEPTH), INERTIAL_SAMPLE)
-        self._ring["time_ns"], self._ring["measured"] = _NEVER, np.nan
-        self._heads = np.zeros(n, dtype=np.int64)  # ring position of the newest sample
-        self._newest = [-1] * n  # plain integers: compared once a reading
-        self._newest_of_all = -1
-        self._passed: deque[tuple[int, int]] = deque()
-        """Instants up to which any module had been heard, and when that arrived; from the next frame's on.
-        Older ones are dropped when that frame becomes the next: with one live module no frame ever waits."""
-        self._awaited: set[int] = set()
-        self._instant_ns = -1
-        self._heard = 0
-        self._first_arrival_ns: int | None = None
-        self._grid_start_ns: int | None = None
-        self._count = 0  # frames since the grid's start, skipped instants included
+        self._module_ids = module_ids
+        self._grid, self._modules, self._rings = _new_grid(params), _new_modules(module_ids), new_rings(n)
+        self._passed = np.zeros(_PASSED_AT_FIRST, PASSED)
+        self._block, self._used = new_block(_BLOCK, n), 0
+        """Frames are views of it; when it is full another takes its place."""
         self._sequence = 0
-        self._last_instant_ns = -1
         self._local: deque[LocalReading] = deque()
         self._light: deque[LightReading] = deque()
-        self._interpolate(0)  # compile now, not when the first reading waits
+        self.add(np.zeros(0, INERTIAL_SAMPLE), 0)  # compile now, not when the first reading waits
 
     @property
     def frames(self) -> int:
@@ -110,7 +89,7 @@ class FrameAssembler:
     @property
     def instants(self) -> int:
         """Grid points passed, with a frame or without."""
-        return self._count
+        return int(self._grid["count"][0])
 
     def add_local(self, reading: LocalReading) -> None:
         """Keep a local measurement for the frame that comes next at or after its time."""
@@ -118,7 +97,7 @@ class FrameAssembler:
 
     def add_light(self, reading: LightReading) -> None:
         """Likewise a reading of a module's photoelectric cells."""
-        if reading.module not in self._row:
+        if reading.module not in self._module_ids:
             self.lost[Lost.UNKNOWN_MODULE] += 1
             return
         self._keep_waiting(self._light, reading)
@@ -135,135 +114,83 @@ class FrameAssembler:
     def add(self, samples: NDArray[np.void], arrived_ns: int) -> list[ImuFrame]:
         """Take samples (n,) ``INERTIAL_SAMPLE``; return the frames that they, or the time they arrived,
         complete."""
+        if not samples.flags.carray:
+            samples = samples.copy()  # or the kernel is compiled once more
         frames: list[ImuFrame] = []
-        modules, times_ns = samples["module"].tolist(), samples["time_ns"].tolist()
-        for index, (module, time_ns) in enumerate(zip(modules, times_ns, strict=True)):
-            row = self._row.get(module)
-            if row is None:
-                self.lost[Lost.UNKNOWN_MODULE] += 1
-            elif self._store(row, time_ns, samples[index]):
-                self.taken += 1
-                reached_ns = self._passed[-1][0] if self._passed else self._instant_ns - 1
-                if self._newest_of_all > reached_ns:
-                    self._passed.append((self._newest_of_all, arrived_ns))
-                if self._first_arrival_ns is None:
-                    self._first_arrival_ns = arrived_ns
-                frames += self._emit(arrived_ns)
+        index = 0
+        while True:
+            begin = self._used
+            index, self._used, taken, lost = take(
+                self._grid, self._modules, self._rings, self._passed, samples, index, arrived_ns, begin,
+                *self._block,
+            )  # fmt: skip
+            self.taken += taken
+            if lost:
+                self._tell_lost()
+            if self._used > begin:
+                frames += self._frames(begin)
+            if index == len(samples):
+                return frames
+            self._make_room()
+
+    def _make_room(self) -> None:
+        """For what did not fit: another block, or a longer queue."""
+        if self._used == _BLOCK:
+            self._block, self._used = new_block(_BLOCK, len(self._module_ids)), 0
+        if self._grid["n_passed"][0] == len(self._passed):
+            in_order = np.roll(self._passed, -int(self._grid["passed_begin"][0]))
+            self._passed = np.concatenate((in_order, np.zeros_like(in_order)))
+            self._grid["passed_begin"] = 0
+
+    def _tell_lost(self) -> None:
+        """Add to the counters what the kernel has counted since they were last told."""
+        for reason in _COUNTED:
+            count = int(self._grid[reason.name.lower()][0])
+            if count:
+                self.lost[reason] += count
+                self._grid[reason.name.lower()] = 0
+        for row in np.flatnonzero(self._modules["late"]):
+            self.late[self._module_ids[row]] += int(self._modules["late"][row])
+        self._modules["late"] = 0
+
+    def _frames(self, begin: int) -> list[ImuFrame]:
+        """Return the frames of the block from one on."""
+        block, frames = self._block, []
+        for k in range(begin, self._used):
+            time_ns, is_clipped = block.instants.item(k)
+            frames.append(
+                ImuFrame(
+                    self._sequence,
+                    time_ns,
+                    block.specific_force[k],
+                    block.angular_rate[k],
+                    block.magnetic_field[k],
+                    block.status[k],
+                    block.gap_ns[k],
+                    local=_take_due(self._local, time_ns) if self._local else (),
+                    light=_take_due(self._light, time_ns) if self._light else (),
+                    clipped=block.clipped[k] if is_clipped else None,
+                )
+            )
+            self._sequence += 1
         return frames
 
-    def _store(self, row: int, time_ns: int, sample: np.void) -> bool:
-        newest = self._newest[row]
-        if newest < 0:
-            self._heard += 1
-        elif time_ns <= newest:
-            return self._insert_late(row, time_ns, sample)
-        head = (int(self._heads[row]) + 1) % _DEPTH
-        self._ring[row, head] = sample
-        self._heads[row] = head
-        self._newest[row] = time_ns
-        self._newest_of_all = max(self._newest_of_all, time_ns)
-        if time_ns >= self._instant_ns:
-            self._awaited.discard(row)
-        return True
 
-    def _insert_late(self, row: int, time_ns: int, sample: np.void) -> bool:
-        """A sample overtaken by newer ones on its way: still useful if its instant is yet to come."""
-        ring = self._ring[row]
-        order = (int(self._heads[row]) - np.arange(_DEPTH)) % _DEPTH  # newest first
-        times = ring["time_ns"][order]
-        if time_ns in times:
-            self.lost[Lost.DUPLICATE] += 1
-            return False
-        newer = int(np.count_nonzero(times > time_ns))
-        if time_ns <= self._last_instant_ns or newer == _DEPTH:  # there would be no place for it
-            self.lost[Lost.LATE] += 1
-            self.late[int(sample["module"])] += 1
-            return False
-        head = (int(self._heads[row]) + 1) % _DEPTH
-        target = (head - np.arange(newer)) % _DEPTH
-        ring[target] = ring[order[:newer]]
-        ring[(head - newer) % _DEPTH] = sample
-        self._heads[row] = head
-        return True
+def _new_grid(params: AssemblyParams) -> NDArray[np.void]:
+    """Return the (1,) ``GRID`` of an assembler that has taken nothing."""
+    grid = np.zeros(1, GRID)
+    for name in ("max_wait_ns", "max_gap_ns", "hold_ns", "start_wait_ns"):
+        grid[name] = getattr(params, name)
+    grid["interval_ns"] = params.frame_interval_ns
+    grid["newest_ns"] = grid["instant_ns"] = grid["last_instant_ns"] = -1
+    return grid
 
-    def _emit(self, arrived_ns: int) -> list[ImuFrame]:
-        if self._grid_start_ns is None and not self._start(arrived_ns):
-            return []
-        if self._newest_of_all - self._instant_ns > self._params.hold_ns + _LONGEST_CATCH_UP_NS:
-            self._skip_silence()
-        frames = []
-        while self._is_due(arrived_ns):
-            frames.append(self._frame(self._instant_ns))
-            self._last_instant_ns = self._instant_ns
-            self._advance(self._count + 1)
-        return frames
 
-    def _start(self, arrived_ns: int) -> bool:
-        """Begin the grid at the instant from which all modules (heard so far) have readings."""
-        assert self._first_arrival_ns is not None
-        all_heard = self._heard == len(self._newest)
-        if not all_heard and arrived_ns - self._first_arrival_ns < self._params.start_wait_ns:
-            return False
-        self._grid_start_ns = self._newest_of_all
-        self._advance(0)
-        return True
-
-    def _advance(self, count: int) -> None:
-        """Make grid point ``count`` the next instant, and note which modules it has to wait for."""
-        assert self._grid_start_ns is not None
-        self._count = count
-        self._instant_ns = self._grid_start_ns + round(count * self._params.frame_interval_ns)
-        while self._passed and self._passed[0][0] < self._instant_ns:
-            self._passed.popleft()
-        live_since = self._newest_of_all - self._params.hold_ns
-        self._awaited = {
-            row for row, time_ns in enumerate(self._newest) if live_since <= time_ns < self._instant_ns
-        }
-
-    def _is_due(self, arrived_ns: int) -> bool:
-        """Whether the next instant has all that it may wait for."""
-        if self._newest_of_all < self._instant_ns:
-            return False
-        if not self._awaited or arrived_ns >= self._latest_ns():
-            return True
-        if self._newest_of_all - self._instant_ns > self._params.hold_ns:
-            self._advance(self._count)  # who has been silent for so long is not waited for
-        return not self._awaited
-
-    def _latest_ns(self) -> int:
-        """When the next frame waits no more. A burst that comes late as a whole is read to its end first."""
-        reached_ns = self._passed[0][1]
-        return max(self._instant_ns + self._params.max_wait_ns, reached_ns + _REST_OF_BURST_NS)
-
-    def _skip_silence(self) -> None:
-        """After silence of the whole suit, go on at the present instead of filling in the past."""
-        assert self._grid_start_ns is not None
-        count = int((self._newest_of_all - self._grid_start_ns) // self._params.frame_interval_ns)
-        self.lost[Lost.SKIPPED_INSTANT] += count - self._count
-        self._advance(count)
-
-    def _frame(self, instant_ns: int) -> ImuFrame:
-        values, status, gap_ns, clipped = self._interpolate(instant_ns)
-        local = _take_due(self._local, instant_ns)
-        light = _take_due(self._light, instant_ns)
-        frame = ImuFrame(
-            sequence=self._sequence,
-            time_ns=instant_ns,
-            specific_force=values[:, SPECIFIC_FORCE],
-            angular_rate=values[:, ANGULAR_RATE],
-            magnetic_field=values[:, MAGNETIC_FIELD],
-            status=status,
-            gap_ns=gap_ns,
-            local=local,
-            light=light,
-            clipped=clipped if clipped.any() else None,
-        )
-        self._sequence += 1
-        return frame
-
-    def _interpolate(self, instant_ns: int) -> tuple[FloatArray, StatusArray, IntArray, StatusArray]:
-        params = self._params
-        return _interpolate_modules(instant_ns, self._ring, self._heads, params.max_gap_ns, params.hold_ns)
+def _new_modules(module_ids: tuple[int, ...]) -> NDArray[np.void]:
+    """Return the (n,) ``MODULE`` of modules that nothing has been heard of."""
+    modules = np.zeros(len(module_ids), MODULE)
+    modules["id"], modules["newest_ns"] = module_ids, -1
+    return modules
 
 
 def _take_due(waiting: deque[_Dated], instant_ns: int) -> tuple[_Dated, ...]:
@@ -275,74 +202,3 @@ def _take_due(waiting: deque[_Dated], instant_ns: int) -> tuple[_Dated, ...]:
     waiting.clear()
     waiting.extend(later)
     return tuple(due)
-
-
-_MEASURED, _INTERPOLATED = int(Status.MEASURED), int(Status.INTERPOLATED)
-_HELD, _MISSING = int(Status.HELD), int(Status.MISSING)
-_NEVER = np.iinfo(np.int64).min
-
-
-@compiled
-def _bracket(ring: NDArray[np.void], head: int, sensor: int, instant_ns: int) -> tuple[int, int]:
-    """Return the slots of the sensor's samples just before (or at) and just after the instant; -1: none."""
-    depth = ring.shape[0]
-    after = -1
-    for back in range(depth):
-        slot = (head - back) % depth
-        if ring[slot].time_ns == _NEVER:
-            break
-        if np.isnan(ring[slot].measured[sensor, 0]):
-            continue
-        if ring[slot].time_ns <= instant_ns:
-            return slot, after
-        after = slot
-    return -1, after
-
-
-@compiled
-def _interpolate_modules(
-    instant_ns: int, ring: NDArray[np.void], heads: IntArray, max_gap_ns: int, hold_ns: int
-) -> tuple[FloatArray, StatusArray, IntArray, StatusArray]:
-    """Return all modules at one instant: values (n, 3, 3), status, gap and ``Clipped`` sensors (n,).
-
-    ring: (n, depth) ``INERTIAL_SAMPLE``; heads: (n,) place of the newest in it. A module's status is that of
-    the first sensor that it has, in the order of the rows.
-    """
-    n = heads.shape[0]
-    out = np.full((n, 3, 3), np.nan)
-    status = np.full(n, _MISSING, dtype=np.uint8)
-    gap_ns = np.zeros(n, dtype=np.int64)
-    at_end = np.zeros(n, dtype=np.uint8)
-    for m in range(n):
-        judged = False
-        for sensor in range(3):
-            slot, slot_after = _bracket(ring[m], heads[m], sensor, instant_ns)
-            if slot < 0:
-                continue
-            before, after = ring[m, slot], ring[m, slot_after]  # the latter of no use where there is none
-            is_next = slot_after >= 0 and after.sequence - before.sequence == 1
-            age_ns = instant_ns - before.time_ns
-            span_ns = after.time_ns - before.time_ns if slot_after >= 0 else age_ns
-            at_end[m] |= before.clipped
-            if age_ns == 0:
-                out[m, sensor] = before.measured[sensor]
-                kind = _MEASURED
-                span_ns = 0
-            elif slot_after >= 0 and (span_ns <= max_gap_ns or is_next):
-                weight = age_ns / span_ns
-                at_end[m] |= after.clipped
-                for axis in range(3):
-                    out[m, sensor, axis] = (1.0 - weight) * before.measured[
-                        sensor, axis
-                    ] + weight * after.measured[sensor, axis]
-                kind = _MEASURED if is_next else _INTERPOLATED
-            elif age_ns <= hold_ns:
-                out[m, sensor] = before.measured[sensor]
-                kind = _HELD
-            else:
-                kind = _MISSING
-            if not judged:
-                status[m] = kind
-                gap_ns[m] = span_ns
-                judged = True
-    return out, status, gap_ns, at_end
