@@ -19,7 +19,14 @@ from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_session import SensorSession, combined
 from gateway.emulation.rig import dress
 from gateway.errors import SettingsError
-from gateway.frames import ANGULAR_RATE, NOT_READ, SPECIFIC_FORCE, InertialBatch
+from gateway.frames import (
+    ANGULAR_RATE,
+    INERTIAL_SAMPLE,
+    MAGNETIC_FIELD,
+    NOT_READ,
+    SPECIFIC_FORCE,
+    InertialBatch,
+)
 from gateway.pipeline import Pipeline
 from gateway.sources.stream import Stream
 from gateway.stages.frame_assembler import AssemblyParams
@@ -140,6 +147,26 @@ def test_modules_without_calibration_pass_as_they_are():
     assert (corrected["measured"][:, SPECIFIC_FORCE] == force).all()
     assert np.isnan(corrected["measured"][2, ANGULAR_RATE]).all()
     assert samples["measured"][1, ANGULAR_RATE].tolist() == list(rate)  # what came is left as it was
+
+
+def test_a_batch_is_corrected_to_the_bit_as_each_sample_by_itself():
+    rng = np.random.default_rng(4)
+    calibrations = {module: random_calibration(module) for module in (2, 3, 9)}
+    samples = np.zeros(400, INERTIAL_SAMPLE)
+    samples["module"] = rng.integers(0, 12, len(samples))
+    samples["measured"] = 30.0 * rng.normal(size=(len(samples), 3, 3))
+    samples["measured"][rng.random((len(samples), 3)) < 0.2] = np.nan
+    corrected = SensorCorrections(calibrations).apply(samples)
+    for sample, (force, rate, field) in zip(samples, corrected["measured"], strict=True):
+        if calibration := calibrations.get(int(sample["module"])):
+            sample["measured"][SPECIFIC_FORCE] = calibration.specific_force(
+                sample["measured"][SPECIFIC_FORCE]
+            )
+            sample["measured"][ANGULAR_RATE] = calibration.angular_rate(sample["measured"][ANGULAR_RATE])
+            sample["measured"][MAGNETIC_FIELD] = calibration.magnetic_field(
+                sample["measured"][MAGNETIC_FIELD]
+            )
+        np.testing.assert_array_equal(sample["measured"], [force, rate, field])
 
 
 def random_calibration(seed):
