@@ -1,8 +1,10 @@
 """Single wild values are taken out; motion, steps and losses are left alone."""
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 
-from gateway.frames import MAGNETIC_FIELD, NOT_READ, SPECIFIC_FORCE, InertialBatch
+from gateway.frames import INERTIAL_SAMPLE, MAGNETIC_FIELD, NOT_READ, SPECIFIC_FORCE, InertialBatch
 from gateway.sources.despiking import Despiker, SpikeLimits
 
 
@@ -48,3 +50,52 @@ def test_modules_are_apart_and_absent_sensors_stay_absent():
     assert first["measured"][SPECIFIC_FORCE, 1] == 1.0
     (second,) = despiker.add(reading(2, 1.0, module=1))
     assert np.isnan(second["measured"][MAGNETIC_FIELD]).all()
+
+
+class PlainDespiker:
+    """The same, one sample after another."""
+
+    def __init__(self, limits):
+        self.spikes, self._limits, self._last = {}, limits, {}
+
+    def add(self, sample):
+        module = int(sample["module"])
+        before, middle = self._last.get(module, (None, None))
+        self._last[module] = middle, sample
+        if before is not None and before["sequence"] + 1 == middle["sequence"] == sample["sequence"] - 1:
+            for sensor, limit in enumerate(self._limits):
+                three = np.stack([each["measured"][sensor] for each in (before, middle, sample)])
+                median = np.sort(three, axis=0)[1]
+                if not np.isnan(three).any() and (np.abs(three[1] - median) > limit).any():
+                    middle["measured"][sensor] = median
+                    self.spikes[module] = self.spikes.get(module, 0) + 1
+        return middle
+
+
+def values_of(sample):
+    """To the bit, without the bytes between fields."""
+    return *(int(sample[name]) for name in ("module", "sequence", "time_ns")), sample["measured"].tobytes()
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 3), st.sampled_from([1, 1, 1, 1, 2, 0]), st.sampled_from([0.1, 1.0, 40.0])),
+        max_size=80,
+    ),
+    st.lists(st.integers(0, 80), max_size=4),
+    st.integers(0, 2**32 - 1),
+)
+def test_batches_come_out_as_sample_by_sample(arriving, cuts, seed):
+    rng = np.random.default_rng(seed)
+    samples, counts = np.zeros(len(arriving), INERTIAL_SAMPLE), [0] * 4
+    for sample, (module, step, size) in zip(samples, arriving, strict=True):
+        counts[module] += step
+        sample["module"], sample["sequence"] = 7 * module, counts[module]
+        sample["measured"] = rng.normal(size=(3, 3)) * size
+        sample["measured"][rng.random(3) < 0.1] = np.nan
+    despiker, plain = Despiker(SpikeLimits(20.0, 2.0, 60.0)), PlainDespiker((20.0, 2.0, 60.0))
+    expected = [given for given in map(plain.add, samples.copy()) if given is not None]
+    made = [sample for part in np.split(samples, sorted(cuts)) for sample in despiker.add(part)]
+    assert [values_of(sample) for sample in made] == [values_of(sample) for sample in expected]
+    assert despiker.spikes == plain.spikes
+    assert despiker.held_back == len({module for module, *_ in arriving})
