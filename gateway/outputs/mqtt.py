@@ -1,7 +1,8 @@
 """Skeleton frames to an MQTT broker.
 
-``offer`` puts a frame into a short queue and returns. One task encodes and publishes; it outlives
-every broker: it reconnects for ever, and counts what had to be dropped meanwhile.
+``offer`` encodes a frame and writes it to the broker's socket, if that takes it at once. Else it goes into a
+short queue, which one task empties; that task outlives every broker: it reconnects for ever, and counts what
+had to be dropped meanwhile.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ import contextlib
 import logging
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
@@ -50,6 +51,7 @@ from gateway.outputs.connection import (
     publish_unawaited,
     unique_identifier,
 )
+from gateway.outputs.direct_publishing import DirectPublisher
 from gateway.outputs.home_assistant import discovery
 from gateway.outputs.output import Thinning
 from gateway.outputs.own_topics import PublishRights, TwinWatch
@@ -136,6 +138,8 @@ class MqttOutput:
         self._queue = PoseQueue(settings.queue_length)
         self._published = self._dropped = self._thinned = self._connections = 0
         self._in_hand = 0  # 1 while a pose is on its way to the broker
+        self._direct: DirectPublisher | None = None  # while poses may go out
+        self._direct_in_turn = 0  # poses published at once since the event loop last had its turn
         self._complaints: set[str] = set()
         self._wake = asyncio.Event()
         self._stopping = asyncio.Event()
@@ -177,9 +181,40 @@ class MqttOutput:
         """Take a frame for publishing. Never waits; where too many wait the oldest gives way."""
         if not (self._thinning.admits(frame.time_ns) and self._relief.admits(frame.time_ns)):
             self._thinned += 1
-            return
-        self._queue.put(frame)
-        self._wake.set()
+        elif not self._published_at_once(frame):
+            self._queue.put(frame)
+            self._wake.set()
+
+    def _published_at_once(self, frame: SkeletonFrame) -> bool:
+        """Publish a frame if none waits and the broker's socket takes it; whether it is dealt with.
+
+        It costs a third of waking a task for it, and poses need no turn of the loop to get out."""
+        direct = self._direct
+        if direct is None or self._queue or self._in_hand or not direct.is_free or self._is_probing:
+            return False
+        if self._direct_in_turn == _POSES_A_TURN:
+            return False
+        self._direct_in_turn += 1
+        if self._direct_in_turn == _POSES_A_TURN:
+            asyncio.get_running_loop().call_soon(self._begin_turn)
+        outgoing = self._encoded(frame)
+        if outgoing is None:
+            return True
+        try:
+            is_taken = direct.publish(outgoing)
+        except aiomqtt.MqttError:
+            self._dropped += 1
+            self._direct = None  # the connection is lost, and its task about to hear of it
+            return True
+        if is_taken:
+            self._published += 1
+        else:
+            self._in_hand = 1
+            self._wake.set()
+        return True
+
+    def _begin_turn(self) -> None:
+        self._direct_in_turn = 0
 
     def relieve(self, poses_hz: float | None, *, has_segments: bool) -> None:
         """Publish less for a while: at most so many poses a second (None: as configured), and no single
@@ -368,15 +403,24 @@ class MqttOutput:
     async def _serve(self, client: aiomqtt.Client) -> None:
         """Announce the gateway, then publish until stopped."""
         await self._announce(client)
-        await first_to_end(self._retained.publish_for_ever(client), self._publish_poses(client))
-        await self._farewell(client)
+        direct = DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
+        try:
+            await first_to_end(self._retained.publish_for_ever(client), self._publish_poses(client, direct))
+            await self._farewell(client, direct)
+        finally:
+            self._dropped += self._in_hand
+            self._in_hand = 0
 
-    async def _publish_poses(self, client: aiomqtt.Client) -> None:
+    async def _publish_poses(self, client: aiomqtt.Client, direct: DirectPublisher) -> None:
         """And health, until stopped."""
-        while not self._stopping.is_set():
-            self._wake.clear()
-            await self._publish_waiting(client)
-            await nap(max(self._health_due - time.monotonic(), 0.0), self._wake)
+        self._direct = direct
+        try:
+            while not self._stopping.is_set():
+                self._wake.clear()
+                await self._publish_waiting(client, direct)
+                await nap(max(self._health_due - time.monotonic(), 0.0), self._wake)
+        finally:
+            self._direct = None
 
     async def _announce(self, client: aiomqtt.Client) -> None:
         self._retained.begin_again()
@@ -390,7 +434,7 @@ class MqttOutput:
         where = f"{self._settings.host}:{self.port}"
         logger.info("%s to the MQTT broker at %s, publishing on %s", again, where, self.topics.root)
 
-    async def _publish_waiting(self, client: aiomqtt.Client) -> None:
+    async def _publish_waiting(self, client: aiomqtt.Client, direct: DirectPublisher) -> None:
         if time.monotonic() >= self._health_due:
             self._health_due = time.monotonic() + self._settings.health_interval
             await self._publish_health(client)
@@ -399,46 +443,57 @@ class MqttOutput:
                 # way has been seen to miss it.
                 await client.publish(self.topics.bridge_state, _ONLINE, qos=1, retain=True)
         count = 0
+        if self._in_hand:
+            await self._published_in_the_end(direct.drained())
         while self._queue:
-            await self._publish_pose(client, self._queue.take())
+            outgoing = self._encoded(self._queue.take())
+            if outgoing is not None:
+                self._in_hand = 1
+                await self._published_in_the_end(self._send(client, direct, outgoing))
             count += 1
             if count % _POSES_A_TURN == 0:
                 await asyncio.sleep(0)
 
-    async def _publish_pose(self, client: aiomqtt.Client, frame: SkeletonFrame) -> None:
+    def _encoded(self, frame: SkeletonFrame) -> list[Outgoing] | None:
+        """Return the messages of a pose; None for one that cannot be encoded, which is dropped."""
         try:
-            outgoing = list(self._publications.of(frame))
+            return list(self._publications.of(frame))
         except Exception as error:
             self._dropped += 1
             self._complain("pose", f"a pose cannot be encoded ({error!r}): it is dropped")
-            return
-        self._in_hand = 1
-        try:
-            with self._queue.waiting_for_broker():
-                is_taken = await self._send(client, outgoing)
-        except BaseException:
-            self._dropped += 1
-            raise
-        else:
-            self._published += is_taken
-            self._dropped += not is_taken
-        finally:
-            self._in_hand = 0
+            return None
 
-    async def _send(self, client: aiomqtt.Client, outgoing: list[Outgoing]) -> bool:
+    async def _published_in_the_end(self, sending: Coroutine[Any, Any, bool]) -> None:
+        """Wait until the pose in hand is out, and count what became of it."""
+        with self._queue.waiting_for_broker():
+            is_taken = await sending
+        self._in_hand = 0
+        self._published += is_taken
+        self._dropped += not is_taken
+
+    @property
+    def _is_probing(self) -> bool:
+        """Whether the next pose is one that the broker has to answer for, or some topics are refused."""
+        rights = self.rights
+        return rights.are_told and (bool(rights.refused) or time.monotonic() >= self._probe_due)
+
+    async def _send(self, client: aiomqtt.Client, direct: DirectPublisher, outgoing: list[Outgoing]) -> bool:
         """Publish the messages of a pose; whether the broker takes any of them, as far as it tells.
 
         Only QoS 1 is answered: now and then a pose goes out so, and while topics are refused no other does.
         The answer is waited for unless the one before was good.
         """
         is_probe = self.rights.are_told and time.monotonic() >= self._probe_due
-        if is_probe:
+        if not is_probe:
+            direct.publish([each for each in outgoing if each.topic not in self.rights.refused])
+            await direct.drained()
+        else:
             self._probe_due = time.monotonic() + _PROBE_INTERVAL_S
-        for topic, payload, properties in outgoing:
-            if is_probe and self.rights.state == "allowed":
-                publish_unawaited(client, topic, payload, properties)
-            elif is_probe or topic not in self.rights.refused:
-                await client.publish(topic, payload, qos=int(is_probe), properties=properties)
+            for topic, payload, properties in outgoing:
+                if self.rights.state == "allowed":
+                    publish_unawaited(client, topic, payload, properties)
+                else:
+                    await client.publish(topic, payload, qos=1, properties=properties)
         return any(topic not in self.rights.refused for topic, *_ in outgoing)
 
     async def _publish_health(self, client: aiomqtt.Client) -> None:
@@ -449,11 +504,11 @@ class MqttOutput:
             return
         await client.publish(self.topics.bridge_health, health.payload(), properties=self._properties)
 
-    async def _farewell(self, client: aiomqtt.Client) -> None:
+    async def _farewell(self, client: aiomqtt.Client, direct: DirectPublisher) -> None:
         try:
             async with asyncio.timeout(_DRAIN_S):
                 await self._retained.publish(client)
-                await self._publish_waiting(client)
+                await self._publish_waiting(client, direct)
         except TimeoutError:
             logger.debug("%d poses were still queued at the end", len(self._queue))
         await client.publish(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
