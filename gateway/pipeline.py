@@ -137,6 +137,10 @@ class Pipeline:
         source = self._sources[carries]
         return source, self.stage_of(source.observes)
 
+    def source_of(self, link: str) -> Source:
+        """Return what reads a link that was announced."""
+        return self._routes[link][0]
+
     def has_modules(self, link: str) -> bool:
         """Whether modules are at the other end of a link that was announced."""
         return self._routes[link][0].observes is InertialBatch

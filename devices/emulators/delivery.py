@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.random import Generator
@@ -30,6 +30,21 @@ class Transmission(NamedTuple):
     """A stuffed wire frame, or the CAN records of one, as the framing says."""
     device: int | None = None
     """Number of the device that it comes from; None: not told, or of none."""
+
+
+class WireEncoding(Protocol):
+    """How a device's wire frames become the bytes of its link."""
+
+    @property
+    def framing(self) -> Framing: ...
+
+    def encode(self, frame: WireFrame) -> bytes:
+        """Return its bytes; none at all for what a language has no word for."""
+        ...
+
+    def corrupt(self, data: bytes, rng: Generator) -> bytes:
+        """Return it damaged."""
+        ...
 
 
 class Encoding(NamedTuple):
@@ -79,7 +94,7 @@ class Delivery:
     """The way of one sender's wire frames into the host: first in, first out."""
 
     def __init__(
-        self, settings: Imperfections, encoding: Encoding, rng: Generator, counts: Counter[str]
+        self, settings: Imperfections, encoding: WireEncoding, rng: Generator, counts: Counter[str]
     ) -> None:
         self._settings = settings
         self._encoding = encoding
@@ -101,7 +116,9 @@ class Delivery:
             times = np.ceil(times / settings.batching) * settings.batching
         encode = self._encoding.encode
         transmissions = [
-            Transmission(time, encode(timed.frame)) for time, timed in zip(times.tolist(), sent, strict=True)
+            Transmission(time, data)
+            for time, timed in zip(times.tolist(), sent, strict=True)
+            if (data := encode(timed.frame))
         ]
         return self._corrupted(transmissions) if settings.corruption else transmissions
 

@@ -7,8 +7,9 @@ falling due, its power going and coming. Between two such moments it samples and
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from devices.emulators.sampling import TRIGGERED, SampleSettings, Sampling, Trig
 from devices.emulators.sampling_timer import SamplingTimer
 from devices.emulators.sender import Sender, Timed
 from devices.emulators.status_reports import StatusReports, device_info
-from devices.emulators.stored_settings import StoredSettings
+from devices.emulators.stored_settings import KEYS, StoredSettings
 from devices.emulators.timeline import FROM_OUTSIDE, Timeline
 from firmware_protocol import (
     BROADCAST,
@@ -175,6 +176,13 @@ class EmulatedDevice:
     def blink(self, seconds: int) -> None:
         """Blink from now on; 0 stops it."""
         self._blinks_until_s = self._now_s + seconds
+
+    def adopt(self, values: Mapping[str, Any]) -> None:
+        """Keep settings by name and act by them, as a command of another maker has it."""
+        for name, value in values.items():
+            self.settings.stage(KEYS[name], value)
+        self.settings.commit()
+        self.act_by_settings()
 
     def introduction(self) -> tuple[Packet, ...]:
         """Who it is and how it fares."""

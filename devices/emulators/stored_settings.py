@@ -8,7 +8,8 @@ from typing import Any
 from firmware_protocol.device_settings import SETTINGS, factory_settings
 from firmware_protocol.flash_slots import Flash, FlashError, SlotStore
 
-_KEYS = {setting.name: key for key, setting in SETTINGS.items()}
+KEYS = {setting.name: key for key, setting in SETTINGS.items()}
+"""Of settings, by name."""
 
 
 class StoredSettings:
@@ -30,7 +31,7 @@ class StoredSettings:
 
     def __getitem__(self, name: str) -> Any:
         """The value acted by. Raises ``KeyError`` for a name that is no setting's."""
-        return self._active[_KEYS[name]]
+        return self._active[KEYS[name]]
 
     def value(self, key: int) -> Any:
         """What a host reads: the staged value if there is one, else the one acted by."""
@@ -67,4 +68,4 @@ class StoredSettings:
 
 def provision(flash: Flash, values: Mapping[str, Any]) -> None:
     """Store settings by name, and the factory values of all others, as whoever delivers a suit does."""
-    SlotStore(flash).commit(factory_settings() | {_KEYS[name]: value for name, value in values.items()})
+    SlotStore(flash).commit(factory_settings() | {KEYS[name]: value for name, value in values.items()})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from devices.emulators.bodies import FloatArray
@@ -10,6 +10,7 @@ from devices.emulators.delivery import Encoding
 from devices.emulators.ideal_sensors import GRAVITY, MAGNETIC_FIELD
 from devices.emulators.light_sampler import Sunlight
 from devices.emulators.sample_encoding import SENSORS
+from devices.emulators.voice import Voice
 from firmware_protocol.messages import DEVICE_INFO_INTERVAL_S
 
 
@@ -38,6 +39,8 @@ class SuitSettings:
     has_card: bool = True
     """The relay has a memory card."""
     encoding: Encoding = field(default_factory=Encoding)
+    voice: Callable[[int], Voice] | None = None
+    """Language of another maker that the inertial modules speak, by number, each on a link of its own."""
     stored_ids: Mapping[int, int] = field(default_factory=dict)
     """Ids that devices have stored, by number, where they differ: swapped modules, or two of one id."""
     fresh: frozenset[int] = frozenset()

@@ -12,6 +12,7 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -30,6 +31,7 @@ from devices.emulators.sampling import Sampling
 from devices.emulators.sender import Sender, Timed
 from devices.emulators.suit_devices import AIR, HOST, RADIO, UPLINK, SuitParts
 from devices.emulators.suit_settings import SuitSettings
+from devices.emulators.voice import Voice
 from devices.link import Framing
 from firmware_protocol import RELAY, SamplingTrigger
 
@@ -43,6 +45,7 @@ _LOOK_AHEAD_S = 0.1
 _TAP_INTERVAL_S = 0.25
 _TAP_DETECTION_S = 0.03
 _SHAKE_DETECTION_S = 0.5
+_ANSWERS_AFTER_S = 0.002
 
 
 class SuitTraffic:
@@ -97,8 +100,12 @@ class SuitTraffic:
         passes on to all what comes to it. What should have come before the time that ``advance`` has
         reached comes then.
         """
-        if not any(start_s <= at_s < end_s for start_s, end_s in self._host_absences):
+        if any(start_s <= at_s < end_s for start_s, end_s in self._host_absences):
+            return
+        if not self.voices:
             self.from_host.receive(data, at_s, None if device == RELAY else device)
+        for number in self.voices if device is None else {device} & self.voices.keys():
+            self.devices[number].happen(at_s, partial(self._answer, number, data, at_s))
 
     def advance(self, to_s: float) -> list[Transmission]:
         """Everything that arrives between the last call's time and ``to_s`` (motion time, s), in order."""
@@ -171,6 +178,15 @@ class SuitTraffic:
         """The host is out of range for a while: it hears nothing and is not heard."""
         self._host_absences.append((from_s, to_s))
 
+    def _answer(self, number: int, data: bytes, at_s: float) -> None:
+        """Have a device of another maker obey, in its own words."""
+        device = self.devices[number]
+        answer = self.voices[number].hear(data, device) if device.is_on else b""
+        if answer:
+            arrives_s = max(at_s, self._now_s) + _ANSWERS_AFTER_S
+            heapq.heappush(self._pending, (arrives_s, self._order, answer, number))
+            self._order += 1
+
     def _arrived_before(self, to_s: float) -> Iterator[Transmission]:
         while self._pending and self._pending[0][0] < to_s:
             time_s, _, data, number = heapq.heappop(self._pending)
@@ -231,8 +247,13 @@ class SuitTraffic:
         self.from_host = FromHost(self.framing)
         """What the host has said; its decoder counts what came damaged."""
         self._faults = {i: PacketFaults(imperfections, parts.random(i, RADIO), self.counts) for i in modules}
+        speaks = settings.voice
+        self.voices: dict[int, Voice] = {} if speaks is None else {i: speaks(i) for i in self._inertial}
+        """Of modules that speak as another maker's."""
         self._deliveries = {
-            i: Delivery(imperfections, settings.encoding, parts.random(i, HOST), self.counts)
+            i: Delivery(
+                imperfections, self.voices.get(i, settings.encoding), parts.random(i, HOST), self.counts
+            )
             for i in (*modules, RELAY)
         }
         self._broadcaster = Broadcaster(imperfections, parts.random(RELAY, AIR))

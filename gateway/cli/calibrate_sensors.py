@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import json
 import signal
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,6 +32,7 @@ from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import suit_session
 from gateway.settings import load_gateway_settings
+from gateway.sources.link_settings import LinkSettings
 from gateway.support.settings_files import find_file
 
 _COLOURS = {"good": "green", "fair": "yellow", "poor": "red"}
@@ -193,7 +194,7 @@ def sensors(
     accelerometers' scales, turning in all directions the magnetometers' hard and soft iron, away from iron.
     The order does not matter; it ends when every module has shown enough. Ctrl-C takes what there is.
     """
-    rig, urls = _rig_and_urls(suit)
+    rig, links = _rig_and_links(suit)
     source = find_file(rig, "rigs", suit.config)
     target = _target(source, suit, output, force, flash)
     worn = load_rig(rig, suit.config)
@@ -204,7 +205,7 @@ def sensors(
         sensors=_chosen_sensors(only),
         has_levelled_cube=cube,
     )
-    found = asyncio.run(_calibrate(suit, urls, worn, session, seconds, flash, poor, as_json))
+    found = asyncio.run(_calibrate(suit, links, worn, session, seconds, flash, poor, as_json))
     kept = {module: usable(results, poor) for module, results in found.items()}
     if as_json:
         typer.echo(json.dumps(results_as_json(found)))
@@ -241,7 +242,7 @@ def usable(results: dict[str, Result | str], with_poor: bool) -> dict[str, Resul
 
 async def _calibrate(
     suit: SuitChoice,
-    urls: dict[str, str],
+    links: Sequence[LinkSettings],
     worn: WornSuit,
     session: SensorSession,
     seconds: float,
@@ -251,7 +252,7 @@ async def _calibrate(
 ) -> dict[int, dict[str, Result | str]]:
     """Listen until it is enough; write to the modules where that is wanted."""
     journal = Journal(default_journal_path())
-    async with suit_session(urls, worn, allow_writes=suit.allow_writes, journal=journal) as operations:
+    async with suit_session(links, worn, allow_writes=suit.allow_writes, journal=journal) as operations:
         await _listen(operations, session, seconds, is_quiet)
         found = {module: session.results(module) for module in session.modules}
         if flash:
@@ -319,7 +320,7 @@ async def _write(operations: ModuleOperations, module: int, results: dict[str, R
     )
 
 
-def _rig_and_urls(suit: SuitChoice) -> tuple[str, dict[str, str]]:
+def _rig_and_links(suit: SuitChoice) -> tuple[str, Sequence[LinkSettings]]:
     if suit.mqtt is not None:
         raise GatewayError(
             "calibrate sensors reads the modules itself: stop the running gateway and give -c or --link"
@@ -327,11 +328,11 @@ def _rig_and_urls(suit: SuitChoice) -> tuple[str, dict[str, str]]:
     if suit.link is not None:
         if suit.rig is None:
             raise GatewayError("--link needs --rig: name a shipped rig, such as suit_17, or a rig file")
-        return suit.rig, {"suit": suit.link}
+        return suit.rig, [LinkSettings(name="suit", url=suit.link)]
     if suit.config is None:
         raise GatewayError("where is the suit? give -c CONFIG, or --link PORT --rig RIG")
     settings = load_gateway_settings(suit.config)
-    return suit.rig or settings.rig, {link.name: link.url for link in settings.links}
+    return suit.rig or settings.rig, settings.links
 
 
 def _target(source: Path, suit: SuitChoice, output: Path | None, force: bool, flash: bool) -> Path | None:

@@ -25,6 +25,7 @@ from gateway.modules.remote import remote_suit
 from gateway.modules.session import suit_session
 from gateway.outputs.settings import MqttSettings, TlsSettings
 from gateway.settings import load_gateway_settings
+from gateway.sources.link_settings import LinkSettings
 
 _SUIT = "Which suit"
 
@@ -95,8 +96,8 @@ async def operations_of(choice: SuitChoice) -> AsyncIterator[Operations]:
     if choice.link is not None:
         if choice.rig is None:
             raise GatewayError("--link needs --rig: name a shipped rig, such as suit_17, or a rig file")
-        suit, urls = load_rig(choice.rig), {"suit": choice.link}
-        async with suit_session(urls, suit, allow_writes=choice.allow_writes, journal=journal) as local:
+        suit, links = load_rig(choice.rig), [LinkSettings(name="suit", url=choice.link)]
+        async with suit_session(links, suit, allow_writes=choice.allow_writes, journal=journal) as local:
             yield local
         return
     if choice.config is None:
@@ -106,7 +107,7 @@ async def operations_of(choice: SuitChoice) -> AsyncIterator[Operations]:
         )
     settings = load_gateway_settings(choice.config)
     async with suit_session(
-        {link.name: link.url for link in settings.links},
+        settings.links,
         load_rig(choice.rig or settings.rig, choice.config),
         allow_writes=choice.allow_writes or settings.allow_device_writes,
         journal=journal,

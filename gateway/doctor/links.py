@@ -228,23 +228,22 @@ _GARBLED = (Defect.OVERLONG, Defect.BAD_STUFFING, Defect.TOO_SHORT, Defect.BAD_C
 
 async def listen(links: Sequence[LinkSettings], suit: WornSuit, seconds: float) -> list[Finding]:
     """Read the links, and ask modules who they are; changes nothing in them."""
-    urls = {link.name: link.url for link in links}
     journal = Journal(default_journal_path())
     try:
-        async with suit_session(urls, suit, allow_writes=False, journal=journal) as operations:
+        async with suit_session(links, suit, allow_writes=False, journal=journal) as operations:
             listed = await operations.perform("list", {"listen_s": max(seconds, SHORTEST_S)})
             found = ModuleList.model_validate({k: v for k, v in listed.items() if k != "allows_writes"})
-            return [*_readability(urls, operations), *_presence(found, suit)]
+            return [*_readability(links, operations), *_presence(found, suit)]
     except (GatewayError, LinkError, DeviceError) as error:
         what, _, remedy = str(error).partition("; ")
         return [bad("suit", what, remedy or "see the findings about its ports")]
 
 
-def _readability(urls: Mapping[str, str], operations: ModuleOperations) -> Iterator[Finding]:
+def _readability(links: Sequence[LinkSettings], operations: ModuleOperations) -> Iterator[Finding]:
     stream = operations.stream
     received = sum(record.received for record in stream.modules.values())
     dropped_by_link = stream.dropped()
-    for name, url in urls.items():
+    for name, url in ((link.name, link.url) for link in links):
         dropped = dropped_by_link.get(name, {})
         garbled = sum(dropped.get(defect.name.lower(), 0) for defect in _GARBLED)
         yield from _line(f"{name}: data", url, garbled, received)

@@ -28,6 +28,7 @@ from gateway.contract import requests
 from gateway.contract.messages import plain_json
 from gateway.errors import GatewayError, nearest
 from gateway.modules.journal import Entry, Journal, JournalError
+from gateway.modules.makers import MakersModule, MakersModules, changed
 from gateway.modules.motion import MotionWatch
 from gateway.modules.summary import count_samples, segments_of, summarise
 from gateway.sources.stream import Stream
@@ -59,7 +60,16 @@ class ModuleOperations:
     that goes on beside it.
     """
 
-    def __init__(self, stream: Stream, client: CommandClient, suit: WornSuit, journal: Journal) -> None:
+    def __init__(
+        self,
+        stream: Stream,
+        client: CommandClient,
+        suit: WornSuit,
+        journal: Journal,
+        makers: MakersModules | None = None,
+    ) -> None:
+        """makers: modules of others, which can be listed, identified, read and set, and no more."""
+        self._makers = makers or MakersModules()
         self.configurator = Configurator(client)
         self._stream = stream
         self._client = client
@@ -116,15 +126,16 @@ class ModuleOperations:
 
     async def _list(self, request: requests.ListRequest) -> Plain:
         before = count_samples(self._stream, gateway_time_ns())
-        roster, _ = await asyncio.gather(self._in_turn(self._discover), asyncio.sleep(request.listen_s))
-        await self._hear_descriptions(roster)
+        (roster, makers), _ = await asyncio.gather(
+            self._in_turn(self._discover_all), asyncio.sleep(request.listen_s)
+        )
+        await self._hear_descriptions({device.module for device in roster.devices} | makers.keys())
         after = count_samples(self._stream, gateway_time_ns())
-        listed = summarise(roster, self._stream, self._suit, before, after)
+        listed = summarise(roster, self._stream, self._suit, before, after, makers)
         return {**listed.model_dump(mode="json"), "allows_writes": self._client.allow_writes}
 
-    async def _hear_descriptions(self, roster: Roster) -> None:
+    async def _hear_descriptions(self, known: Collection[int]) -> None:
         """Wait, as long as one may take, for what those that answer no commands say of themselves."""
-        known = {device.module for device in roster.devices}
         modules = self._stream.modules
         while gateway_time_ns() < self._began_ns + _DESCRIBED_NS:
             if all(record.info for module, record in modules.items() if module not in known):
@@ -132,16 +143,24 @@ class ModuleOperations:
             await asyncio.sleep(_LOOK_S)
 
     async def _identify(self, request: requests.IdentifyRequest) -> Plain:
+        if (other := await self._makers.find(request.device)) is not None:
+            await other.commands.identify(other.line, request.seconds)
+            return _named(other)
         device = await self._find(request.device)
         await self.configurator.identify(device.unique_id, request.seconds)
         return _named(device)
 
     async def _read(self, request: requests.ReadRequest) -> Plain:
+        if (other := await self._makers.find(request.device)) is not None:
+            return _named(other) | {"settings": await other.commands.read(other.line)}
         device = await self._find(request.device)
         return _named(device) | {"settings": await self.configurator.read_all(device.unique_id)}
 
     async def _set(self, request: requests.SetRequest) -> Plain:
         self._refuse_unless_allowed("changing settings")
+        if (other := await self._makers.find(request.device)) is not None:
+            before, after = await changed(other, request.settings)
+            return _named(other) | {"before": before, "after": after}
         device = await self._find(request.device)
         uid, settings = device.unique_id, request.settings
         for name, value in settings.items():
@@ -295,6 +314,12 @@ class ModuleOperations:
     async def _discover(self) -> Roster:
         return await self.configurator.discover()
 
+    async def _discover_all(self) -> tuple[Roster, dict[int, MakersModule]]:
+        """Return who answers: our own, and those of others by module id."""
+        others = {module.module: module for module in await self._makers.discover()}
+        has_own = self._client.links or not self._makers.has_links
+        return await self._discover() if has_own else Roster(()), others
+
     async def _roster(self) -> Roster:
         return self.configurator.roster or await self._discover()
 
@@ -308,8 +333,9 @@ class ModuleOperations:
         return (await self._discover()).find(name)
 
 
-def _named(device: Device) -> Plain:
-    return {"module": device.module, "unique_id": device.unique_id.hex()}
+def _named(device: Device | MakersModule) -> Plain:
+    uid = device.unique_id
+    return {"module": device.module, "unique_id": uid if isinstance(uid, str) else uid.hex()}
 
 
 def _change(change: Change) -> Plain:

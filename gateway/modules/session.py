@@ -5,17 +5,21 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Collection, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 
 from devices.command_client import LISTENS_TO, CommandClient
 from devices.endpoints import link_from_url
-from devices.link import Chunk, Link, LinkError
+from devices.link import SUIT, Chunk, Link, LinkError
 from devices.reconnect import ReconnectingLink
-from devices.replay_link import framings_of
+from devices.replay_link import contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
+from gateway.modules.makers import MakersModules
 from gateway.modules.operations import ModuleOperations
-from gateway.sources.module_table import ClockMode
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.module_table import ClockMode, ModuleTable
+from gateway.sources.registry import carried_by, source_kind
+from gateway.sources.source import Source, SourceContext
 from gateway.sources.stream import Stream
 
 _LISTENED_S = 1.2
@@ -28,36 +32,70 @@ _THROUGH_A_GATEWAY = (
 
 @contextlib.asynccontextmanager
 async def suit_session(
-    urls: Mapping[str, str],
+    links: Sequence[LinkSettings],
     suit: WornSuit,
     *,
     allow_writes: bool,
     journal: Journal,
     clock_mode: ClockMode = ClockMode.ESTIMATED,
 ) -> AsyncIterator[ModuleOperations]:
-    """Open the links (URL by name) and read them until the end. Raises ``LinkError`` for one that is absent.
+    """Open the links of modules and read them until the end. Raises ``LinkError`` for one that is absent.
 
-    A link that is lost later is opened again: a module on USB goes away when it restarts.
+    A link that is lost later is opened again: a module on USB goes away when it restarts. Links with nobody
+    to be asked at the other end are left alone.
     """
-    links = [ReconnectingLink(link_from_url(url, name=name), strict=True) for name, url in urls.items()]
-    stream = Stream(clock_mode)
-    client = CommandClient(links, allow_writes=allow_writes)
-    connect_client(client, stream)
+    asked = [link for link in links if _takes_questions(link.carries)]
+    opened = {
+        each.name: ReconnectingLink(link_from_url(each.url, name=each.name), strict=True) for each in asked
+    }
+    context = SourceContext(suit, ModuleTable(clock_mode), links={link.name: link for link in links})
+    sources = _Sources(context)
+    client = CommandClient(
+        [opened[link.name] for link in asked if link.carries == SUIT], allow_writes=allow_writes
+    )
+    connect_client(client, sources.stream)
+    makers = MakersModules()
     async with contextlib.AsyncExitStack() as stack:
         readers = []
-        for link in links:
+        for each in asked:
+            link = opened[each.name]
             await _open(link)
             stack.push_async_callback(link.close)
-            framings = framings_of(link.link)
-            for name, framing in framings.items():
-                stream.add_link(name, framing)
-            readers.append(
-                asyncio.create_task(_read(link, stream, framings.keys()), name=f"link {link.name}")
-            )
+            routes = sources.add(link, each.carries)
+            for name, source in routes.items():
+                if name == link.name:
+                    makers.add_link(link, source)
+            readers.append(asyncio.create_task(_read(link, routes), name=f"link {link.name}"))
         stack.push_async_callback(_end, readers)
-        if any(url.startswith("udp:") for url in urls.values()):
+        if any(link.url.startswith("udp:") for link in asked):
             await asyncio.sleep(_LISTENED_S)
-        yield ModuleOperations(stream, client, suit, journal)
+        yield ModuleOperations(sources.stream, client, suit, journal, makers)
+
+
+def _takes_questions(carries: str) -> bool:
+    kind = source_kind(carries)
+    return kind.takes_commands or kind.commands is not None
+
+
+class _Sources:
+    """What reads the links, one of a kind."""
+
+    def __init__(self, context: SourceContext) -> None:
+        self._context = context
+        self.stream = Stream.of(context)
+        self._sources: dict[str, Source] = {SUIT: self.stream}
+
+    def add(self, link: ReconnectingLink, carries: str) -> dict[str, Source]:
+        """Announce an open link; return what reads it, by the names that its chunks bear."""
+        routes = {}
+        for name, content in contents_of(link.link, carries).items():
+            carried = carried_by(content)
+            if _takes_questions(carried):
+                if carried not in self._sources:
+                    self._sources[carried] = source_kind(carried).make(self._context)
+                routes[name] = self._sources[carried]
+                routes[name].add_link(name, content)
+        return routes
 
 
 def connect_client(client: CommandClient, stream: Stream) -> None:
@@ -88,10 +126,10 @@ def _unsaid(logger: logging.Logger) -> Iterator[None]:
         logger.setLevel(level)
 
 
-async def _read(link: Link, stream: Stream, names: Collection[str]) -> None:
+async def _read(link: Link, routes: Mapping[str, Source]) -> None:
     async for item in link:
-        if isinstance(item, Chunk) and item.link in names:
-            stream.receive(item)
+        if isinstance(item, Chunk) and item.link in routes:
+            routes[item.link].receive(item)
 
 
 async def _end(readers: Sequence[asyncio.Task[None]]) -> None:

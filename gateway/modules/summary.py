@@ -18,6 +18,7 @@ from firmware_protocol.kinds import Kind
 from gateway.body.skeleton import WornSuit
 from gateway.contract.messages import Message, ModuleAvailability, ModuleClockState, ModuleState
 from gateway.contract.topics import MODULE_AVAILABILITY, MODULE_STATE
+from gateway.modules.makers import MakersModule
 from gateway.sources.statistics import ModuleRecord
 from gateway.sources.stream import Stream
 
@@ -102,8 +103,16 @@ def count_samples(stream: Stream, time_ns: int) -> Counts:
     )
 
 
-def summarise(roster: Roster, stream: Stream, suit: WornSuit, before: Counts, after: Counts) -> ModuleList:
-    """The list of a roster, with rates between two counts."""
+def summarise(
+    roster: Roster,
+    stream: Stream,
+    suit: WornSuit,
+    before: Counts,
+    after: Counts,
+    makers: Mapping[int, MakersModule] | None = None,
+) -> ModuleList:
+    """The list of a roster, with rates between two counts. makers: modules of others that answered, by id."""
+    makers = makers or {}
     segments = segments_of(suit)
     names = module_names(suit)
     span_s = max((after.time_ns - before.time_ns) * 1e-9, 1e-9)
@@ -116,9 +125,9 @@ def summarise(roster: Roster, stream: Stream, suit: WornSuit, before: Counts, af
     ]
     known = {device.module for device in roster.devices}
     silent = [
-        _summary(module, None, record, names, rates)
+        _answering(_summary(module, None, record, names, rates), makers.get(module))
         for module, record in sorted(stream.modules.items())
-        if module not in known and rates.get(module)
+        if module not in known and (rates.get(module) or module in makers)
     ]
     return ModuleList(
         modules=tuple(sorted([*answering, *silent], key=lambda each: each.module)),
@@ -152,6 +161,14 @@ def _summary(
         resets=0 if record is None else record.clock.restarts,
         gaps={} if record is None else record.gap_histogram,
     )
+
+
+def _answering(summary: ModuleSummary, other: MakersModule | None) -> ModuleSummary:
+    """The summary of a module that is heard, with what one of another maker has answered."""
+    if other is None:
+        return summary
+    told = {"answers": True, "unique_id": other.unique_id, "link": other.link}
+    return summary.model_copy(update={**told, "firmware": other.description.firmware})
 
 
 def _conflict(conflict: Conflict) -> ConflictSummary:

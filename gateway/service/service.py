@@ -32,6 +32,7 @@ from gateway.contract.messages import BridgeInfo, ModuleInfo
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.modules.journal import Journal, default_journal_path
+from gateway.modules.makers import MakersModules
 from gateway.modules.module_log import ModuleLog, Strangers
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import connect_client
@@ -120,7 +121,10 @@ class Service:
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
         self._strangers = Strangers(stream, suit)
-        operations = ModuleOperations(stream, self.commands, suit, Journal(default_journal_path()))
+        self._makers = MakersModules(self._note_sent)
+        operations = ModuleOperations(
+            stream, self.commands, suit, Journal(default_journal_path()), self._makers
+        )
         sender = HostSender(self._note_sent, senders=stream.senders)
         self._announced: list[Link] = []  # to the pipeline, and with somebody who takes commands
         self._askers = list(_askers(settings, self._announced, sender, stream))
@@ -247,8 +251,10 @@ class Service:
         contents = self._contents_of(link)
         for name, content in contents.items():
             self.pipeline.add_link(name, content)
-        if not isinstance(link, ReplayLink) and self._takes_commands(link):
-            self._announced.append(link)
+        if not isinstance(link, ReplayLink):
+            self._makers.add_link(link, self.pipeline.source_of(link.name))
+            if self._takes_commands(link):
+                self._announced.append(link)
         losses = 0
         try:
             async for item in link:

@@ -12,10 +12,11 @@ from gateway.sources.gnss.receiver import GnssLinkSettings, GnssSource
 from gateway.sources.heat_maps import NO_CAMERAS, HeatMapSource
 from gateway.sources.hips import HipSource
 from gateway.sources.link_settings import LinkSettings
+from gateway.sources.makers import Discovery, MakersCommands
 from gateway.sources.markers import NO_MARKERS, MarkerSource
 from gateway.sources.source import Source, SourceContext
 from gateway.sources.stream import Stream
-from gateway.sources.ximu3 import Ximu3LinkSettings, Ximu3Source
+from gateway.sources.ximu3 import DISCOVERY, Ximu3Commands, Ximu3LinkSettings, Ximu3Source
 
 
 class SourceKind(NamedTuple):
@@ -26,6 +27,10 @@ class SourceKind(NamedTuple):
     """What the configuration may say of such a link."""
     takes_commands: bool = False
     """Whether packets of ours may be written to it: time requests, triggers, commands."""
+    commands: MakersCommands | None = None
+    """What may be asked of its devices in their own words."""
+    discovery: Discovery | None = None
+    """How its devices are found in the network."""
     refusal: Callable[[WornSuit], str | None] = lambda _suit: None
     """Why a suit has no use for it; None: it has."""
 
@@ -47,7 +52,7 @@ def _cameras(context: SourceContext) -> Source:
 SOURCES: dict[str, SourceKind] = {
     SUIT: SourceKind(Stream.of, takes_commands=True),
     "gnss": SourceKind(GnssSource, GnssLinkSettings),
-    "ximu3": SourceKind(Ximu3Source, Ximu3LinkSettings),
+    "ximu3": SourceKind(Ximu3Source, Ximu3LinkSettings, commands=Ximu3Commands(), discovery=DISCOVERY),
     "markers": SourceKind(MarkerSource, refusal=_without_markers),
     "heat_maps": SourceKind(_cameras, refusal=_without_cameras),
 }

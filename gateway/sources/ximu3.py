@@ -3,155 +3,191 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
-from collections.abc import Iterator, Mapping
-from typing import Literal
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
 
 from pydantic import Field
 
+from devices.device_errors import DeviceError
 from devices.link import Chunk
-from devices.vendor_protocols.ximu3 import Inertial, Magnetic, Message, Ximu3Decoder
+from devices.vendor_protocols.ximu3 import (
+    COMMAND_PORT,
+    DISCOVERY_PORT,
+    SETTINGS,
+    Answer,
+    Battery,
+    Inertial,
+    Magnetic,
+    Message,
+    Radio,
+    Temperature,
+    Ximu3Decoder,
+    encode_command,
+    read_announcement,
+)
 from firmware_protocol import InertialSample
-from gateway.contract.balances import Balance
-from gateway.frames import NOT_READ, Clipped, InertialBatch, Sample, Vector3
-from gateway.sources.link_settings import LinkSettings
-from gateway.sources.source import ListeningSource, SourceContext
+from gateway.frames import NOT_READ, Clipped, Sample
+from gateway.sources.makers import (
+    GRAVITY,
+    Announced,
+    CommandLine,
+    Description,
+    Discovery,
+    MakersDevice,
+    MakersLinkSettings,
+    MakersSource,
+    StampCounter,
+    health,
+    identity,
+    scaled,
+)
+from gateway.sources.module_table import ModuleTable
 
-GRAVITY = 9.80665
-"""m/s² in the g of the device."""
 RANGE_DEG_S, RANGE_G = 1999.0, 23.99
 """At or beyond these a sensor of the device is at the end of its range."""
 _MAGNETIC = 1 << 9
 """Added to the kind: its magnetometer runs by itself, and is counted by itself."""
 
 
-_INTERVALS, _FEWEST_INTERVALS = 31, 8
-"""Between stamps: of so many the lower quartile is the interval of the samples, once there are some."""
-
-
-class Ximu3LinkSettings(LinkSettings):
+class Ximu3LinkSettings(MakersLinkSettings):
     """One x-IMU3."""
 
     carries: Literal["ximu3"] = "ximu3"
-    module: int = Field(ge=0, le=254, description="for ximu3: number under which the rig knows the device")
-    field_ut: float = Field(
-        default=49,
-        gt=0,
-        le=100,
-        description="for ximu3: the earth's field where it was calibrated, µT; it sends its share of that",
+    command_port: int = Field(
+        default=COMMAND_PORT,
+        ge=1,
+        le=65535,
+        description="for ximu3 over udp: port on which the device takes commands (udp_receive_port)",
     )
 
 
-class Ximu3Source(ListeningSource):
-    """Devices number nothing: the link says which module it is, and stamps tell what is lost."""
+class Ximu3Device(MakersDevice):
+    """A device numbers nothing: its stamps tell what is lost."""
 
-    observes = InertialBatch
+    new_decoder = Ximu3Decoder
 
-    def __init__(self, context: SourceContext) -> None:
-        self._modules = context.modules
-        self._links = context.links
-        self._devices: dict[str, _Device] = {}
-        self._accepted = 0
+    def __init__(self, settings: Ximu3LinkSettings) -> None:
+        super().__init__(settings)
+        self._inertial, self._magnetic = StampCounter(), StampCounter()
+        self._health = health()
 
-    def add_link(self, name: str, content: str) -> None:
-        """Announce a device."""
-        told = self._links.get(name)
-        self._devices[name] = _Device(told) if isinstance(told, Ximu3LinkSettings) else _Device(None)
-        self._modules.add_link(name)
-
-    def receive(self, chunk: Chunk) -> list[InertialBatch]:
-        """Return the samples that a chunk completes."""
-        device = self._devices[chunk.link]
-        messages = device.feed(chunk)
-        self._modules.begin_chunk(chunk, is_damaged=device.is_damaged)
-        rows = [self._row(device, message, chunk) for message in messages]
-        self._accepted += len(rows)
-        return [InertialBatch.of(rows)] if rows else []
-
-    def dropped(self) -> Mapping[str, Mapping[str, int]]:
-        """Return what could not be read, by link and reason."""
-        return {name: device.dropped for name, device in self._devices.items()}
-
-    def statistics(self) -> Mapping[str, object]:
-        """Return how many messages no reading is made from, by link."""
-        return {"ximu3": {name: {"unused": device.decoder.unused} for name, device in self._devices.items()}}
-
-    def balances(self) -> Iterator[Balance]:
-        """Yield the messages read, each of which is a sample."""
-        yield Balance("packets_decoded", self._accepted, {})
-        yield Balance("readings", self._accepted, {})
-
-    def _row(self, device: _Device, message: Message, chunk: Chunk) -> Sample:
-        record, time_ns = self._modules.timed(device.module, message.time_us % 2**32, chunk)
-        losses = self._modules.losses(chunk.link)
+    def sample(self, message: Message, modules: ModuleTable, chunk: Chunk) -> Sample | None:
+        """Return the sample that a message is; None for one that tells how, or who, the device is."""
+        if not isinstance(message, Inertial | Magnetic):
+            self._note(message, modules)
+            return None
+        record, time_ns = modules.timed(self.module, message.time_us % 2**32, chunk)
+        losses = modules.losses(chunk.link)
         if isinstance(message, Magnetic):
-            number = device.magnetic.number(message.time_us)
+            number = self._magnetic.number(message.time_us)
             record.counter(InertialSample.KIND | _MAGNETIC).count_unwrapped(number, losses)
-            field = _scaled(message.field, device.field_ut)
-            return device.module, device.inertial.newest, time_ns, (NOT_READ, NOT_READ, field), 0
-        number = device.inertial.number(message.time_us)
+            field = scaled(message.field, self.settings.field_ut)
+            return self.module, self._inertial.newest, time_ns, (NOT_READ, NOT_READ, field), 0
+        number = self._inertial.number(message.time_us)
         record.counter(InertialSample.KIND).count_unwrapped(number, losses)
-        force, rate = _scaled(message.specific_force, GRAVITY), _scaled(message.angular_rate, math.pi / 180.0)
-        return device.module, number, time_ns, (force, rate, NOT_READ), _clipped(message)
+        force, rate = scaled(message.specific_force, GRAVITY), scaled(message.angular_rate, math.pi / 180.0)
+        return self.module, number, time_ns, (force, rate, NOT_READ), _clipped(message)
+
+    def command_address(self) -> str:
+        """Return host and port on which it takes commands; empty where there is one other end."""
+        host, colon, _ = (self.sender or "").rpartition(":")
+        return f"{host}{colon}{self.settings.command_port}" if host else ""
+
+    def _note(self, message: Battery | Radio | Temperature | Answer, modules: ModuleTable) -> None:
+        record = modules.records.get(self.module)
+        if record is None:
+            return
+        if isinstance(message, Answer):
+            described = _described(message)
+            record.info = record.info if described is None else identity(bytes.fromhex(described.unique_id))
+            return
+        if isinstance(message, Battery):
+            told: Mapping[str, Any] = {
+                "battery_percent": round(message.percent),
+                "battery_voltage": round(message.voltage, 3),
+            }
+        elif isinstance(message, Radio):
+            told = {"rssi_dbm": round(message.power_dbm)}
+        else:
+            told = {"temperature_celsius": round(message.celsius, 2)}
+        self._health = record.health = replace(self._health, **told)
 
 
-class StampCounter:
-    """Numbers samples that have stamps and no numbers, by their interval: so that lost ones leave a gap."""
+class Ximu3Source(MakersSource):
+    """All x-IMU3 devices."""
 
-    def __init__(self) -> None:
-        self.newest = -1
-        """Number of the newest sample."""
-        self._stamp_us = 0
-        self._intervals: deque[int] = deque(maxlen=_INTERVALS)
-
-    def number(self, stamp_us: int) -> int:
-        """Return the number of the next sample; of one that is no later than the one before, the next."""
-        interval = stamp_us - self._stamp_us
-        self._stamp_us = stamp_us
-        if interval <= 0:
-            self._intervals.clear()
-        step = 1
-        if len(self._intervals) >= _FEWEST_INTERVALS:
-            usual = sorted(self._intervals)[len(self._intervals) // 4]
-            step = max(1, round(interval / usual))
-        if interval > 0 and self.newest >= 0:
-            self._intervals.append(interval)
-        self.newest += step
-        return self.newest
+    carries = "ximu3"
+    settings = Ximu3LinkSettings
+    device = Ximu3Device
 
 
-class _Device:
-    """What is known of the device on one link."""
+class Ximu3Commands:
+    """Commands are JSON of one key, answered under the same key with what stands there now."""
 
-    def __init__(self, told: Ximu3LinkSettings | None) -> None:
-        self.module = 0 if told is None else told.module
-        self.field_ut = 49.0 if told is None else told.field_ut
-        self.decoder = Ximu3Decoder()
-        self.inertial, self.magnetic = StampCounter(), StampCounter()
-        self.is_damaged = False
-        self._sender: str | None = None
-        self._strange: Counter[str] = Counter()
+    async def describe(self, line: CommandLine) -> Description:
+        """Ask who it is."""
+        return await line.ask(encode_command("ping"), _described, "ping")
 
-    @property
-    def dropped(self) -> Counter[str]:
-        return self.decoder.dropped + self._strange
+    async def identify(self, line: CommandLine, seconds: int) -> None:
+        """Flash its light for five seconds, however many are asked for: the device knows no other."""
+        if not seconds:
+            raise DeviceError("an x-IMU3 cannot be told to stop: its light goes out after five seconds")
+        await _answered(line, "strobe", None)
 
-    def feed(self, chunk: Chunk) -> list[Message]:
-        """Return the messages of the device; those of another sender are counted, since it has the number."""
-        if self._sender not in (None, chunk.sender):
-            self._strange["another_sender"] += 1
-            return []
-        before = self.decoder.dropped.total()
-        messages = self.decoder.feed(chunk.data)
-        self.is_damaged = self.decoder.dropped.total() != before
-        if messages:
-            self._sender = chunk.sender
-        return messages
+    async def read(self, line: CommandLine) -> dict[str, Any]:
+        """Return the settings that matter to a gateway."""
+        found = {}
+        for key in SETTINGS:
+            try:
+                found[key] = await _answered(line, key, None)
+            except DeviceError:  # an older or newer firmware calls some of them otherwise
+                continue
+        return found
+
+    async def write(self, line: CommandLine, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Write, act by them, and keep them over a loss of power."""
+        after = {key: await _answered(line, key, value) for key, value in settings.items()}
+        for key in ("apply", "save"):
+            await _answered(line, key, None)
+        return after
 
 
-def _scaled(vector: Vector3, factor: float) -> Vector3:
-    x, y, z = vector
-    return factor * x, factor * y, factor * z
+async def _answered(line: CommandLine, key: str, value: object) -> Any:
+    answer = await line.ask(
+        encode_command(key, value),
+        lambda message: message if isinstance(message, Answer) and message.key in (key, "error") else None,
+        key,
+    )
+    refused = answer.value.get("error") if isinstance(answer.value, dict) else None
+    if answer.key == "error" or refused is not None:
+        raise DeviceError(f"the device refuses '{key}': {refused or answer.value}")
+    return answer.value
+
+
+def _described(message: object) -> Description | None:
+    """Return who answers a ping; None for anything else."""
+    told = message.value if isinstance(message, Answer) and message.key == "ping" else None
+    serial = str(told.get("sn", told.get("serialNumber"))) if isinstance(told, dict) else ""
+    if not re.fullmatch(r"([0-9A-Fa-f]{2}){1,12}", serial):
+        return None
+    assert isinstance(told, dict)
+    return Description(serial.lower(), str(told.get("name", told.get("deviceName", "")))[:64])
+
+
+def _announced(data: bytes) -> Announced | None:
+    told = read_announcement(data)
+    if told is None:
+        return None
+    more = {} if told.receive_port == COMMAND_PORT else {"command_port": told.receive_port}
+    url = f"udp://0.0.0.0:{told.send_port}?peers={told.address}"
+    return Announced(
+        "ximu3", told.name, told.serial_number.lower(), url, more, told.battery_percent, told.rssi_percent
+    )
+
+
+DISCOVERY = Discovery(DISCOVERY_PORT, _announced)
 
 
 def _clipped(message: Inertial) -> int:

@@ -96,9 +96,9 @@ async def test_a_command_for_one_goes_to_its_sender_alone(tmp_path, stranger):
     suit, _ = ten_modules(port)
     heard = set()
     async with running(suit):
-        urls = {"wifi": f"udp://127.0.0.1:{port}"}
+        links = [LinkSettings(name="wifi", url=f"udp://127.0.0.1:{port}")]
         journal = Journal(tmp_path / "journal.json")
-        async with suit_session(urls, load_rig(RIG), allow_writes=False, journal=journal) as operations:
+        async with suit_session(links, load_rig(RIG), allow_writes=False, journal=journal) as operations:
             await operations.perform("list", {"listen_s": 0.5})
             hand_on = suit.transport.on_receive
 

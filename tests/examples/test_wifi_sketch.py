@@ -31,6 +31,7 @@ from firmware_protocol.signing import SignedFrames
 from gateway.body.rig import load_rig
 from gateway.modules.journal import Journal
 from gateway.modules.session import suit_session
+from gateway.sources.link_settings import LinkSettings
 from tests.patience import PATIENCE_S
 
 REPOSITORY = Path(__file__).parents[2]
@@ -96,9 +97,11 @@ async def test_several_are_listed_and_one_of_them_is_found(compiled, key_file, i
             module: stack.enter_context(running(program, module, port, tmp_path / f"flash{module}"))
             for module in MODULES
         }
-        urls = {"wifi": f"udp://127.0.0.1:{port}?peers=127.0.0.0/8{query}"}
+        links = [LinkSettings(name="wifi", url=f"udp://127.0.0.1:{port}?peers=127.0.0.0/8{query}")]
         journal = Journal(tmp_path / "journal.json")
-        async with suit_session(urls, load_rig("wifi_10"), allow_writes=False, journal=journal) as operations:
+        async with suit_session(
+            links, load_rig("wifi_10"), allow_writes=False, journal=journal
+        ) as operations:
             listed = {
                 module["module"]: module for module in (await operations.perform("list", {}))["modules"]
             }

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.sources.ximu3 import StampCounter
+from gateway.sources.makers import StampCounter
 
 PERIOD_US = 10_000
 

@@ -32,6 +32,7 @@ from devices.emulators import (
 )
 from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
 from devices.emulators.light_sampler import Shade
+from devices.emulators.voice import OneSpeaksOtherwise
 from devices.emulators.ximu3_voice import Ximu3Voice
 from devices.link import Chunk, Framing, InputEvent, SentChunk
 from devices.marker_messages import encode_markers
@@ -363,7 +364,7 @@ def ximu3(seconds: float) -> Capture:
     suit, until_s = load_rig("arm_3"), FROM_S + seconds
     module = suit.module_ids[-1]
     traffic = SuitTraffic(_moving(suit), _worn_settings(suit), TYPICAL, SEED)
-    voice, items = Ximu3Voice(module, FIELD_UT), []
+    voice, items = OneSpeaksOtherwise(Ximu3Voice(module, FIELD_UT)), []
     for chunk in _reads(traffic.transmissions(until_s), "suit"):
         ours, theirs = voice.feed(chunk.data)
         items += [replace(chunk, data=ours)] if ours else []

@@ -10,6 +10,7 @@ import numpy as np
 from devices.emulators.imperfections import Imperfections
 from devices.emulators.motions import generic_motion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.emulators.voice import OneSpeaksOtherwise
 from devices.emulators.ximu3_voice import Ximu3Voice
 from gateway.body.rig import load_rig
 from gateway.contract.balances import unaccounted
@@ -29,7 +30,7 @@ FIELD_UT = 49.0
 def spoken(motion, module):
     """(s, messages) of a module that moves so."""
     traffic = SuitTraffic(motion, SuitSettings(), Imperfections(), 1)
-    voice = Ximu3Voice(module, FIELD_UT)
+    voice = OneSpeaksOtherwise(Ximu3Voice(module, FIELD_UT))
     for sent in traffic.transmissions(SECONDS):
         _, data = voice.feed(sent.data)
         if data:

@@ -10,11 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.vendor_protocols.ximu3 import (
+    Announcement,
+    Answer,
+    Battery,
     Inertial,
     Magnetic,
+    Radio,
+    Temperature,
     Ximu3Decoder,
+    encode_announcement,
     encode_binary,
     encode_text,
+    read_announcement,
 )
 from tests.patience import PATIENCE_S
 
@@ -76,13 +83,57 @@ def test_bytes_that_are_none_raise_nothing_and_cost_no_sample_after_them(noise):
     assert found[-1] == Inertial(7, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0))
 
 
+def test_a_single_stamp_out_of_line_is_damage_and_two_are_a_device_that_began_anew():
+    def sample(stamp):
+        return encode_binary(b"I", stamp, (0, 0, 0, 0, 0, 1))
+
+    decoder = Ximu3Decoder()
+    stamps = [10**9, 10**9 + 10_000, 10**15, 10**9 + 20_000, 300_000, 310_000, 320_000]
+    found = decoder.feed(b"".join(map(sample, stamps)))
+    assert [message.time_us for message in found] == [10**9, 10**9 + 10_000, 10**9 + 20_000, 310_000, 320_000]
+    assert decoder.dropped == {"leap_in_time": 2}
+
+
+def test_state_of_the_device_and_answers_are_read():
+    data = encode_binary(b"B", 7, (96.0, 4.05, 0.0)) + encode_text(b"W", 8, (70, -65))
+    data += encode_text(b"T", 9, (37.75,)) + b'{"ping":{"name":"Hand","sn":"64F0EDBF"}}\r\n'
+    found, decoder = decoded(data)
+    assert found == [
+        Battery(7, 96.0, pytest.approx(4.05)),
+        Radio(8, 70.0, -65.0),
+        Temperature(9, 37.75),
+        Answer("ping", {"name": "Hand", "sn": "64F0EDBF"}),
+    ]
+    assert not decoder.dropped
+
+
+ports = st.integers(0, 65535)
+levels = st.one_of(st.none(), st.integers(0, 100))
+words = st.text(min_size=1, max_size=64)
+
+
+@given(st.builds(Announcement, words, words, words, ports, ports, ports, levels, levels))
+def test_announcements_come_back(announced):
+    assert read_announcement(encode_announcement(announced)) == announced
+
+
+@given(st.binary(max_size=200))
+def test_no_datagram_on_the_discovery_port_raises(data):
+    assert read_announcement(data) is None
+
+
 @pytest.mark.parametrize(
     ("message", "reason"),
     [
         (encode_binary(b"I", 7, (1, 2, 3, 0, 0)), "bad_length"),
-        (encode_binary(b"I", 7, (2101, 0, 0, 0, 0, 1)), "implausible"),
-        (encode_binary(b"I", 7, (0, 0, 0, 0, math.nan, 1)), "implausible"),
-        (encode_binary(b"M", 2**63, (1, 0, 0)), "implausible"),
+        (encode_binary(b"I", 7, (2101, 0, 0, 0, 0, 1)), "rate_beyond_sensor"),
+        (encode_binary(b"I", 7, (0, 0, 0, 0, 26, 1)), "force_beyond_sensor"),
+        (encode_binary(b"M", 7, (0, -101, 1)), "field_beyond_sensor"),
+        (encode_binary(b"I", 7, (0, 0, 0, 0, math.nan, 1)), "not_finite"),
+        (encode_binary(b"B", 7, (101, 4, 0)), "implausible_status"),
+        (encode_binary(b"M", 2**63, (1, 0, 0)), "leap_in_time"),
+        (b'{"ping":', "bad_json"),
+        (b'{"ping":1,"time":2}', "bad_json"),
         (b"\xc9\xdb\x00" + b"\x00" * 30 + b"\n", "bad_stuffing"),
         (b"I,7,1,2,3,4,5,x\n", "bad_number"),
         (b"I,7,1,2,3\n", "bad_length"),
@@ -91,7 +142,7 @@ def test_bytes_that_are_none_raise_nothing_and_cost_no_sample_after_them(noise):
     ],
 )
 def test_what_cannot_be_is_dropped_and_counted_by_reason(message, reason):
-    found, decoder = decoded(message)
+    found, decoder = decoded(message if message.endswith(b"\n") or len(message) > 4096 else message + b"\n")
     assert found == []
     assert decoder.dropped == {reason: 1}
 

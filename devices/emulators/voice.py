@@ -1,0 +1,127 @@
+"""Modules that speak as those of another maker: what the emulated ones sense, in other words.
+
+A ``Voice`` stands where ``Encoding`` does, for one module on a link of its own: losses, delays and damage
+befall its bytes like any others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+
+from devices.emulators.delivery import Encoding
+from devices.emulators.emulated_device import EmulatedDevice
+from devices.link import Framing
+from firmware_protocol import (
+    FrameDecoder,
+    Health,
+    InertialSample,
+    InertialSampleFine,
+    WireFrame,
+    encode_frame,
+)
+from firmware_protocol.packets import decode_body
+
+GRAVITY = 9.80665
+STAMP_BITS = 32
+Vector = tuple[float, float, float]
+
+
+class Sensed(NamedTuple):
+    """One sample of an emulated module."""
+
+    time_us: int
+    """By the module's clock, since it was switched on; never wraps."""
+    sequence: int
+    force: Vector  # m/s²
+    rate: Vector  # rad/s
+    field: Vector | None  # µT
+
+
+class Voice:
+    """One module of another maker. A maker's own extends this."""
+
+    framing: ClassVar[Framing] = Framing.BYTE_STREAM
+
+    def __init__(self, module: int, field_ut: float = 49.0) -> None:
+        """module: its number; field_ut: strength of the field that it was calibrated in, µT."""
+        self.module, self.field_ut = module, field_ut
+        self._newest_us = 0
+
+    def say(self, sensed: Sensed) -> bytes:
+        """Return what the device sends for a sample."""
+        raise NotImplementedError
+
+    def say_health(self, time_us: int, health: Health) -> bytes:
+        """Return what it sends of how it fares; nothing unless a maker's own does."""
+        return b""
+
+    def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
+        """Obey what the host says; return the answer."""
+        return b""
+
+    def announcement(self, port: int) -> tuple[int, bytes] | None:
+        """Return port and content of the datagram in which it announces itself, if it does. port: of the
+        gateway, that it sends to."""
+        return None
+
+    def encode(self, frame: WireFrame) -> bytes:
+        """Return what the device sends in the place of a packet of ours; nothing where it has no word for
+        it."""
+        packet = decode_body(frame.kind, frame.body)
+        time_us = self._unwrapped(frame.module_time_us)
+        if isinstance(packet, Health):
+            return self.say_health(time_us, packet)
+        if not isinstance(packet, InertialSample | InertialSampleFine):
+            return b""
+        if not packet.specific_force or not packet.angular_rate:
+            return b""
+        force, rate, field = packet.specific_force, packet.angular_rate, packet.magnetic_field
+        return self.say(Sensed(time_us, frame.sequence, force, rate, field))
+
+    def corrupt(self, data: bytes, rng: Generator) -> bytes:
+        """Return it with one byte changed."""
+        return Encoding(self.framing).corrupt(data, rng)
+
+    def _unwrapped(self, stamp_us: int) -> int:
+        half = 1 << (STAMP_BITS - 1)
+        ahead = (stamp_us - self._newest_us + half) % (2 * half) - half
+        self._newest_us = max(self._newest_us + ahead, 0)
+        return self._newest_us
+
+
+def shares(vector: Vector, unit: float) -> Vector:
+    """Return a vector in units of a number."""
+    x, y, z = (np.asarray(vector) / unit).tolist()
+    return x, y, z
+
+
+def degrees(vector: Vector) -> Vector:
+    """Return rad/s in deg/s."""
+    x, y, z = np.degrees(vector).tolist()
+    return x, y, z
+
+
+class OneSpeaksOtherwise:
+    """A suit of which one module is another maker's: what it sends, in two."""
+
+    def __init__(self, voice: Voice) -> None:
+        self._voice = voice
+        self._frames = FrameDecoder()
+
+    def feed(self, data: bytes) -> tuple[bytes, bytes]:
+        """Return wire frames of the other modules, and what the device sends."""
+        ours, theirs = b"", b""
+        for frame in self._frames.feed(data):
+            if frame.module != self._voice.module:
+                ours += encode_frame(frame)
+            else:
+                theirs += self._voice.encode(frame)
+        return ours, theirs
+
+
+VoiceOf = Callable[[int], Voice]
+"""Makes the voice of a module, by its number."""

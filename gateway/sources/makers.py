@@ -1,0 +1,285 @@
+"""Modules of other makers: one device a link, and the link says which module of the rig it is.
+
+A maker is a file beside this one: a ``MakersDevice`` that turns what its decoder read into samples, a
+``MakersSource`` that names it, and where its devices take commands, ``MakersCommands``. Clocks, counters,
+losses, balances and strangers on the link are dealt with here, for all of them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+
+from pydantic import Field
+
+from devices.link import Chunk
+from firmware_protocol import DeviceInfo, Health
+from gateway.contract.balances import Balance
+from gateway.frames import InertialBatch, Sample, Vector3
+from gateway.sources.link_settings import LinkSettings
+from gateway.sources.module_table import ModuleTable
+from gateway.sources.source import ListeningSource, SourceContext
+
+GRAVITY = 9.80665
+"""m/s² in the g of data sheets."""
+_INTERVALS, _FEWEST_INTERVALS = 31, 8
+"""Between stamps: of so many the lower quartile is the interval of the samples, once there are some."""
+
+_Found = TypeVar("_Found")
+
+
+class MakersLinkSettings(LinkSettings):
+    """One device of another maker."""
+
+    module: int = Field(
+        ge=0, le=254, description="for a link of one module: number under which the rig knows it"
+    )
+    field_ut: float = Field(
+        default=49,
+        gt=0,
+        le=100,
+        description="for magnetometers that send shares of the field they were calibrated in: its strength, "
+        "µT; of the earth where that was done",
+    )
+
+
+class Decoder(Protocol):
+    """Bytes of one device to its messages; never raises for what they hold."""
+
+    dropped: Counter[str]
+    """What could not be read, by reason."""
+    unused: int
+    """Messages of kinds that nothing is made from."""
+
+    def feed(self, data: bytes) -> Sequence[Any]: ...
+
+
+class MakersDevice:
+    """What is known of the device on one link. A maker's own extends this."""
+
+    new_decoder: ClassVar[Callable[[], Decoder]]
+
+    def __init__(self, settings: Any) -> None:
+        """settings: of its link, of the class that its source names."""
+        self.settings = settings
+        self.decoder = type(self).new_decoder()
+        self.repeated = 0
+        """Samples that had come before."""
+        self.is_damaged = False
+        """Something of the last chunk could not be read."""
+        self.sender: str | None = None
+        """Address of the device, on a link with several senders; None before it was heard."""
+        self._strange: Counter[str] = Counter()
+
+    @property
+    def module(self) -> int:
+        """Number under which the rig knows it."""
+        module: int = self.settings.module
+        return module
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """What could not be read, by reason."""
+        return self.decoder.dropped + self._strange
+
+    def sample(self, message: Any, modules: ModuleTable, chunk: Chunk) -> Sample | None:
+        """Return the sample that a message is; None where it is none, or one that came before."""
+        raise NotImplementedError
+
+    def command_address(self) -> str:
+        """Return where it takes commands, on a link with several senders."""
+        return self.sender or ""
+
+    def feed(self, chunk: Chunk) -> Sequence[Any]:
+        """Return the messages of the device; those of another sender are counted, since it has the number."""
+        if self.sender not in (None, chunk.sender):
+            self._strange["another_sender"] += 1
+            return ()
+        before = self.decoder.dropped.total()
+        messages = self.decoder.feed(chunk.data)
+        self.is_damaged = self.decoder.dropped.total() != before
+        if messages:
+            self.sender = chunk.sender
+        return messages
+
+
+Listener = Callable[[Any], None]
+"""Told of every message of a link. Must neither wait nor raise."""
+
+
+class MakersSource(ListeningSource):
+    """All links of one maker's devices."""
+
+    observes = InertialBatch
+    carries: ClassVar[str]
+    """The configuration's word for it."""
+    settings: ClassVar[type[MakersLinkSettings]]
+    device: ClassVar[type[MakersDevice]]
+
+    def __init__(self, context: SourceContext) -> None:
+        self.modules = context.modules
+        """Of all sources."""
+        self.devices: dict[str, MakersDevice] = {}
+        """By link."""
+        self._links = context.links
+        self._listeners: dict[str, list[Listener]] = {}
+        self._accepted = 0
+
+    def add_link(self, name: str, content: str) -> None:
+        """Announce a device."""
+        told = self._links.get(name)
+        if not isinstance(told, self.settings):
+            told = self.settings(name=name, url="recording:", carries=content, module=0)
+        self.devices[name] = self.device(told)
+        self.modules.add_link(name)
+
+    def receive(self, chunk: Chunk) -> list[InertialBatch]:
+        """Return the samples that a chunk completes."""
+        device = self.devices[chunk.link]
+        messages = device.feed(chunk)
+        self.modules.begin_chunk(chunk, is_damaged=device.is_damaged)
+        rows = []
+        for message in messages:
+            row = device.sample(message, self.modules, chunk)
+            if row is not None:
+                rows.append(row)
+            for listener in self._listeners.get(chunk.link, ()):
+                listener(message)
+        self._accepted += len(rows)
+        return [InertialBatch.of(rows)] if rows else []
+
+    def listen(self, link: str, listener: Listener) -> None:
+        """Have somebody told of every message of a link, until ``stop_listening``."""
+        self._listeners.setdefault(link, []).append(listener)
+
+    def stop_listening(self, link: str, listener: Listener) -> None:
+        """End what ``listen`` began."""
+        self._listeners[link].remove(listener)
+
+    def dropped(self) -> Mapping[str, Mapping[str, int]]:
+        """Return what could not be read, by link and reason."""
+        return {name: device.dropped for name, device in self.devices.items()}
+
+    def statistics(self) -> Mapping[str, object]:
+        """Return how many messages nothing is made from, by link."""
+        return {
+            self.carries: {name: {"unused": device.decoder.unused} for name, device in self.devices.items()}
+        }
+
+    def balances(self) -> Iterator[Balance]:
+        """Yield the messages read, each of which is a sample."""
+        repeated = sum(device.repeated for device in self.devices.values())
+        yield Balance("packets_decoded", self._accepted + repeated, {})
+        yield Balance("readings", self._accepted, {})
+
+
+class StampCounter:
+    """Numbers samples that have stamps and no numbers, by their interval: so that lost ones leave a gap."""
+
+    def __init__(self) -> None:
+        self.newest = -1
+        """Number of the newest sample."""
+        self._stamp_us = 0
+        self._intervals: deque[int] = deque(maxlen=_INTERVALS)
+
+    def number(self, stamp_us: int) -> int:
+        """Return the number of the next sample; of one that is no later than the one before, the next."""
+        interval = stamp_us - self._stamp_us
+        self._stamp_us = stamp_us
+        if interval <= 0:
+            self._intervals.clear()
+        step = 1
+        if len(self._intervals) >= _FEWEST_INTERVALS:
+            usual = sorted(self._intervals)[len(self._intervals) // 4]
+            step = max(1, round(interval / usual))
+        if interval > 0 and self.newest >= 0:
+            self._intervals.append(interval)
+        self.newest += step
+        return self.newest
+
+
+def scaled(vector: Vector3, factor: float) -> Vector3:
+    """Return a vector in other units."""
+    x, y, z = vector
+    return factor * x, factor * y, factor * z
+
+
+def health(
+    battery_percent: int | None = None,
+    battery_voltage: float | None = None,
+    temperature_celsius: float | None = None,
+    rssi_dbm: int | None = None,
+) -> Health:
+    """Return how a device fares that counts nothing of its own."""
+    return Health(battery_percent, battery_voltage, temperature_celsius, rssi_dbm, 0, 0, 0, 0, 0)
+
+
+def identity(unique_id: bytes, firmware: tuple[int, int, int] = (0, 0, 0)) -> DeviceInfo:
+    """Return who a device is: its serial number, which is shorter than that of our own."""
+    return DeviceInfo(unique_id, (0, 0), firmware, *[None] * 6)
+
+
+class Description(NamedTuple):
+    """Who is at the other end of a link."""
+
+    unique_id: str
+    """Serial number, hexadecimal, lower case."""
+    name: str = ""
+    firmware: str | None = None
+
+
+class CommandLine(Protocol):
+    """The way to one device, and back."""
+
+    async def tell(self, data: bytes) -> None:
+        """Write to the device. Raises ``LinkError``."""
+        ...
+
+    def ask(self, data: bytes, meant: Callable[[Any], _Found | None], what: str) -> Awaitable[_Found]:
+        """Write until a message comes for which ``meant`` returns something, and return that.
+
+        what: is asked for, for people. Raises ``LinkError``, and ``NoAnswerError`` where none comes.
+        """
+        ...
+
+
+class MakersCommands(Protocol):
+    """What may be asked of a maker's devices. What a device cannot do raises ``DeviceError``."""
+
+    async def describe(self, line: CommandLine) -> Description: ...
+
+    async def identify(self, line: CommandLine, seconds: int) -> None:
+        """Make it blink."""
+        ...
+
+    async def read(self, line: CommandLine) -> dict[str, Any]:
+        """Return its settings by name."""
+        ...
+
+    async def write(self, line: CommandLine, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Change settings, keep them over a loss of power, and return what stands there now."""
+        ...
+
+
+class Announced(NamedTuple):
+    """A device that announces itself in the network."""
+
+    carries: str
+    name: str
+    unique_id: str
+    url: str
+    """For the link that reads it."""
+    more: Mapping[str, object] = {}
+    """What the configuration of that link must say besides."""
+    battery_percent: int | None = None
+    rssi_percent: int | None = None
+
+
+class Discovery(NamedTuple):
+    """How devices of a maker are found in the network."""
+
+    port: int
+    """UDP port that they announce themselves on."""
+    read: Callable[[bytes], Announced | None]
+    """Datagram to what it announces; None: not one of theirs."""
