@@ -6,9 +6,18 @@ Reading order: ``pipeline`` (the flow as code), ``frames`` (every value that flo
 links and a broker), ``cli`` (one file a subcommand).
 """
 
-from importlib.metadata import PackageNotFoundError, version
+from gateway.support.processor import settle
 
-try:
-    __version__ = version("mocap-gateway")
-except PackageNotFoundError:  # run from the source tree, without an installation
-    __version__ = "0.1.0"
+settle()  # before any module imports NumPy
+
+
+def __getattr__(name: str) -> str:
+    """Return ``__version__``, looked up when it is asked for: that takes long, and help needs it not."""
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415 - see above
+
+    try:
+        return version("mocap-gateway")
+    except PackageNotFoundError:  # run from the source tree, without an installation
+        return "0.1.0"

@@ -130,6 +130,10 @@ class _Commands(LazyGroup):
             "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."
         ),
         "body": LazyCommand("gateway.cli.body:body_app", "Bodies: segments, joints, lengths."),
+        "kernels": LazyCommand(
+            "gateway.cli.kernels:kernels_app",
+            "Numerical kernels: compile them beforehand, show how far they are.",
+        ),
         "config": LazyCommand(
             "gateway.cli.doctor:config_app",
             "Check a configuration file, show what may stand in one, make a key, describe a suit's CAN bus.",

@@ -74,7 +74,7 @@ def _interruptible() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-_FIRST = "first start: compiling what the first poses need, once; 10 to 20 seconds on a machine that is free"
+_FIRST = "first start: compiling what the first poses need, once; about ten seconds on a machine that is free"
 
 
 def make_ready(reconstructor: str) -> None:
@@ -84,14 +84,17 @@ def make_ready(reconstructor: str) -> None:
             warm_up()
     elif not readiness.is_ready(reconstructor):
         typer.echo(
-            f"compiling the method '{reconstructor}': once after an installation, about a minute", err=True
+            f"compiling the method '{reconstructor}': once after an installation, up to a minute", err=True
         )
         readiness.make_ready(reconstructor)
 
 
 def stand_in(settings: GatewaySettings, tell: Callable[[str], object]) -> GatewaySettings:
     """Return the settings that run while the method of these is compiled; what they need is compiled here."""
-    with told_when_compiling(tell, _FIRST):
-        readiness.make_first_ready()
+    if not readiness.is_ready(readiness.FIRST):
+        begun_s = time.monotonic()
+        tell(_FIRST)
+        readiness.make_ready(readiness.FIRST)
+        tell(f"compiled ({time.monotonic() - begun_s:.0f} s)")
     in_its_place = RootMotionSettings(mode=RootMode.FIXED)
     return settings.solved_by(readiness.FALLBACK).model_copy(update={"root_motion": in_its_place})

@@ -22,6 +22,7 @@ from gateway.recording import Recording, open_recording
 from gateway.recording.solving import Source, solve, verify, with_recorded_table, write_solved
 from gateway.service.service import Service
 from gateway.settings import MAX_DELAY_MS, load_gateway_settings
+from gateway.support.processor import NATIVE
 
 QUEUE = 512
 """Poses that may wait for the broker; reading goes on while no more than half of them do."""
@@ -242,10 +243,11 @@ def _reasons(recording: Recording) -> list[str]:
     if not recording.meta.from_start:
         reasons.append("the recording began while the gateway was running: its filters had started before")
     was, now = recording.meta.host, host()
+    keys = ["gateway", "python", "libraries", "machine", "instructions"]
+    if was.get("instructions", NATIVE) == now["instructions"] == NATIVE:
+        keys.append("processor")  # which decides them then
     reasons += [
-        f"recorded with {key} {was.get(key)}, now {now[key]}"
-        for key in ("gateway", "python", "libraries", "machine", "processor")
-        if was.get(key) != now[key]
+        f"recorded with {key} {was.get(key)}, now {now[key]}" for key in keys if was.get(key) != now[key]
     ]
     return reasons
 

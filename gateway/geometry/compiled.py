@@ -1,21 +1,26 @@
 """The one way in which kernels are compiled, and where they are kept.
 
-What was compiled lies on the disk under the kernel's fingerprint (``kernel_fingerprint``): an edit compiles
-those kernels anew whose machine code it changes, and no others.
+They are compiled for the target of ``gateway.support.processor``. What was compiled lies on the disk, in a
+folder of the target, under the kernel's fingerprint (``kernel_fingerprint``): an edit compiles those kernels
+anew whose machine code it changes, and no others. What is not there is copied from the kernels that came with
+the installation (``SHIPPED``), and compiled only where these do not fit either.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import os
+import shutil
 import tempfile
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 from gateway.geometry.kernel_fingerprint import fingerprint
+from gateway.support.processor import CPU_FEATURES, CPU_NAME, target_name
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -37,6 +42,13 @@ def cache_directory(package: Path) -> Path:
 
 
 CACHE_DIRECTORY = cache_directory(PACKAGE)
+SHIPPED = PACKAGE / "ready_kernels"
+"""Kernels that came with the installation (a wheel, a layer of an image); never written to."""
+
+
+def kept(folder: Path | None = None) -> Path:
+    """Return where kernels of this process's target lie, below ``folder``; none: ``CACHE_DIRECTORY``."""
+    return (folder or CACHE_DIRECTORY) / target_name()
 
 
 def prune(directory: Path, kept: int = KEPT_STATES) -> None:
@@ -46,9 +58,9 @@ def prune(directory: Path, kept: int = KEPT_STATES) -> None:
     (the code of each); a state is as old as its newest file.
     """
     states: dict[str, dict[str, list[Path]]] = defaultdict(lambda: defaultdict(list))
-    for path in directory.glob("*/*.nb[ic]"):
+    for path in directory.glob("*/*/*.nb[ic]"):
         kernel, _, rest = path.name.rpartition("-")
-        states[f"{path.parent.name}/{kernel}"][rest.partition(".")[0]].append(path)
+        states[f"{path.parent}/{kernel}"][rest.partition(".")[0]].append(path)
     with contextlib.suppress(OSError):  # another process deletes, too
         for by_fingerprint in states.values():
             files = sorted(by_fingerprint.values(), key=lambda paths: max(p.stat().st_mtime for p in paths))
@@ -60,8 +72,9 @@ class KernelLocator:
     """Where Numba finds a kernel on the disk, by content; has the methods of its cache locators."""
 
     def __init__(self, function: Callable[..., object]) -> None:
-        self._directory = CACHE_DIRECTORY / function.__module__
+        self._directory = kept() / function.__module__
         self._fingerprint = fingerprint([function])
+        _take_shipped(function.__module__, self._fingerprint)
 
     @classmethod
     def from_function(cls, function: Callable[..., object], file: str) -> KernelLocator | None:
@@ -85,7 +98,55 @@ class KernelLocator:
         return self._fingerprint
 
 
+def _take_shipped(module: str, state: str) -> None:
+    """Copy what was shipped of a state of a kernel, where nothing of it is kept."""
+    own = kept() / module
+    if next(own.glob(f"*-{state}.*.nbi"), None) is not None:
+        return
+    with contextlib.suppress(OSError):  # then it is compiled
+        # The code (.1.nbc) before the index (.nbi) that names it: another process may be reading.
+        for source in sorted((kept(SHIPPED) / module).glob(f"*-{state}.*")):
+            own.mkdir(parents=True, exist_ok=True)
+            part = own / f"{source.name}.{os.getpid()}"
+            shutil.copyfile(source, part)
+            part.replace(own / source.name)
+
+
+class KernelState(NamedTuple):
+    """A kernel as it is now, named so that another process finds it."""
+
+    module: str
+    name: str
+    fingerprint: str
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether its machine code for this target is on the disk, in any signature."""
+        pattern = f"{self.module}/*-{self.fingerprint}.*.nbi"
+        return any(
+            next(kept(folder).glob(pattern), None) is not None for folder in (CACHE_DIRECTORY, SHIPPED)
+        )
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the kernel is still what it was when this was noted."""
+        try:
+            kernel = getattr(importlib.import_module(self.module), self.name, None)
+        except ImportError:
+            return False
+        return isinstance(kernel, Kernel) and fingerprint([kernel.kernel_function]) == self.fingerprint
+
+
+def called() -> list[KernelState]:
+    """Return the kernels that this process has called from Python, all of them at the top of a module."""
+    return sorted(
+        KernelState(function.__module__, function.__qualname__, fingerprint([function]))
+        for function in _CALLED
+    )
+
+
 _KERNEL_FUNCTIONS: set[Callable[..., object]] = set()
+_CALLED: set[Callable[..., object]] = set()
 
 
 @functools.cache
@@ -94,6 +155,8 @@ def _compiler() -> Any:
     import numba  # noqa: PLC0415 - takes a second
 
     prune(CACHE_DIRECTORY)
+    for name in (CPU_NAME, CPU_FEATURES):  # read at its import, which may have been before ours
+        setattr(numba.config, name.removeprefix("NUMBA_"), os.environ.get(name))
     locators = (f"{__name__}.{KernelLocator.__name__}", "UserWideCacheLocator")
     numba.config.CACHE_LOCATOR_CLASSES = ",".join(locators)  # type: ignore[attr-defined]  # set by name
     return numba
@@ -121,6 +184,7 @@ class Kernel:
     @functools.cached_property
     def dispatcher(self) -> Any:
         """Numba's side, kept on the disk."""
+        _CALLED.add(self.kernel_function)
         return _compiler().njit(cache=_is_kept(CACHE_DIRECTORY), **COMPILER_OPTIONS)(self.kernel_function)
 
     @functools.cached_property

@@ -33,6 +33,7 @@ from gateway.body.sensor_entries import CalibrationEntry
 from gateway.body.skeleton import Skeleton, WornSuit, field_dip_deg
 from gateway.errors import SettingsError
 from gateway.settings import GatewaySettings
+from gateway.support.processor import target_name
 
 REDACTED = "(not recorded)"
 _SECRET = re.compile(r"(password|passphrase|secret|token|psk|api_?key)(?!_file)", re.IGNORECASE)
@@ -84,6 +85,7 @@ def host() -> dict[str, object]:
         "kernel": f"{platform.system()} {platform.release()}",
         "machine": platform.machine(),
         "processor": _processor(),
+        "instructions": target_name(),
     }
 
 

@@ -1,90 +1,246 @@
 """Whether a method can start at once, or its kernels have to be compiled first, and the compiling beforehand.
 
-A method takes half a minute to a minute to compile, once after an installation: the filter over the whole
-body, and the way of the body over the floor. What is compiled lies on the disk; a mark beside it says so.
-``python -m gateway.service.readiness joint`` compiles in a process of its own: numba holds the
-interpreter while it does, and nothing else would run well.
+What is compiled lies on the disk (``geometry.compiled``); beside it a note for each method says which kernels
+it calls, from the bytes of a suit to the pose. A method is ready when all of these are on the disk as they
+are now.
 
-Until then ``FALLBACK`` serves, with a root that stays where it is: it wants the fewest kernels. These are
-compiled in two processes side by side (``first_kernels``), so that the first pose comes soon.
+``make_ready`` compiles in processes side by side: numba holds the interpreter while it does, and nothing else
+would run well. They compile ``PARTS``; then one process a method lets bytes through the whole pipeline, which
+compiles whatever no part has, and writes the note. So nothing here names a kernel.
+
+Until a method is ready ``FALLBACK`` serves, with a root that stays where it is: it wants the fewest kernels.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
+import json
 import os
+import queue
 import subprocess
 import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
+from devices.link import SUIT, Chunk, Framing
+from firmware_protocol import (
+    InertialSample,
+    InertialSampleFine,
+    WireFrame,
+    encode_frame,
+    fragment,
+    pack_can_records,
+    relay_batch,
+    wire_frame,
+)
 from gateway.body.rig import load_rig
-from gateway.clocks import delay_floor, floor_filter
+from gateway.body.skeleton import WornSuit
+from gateway.errors import GatewayError
 from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
 from gateway.geometry import compiled
-from gateway.geometry.kernel_fingerprint import fingerprint
-from gateway.reconstruction import DELAYABLE, FUSED, RECONSTRUCTORS, create_reconstructor, whole_body
-from gateway.reconstruction.inertial import articulated, independent, joint, rate_free
+from gateway.pipeline import Pipeline
+from gateway.reconstruction import DELAYABLE, FUSED, RECONSTRUCTORS, whole_body
 from gateway.reconstruction.whole_body import RootMode, RootSettings, WholeBodyReconstructor
+from gateway.sources.module_table import ClockMode, ModuleTable
+from gateway.sources.registry import SOURCES
+from gateway.sources.source import SourceContext
 from gateway.stages import frame_assembler
+from gateway.support.whole_files import write_whole
 
 FALLBACK = "independent"
 """What it needs with a root that stays in its place compiles in seconds, and serves until then."""
+FIRST = "first"
+"""``FALLBACK`` so, as the name of what can be ready."""
+USUAL = ("joint", FALLBACK)
+"""What is compiled with an installation."""
 LONG_COMPILED = frozenset(RECONSTRUCTORS) - FUSED
 _RIG = "suit_17"
 _DELAY_S = 0.05
 """Of methods that can have one: what goes back over past frames is compiled with the rest."""
-_FIRST = "first"
+_INTERVAL_US = 10_000
+_INSTANTS = 12
+"""That many samples of each module go through the pipeline."""
 _PARAMS = frame_assembler.AssemblyParams(
     frame_interval_ns=10_000_000, max_wait_ns=20_000_000, max_gap_ns=50_000_000, hold_ns=100_000_000
 )
-_MODULES = (articulated, floor_filter, frame_assembler, independent, joint, rate_free, whole_body)
+
+
+class Readiness(NamedTuple):
+    """How far a method's kernels are compiled."""
+
+    ready: int
+    kernels: int
+    """That it calls; 0: not known before they have been compiled once."""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it starts within seconds."""
+        return 0 < self.kernels == self.ready
+
+
+def readiness(name: str) -> Readiness:
+    """Return how many of a method's kernels are on the disk, as they are now."""
+    for folder in (compiled.CACHE_DIRECTORY, compiled.SHIPPED):
+        with contextlib.suppress(OSError, ValueError, TypeError):
+            noted = [compiled.KernelState(*each) for each in json.loads(_note(name, folder).read_text())]
+            if noted and all(state.is_current for state in noted):
+                return Readiness(sum(state.is_kept for state in noted), len(noted))
+    return Readiness(0, 0)
+
+
+def in_words(found: Readiness) -> str:
+    """Return one line on how far a method's kernels are."""
+    if not found.kernels:
+        return "not compiled yet, or changed since"
+    return f"{found.ready} of {found.kernels} kernels ready"
 
 
 def is_ready(name: str) -> bool:
     """Whether a method starts within seconds."""
-    return name not in LONG_COMPILED or _mark(name).exists()
+    if name in FUSED or readiness(name).is_complete:
+        return True
+    return name == FIRST and readiness(FALLBACK).is_complete
 
 
-def make_ready(name: str) -> None:
-    """Compile it, if that is still to be done; takes up to a minute then."""
-    if is_ready(name):
-        return
-    create_reconstructor(name, load_rig(_RIG), 0.01, delay_s=_DELAY_S if name in DELAYABLE else 0.0)
-    with contextlib.suppress(OSError):  # then it will be looked up again, which does no harm
-        _mark(name).touch()
+def make_ready(*names: str, tell: Callable[[int, int], object] = lambda _done, _of: None) -> None:
+    """Compile what is still to be compiled of these methods, in as many processes as there are cores; takes
+    half a minute to a minute.
+
+    tell: is given how many of all steps are done. Raises ``GatewayError`` if a step fails."""
+    wanted = [name for name in names if not is_ready(name)]
+    needed = {part for name in wanted for part in _parts_of(name)}
+    parts = [part for part in PARTS if part in needed]
+    n_workers = len(os.sched_getaffinity(0))
+    n_done, n_steps = itertools.count(1), len(parts) + len(wanted)
+    waiting = queue.SimpleQueue[str]()
+    for part in parts:
+        waiting.put(part)
+    with ThreadPoolExecutor(n_workers) as workers:
+
+        def report() -> None:
+            tell(next(n_done), n_steps)
+
+        for worker in [workers.submit(_compile, waiting, report) for _ in range(min(n_workers, len(parts)))]:
+            worker.result()
+        for _ in workers.map(_run_through, wanted):  # now that their parts lie on the disk
+            report()
+
+
+def _compile(waiting: queue.SimpleQueue[str], report: Callable[[], object]) -> None:
+    """Hand one part after another to a process, until none waits."""
+    with subprocess.Popen(
+        _step("parts"), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with contextlib.suppress(queue.Empty):
+            while True:
+                part = waiting.get_nowait()
+                print(part, file=process.stdin, flush=True)
+                if process.stdout.readline() != f"{part}\n":
+                    raise GatewayError(f"compiling failed in the part '{part}': see above")
+                report()
+        process.stdin.close()
+
+
+def _run_through(name: str) -> None:
+    if subprocess.run(_step(f"through:{name}"), check=False).returncode:
+        raise GatewayError(f"compiling failed in the method '{name}': see above")
+
+
+def _step(step: str) -> list[str]:
+    return [sys.executable, "-m", "gateway.service.readiness", step]
 
 
 def command(name: str) -> list[str]:
-    """What does ``make_ready`` in a process of its own."""
-    return [sys.executable, "-m", "gateway.service.readiness", name]
+    """Return what does ``make_ready`` in processes of their own, while others have the processor."""
+    return _step(f"beside:{name}")
 
 
-def make_first_ready() -> None:
-    """Compile what ``FALLBACK`` needs from the wire to the pose, with a root that stays in its place: half
-    here and the other in a process beside this one. Takes ten seconds or more, once."""
-    if _mark(_FIRST).exists():
-        return
-    with subprocess.Popen(command(_FIRST)) as beside:
-        _compile_surroundings()
-        if beside.wait() == 0:
-            with contextlib.suppress(OSError):
-                _mark(_FIRST).touch()
+def _parts_of(name: str) -> tuple[str, ...]:
+    return (FALLBACK, "standing", "stream") if name == FIRST else (name, "walking", "standing", "stream")
 
 
-def _compile_surroundings() -> None:
-    """What stands around every method."""
+def _method(name: str) -> None:
+    """Compile a method by itself."""
+    RECONSTRUCTORS[name](load_rig(_RIG), 0.01, **_delay(name))
+
+
+def _whole_body(mode: RootMode) -> None:
+    """Compile what stands around every method."""
     suit = load_rig(_RIG)
-    WholeBodyReconstructor(suit, _NothingFound(suit.skeleton.n_segments), RootSettings(RootMode.FIXED))
+    WholeBodyReconstructor(suit, _NothingFound(suit.skeleton.n_segments), RootSettings(mode))
 
 
-def _compile_fallback() -> None:
-    """Module clocks, frames, and orientations module by module."""
+def _stream() -> None:
+    """Compile what makes frames of bytes."""
     suit = load_rig(_RIG)
-    delay_floor.warm_up()
     frame_assembler.FrameAssembler(suit.module_ids, _PARAMS)
-    RECONSTRUCTORS[FALLBACK](suit, 0.01)
+    source = SOURCES[SUIT].make(SourceContext(suit, ModuleTable(ClockMode.ESTIMATED)))
+    for framing in Framing:
+        source.add_link(framing, framing)
+        for chunk in _chunks(suit, framing):
+            source.receive(chunk)
+
+
+PARTS: dict[str, Callable[[], None]] = {
+    **{name: functools.partial(_method, name) for name in sorted(LONG_COMPILED - {FALLBACK})},
+    "walking": functools.partial(_whole_body, RootMode.WALKING),
+    "standing": functools.partial(_whole_body, RootMode.FIXED),
+    FALLBACK: functools.partial(_method, FALLBACK),
+    "stream": _stream,
+}
+"""What is compiled side by side, in this order: what takes longest begins first."""
+
+
+def _let_through(name: str) -> None:
+    """Have bytes of all framings make poses by a method, and note which kernels that called."""
+    suit = load_rig(_RIG)
+    method = FALLBACK if name == FIRST else name
+    root = RootSettings(RootMode.FIXED if name == FIRST else RootMode.AUTO)
+    pipeline = Pipeline(suit, _PARAMS, method, root=root, delay_s=_delay(method).get("delay_s", 0.0))
+    for framing in Framing:
+        pipeline.add_link(framing, framing)
+        for chunk in _chunks(suit, framing):
+            pipeline.feed(chunk)
+    with contextlib.suppress(OSError):  # then it is looked up again, which does no harm
+        note = _note(name, compiled.CACHE_DIRECTORY)
+        note.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(note, json.dumps(compiled.called(), indent=0).encode())
+
+
+def _delay(name: str) -> dict[str, float]:
+    return {"delay_s": _DELAY_S} if name in DELAYABLE else {}
+
+
+def _chunks(suit: WornSuit, framing: Framing) -> Iterator[Chunk]:
+    """Yield what modules at rest send: both samples, one by one and, in a byte stream, relayed too."""
+    offset_us = list(Framing).index(framing) * _INSTANTS * _INTERVAL_US
+    for k in range(_INSTANTS):
+        time_us = offset_us + (k + 1) * _INTERVAL_US
+        kind = (InertialSample, InertialSampleFine)[k % 2]
+        sample = kind(
+            specific_force=(0.0, 0.0, 9.81), angular_rate=(0.0, 0.1, 0.0), magnetic_field=(20.0, 0.0, -40.0)
+        )
+        sequence = time_us // _INTERVAL_US
+        frames = [wire_frame(sample, module, sequence, time_us) for module in suit.module_ids]
+        if framing is Framing.BYTE_STREAM and k % 4 >= 2:
+            frames = [
+                relay_batch(frames[first : first + 4], sequence, time_us)
+                for first in range(0, len(frames), 4)
+            ]
+        yield Chunk(_framed(frames, framing), time_us * 1_000, framing)
+
+
+def _framed(frames: Sequence[WireFrame], framing: Framing) -> bytes:
+    if framing is Framing.BYTE_STREAM:
+        return b"".join(map(encode_frame, frames))
+    return pack_can_records(piece for frame in frames for piece in fragment(frame))
 
 
 class _NothingFound:
@@ -101,24 +257,26 @@ class _NothingFound:
         """Nothing is remembered."""
 
 
-@functools.cache
-def _kernels() -> str:
-    """Return the fingerprint of what the methods compile, and of what is compiled before any of them."""
-    values = (value for module in _MODULES for value in vars(module).values())
-    return fingerprint(value.kernel_function for value in values if isinstance(value, compiled.Kernel))
+def _note(name: str, folder: Path) -> Path:
+    return compiled.kept(folder) / f"ready-{name}-numba-{version('numba')}.json"
 
 
-def _mark(name: str) -> Path:
-    return compiled.CACHE_DIRECTORY / f"ready-{name}-{_kernels()}-numba-{version('numba')}"
+def main(step: str) -> None:
+    """Do in this process what another one asks for: see ``_step``."""
+    kind, _, name = step.partition(":")
+    if kind == "parts":
+        for part in map(str.strip, sys.stdin):
+            PARTS[part]()
+            print(part, flush=True)  # noqa: T201 - to the other process
+    elif name not in (*RECONSTRUCTORS, FIRST):
+        sys.exit(f"no method is called '{name}'")
+    elif kind == "through":
+        _let_through(name)
+    else:
+        with contextlib.suppress(OSError):
+            os.nice(19)  # whoever waits for it runs meanwhile
+        make_ready(name)
 
 
 if __name__ == "__main__":
-    for wanted in sys.argv[1:]:
-        if wanted == _FIRST:
-            _compile_fallback()
-            continue
-        if wanted not in RECONSTRUCTORS:
-            sys.exit(f"no method is called '{wanted}'")
-        with contextlib.suppress(OSError):
-            os.nice(19)  # whoever waits for it runs meanwhile
-        make_ready(wanted)
+    main(sys.argv[1])

@@ -7,6 +7,9 @@ python -m tests.golden record NAME ...             recordings that join the set,
 
 from __future__ import annotations
 
+import gateway  # noqa: F401 - before NumPy: settles which instructions it takes
+
+# isort: split
 import argparse
 import sys
 from collections.abc import Sequence

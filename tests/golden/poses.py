@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from devices.recording_writer import DerivedRecordingWriter, session_record
 from gateway.frames import FloatArray, MarkerFit, SkeletonFrame
 from gateway.geometry.comparison import orientation_error
 from gateway.recording.pose_encoding import decode_markers, decode_skeleton_frame, frame_messages
+from gateway.support import processor
 
 TOLERANCES = {
     "angle": 1e-9,  # rad
@@ -38,12 +40,15 @@ Machine = Mapping[str, str]
 
 
 def this_machine() -> Machine:
-    """What the last bit of a pose may depend on: processor, as compiled kernels see it, and libraries."""
+    """What the last bit of a pose may depend on: instructions, as kernels and libraries use them, and
+    libraries. The processor itself does not count where all of them are settled."""
     config = numba.config
     return {
         "architecture": platform.machine(),
-        "processor": config.CPU_NAME or llvm.get_host_cpu_name(),
-        "processor features": config.CPU_FEATURES or llvm.get_host_cpu_features().flatten(),
+        "kernels for": config.CPU_NAME or llvm.get_host_cpu_name(),
+        "with features": config.CPU_FEATURES or llvm.get_host_cpu_features().flatten(),
+        "NumPy with": " ".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"]),
+        "BLAS kernels": os.environ.get(processor.BLAS_KERNELS) or llvm.get_host_cpu_name(),
         "C library": " ".join(platform.libc_ver()),
         **{library: version(library) for library in _LIBRARIES},
     }

@@ -156,8 +156,8 @@ def test_division_by_zero_does_not_raise():
 
 
 def test_only_the_newest_states_of_each_kernel_are_kept(tmp_path):
-    folder = tmp_path / "gateway.module"
-    folder.mkdir()
+    folder = tmp_path / "x86-64-v3" / "gateway.module"
+    folder.mkdir(parents=True)
     for age in range(4):
         for name in (f"module.first-{age}a.py311.nbi", f"module.first-{age}a.py311.1.nbc"):
             (folder / name).write_bytes(b"code")

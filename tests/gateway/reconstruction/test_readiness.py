@@ -2,41 +2,92 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 
 import pytest
 
+from gateway.errors import GatewayError
 from gateway.geometry import compiled
 from gateway.reconstruction import FUSED, RECONSTRUCTORS
 from gateway.service import readiness
 
 
 @pytest.fixture
-def created(monkeypatch, tmp_path):
-    """An empty cache, and the names of the methods that were made in it."""
-    names = []
-    monkeypatch.setattr(compiled, "CACHE_DIRECTORY", tmp_path)
-    monkeypatch.setattr(readiness, "create_reconstructor", lambda name, *_, **__: names.append(name))
-    return names
+def empty(monkeypatch, tmp_path):
+    """An empty cache, and nothing shipped."""
+    monkeypatch.setattr(compiled, "CACHE_DIRECTORY", tmp_path / "cache")
+    monkeypatch.setattr(compiled, "SHIPPED", tmp_path / "shipped")
+    return tmp_path / "cache"
 
 
-def test_a_long_compiled_method_is_ready_once_it_was_made(created):
-    assert not readiness.is_ready("joint")
-    readiness.make_ready("joint")
-    readiness.make_ready("joint")
-    assert created == ["joint"]
-    assert readiness.is_ready("joint")
-    assert not readiness.is_ready("outward")
+@pytest.fixture
+def let_through(empty):
+    """``FIRST``, noted after bytes went through the pipeline in a process of its own; the cache."""
+    there = os.environ | {"NUMBA_CACHE_DIR": str(empty)}
+    subprocess.run([*readiness.command("x")[:-1], f"through:{readiness.FIRST}"], env=there, check=True)
+    return empty
 
 
-def test_what_takes_orientations_from_the_modules_is_ready_always(created):
+def test_what_takes_orientations_from_the_modules_is_ready_always(empty):
     for name in FUSED:
         assert readiness.is_ready(name)
 
 
-def test_a_method_by_itself_that_lets_the_body_walk_is_compiled_beforehand_too(created):
+def test_in_an_empty_cache_no_method_is_ready_that_must_be_compiled(empty):
     assert not any(readiness.is_ready(name) for name in set(RECONSTRUCTORS) - FUSED)
+    assert readiness.in_words(readiness.readiness("joint")) == "not compiled yet, or changed since"
+
+
+@pytest.mark.slow(reason="compiles for ten seconds or more into an empty cache")
+def test_a_method_is_ready_while_all_that_it_called_is_there_as_it_was(let_through, monkeypatch):
+    found = readiness.readiness(readiness.FIRST)
+    assert found.is_complete
+    assert found.kernels > 10
+    assert readiness.is_ready(readiness.FIRST)
+    assert not readiness.is_ready("joint")
+
+    index = next(compiled.kept().glob("gateway.body.*/*.nbi"))
+    index.rename(index.with_suffix(".away"))
+    assert readiness.readiness(readiness.FIRST) == (found.kernels - 1, found.kernels)
+    assert not readiness.is_ready(readiness.FIRST)
+    index.with_suffix(".away").rename(index)
+
+    monkeypatch.setattr(compiled.KernelState, "is_current", False)
+    assert not readiness.is_ready(readiness.FIRST)
+    monkeypatch.undo()
+
+
+@pytest.mark.slow(reason="compiles for ten seconds or more into an empty cache")
+def test_kernels_that_were_shipped_are_taken(let_through, tmp_path, monkeypatch):
+    """Moved as a wheel or an image moves them, with other times, and beside a cache that is empty."""
+    shutil.copytree(let_through, tmp_path / "shipped", copy_function=shutil.copyfile)
+    shutil.rmtree(let_through)
+    assert readiness.readiness(readiness.FIRST).is_complete
+    done = subprocess.run(
+        [sys.executable, "-c", SHIPPED, str(tmp_path / "shipped")],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "own")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {"compiled": 0, "poses": True}
+    assert list((tmp_path / "own").glob("*/gateway.*/*.nbi"))
+
+
+SHIPPED = """
+import json, sys
+from pathlib import Path
+from numba.core import event
+from gateway.geometry import compiled
+from gateway.service import readiness
+compiled.SHIPPED = Path(sys.argv[1])
+with event.install_recorder("numba:compile") as recorded:
+    readiness._let_through(readiness.FIRST)
+print(json.dumps({"compiled": len(recorded.buffer), "poses": readiness.is_ready(readiness.FIRST)}))
+"""
 
 
 @pytest.mark.slow(reason="compiles for ten seconds or more into an empty cache")
@@ -49,8 +100,8 @@ def test_what_stands_in_finds_all_it_needs_compiled_and_needs_few_kernels(tmp_pa
     said = json.loads(done.stdout)
     assert said["told"][0].startswith("first start: compiling what the first poses need")
     assert said["compiled_later"] == []
-    assert not list(tmp_path.glob("*root_position*"))
-    assert list(tmp_path.glob("ready-first-*"))
+    assert not list(tmp_path.glob("*/*root_position*"))
+    assert list(tmp_path.glob("*/ready-first-*"))
 
 
 STANDS_IN = """
@@ -75,11 +126,10 @@ print(json.dumps({"told": told, "compiled_later": later}))
 """
 
 
-def test_a_cache_that_cannot_be_written_does_no_harm(created, monkeypatch, tmp_path):
-    monkeypatch.setattr(compiled, "CACHE_DIRECTORY", tmp_path / "absent")
-    readiness.make_ready("joint")
-    assert created == ["joint"]
-    assert not readiness.is_ready("joint")
+def test_a_part_that_fails_is_told(empty, monkeypatch):
+    monkeypatch.setattr(sys, "executable", shutil.which("false"))
+    with pytest.raises(GatewayError, match="compiling failed in the part"):
+        readiness.make_ready("joint")
 
 
 def test_an_unknown_method_is_refused_by_the_command():
