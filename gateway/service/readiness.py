@@ -133,19 +133,24 @@ def make_ready(*names: str, tell: Callable[[int, int], object] = lambda _done, _
 
 def _compile(waiting: queue.SimpleQueue[str], report: Callable[[], object]) -> None:
     """Hand one part after another to a process, until none waits."""
-    with subprocess.Popen(
-        _step("parts"), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        with contextlib.suppress(queue.Empty):
+    part = ""
+    try:
+        with (
+            subprocess.Popen(
+                _step("parts"), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            ) as process,
+            contextlib.suppress(queue.Empty),
+        ):
+            assert process.stdin is not None
+            assert process.stdout is not None
             while True:
                 part = waiting.get_nowait()
                 print(part, file=process.stdin, flush=True)
                 if process.stdout.readline() != f"{part}\n":
-                    raise GatewayError(f"compiling failed in the part '{part}': see above")
+                    raise BrokenPipeError
                 report()
-        process.stdin.close()
+    except BrokenPipeError:  # also where it ended before it read
+        raise GatewayError(f"compiling failed in the part '{part}': see above") from None
 
 
 def _run_through(name: str) -> None:
