@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from gateway.support.rows import Integer, Memory, Row, memory_of
+
 COUNTER_BITS = 32
 _PERIOD_US = 1 << COUNTER_BITS
 _HALF_US = _PERIOD_US >> 1
@@ -24,48 +28,69 @@ def unwrap(count: int, bits: int, near: int) -> int:
     return near + (count - near + period // 2) % period - period // 2
 
 
-class Counter32:
+COUNTER32 = np.dtype(
+    [
+        ("restarts", np.int64),
+        ("is_running", np.int64),  # whether it has been heard since the start
+        ("newest_us", np.int64),  # largest full time since then
+        ("is_late", np.int64),
+        ("late_since_ns", np.int64),
+        ("late_by_us", np.int64),  # when it began to be late
+    ]
+)
+"""State of a ``Counter32``."""
+
+
+class Counter32(Row):
     """Full time from 32 bits, by where the counter should be when a packet arrives.
 
     Transport only delays: a stamp may be behind what is expected at its arrival, never ahead of it.
     """
 
-    __slots__ = ("_late_by_us", "_late_since_ns", "newest_us", "restarts")
+    restarts = Integer(COUNTER32, "restarts")
+    _is_running, _newest_us = Integer(COUNTER32, "is_running"), Integer(COUNTER32, "newest_us")
+    _is_late, _late_since_ns = Integer(COUNTER32, "is_late"), Integer(COUNTER32, "late_since_ns")
+    _late_by_us = Integer(COUNTER32, "late_by_us")
 
-    def __init__(self) -> None:
-        self.restarts = 0
-        self.newest_us: int | None = None
+    def __init__(self, memory: Memory | None = None) -> None:
+        """memory: of a ``COUNTER32``, all zeros, where somebody else keeps the state."""
+        super().__init__(memory_of(np.zeros(1, COUNTER32)) if memory is None else memory)
+
+    @property
+    def newest_us(self) -> int | None:
         """Largest full time since the last start; None before the first."""
-        self._late_since_ns: int | None = None
-        self._late_by_us = 0  # when it began to be late
+        return self._newest_us if self._is_running else None
+
+    def forget(self) -> None:
+        """Take the next stamp, whatever it is, as a start."""
+        self._is_running = False
 
     def full_us(self, stamp_us: int, expected_us: int, arrived_ns: int) -> int | None:
         """The full count, or None when the counter has (re)started: then it stands at ``stamp_us``."""
-        newest_us = self.newest_us
-        if newest_us is None:
-            self.newest_us = stamp_us
+        if not self._is_running:
+            self._is_running, self._newest_us = True, stamp_us
             return None
+        newest_us = self._newest_us
         ahead_us = (stamp_us - expected_us + _HALF_US) % _PERIOD_US - _HALF_US
         full_us = expected_us + ahead_us
-        if full_us > newest_us and -LATE_US <= ahead_us <= EARLY_US and self._late_since_ns is None:
-            self.newest_us = full_us
+        if full_us > newest_us and -LATE_US <= ahead_us <= EARLY_US and not self._is_late:
+            self._newest_us = full_us
             return full_us
         if self._is_anew(full_us, ahead_us, arrived_ns):
             self.restarts += 1
-            self.newest_us, self._late_since_ns = stamp_us, None
+            self._newest_us, self._is_late = stamp_us, False
             return None
-        self.newest_us = max(newest_us, full_us)
+        self._newest_us = max(newest_us, full_us)
         return full_us
 
     def _is_anew(self, full_us: int, ahead_us: int, arrived_ns: int) -> bool:
-        assert self.newest_us is not None
-        if ahead_us > EARLY_US or full_us < self.newest_us - OVERTAKEN_US:
+        if ahead_us > EARLY_US or full_us < self._newest_us - OVERTAKEN_US:
             return True
         if ahead_us >= -LATE_US:
-            self._late_since_ns = None
+            self._is_late = False
             return False
-        if self._late_since_ns is None:
-            self._late_since_ns, self._late_by_us = arrived_ns, -ahead_us
+        if not self._is_late:
+            self._is_late, self._late_since_ns, self._late_by_us = True, arrived_ns, -ahead_us
         waited_ns = arrived_ns - self._late_since_ns
         caught_up_ns = (self._late_by_us + ahead_us) * 1000
         is_steady = caught_up_ns < _CATCHING_UP * waited_ns

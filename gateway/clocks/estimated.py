@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.clocks.batching import LinkBatching
+from gateway.clocks.clock_rows import CLOCK, ESTIMATED, MOST_PACKETS, new_clock
 from gateway.clocks.counter import Counter32
 from gateway.clocks.delay_floor import CRYSTAL, REMEMBERED, TRANSPORT, DelayFloor
 from gateway.clocks.module_clock import MICROSECOND_NS, ClockFigures
 from gateway.frames import FloatArray
+from gateway.support.rows import Integer, Memory, Real, Row, part
 
 _FIRST_BLOCK_US = 50_000
 _BLOCK_US = 1_000_000
-_MOST_PACKETS = 2_000
-"""Of one block, so that a module with a runaway rate does not make it dearer; and of the opening."""
 _SLEW_PPM = 500.0
 _FIRST_SLEW_PPM = 20_000.0
 _SETTLING_US = 10_000_000
@@ -30,7 +30,7 @@ _FADE_US = 1_000_000.0
 _BOUND_SIGMAS = 3.0
 
 
-class EstimatedClock:
+class EstimatedClock(Row):
     """Offset and rate by the lower envelope of the delays (see ``floor_filter``), published without jumps.
 
     What a stamp is turned into depends on nothing that came after it. Between blocks the instants follow
@@ -45,9 +45,23 @@ class EstimatedClock:
     offset, and it lies in their middle where the two ways are alike.
     """
 
-    def __init__(self, batching: LinkBatching | None = None) -> None:
+    _kind = Integer(CLOCK, "kind")
+    _start_us, _start_ns = Integer(CLOCK, "start_us"), Integer(CLOCK, "start_ns")
+    _expected_us = Integer(CLOCK, "expected_us")
+    _fit_us, _offset_us, _rate = Integer(CLOCK, "fit_us"), Real(CLOCK, "offset_us"), Real(CLOCK, "rate")
+    _correction_us, _fade_us = Real(CLOCK, "correction_us"), Real(CLOCK, "fade_us")
+    _clamped_us, _clamped_ns = Integer(CLOCK, "clamped_us"), Integer(CLOCK, "clamped_ns")
+    _block_end_us, _packets = Integer(CLOCK, "block_end_us"), Integer(CLOCK, "packets")
+
+    def __init__(self, batching: LinkBatching | None = None, memory: Memory | None = None) -> None:
+        """memory: of a ``CLOCK``, all zeros, where somebody else keeps the state."""
+        memory = new_clock() if memory is None else memory
+        super().__init__(memory)
+        self._kind = ESTIMATED
+        self._elapsed_us = part(memory, CLOCK, "elapsed_us").view(np.int64)
+        self._delays_us = part(memory, CLOCK, "delays_us").view(np.float64)
         self._batching = batching or LinkBatching()
-        self._counter = Counter32()
+        self._counter = Counter32(part(memory, CLOCK, "counter"))
         self._back = DelayFloor(CRYSTAL)  # module to host: every packet
         self._round_trip = DelayFloor(TRANSPORT)  # exchanges only; by the clock of the way back
         self._steps = 0
@@ -58,20 +72,18 @@ class EstimatedClock:
     def _begin(self, stamp_us: int, arrived_ns: int) -> None:
         """Count elapsed and arrival time from here. A rate found before is a good first guess."""
         self._start_us, self._start_ns = stamp_us, arrived_ns
-        self._expected_us = stamp_us  # full count that arrives at the start
+        self._expected_us = stamp_us
         is_sure = self._back.packets >= REMEMBERED
         self._back.begin(_RESTARTED_RATE_SIGMA_PPM if is_sure else CRYSTAL.rate_sigma_ppm)
         self._round_trip.rebase()
         self._is_opening = True
-        self._elapsed: list[int] = []
-        self._delays: list[float] = []
+        self._packets = 0
         self._exchanges: list[tuple[int, float]] = []
         self._block_us = _FIRST_BLOCK_US
         self._block_end_us = _FIRST_BLOCK_US
-        # published: offset + rate (t - fit) + correction, which fades away
         self._fit_us, self._offset_us, self._rate = 0, 0.0, self._back.rate_ppm * 1e-6
         self._correction_us, self._fade_us = 0.0, _FADE_US
-        self._clamped_us, self._clamped_ns = 0, arrived_ns  # newest stamp that arrived before its instant
+        self._clamped_us, self._clamped_ns = 0, arrived_ns
 
     @property
     def restarts(self) -> int:
@@ -84,10 +96,11 @@ class EstimatedClock:
         if full_us is None:
             self._begin(module_time_us, arrived_ns)
             full_us, since_ns = module_time_us, 0
-        elapsed_us = full_us - self._start_us
-        self._elapsed.append(elapsed_us)
-        self._delays.append(since_ns * 1e-3 - elapsed_us)
-        if elapsed_us >= self._block_end_us or len(self._delays) > _MOST_PACKETS:
+        elapsed_us, packets = full_us - self._start_us, self._packets
+        self._elapsed_us[packets] = elapsed_us
+        self._delays_us[packets] = since_ns * 1e-3 - elapsed_us
+        self._packets = packets + 1
+        if elapsed_us >= self._block_end_us or packets >= MOST_PACKETS:
             self._close_block(elapsed_us)
         since_fit_us = elapsed_us - self._fit_us
         offset_us = self._offset_us + self._rate * since_fit_us
@@ -108,7 +121,8 @@ class EstimatedClock:
         restarts = self.restarts
         self.gateway_time(replied_us, arrived_ns)
         if self.restarts == restarts:
-            newest_us = self._elapsed[-1] if self._elapsed else self._fit_us
+            packets = self._packets
+            newest_us = int(self._elapsed_us[packets - 1]) if packets else self._fit_us
             elapsed_us = newest_us - (replied_us - received_us) % 2**32
             self._exchanges.append((elapsed_us, elapsed_us - (sent_ns - self._start_ns) * 1e-3))
 
@@ -127,7 +141,7 @@ class EstimatedClock:
 
     def forget(self) -> None:
         """The next stamp starts anew; what is known of the rate stays."""
-        self._counter.newest_us = None
+        self._counter.forget()
 
     @property
     def newest_us(self) -> int:
@@ -143,21 +157,22 @@ class EstimatedClock:
         """Take the packets since the last block into the estimate, and plan how to follow it."""
         newest_us = max(newest_us, self._fit_us)
         is_first = not self._back.is_known
-        elapsed_s = (np.array(self._elapsed, dtype=np.float64) - newest_us) * 1e-6
+        packets = self._packets
+        elapsed_s = (self._elapsed_us[:packets].astype(np.float64) - newest_us) * 1e-6
         if self._is_opening:
             self._back.take_back(forgets_delays=self._slot_is_news())
             self._round_trip.take_back()
-        self._back.update(newest_us, elapsed_s, np.array(self._delays), self._slot_us(elapsed_s))
+        self._back.update(newest_us, elapsed_s, self._delays_us[:packets], self._slot_us(elapsed_s))
         if self._exchanges:
             received = np.array(self._exchanges)  # (n, 2): module time, delay of the way there
             since_s = (received[:, 0] - newest_us) * 1e-6
             trips_us = received[:, 1] + self._back.offset_us(newest_us) + self._back.rate_ppm * since_s
             self._round_trip.update(newest_us, since_s, trips_us, 0.0)
         self._follow(newest_us, is_first)
-        if newest_us >= _OPENING_US or len(self._delays) >= _MOST_PACKETS:
+        if newest_us >= _OPENING_US or packets >= MOST_PACKETS:
             self._is_opening = False
         if not self._is_opening:
-            self._elapsed, self._delays, self._exchanges = [], [], []
+            self._packets, self._exchanges = 0, []
         self._block_us = min(2 * self._block_us, _BLOCK_US)
         self._block_end_us = newest_us + self._block_us
 

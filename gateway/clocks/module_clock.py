@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
+from gateway.clocks.clock_rows import CLOCK, SHARED, new_clock
 from gateway.clocks.counter import Counter32
+from gateway.support.rows import Integer, Memory, Row, part
 
 MICROSECOND_NS = 1000
 SAME_CLOCK_NS = 2_000_000_000
@@ -63,14 +65,19 @@ class SharedOffset:
         self.offset_ns: int | None = None
 
 
-class SharedClock:
+class SharedClock(Row):
     """A module that counts the same clock as its fellows: one offset for all, rate as stamped."""
 
-    def __init__(self, shared: SharedOffset) -> None:
+    _kind = Integer(CLOCK, "kind")
+    _offset_ns, _arrived_ns = Integer(CLOCK, "start_ns"), Integer(CLOCK, "heard_ns")
+
+    def __init__(self, shared: SharedOffset, memory: Memory | None = None) -> None:
+        """memory: of a ``CLOCK``, all zeros, where somebody else keeps the state."""
+        memory = new_clock() if memory is None else memory
+        super().__init__(memory)
+        self._kind = SHARED
         self._shared = shared
-        self._counter = Counter32()
-        self._offset_ns = 0
-        self._arrived_ns = 0  # of the newest stamp
+        self._counter = Counter32(part(memory, CLOCK, "counter"))
 
     @property
     def restarts(self) -> int:

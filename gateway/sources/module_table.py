@@ -27,7 +27,12 @@ from gateway.clocks import (
 )
 from gateway.contract.balances import Balance
 from gateway.sources.losses import Cause, LinkLosses
+from gateway.sources.module_rows import MODULE, module_rows
 from gateway.sources.statistics import ModuleRecord
+from gateway.support.rows import Memory, memory_of, part
+
+_NewClock = Callable[[int, LinkBatching, Memory], ModuleClock]
+"""Of a module, the batching of its link and the memory of a clock, its clock."""
 
 SAMPLE_KINDS = frozenset(
     packet.KIND
@@ -72,6 +77,8 @@ class ModuleTable:
         self._losses: dict[str, LinkLosses] = {}
         self._batching: dict[str, LinkBatching] = {}
         self._relays: dict[str, RelayBatching] = {}
+        self.rows = module_rows()
+        """What compiled code shares of them, by module id."""
         self._new_clock = _clock_factory(clock_mode, clock_table)
 
     def add_link(self, name: str) -> None:
@@ -113,8 +120,9 @@ class ModuleTable:
         record = self.records.get(module)
         if record is None:
             waits = self._batching if relayed_us is None else self._relays
-            clock = self._new_clock(module, waits[chunk.link])
-            record = ModuleRecord(module, clock, first_arrival_ns=chunk.arrived_ns)
+            memory = memory_of(self.rows, module)
+            clock = self._new_clock(module, waits[chunk.link], part(memory, MODULE, "clock"))
+            record = ModuleRecord(module, clock, chunk.arrived_ns, memory)
             self.records[module] = record
         restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(module_time_us, chunk.arrived_ns)
@@ -160,12 +168,12 @@ class ModuleTable:
         return {str(module): record.summary() for module, record in self.records.items()}
 
 
-def _clock_factory(mode: ClockMode, table: ClockTable | None) -> Callable[[int, LinkBatching], ModuleClock]:
+def _clock_factory(mode: ClockMode, table: ClockTable | None) -> _NewClock:
     if mode is ClockMode.SHARED:
         shared = SharedOffset()
-        return lambda _module, _batching: SharedClock(shared)
+        return lambda _module, _batching, memory: SharedClock(shared, memory)
     warm_up()
     if mode is ClockMode.TABLE and table is not None:
         clocks = TableClocks(table)
-        return clocks.clock
-    return lambda _module, batching: EstimatedClock(batching)
+        return lambda module, batching, _memory: clocks.clock(module, batching)
+    return lambda _module, batching, memory: EstimatedClock(batching, memory)

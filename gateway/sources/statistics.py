@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+import numpy as np
 
 from firmware_protocol import DeviceInfo, Health
 from gateway.clocks import ModuleClock, unwrap
 from gateway.sources.losses import Cause, LinkLosses
+from gateway.sources.module_rows import MODULE, SEQUENCE, SHARED_KINDS
+from gateway.support.rows import Integer, Memory, Row, memory_of, part
 
 SEQUENCE_BITS = 16
 MANY_RESTARTS, RESTLESS_NS = 3, 10_000_000_000
@@ -37,26 +41,28 @@ class _Gap:
         return self.last - self.known_from + 1
 
 
-class SequenceCounter:
+class SequenceCounter(Row):
     """Unwraps the 16-bit sequence of one kind of packet of one module; finds losses and duplicates.
 
     Numbers are untrusted: what a packet costs does not depend on how far its number jumps.
     """
 
-    def __init__(self) -> None:
-        self.received = 0
+    received = Integer(SEQUENCE, "received")
+    _newest, _first, _shift = (Integer(SEQUENCE, name) for name in ("newest", "first", "shift"))
+    _is_anew, _heard_in = Integer(SEQUENCE, "is_anew"), Integer(SEQUENCE, "heard_in")
+
+    def __init__(self, memory: Memory | None = None) -> None:
+        """memory: of a ``SEQUENCE``, all zeros, where somebody else keeps the state."""
+        super().__init__(memory_of(np.zeros(1, SEQUENCE)) if memory is None else memory)
         self.lost_by: Counter[Cause] = Counter()
         """Packets that have not come, by what may have befallen them."""
         self.duplicates = 0
         self.gaps = [0] * len(_GAP_NAMES)
         """How often so many packets were lost in a row, in the order of ``_GAP_NAMES``."""
         self._newest = -1
-        self._first = 0
-        self._shift = 0  # wire number minus our own: 0 until the module has restarted
         self._is_anew = True
         self._open: list[_Gap] = []  # in order of their numbers
         self._known = 0  # sum of ``known`` of the open gaps
-        self._heard_in = 0  # chunk of the newest packet
 
     @property
     def lost(self) -> int:
@@ -88,15 +94,14 @@ class SequenceCounter:
         if full <= self._newest:
             return self._overtaken(full)
         if full > self._newest + 1:
-            self._open_gap(full, link.cause_since(self._heard_in))
+            self.open_gap(self._newest + 1, full, link.cause_since(self._heard_in))
         self._newest = full
         self._heard_in = link.chunk
         self.received += 1
         return full
 
-    def _open_gap(self, full: int, cause: Cause) -> None:
-        """Note all numbers between the newest and this one as lost; forget the oldest ones known."""
-        first = self._newest + 1
+    def open_gap(self, first: int, full: int, cause: Cause) -> None:
+        """Note all numbers from ``first`` on as lost, up to ``full``, which came; forget the oldest known."""
         gap = _Gap(first, full - 1, cause, max(first, full - _REMEMBERED))
         self.lost_by[cause] += gap.length
         self.gaps[_order(gap.length)] += 1
@@ -119,10 +124,10 @@ class SequenceCounter:
         self.gaps[_order(gap.length)] -= 1
         before = _Gap(gap.first, full - 1, gap.cause, gap.known_from)
         after = _Gap(full + 1, gap.last, gap.cause, full + 1)
-        for part in (before, after):
-            if part.length:
-                self.gaps[_order(part.length)] += 1
-        self._open[place : place + 1] = [part for part in (before, after) if part.known]
+        for rest in (before, after):
+            if rest.length:
+                self.gaps[_order(rest.length)] += 1
+        self._open[place : place + 1] = [rest for rest in (before, after) if rest.known]
         self._known -= 1
         self.lost_by[gap.cause] -= 1
         self.received += 1
@@ -142,26 +147,35 @@ def _order(length: int) -> int:
     return min((length - 1).bit_length(), len(_GAP_NAMES) - 1)
 
 
-@dataclass
-class ModuleRecord:
+class ModuleRecord(Row):
     """All that is known of a module (or local measuring device) on the air."""
 
-    module: int
-    clock: ModuleClock
-    sequences: dict[int, SequenceCounter] = field(default_factory=dict)
-    """By kind of packet."""
-    info: DeviceInfo | None = None
-    health: Health | None = None
-    first_arrival_ns: int = 0
-    last_arrival_ns: int = 0
-    restarted_ns: deque[int] = field(default_factory=lambda: deque(maxlen=MANY_RESTARTS))
-    """When its clock was found to begin anew, the last times."""
+    last_arrival_ns = Integer(MODULE, "last_arrival_ns")
+
+    def __init__(
+        self, module: int, clock: ModuleClock, first_arrival_ns: int = 0, memory: Memory | None = None
+    ) -> None:
+        """memory: of a ``MODULE``, where somebody else keeps the state."""
+        memory = memory_of(np.zeros(1, MODULE)) if memory is None else memory
+        super().__init__(memory)
+        self.module = module
+        self.clock = clock
+        self.first_arrival_ns = first_arrival_ns
+        self.sequences: dict[int, SequenceCounter] = {}
+        """By kind of packet."""
+        self.info: DeviceInfo | None = None
+        self.health: Health | None = None
+        self.restarted_ns: deque[int] = deque(maxlen=MANY_RESTARTS)
+        """When its clock was found to begin anew, the last times."""
+        self._shared = part(memory, MODULE, "sequences").view(SEQUENCE)
 
     def counter(self, kind: int) -> SequenceCounter:
         """The counter of a kind of packet, a new one at first."""
         counter = self.sequences.get(kind)
         if counter is None:
-            counter = self.sequences[kind] = SequenceCounter()
+            place = SHARED_KINDS.get(kind)
+            memory = None if place is None else memory_of(self._shared, place)
+            counter = self.sequences[kind] = SequenceCounter(memory)
         return counter
 
     @property
