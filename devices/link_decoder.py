@@ -8,6 +8,8 @@ no sender has one decoder, as a serial port has one other end.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Sized
+from typing import Generic, Protocol, TypeVar
 
 from devices.link import Chunk, Framing
 from firmware_protocol import CanFrameDecoder, Defect, FrameDecoder, PacketDecoder, ReceivedPacket
@@ -23,23 +25,46 @@ _MOST_NAMED = 8
 """Strangers that are named."""
 
 
-class _Sender:
+Packets = TypeVar("Packets", bound=Sized)
+_Packets_co = TypeVar("_Packets_co", bound=Sized, covariant=True)
+
+
+class Decoder(Protocol[_Packets_co]):
+    """What takes the bytes of one sender apart: ``PacketDecoder``, or what does the same."""
+
+    @property
+    def dropped(self) -> Counter[Defect]:
+        """What was dropped by reason."""
+        ...
+
+    @property
+    def damaged(self) -> int:
+        """How many drops there were that packets of ours may have been lost in."""
+        ...
+
+    def feed(self, chunk: bytes) -> _Packets_co:
+        """The packets that a chunk completes, in order."""
+        ...
+
+
+class _Sender(Generic[Packets]):
     """One sender's bytes so far."""
 
     __slots__ = ("chunks", "decoder", "valid_ns")
 
-    def __init__(self, framing: Framing) -> None:
-        self.decoder = packet_decoder(framing)
+    def __init__(self, decoder: Decoder[Packets]) -> None:
+        self.decoder = decoder
         self.valid_ns: int | None = None
         """Arrival of the newest chunk that completed a packet; None: it is a stranger."""
         self.chunks = 0
         """That came while it was a stranger."""
 
 
-class LinkDecoder:
+class SenderDecoders(Generic[Packets]):
     """Takes the chunks of one link apart. ``feed`` never raises; what is dropped is counted."""
 
-    def __init__(self, framing: Framing) -> None:
+    def __init__(self, make: Callable[[], Decoder[Packets]]) -> None:
+        """make: makes the decoder of a sender."""
         self.accepted = 0
         """Packets handed out."""
         self.strange_chunks = 0
@@ -48,15 +73,15 @@ class LinkDecoder:
         """Whether the sender of the chunk fed last has ever sent a valid packet, or is the only one."""
         self.is_damaged = False
         """Whether packets of a trusted sender may have been lost in the chunk fed last."""
-        self._framing = framing
-        self._by_sender: dict[str, _Sender] = {}  # the one heard least recently first
+        self._make = make
+        self._by_sender: dict[str, _Sender[Packets]] = {}  # the one heard least recently first
         self._dropped_before: Counter[Defect] = Counter()  # of senders that are forgotten
         self._now_ns = 0
 
-    def feed(self, chunk: Chunk) -> list[ReceivedPacket]:
+    def feed(self, chunk: Chunk) -> Packets:
         """The packets that a chunk completes, in order."""
         self._now_ns = chunk.arrived_ns
-        sender = self._by_sender.pop(chunk.sender, None) or _Sender(self._framing)
+        sender = self._by_sender.pop(chunk.sender, None) or _Sender(self._make())
         self._by_sender[chunk.sender] = sender
         if len(self._by_sender) > MOST_SENDERS:
             self._forget_one(chunk.sender)
@@ -113,6 +138,13 @@ class LinkDecoder:
         )
         forgotten = self._by_sender.pop(next(strangers, next(iter(self._by_sender))))
         self._dropped_before.update(forgotten.decoder.dropped)
+
+
+class LinkDecoder(SenderDecoders[list[ReceivedPacket]]):
+    """The same, to packets one by one."""
+
+    def __init__(self, framing: Framing) -> None:
+        super().__init__(lambda: packet_decoder(framing))
 
 
 def packet_decoder(framing: Framing) -> PacketDecoder:

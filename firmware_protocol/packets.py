@@ -186,7 +186,7 @@ class PacketDecoder:
             if entry[0] == RELAY_BATCH:
                 self._expand(entry, received)
             else:
-                self._decode(entry, received)
+                self._take_entry(entry, received)
         self.accepted += len(received)
         return received
 
@@ -197,11 +197,19 @@ class PacketDecoder:
             return
         entries, is_truncated = split_batch(body)
         for entry in entries:
-            self._decode(entry, received, relayed_us)
+            self._take_entry(entry, received, relayed_us)
         if is_truncated:
             self._dropped[Defect.TRUNCATED] += 1
 
-    def _decode(self, entry: Entry, received: list[ReceivedPacket], relayed_us: int | None = None) -> None:
+    def _take_entry(
+        self, entry: Entry, received: list[ReceivedPacket], relayed_us: int | None = None
+    ) -> None:
+        packet = self.decode(entry, relayed_us)
+        if packet is not None:
+            received.append(packet)
+
+    def decode(self, entry: Entry, relayed_us: int | None = None) -> ReceivedPacket | None:
+        """The packet of a wire frame that is no batch, or of an entry of one; None where it was dropped."""
         kind, module, sequence, module_time_us, body = entry
         known = _RECEIVED.get(kind)
         if known is None:
@@ -211,5 +219,5 @@ class PacketDecoder:
             packet = decode(body) if module in modules else Defect.BAD_MODULE
         if type(packet) is Defect:
             self._dropped[packet] += 1
-        else:
-            received.append(ReceivedPacket(kind, module, sequence, module_time_us, packet, relayed_us))
+            return None
+        return ReceivedPacket(kind, module, sequence, module_time_us, packet, relayed_us)

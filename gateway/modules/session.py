@@ -82,7 +82,8 @@ class _Sources:
 
     def __init__(self, context: SourceContext) -> None:
         self._context = context
-        self.stream = Stream.of(context)
+        self.stream = Stream(table=context.modules, is_compiled=False)
+        """Readable: done before kernels would be compiled."""
         self._sources: dict[str, Source] = {SUIT: self.stream}
 
     def add(self, link: ReconnectingLink, carries: str) -> dict[str, Source]:

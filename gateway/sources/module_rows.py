@@ -14,7 +14,7 @@ SEQUENCE = np.dtype(
         ("newest", np.int64),  # unwrapped number of the newest packet; -1 before the first
         ("first", np.int64),
         ("shift", np.int64),  # wire number minus our own: 0 until the module has restarted
-        ("is_anew", np.int64),  # the next number, whatever it is, follows on the last one
+        ("goes_on", np.int64),  # 0: the next number, whatever it is, follows on the newest
         ("heard_in", np.int64),  # chunk of the newest packet
     ]
 )

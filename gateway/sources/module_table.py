@@ -79,6 +79,8 @@ class ModuleTable:
         self._relays: dict[str, RelayBatching] = {}
         self.rows = module_rows()
         """What compiled code shares of them, by module id."""
+        self.is_followed = clock_mode is not ClockMode.TABLE
+        """Whether compiled code knows the clocks."""
         self._new_clock = _clock_factory(clock_mode, clock_table)
 
     def add_link(self, name: str) -> None:
@@ -107,6 +109,18 @@ class ModuleTable:
         """Return what befell a link, for ``SequenceCounter.count``."""
         return self._losses[link]
 
+    def relayed(self, link: str, relayed_us: int) -> None:
+        """Take note of a batch of a relay, before the samples in it. relayed_us: µs of the relay's clock."""
+        self._relays[link].observe_tick(relayed_us)
+
+    def missed(self, link: str, module: int, kind: int, first: int, full: int, heard_in: int) -> None:
+        """Take note of packets of a kind that have not come: numbers ``first`` up to ``full``, which came.
+
+        heard_in: the chunk of the link that held the one before them.
+        """
+        counter = self.records[module].sequences[kind]
+        counter.open_gap(first, full, self._losses[link].cause_since(heard_in))
+
     def timed(
         self, module: int, module_time_us: int, chunk: Chunk, relayed_us: int | None = None
     ) -> tuple[ModuleRecord, int]:
@@ -116,7 +130,7 @@ class ModuleTable:
         clock.
         """
         if relayed_us is not None:
-            self._relays[chunk.link].observe_tick(relayed_us)
+            self.relayed(chunk.link, relayed_us)
         record = self.records.get(module)
         if record is None:
             waits = self._batching if relayed_us is None else self._relays

@@ -49,7 +49,7 @@ class SequenceCounter(Row):
 
     received = Integer(SEQUENCE, "received")
     _newest, _first, _shift = (Integer(SEQUENCE, name) for name in ("newest", "first", "shift"))
-    _is_anew, _heard_in = Integer(SEQUENCE, "is_anew"), Integer(SEQUENCE, "heard_in")
+    _goes_on, _heard_in = Integer(SEQUENCE, "goes_on"), Integer(SEQUENCE, "heard_in")
 
     def __init__(self, memory: Memory | None = None) -> None:
         """memory: of a ``SEQUENCE``, all zeros, where somebody else keeps the state."""
@@ -60,7 +60,6 @@ class SequenceCounter(Row):
         self.gaps = [0] * len(_GAP_NAMES)
         """How often so many packets were lost in a row, in the order of ``_GAP_NAMES``."""
         self._newest = -1
-        self._is_anew = True
         self._open: list[_Gap] = []  # in order of their numbers
         self._known = 0  # sum of ``known`` of the open gaps
 
@@ -76,18 +75,18 @@ class SequenceCounter(Row):
 
     def count(self, sequence: int, link: LinkLosses) -> int | None:
         """The unwrapped sequence number; None for a packet received before. link: the one it came over."""
-        if self._is_anew:
+        if not self._goes_on:
             self._shift = sequence - (self._newest + 1)
-            self._is_anew = False
+            self._goes_on = True
         return self._take(unwrap(sequence - self._shift, SEQUENCE_BITS, self._newest + 1), link)
 
     def count_unwrapped(self, full: int, link: LinkLosses) -> int | None:
         """The same for a number that somebody else has unwrapped."""
-        if self._is_anew:
+        if not self._goes_on:
             begin = max(self._newest, full - 1)
             self._first += begin - self._newest
             self._newest = begin
-            self._is_anew = False
+            self._goes_on = True
         return self._take(full, link)
 
     def _take(self, full: int, link: LinkLosses) -> int | None:
@@ -135,7 +134,7 @@ class SequenceCounter(Row):
 
     def restart(self) -> None:
         """The module counts from anew: its next number, whatever it is, follows on the last one."""
-        self._is_anew = True
+        self._goes_on = False
 
 
 def _first_of(gap: _Gap) -> int:

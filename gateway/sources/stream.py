@@ -6,13 +6,14 @@ relay over one. Readings are routed by module id.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from devices.link import Chunk, Framing, SentChunk
-from devices.link_decoder import LinkDecoder, packet_decoder
+from devices.link_decoder import LinkDecoder, SenderDecoders, packet_decoder
 from firmware_protocol import (
+    PACKETS,
     DeviceInfo,
     FusedSample,
     Health,
@@ -43,8 +44,11 @@ from gateway.frames import (
     Sample,
 )
 from gateway.sources.air_velocity import air_velocity
+from gateway.sources.compiled_decoding import CompiledDecoder, Entries, Follower
 from gateway.sources.exchanges import TimeExchanges
+from gateway.sources.module_rows import SHARED_KINDS
 from gateway.sources.module_table import ClockMode, ModuleTable
+from gateway.sources.readings import Readings
 from gateway.sources.source import SourceContext
 from gateway.sources.statistics import ModuleRecord
 
@@ -69,21 +73,27 @@ class Stream:
         clock_table: ClockTable | None = None,
         triggers: TriggerAnswers | None = None,
         table: ModuleTable | None = None,
+        is_compiled: bool = True,
     ) -> None:
         """triggers: what answers are awaited in mode TRIGGER; None in any other. table: of the modules of all
-        sources, where there are others; then clock_mode and clock_table are its own."""
+        sources, where there are others; then clock_mode and clock_table are its own. is_compiled: whether
+        kernels take the usual samples; else all goes the readable way, to the same result."""
         self.triggers = triggers
         self.table = table or ModuleTable(clock_mode, clock_table)
         self.modules = self.table.records
-        self.readings = 0
-        """Readings given out."""
         self.echoed = 0
         """Packets of a host, ours or another one's, that came back over a bus."""
-        self._decoders: dict[str, LinkDecoder] = {}
+        self._is_compiled = is_compiled
+        self._readings = Readings()
+        self._entries = Entries()
+        self._follower = Follower(self.table, self._readings)
+        self._decoders: dict[str, LinkDecoder | SenderDecoders[Entries]] = {}
         self._sent_decoders: dict[str, PacketDecoder] = {}
         self._listeners: dict[type[Packet], list[Listener]] = {}
         self._exchanges = TimeExchanges(self.modules)
         self.listen(SyncResponse, self._exchanges.answered)
+        for kind in SHARED_KINDS:
+            self._share(kind)
 
     @classmethod
     def of(cls, context: SourceContext) -> Stream:
@@ -92,44 +102,63 @@ class Stream:
 
     def add_link(self, name: str, content: str) -> None:
         """Announce a link, before its first chunk. content: its framing."""
-        self._decoders[name] = LinkDecoder(Framing(content))
+        if self._is_compiled and content == Framing.BYTE_STREAM:
+            self._decoders[name] = SenderDecoders(lambda: CompiledDecoder(self._entries))
+            CompiledDecoder(self._entries).feed(b"")  # compiled now, not when the first packets wait
+            self._follower.warm_up(self._entries)
+        else:
+            self._decoders[name] = LinkDecoder(Framing(content))
         self._sent_decoders[name] = packet_decoder(Framing(content))
         self.table.add_link(name)
 
     def listen(self, packet_class: type[Packet], listener: Listener) -> None:
         """Have every packet of a class told to ``listener`` too, also one that came before."""
         self._listeners.setdefault(packet_class, []).append(listener)
+        self._share(packet_class.KIND)
 
     def stop_listening(self, packet_class: type[Packet], listener: Listener) -> None:
         """Undo ``listen``."""
         self._listeners[packet_class].remove(listener)
+        self._share(packet_class.KIND)
+
+    def _share(self, kind: int) -> None:
+        """Have kernels take the samples of a kind, unless somebody is to see each of them."""
+        if kind in SHARED_KINDS:
+            is_seen = self.triggers is not None or bool(self._listeners.get(PACKETS[kind]))
+            self._entries.leave_samples(kind, is_seen or not self.table.is_followed)
 
     def receive(self, chunk: Chunk) -> list[Reading]:
         """The readings that a chunk completes, in order of arrival."""
-        readings: list[Reading] = []
-        samples: list[Sample] = []
         decoder = self._decoders[chunk.link]
         packets = decoder.feed(chunk)
         self.table.begin_chunk(chunk, is_trusted=decoder.is_trusted, is_damaged=decoder.is_damaged)
-        for packet in packets:
-            for listener in self._listeners.get(type(packet.packet), ()):
-                listener(packet, chunk)
-            if packet.kind in FROM_HOST:
-                self.echoed += 1
-                continue  # our own, echoed by a bus; its time is that of no module
-            read = self._read(packet, chunk)
-            if isinstance(read, tuple):
-                samples.append(read)
-            elif read is not None:
-                if samples:  # what stands between two readings of another kind is one batch
-                    readings.append(InertialBatch.of(samples))
-                    samples = []
-                readings.append(read)
-                self.readings += 1
-            self.readings += isinstance(read, tuple)
-        if samples:
-            readings.append(InertialBatch.of(samples))
-        return readings
+        self._readings.begin(len(packets))
+        each = self._follower.others(packets, chunk) if isinstance(packets, Entries) else packets
+        for packet in each:
+            self._take(packet, chunk)
+        return self._readings.end()
+
+    def _take(self, packet: ReceivedPacket, chunk: Chunk) -> None:
+        """Tell a packet to whoever listens, and add what it reads."""
+        for listener in self._listeners.get(type(packet.packet), ()):
+            listener(packet, chunk)
+        if packet.kind in FROM_HOST:
+            self.echoed += 1
+            return  # our own, echoed by a bus; its time is that of no module
+        read = self._read(packet, chunk)
+        if isinstance(read, tuple):
+            self._readings.add_sample(read)
+        elif read is not None:
+            self._readings.add(read)
+
+    @property
+    def readings(self) -> int:
+        """Readings given out."""
+        return self._readings.total
+
+    def decoders(self) -> Iterable[LinkDecoder | SenderDecoders[Entries]]:
+        """Return what takes the chunks of each link apart."""
+        return self._decoders.values()
 
     def senders(self, link: str) -> tuple[str, ...]:
         """Who is to be written to on a link: those who sent something valid lately, by address; nobody where

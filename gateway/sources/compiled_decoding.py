@@ -1,0 +1,169 @@
+"""Packets out of the bytes of a link by kernels, as ``PacketDecoder`` gives them, and samples of these."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.link import Chunk
+from firmware_protocol import Defect, FrameDecoder, PacketDecoder, ReceivedPacket
+from gateway.sources.module_rows import SHARED_KINDS
+from gateway.sources.module_table import ModuleTable
+from gateway.sources.readings import Readings
+from gateway.sources.wire_kernels import decode_stream, follow
+from gateway.sources.wire_layout import (
+    DECODER,
+    DEFECTS,
+    ENTRY,
+    ENTRY_SIZE,
+    EVENT,
+    READABLE,
+    SAMPLE,
+    TICK,
+    UNKNOWN,
+    treatments,
+)
+from gateway.support.rows import Integer, Row, memory_of
+
+_FIRST_BYTES = 4096
+
+
+class Entries:
+    """The packets of the chunk in hand: those of samples as kernels left them, others as they are.
+
+    One serves all links of a stream: what it holds is gone with the next chunk.
+    """
+
+    def __init__(self) -> None:
+        self.treatments = treatments()
+        self.n = 0
+        """Entries in use."""
+        self.packets: dict[int, ReceivedPacket] = {}
+        """Those that Python decoded, by their place."""
+        self._dropped = 0
+        self._decoder = PacketDecoder(FrameDecoder())
+        self.fit(_FIRST_BYTES)
+
+    def __len__(self) -> int:
+        """Return the number of packets."""
+        return self.n - self._dropped
+
+    def fit(self, n_bytes: int) -> None:
+        """Make room for whatever so many bytes can hold."""
+        self.n_bytes = n_bytes
+        most = n_bytes // ENTRY_SIZE + 1
+        self.raw = np.zeros(n_bytes, np.uint8)
+        self.rows = np.zeros(most, ENTRY)
+        self.left = np.zeros(most, np.int64)
+        """Places of those that are left to Python."""
+        self._numbers = self.rows.view(np.int64).reshape(most, -1)
+        self.events = np.zeros(2 * most, EVENT)
+
+    def leave_samples(self, kind: int, are_left: bool) -> None:
+        """Leave samples of a kind to Python, or take them again."""
+        self.treatments[kind] = READABLE if are_left else SAMPLE + SHARED_KINDS[kind]
+
+    def begin(self, n: int, n_left: int, decoder: PacketDecoder) -> None:
+        """Take what a kernel has found; have ``decoder`` decode what it left to Python."""
+        self.n, self._dropped, self._decoder = n, 0, decoder
+        if self.packets:
+            self.packets = {}
+        if n_left:
+            for place in self.left[:n_left].tolist():
+                packet = self._decoded(place)
+                if packet is None:
+                    self.rows[place]["how"] = UNKNOWN
+                    self._dropped += 1
+                else:
+                    self.packets[place] = packet
+
+    def packet(self, place: int) -> ReceivedPacket:
+        """Return the packet of an entry, whoever was to take it."""
+        packet = self.packets.get(place) or self._decoded(place)
+        assert packet is not None, "a kernel took what is no packet"
+        return packet
+
+    def _decoded(self, place: int) -> ReceivedPacket | None:
+        _, kind, module, sequence, module_time_us, relayed_us, start, stop = self._numbers[place].tolist()
+        entry = kind, module, sequence, module_time_us, self.raw[start:stop].tobytes()
+        return self._decoder.decode(entry, None if relayed_us < 0 else relayed_us)
+
+
+class CompiledDecoder(Row):
+    """Takes a stream of bytes apart in compiled code. ``feed`` never raises; what is dropped is counted."""
+
+    _damaged, _n_left = Integer(DECODER, "damaged"), Integer(DECODER, "n_left")
+
+    def __init__(self, entries: Entries) -> None:
+        """entries: where packets are put."""
+        self._row = np.zeros(1, DECODER)
+        super().__init__(memory_of(self._row))
+        self._entries = entries
+        self._partial = b""
+        self._others = PacketDecoder(FrameDecoder())
+
+    @property
+    def dropped(self) -> Counter[Defect]:
+        """What was dropped by reason."""
+        counts = self._row["dropped"][0].tolist()
+        return (
+            Counter({d: count for d, count in zip(DEFECTS, counts, strict=True) if count})
+            + self._others.dropped
+        )
+
+    @property
+    def damaged(self) -> int:
+        """How many drops there were that packets of ours may have been lost in."""
+        return self._damaged + self._others.damaged
+
+    def feed(self, chunk: bytes) -> Entries:
+        """The packets that this chunk completes, in order; they stand until something else is fed."""
+        entries, data = self._entries, self._partial + chunk if self._partial else bytes(chunk)
+        if len(data) > entries.n_bytes:
+            entries.fit(2 * len(data))
+        used, n = decode_stream(
+            data, entries.treatments, self._row, entries.rows, entries.left, entries.raw, 0, 0, 0
+        )
+        self._partial = data[used:]
+        entries.begin(n, self._n_left, self._others)
+        return entries
+
+
+class Follower:
+    """Turns the samples among the packets of a chunk into rows of a batch, by kernels."""
+
+    def __init__(self, table: ModuleTable, readings: Readings) -> None:
+        """table: of the modules; readings: where samples are put."""
+        self._table = table
+        self._readings = readings
+
+    def warm_up(self, entries: Entries) -> None:
+        """Compile the kernel now, not when the first packets wait."""
+        follow(
+            0, 0, 0, 0, entries.rows, entries.raw, self._table.rows, self._readings.rows, 0, entries.events
+        )  # fmt: skip
+
+    def others(self, entries: Entries, chunk: Chunk) -> Iterator[ReceivedPacket]:
+        """Take the samples that are as usual; yield, in its place among them, each packet that is not."""
+        table, readings, at, n = self._table, self._readings, 0, entries.n
+        while at < n:
+            at, readings.n_rows, n_events = follow(
+                at, n, chunk.arrived_ns, table.losses(chunk.link).chunk, entries.rows, entries.raw,
+                table.rows, readings.rows, readings.n_rows, entries.events,
+            )  # fmt: skip
+            if n_events:
+                self._note(entries.events[:n_events], chunk.link)
+            if at < n:
+                yield entries.packet(at)
+                at += 1
+
+    def _note(self, events: NDArray[np.void], link: str) -> None:
+        """Note what kernels have left to be noted. events: (n,) EVENT."""
+        for what, module, kind, first, full, heard_in in events.tolist():
+            if what == TICK:
+                self._table.relayed(link, first)
+            else:
+                self._table.missed(link, module, kind, first, full, heard_in)
