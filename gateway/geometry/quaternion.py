@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from gateway.frames import FloatArray
+from gateway.frames import FloatArray, Vector3
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import vector
 
@@ -51,7 +51,7 @@ def rotate(q_ab: FloatArray, v_b: FloatArray) -> FloatArray:
 
 
 @compiled
-def rotate_into(v_a: FloatArray, q_ab: FloatArray, v_b: FloatArray) -> None:
+def rotate_into(v_a: FloatArray, q_ab: FloatArray, v_b: FloatArray | Vector3) -> None:
     """v_a ← v_b rotated, as ``rotate`` does; v_a is not v_b."""
     w, x, y, z = q_ab[0], q_ab[1], q_ab[2], q_ab[3]
     # t = 2 u × v;  v' = v + w t + u × t

@@ -18,7 +18,7 @@ from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, IntArray, StatusArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import cross, is_finite
+from gateway.geometry.vectors import is_finite
 
 BLOCK_S = 0.05
 """Accelerations are means over that."""
@@ -57,6 +57,11 @@ class AgreementState(NamedTuple):
     weights: FloatArray  # (n, n) s
 
 
+def by_pair(state: AgreementState) -> AgreementState:
+    """Return the same memory as ``watch_joints`` takes it: sums (n², 3, 4, 4), weights (n²,)."""
+    return state._replace(sums=state.sums.reshape(-1, 3, 4, 4), weights=state.weights.reshape(-1))
+
+
 def joints_of(suit: WornSuit) -> Joints:
     """The joints between segments that both carry modules."""
     parents, arms = suit.skeleton.parents.astype(np.int64), np.asarray(suit.lever_arms, np.float64)
@@ -91,18 +96,20 @@ def watch_joints(
     status: StatusArray,
     dt: float,
 ) -> None:
-    """One frame. q_wb (n, 4); force, rate (n, 3) segment axes, NaN where a module is silent."""
-    n = len(joints.parents)
-    for s in range(n):
+    """One frame. q_wb (n, 4); force, rate (n, 3) segment axes, NaN where a module is silent.
+
+    state: with ``by_pair``."""
+    for s in range(len(joints.parents)):
         if not joints.is_worn[s]:
             continue
         is_known = status[s] <= SOUND and is_finite(q_wb[s]) and is_finite(force[s]) and is_finite(rate[s])
         state.is_whole[s] &= is_known and state.is_known[s]
         if is_known:
-            felt = quaternion.rotate(q_wb[s], force[s])
-            for k in range(3):
-                state.forces[s, k] += 0.5 * dt * (state.force[s, k] + felt[k])
-                state.force[s, k] = felt[k]
+            x, y, z = state.force[s, 0], state.force[s, 1], state.force[s, 2]
+            quaternion.rotate_into(state.force[s], q_wb[s], force[s])
+            state.forces[s, 0] += 0.5 * dt * (x + state.force[s, 0])
+            state.forces[s, 1] += 0.5 * dt * (y + state.force[s, 1])
+            state.forces[s, 2] += 0.5 * dt * (z + state.force[s, 2])
         state.is_known[s] = is_known
     state.block_s[0] += dt
     if state.block_s[0] >= BLOCK_S - 0.5 * dt:
@@ -113,16 +120,15 @@ def watch_joints(
 def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: FloatArray) -> None:
     n, lasted_s = len(joints.parents), state.block_s[0]
     felt = np.empty((n, 3, 4))  # a, G
-    axis = np.zeros(3)
+    across, swing = np.empty((3, 3)), np.empty(3)
     for s in range(n):
         if not state.is_known[s]:
             continue
         for k in range(3):
             felt[s, k, 0] = joints.gravity[k] + state.forces[s, k] / lasted_s
+        _columns_into(across, rate[s])
         for i in range(3):
-            axis[:] = 0.0
-            axis[i] = 1.0
-            swing = quaternion.rotate(q_wb[s], cross(rate[s], axis))
+            quaternion.rotate_into(swing, q_wb[s], across[i])
             for k in range(3):
                 felt[s, k, 1 + i] = (swing[k] - state.swings[s, k, i]) / lasted_s
                 state.swings[s, k, i] = swing[k]
@@ -131,11 +137,24 @@ def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: Fl
         for o in range(s + 1):
             if joints.is_worn[s] and joints.is_worn[o]:
                 is_whole = state.is_whole[s] and state.is_whole[o] and lasted_s < LONGEST_BLOCK_S
-                state.weights[s, o] = forget * state.weights[s, o] + (lasted_s if is_whole else 0.0)
-                _add_products(state.sums[s, o], felt[s], felt[o], forget, lasted_s if is_whole else 0.0)
+                weight, both = lasted_s if is_whole else 0.0, s * n + o
+                state.weights[both] = forget * state.weights[both] + weight
+                _add_products(state.sums[both], felt[s], felt[o], forget, weight)
     state.block_s[0] = 0.0
-    state.forces[:] = 0.0
-    state.is_whole[:] = state.is_known
+    for s in range(n):
+        state.is_whole[s] = state.is_known[s]
+        for k in range(3):
+            state.forces[s, k] = 0.0
+
+
+@compiled
+def _columns_into(across: FloatArray, rate: FloatArray) -> None:
+    """Rows of across (3, 3) ← rate × each axis, the columns of [ω]×."""
+    for i in range(3):
+        x, y, z = 1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0
+        across[i, 0] = rate[1] * z - rate[2] * y
+        across[i, 1] = rate[2] * x - rate[0] * z
+        across[i, 2] = rate[0] * y - rate[1] * x
 
 
 @compiled

@@ -45,13 +45,18 @@ def initial_repeats(m: int) -> RepeatState:
 
 @compiled
 def stuck_modules(
-    state: RepeatState, force: FloatArray, rate: FloatArray, status: StatusArray, dt: float
-) -> StatusArray:
-    """(m,) 1 for modules that are stuck. force, rate: (m, 3) as sent; dt: since the frame before, s."""
+    state: RepeatState,
+    force: FloatArray,
+    rate: FloatArray,
+    status: StatusArray,
+    dt: float,
+    stuck: StatusArray,
+) -> None:
+    """stuck (m,) ← 1 for modules that are. force, rate: (m, 3) as sent; dt: since the frame before, s."""
     m = len(status)
-    stuck = np.zeros(m, np.uint8)
     lively, lively_rates = 0, 0
     for i in range(m):
+        stuck[i] = 0
         if status[i] > 1:  # held by the gateway, or missing: the assembler's matter
             continue
         force_changed, rate_changed = False, False
@@ -65,14 +70,14 @@ def stuck_modules(
         state.force_unchanged_s[i] = 0.0 if force_changed else state.force_unchanged_s[i] + dt
         state.rate_unchanged_s[i] = 0.0 if rate_changed else state.rate_unchanged_s[i] + dt
         if rate_changed:
-            state.force_before[i] = force[i]
+            for k in range(3):
+                state.force_before[i, k] = force[i, k]
         lively_rates += state.rate_unchanged_s[i] < LIVELY_S
         lively += state.unchanged_s[i] < LIVELY_S
     for i in range(m):
         if status[i] <= 1:
             stuck[i] = lively > 0 and state.unchanged_s[i] >= STUCK_S
             stuck[i] |= lively_rates > 0 and _has_stuck_rate(state, i, force[i], rate[i])
-    return stuck
 
 
 @compiled
@@ -84,9 +89,8 @@ def _differs(value: float, before: float) -> bool:
 @compiled
 def _has_stuck_rate(state: RepeatState, i: int, force: FloatArray, rate: FloatArray) -> bool:
     """Whether module i's gyrometers, if it has any, repeat themselves while it turns, or swings."""
+    if state.force_unchanged_s[i] != 0.0 or state.rate_unchanged_s[i] < STUCK_IN_MOTION_S:
+        return False
     if not norm(rate) >= 0.0:  # NaN: it has none
         return False
-    is_moving = norm(rate) > TURNING or norm(force - state.force_before[i]) > SWINGING
-    return bool(
-        is_moving and state.force_unchanged_s[i] == 0.0 and state.rate_unchanged_s[i] >= STUCK_IN_MOTION_S
-    )
+    return bool(norm(rate) > TURNING or norm(force - state.force_before[i]) > SWINGING)

@@ -125,13 +125,8 @@ class Asked(NamedTuple):
     floor: FloatArray  # (n,) what of it is no wonder
 
 
-def judge_mounting(
-    joints: Joints, agreement: AgreementState, worn: Worn, state: MountingState, dt: float
-) -> None:
-    """One frame; once a second it is judged anew."""
-    state.since_s[0] += dt
-    if state.since_s[0] < JUDGED_EVERY_S:
-        return
+def judge_mounting(joints: Joints, agreement: AgreementState, worn: Worn, state: MountingState) -> None:
+    """Judge anew how all modules are worn, ``JUDGED_EVERY_S`` after the last time."""
     state.since_s[0] = 0.0
     n = len(joints.parents)
     now, asked = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1))), _told(joints, agreement, worn)

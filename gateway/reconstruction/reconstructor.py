@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from gateway.frames import ImuFrame, SkeletonFrame
 
@@ -18,15 +18,11 @@ class Reconstructor(Protocol):
         ...
 
 
-@runtime_checkable
-class BatchReconstructor(Reconstructor, Protocol):
-    """One that takes many frames in one call, with the same result as one after the other."""
-
-    def update_many(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]: ...
-
-
 def update_many(reconstructor: Reconstructor, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
     """Frames in time order through any reconstructor, in one call where it can."""
-    if isinstance(reconstructor, BatchReconstructor):
-        return reconstructor.update_many(observations)
+    many: Callable[[Sequence[ImuFrame]], list[SkeletonFrame]] | None = getattr(
+        reconstructor, "update_many", None
+    )
+    if many is not None:
+        return many(observations)
     return [reconstructor.update(observation) for observation in observations]

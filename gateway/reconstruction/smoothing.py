@@ -25,12 +25,12 @@ from gateway.frames import (
     StatusArray,
 )
 from gateway.reconstruction.inertial.joint import ChainReconstructor
-from gateway.reconstruction.inertial.observations import clipped_of
 from gateway.reconstruction.inertial.sun_rows import sight_of, stacked_sights
 from gateway.reconstruction.inertial.time_reversal import seen_backward
 from gateway.reconstruction.inertial.two_ways import put_together
 from gateway.reconstruction.reconstructor import Reconstructor
-from gateway.reconstruction.whole_body import Prepared, WholeBodyReconstructor
+from gateway.reconstruction.stacked_frames import POSE_ARRAYS, Poses
+from gateway.reconstruction.whole_body import WholeBodyReconstructor
 
 FRAMES_A_BLOCK = 1024
 SMOOTHED = ("joint", "outward")
@@ -82,11 +82,11 @@ class _Block:
             for t in range(len(self.time_ns))
         ]  # fmt: skip
 
-    def found(self, t: int) -> SkeletonFrame:
-        """What the filter made of frame t."""
-        return SkeletonFrame(
-            int(self.sequence[t]), int(self.time_ns[t]), self.q_wb[t], self.angular_rate[t],
-            self.joint_acceleration[t], self.p_w[t], self.sigma[t], self.status[t], int(self.root[t]),
+    def found(self) -> Poses:
+        """What the filter made of them."""
+        return Poses(
+            self.sequence.tolist(), self.time_ns.tolist(), self.q_wb, self.angular_rate,
+            self.joint_acceleration, self.p_w, self.sigma, self.status, self.root,
         )  # fmt: skip
 
 
@@ -130,33 +130,26 @@ class Smoother:
 
     def _go_forward(self, frames: Sequence[ImuFrame]) -> None:
         prepared = self._body.prepare(frames)
-        clean = [one.observation for one in prepared]
-        resting = np.stack([one.resting for one in prepared])
+        clean, seen, resting = prepared.observations, prepared.frames, prepared.resting
         covariance = np.empty((*resting.shape, 3, 3))
-        found = self._forward.update_many(clean, resting, covariance)
+        found = self._forward.poses(clean, seen, resting, covariance)
         readings = [(t, reading) for t, frame in enumerate(clean) for reading in frame.local]
         block = _Block(
             sequence=np.array([frame.sequence for frame in clean], np.int64),
-            time_ns=np.array([frame.time_ns for frame in clean], np.int64),
-            specific_force=np.stack([frame.specific_force for frame in clean]),
-            observed_rate=np.stack([frame.angular_rate for frame in clean]),
-            magnetic_field=np.stack([frame.magnetic_field for frame in clean]),
-            observed_status=np.stack([frame.status for frame in clean]),
-            clipped=np.stack([clipped_of(frame) for frame in clean]),
+            time_ns=seen.time_ns,
+            specific_force=seen.specific_force,
+            observed_rate=seen.angular_rate,
+            magnetic_field=seen.magnetic_field,
+            observed_status=seen.status,
+            clipped=seen.clipped,
             sights=stacked_sights(clean),
             resting=resting,
-            step_s=np.array([one.dt for one in prepared]),
+            step_s=prepared.dt,
             reading_of=np.array(
                 [(t, r.device, r.time_ns, int(r.quantity)) for t, r in readings], np.int64
             ).reshape(-1, 4),
             readings=np.array([(r.value, r.sigma) for _, r in readings], np.float64).reshape(-1, 2, 3),
-            q_wb=np.stack([frame.q_wb for frame in found]),
-            angular_rate=np.stack([frame.angular_rate for frame in found]),
-            joint_acceleration=np.stack([frame.joint_acceleration for frame in found]),
-            p_w=np.stack([frame.p_w for frame in found]),
-            sigma=np.stack([frame.sigma for frame in found]),
-            status=np.stack([frame.status for frame in found]),
-            root=np.array([frame.root for frame in found], np.int64),
+            **{name: getattr(found, name) for name in (*POSE_ARRAYS, "root")},
             covariance=covariance,
         )
         self._end_ns = int(block.time_ns[-1])
@@ -183,10 +176,8 @@ class Smoother:
 
     def _finished(self, k: int) -> Iterator[SkeletonFrame]:
         block = self._read(k)
-        for t, frame in enumerate(block.frames()):
-            observed = self._body.observe(frame)
-            prepared = Prepared(frame, observed, block.resting[t], float(block.step_s[t]))
-            yield self._body.finish(block.found(t), prepared)
+        prepared = self._body.prepared_again(block.frames(), block.resting, block.step_s)
+        yield from self._body.finish(block.found(), prepared)
 
     def _path(self, k: int) -> Path:
         return self._folder / f"{k:06d}.npz"

@@ -15,51 +15,50 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.body.interpolation import follow, following_rules
-from gateway.body.kinematics import joint_positions
+from gateway.body.interpolation import following_rules
 from gateway.body.skeleton import WornSuit
-from gateway.frames import (
-    Clipped,
-    FloatArray,
-    ImuFrame,
-    IntArray,
-    Quantity,
-    SkeletonFrame,
-    Status,
-    StatusArray,
-)
-from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
+from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame, Status, StatusArray
+from gateway.reconstruction.inertial.held_arguments import hold
+from gateway.reconstruction.inertial.observations import no_observations, sensor_to_segment_matrices
 from gateway.reconstruction.inertial.root_position import (
     Contacts,
     PositionSettings,
     PositionState,
-    advance_position,
     initial_position,
 )
-from gateway.reconstruction.inertial.stance import StanceSettings, StanceState, initial_stance, watch_stance
+from gateway.reconstruction.inertial.stance import StanceSettings, StanceState, initial_stance
 from gateway.reconstruction.joint_agreement import (
     AgreementState,
+    by_pair,
     initial_agreement,
     joint_scores,
     joints_of,
     segment_scores,
-    watch_joints,
 )
-from gateway.reconstruction.module_faults import RepeatState, initial_repeats, stuck_modules
+from gateway.reconstruction.module_faults import RepeatState, initial_repeats
 from gateway.reconstruction.mounting import (
     NOBODY,
-    UNKNOWN,
     MountingState,
     initial_mounting,
     judge_mounting,
     worn_of,
 )
-
-SHORTEST_STEP_S = 1e-5
-LONGEST_STEP_S = 0.5
-"""A longer pause counts as one of that length."""
-_NEVER_NS = int(np.iinfo(np.int64).min)
-
+from gateway.reconstruction.stacked_frames import (
+    POSE_ARRAYS,
+    Poses,
+    StackedFrames,
+    stacked,
+    stacked_poses,
+    unstacked,
+)
+from gateway.reconstruction.whole_body_frames import (
+    NEVER_NS,
+    After,
+    Before,
+    finish_frames,
+    observe_frames,
+    prepare_frames,
+)
 
 NO_CONTACTS = "body '{}' has no contacts to walk on: give its feet 'contacts', or set 'auto' or 'fixed'"
 
@@ -93,15 +92,20 @@ class OrientationFinder(Protocol):
 
 
 class Prepared(NamedTuple):
-    """An instant as the finder is given it."""
+    """T instants as the finder is given them, and what is done after it needs to know of them."""
 
-    observation: ImuFrame
+    observations: Sequence[ImuFrame]
     """Without modules that are stuck."""
-    observed: SegmentObservations
+    frames: StackedFrames
+    """The same, in arrays."""
+    specific_force: FloatArray
+    """(T, n, 3) by segment, segment axes, m/s²."""
+    clipped: StatusArray
+    """(T, n) by segment, ``Clipped`` sensors."""
     resting: FloatArray
-    """(n_segments,) for how long each stands still, s; 0: it does not."""
-    dt: float
-    """s since the frame before."""
+    """(T, n) for how long each segment stands still, s; 0: it does not."""
+    dt: FloatArray
+    """(T,) s since the frame before."""
 
 
 class _Memory(NamedTuple):
@@ -129,15 +133,9 @@ class WholeBodyReconstructor:
         """Raises ``ValueError`` if the root shall walk and the body has no contacts."""
         self._suit = suit
         self.finder = finder
-        self._observer = SegmentObserver(suit)
-        self._rules = following_rules(suit)
+        self._array_finder = finder if isinstance(finder, _ArrayFinder) else None
         self._joints, self._worn = joints_of(suit), worn_of(suit)
         self._contacts = _contacts(suit, root or RootSettings())
-        self._carries = np.zeros(suit.skeleton.n_segments)
-        self._carries[[segment for segment, _ in suit.skeleton.contacts]] = 1.0
-        self._gravity = float(np.linalg.norm(suit.gravity))
-        self._parents = suit.skeleton.parents.astype(np.int64)
-        self._offsets = np.array(suit.skeleton.offsets, np.float64)
         self.reset()
         self._compile()
         self.reset()
@@ -145,9 +143,9 @@ class WholeBodyReconstructor:
     def reset(self) -> None:
         """Forget everything but the parameters."""
         self.finder.reset()
-        self._time_ns = _NEVER_NS
         n = self._suit.skeleton.n_segments
         self._last = no_pose(n)
+        self._clock = np.full(1, NEVER_NS, np.int64)
         n_contacts = len(self._contacts.segments) if self._contacts else 0
         self._memory = _Memory(
             initial_stance(n),
@@ -156,6 +154,43 @@ class WholeBodyReconstructor:
             initial_agreement(n),
             initial_mounting(n),
         )
+        self._before, self._after = hold(self._before_finder()), hold(self._after_finder())
+
+    def _before_finder(self) -> Before:
+        suit, n = self._suit, self._suit.skeleton.n_segments
+        carries = np.zeros(n)
+        carries[[segment for segment, _ in suit.skeleton.contacts]] = 1.0
+        return Before(
+            suit.module_of_segment.astype(np.int64),
+            sensor_to_segment_matrices(suit),
+            carries,
+            np.array([np.linalg.norm(suit.gravity)], np.float64),
+            no_observations(n),
+            np.zeros(len(suit.module_ids), np.uint8),
+            self._clock,
+            self._memory.repeats,
+            StanceSettings(),
+            self._memory.stance,
+        )
+
+    def _after_finder(self) -> After:
+        skeleton, memory = self._suit.skeleton, self._memory
+        walks = self._contacts is not None
+        return After(
+            self._joints,
+            by_pair(memory.agreement),
+            memory.mounting.since_s,
+            memory.mounting.is_doubtful,
+            following_rules(self._suit),
+            walks,
+            self._contacts or _no_contacts(),
+            PositionSettings(),
+            memory.position,
+            skeleton.parents.astype(np.int64),
+            np.array(skeleton.offsets, np.float64),
+            np.zeros((skeleton.n_segments, 3)),
+            np.zeros(3),
+        )
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
@@ -163,13 +198,16 @@ class WholeBodyReconstructor:
 
     def update_many(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
         """Instants in time order; the same as ``update`` of each, bit for bit."""
-        newest_ns, is_later = self._time_ns, []
+        newest_ns, is_later = int(self._clock[0]), []
         for observation in observations:
             is_later.append(observation.time_ns > newest_ns)
             newest_ns = max(newest_ns, observation.time_ns)
+        if all(is_later):
+            poses = self._solved(observations)
+            self._last = poses[-1] if poses else self._last
+            return poses
         later = [one for one, counts in zip(observations, is_later, strict=True) if counts]
-        solved = iter(self._solved(later) if later else ())
-        poses = []
+        solved, poses = iter(self._solved(later)), []
         for observation, counts in zip(observations, is_later, strict=True):
             self._last = next(solved) if counts else replace(self._last, sequence=observation.sequence)
             poses.append(self._last)
@@ -177,45 +215,51 @@ class WholeBodyReconstructor:
 
     def _solved(self, observations: Sequence[ImuFrame]) -> list[SkeletonFrame]:
         """Return the poses of instants each later than the one before."""
+        if not observations:
+            return []
         prepared = self.prepare(observations)
-        if isinstance(self.finder, _BatchFinder):
-            rest = np.stack([one.resting for one in prepared])
-            found = self.finder.update_many([one.observation for one in prepared], rest)
-        else:
-            found = [self.finder.update(one.observation, one.resting) for one in prepared]
-        return [self.finish(*one) for one in zip(found, prepared, strict=True)]
+        return self.finish(self._found(prepared), prepared)
 
-    def prepare(self, observations: Sequence[ImuFrame]) -> list[Prepared]:
-        """What is done before the finder, to instants in time order."""
-        prepared = []
-        for observation in observations:
-            dt = self._step(observation.time_ns)
-            clean = self._without_stuck(observation, dt)
-            observed = self.observe(clean)
-            prepared.append(Prepared(clean, observed, self._watch(observed, dt), dt))
-        return prepared
+    def prepare(self, observations: Sequence[ImuFrame]) -> Prepared:
+        """What is done before the finder, to instants in time order, at least one."""
+        frames, n = stacked(observations), self._suit.skeleton.n_segments
+        force, clipped, resting, dt = _room(len(observations), n)
+        if prepare_frames(self._before, *frames, force, clipped, resting, dt):
+            observations = unstacked(observations, frames)
+        return Prepared(observations, frames, force, clipped, resting, dt)
 
-    def observe(self, observation: ImuFrame) -> SegmentObservations:
-        """A frame by segment, segment axes."""
-        return self._observer.observe(observation)
+    def prepared_again(
+        self, observations: Sequence[ImuFrame], resting: FloatArray, dt: FloatArray
+    ) -> Prepared:
+        """Return what ``prepare`` made of instants once, from its own ``observations`` and arrays."""
+        frames = stacked(observations)
+        force, clipped, *_ = _room(len(observations), self._suit.skeleton.n_segments)
+        observe_frames(self._before, *frames[1:], force, clipped)
+        return Prepared(observations, frames, force, clipped, resting, dt)
 
-    def _step(self, time_ns: int) -> float:
-        """Seconds since the frame before."""
-        dt = (time_ns - self._time_ns) * 1e-9 if self._time_ns > _NEVER_NS else 0.0
-        self._time_ns = time_ns
-        return min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
+    def _found(self, prepared: Prepared) -> Poses:
+        finder, resting = self.finder, prepared.resting
+        if self._array_finder is not None:
+            return self._array_finder.poses(prepared.observations, prepared.frames, resting)
+        found = [
+            finder.update(observation, rest)
+            for observation, rest in zip(prepared.observations, resting, strict=True)
+        ]
+        return stacked_poses(found)
 
-    def _watch(self, observed: SegmentObservations, dt: float) -> FloatArray:
-        return watch_stance(
-            StanceSettings(),
-            self._memory.stance,
-            self._carries,
-            self._gravity,
-            observed.specific_force,
-            observed.angular_rate,
-            observed.status,
-            dt,
-        )
+    def finish(self, poses: Poses, prepared: Prepared) -> list[SkeletonFrame]:
+        """What is done after the finder, to instants in time order; ``poses`` are changed in place."""
+        first, is_judged, n_frames = 0, False, len(poses.root)
+        while True:
+            first = finish_frames(
+                self._after, first, is_judged, poses.q_wb, poses.angular_rate, poses.p_w, poses.sigma,
+                poses.status, poses.root, prepared.specific_force, prepared.clipped, prepared.resting,
+                prepared.dt,
+            )  # fmt: skip
+            if first == n_frames:
+                return poses.frames()
+            memory, is_judged = self._memory, True
+            judge_mounting(self._joints, memory.agreement, self._worn, memory.mounting)
 
     def joint_agreement(self) -> dict[str, float]:
         """By segment: 0 when its module agrees with a neighbour's about their joint, about 1 when with none.
@@ -261,50 +305,6 @@ class WholeBodyReconstructor:
             "'calibrate body'"
         )
 
-    def _without_stuck(self, observation: ImuFrame, dt: float) -> ImuFrame:
-        force, rate = (
-            np.array(v, np.float64, order="C") for v in (observation.specific_force, observation.angular_rate)
-        )
-        status = np.array(observation.status, np.uint8)
-        stuck = stuck_modules(self._memory.repeats, force, rate, status, dt).astype(bool)
-        if not stuck.any():
-            return observation
-        field = np.array(observation.magnetic_field, np.float64)
-        force[stuck], rate[stuck], field[stuck] = np.nan, np.nan, np.nan
-        status[stuck] = Status.MISSING
-        return replace(
-            observation, specific_force=force, angular_rate=rate, magnetic_field=field, status=status
-        )
-
-    def finish(self, found: SkeletonFrame, prepared: Prepared) -> SkeletonFrame:
-        """What is done after the finder, to instants in time order."""
-        _, observed, resting, dt = prepared
-        q_wb, rate = np.array(found.q_wb, np.float64), np.array(found.angular_rate, np.float64)
-        sigma, status = np.array(found.sigma, np.float64), np.array(found.status, np.uint8)
-        _tell_clipped(status, observed)
-        agreement, mounting = self._memory.agreement, self._memory.mounting
-        watch_joints(self._joints, agreement, q_wb, observed.specific_force, rate, status, dt)
-        judge_mounting(self._joints, agreement, self._worn, mounting, dt)
-        tell_doubtful(status, sigma, mounting.is_doubtful)
-        follow(self._rules, q_wb, rate, sigma, status)
-        p_w, root = found.p_w, found.root
-        if self._contacts is not None:
-            place, stands_on = advance_position(
-                self._contacts,
-                PositionSettings(),
-                self._memory.position,
-                q_wb,
-                np.nan_to_num(rate),
-                observed.specific_force,
-                resting,
-                dt,
-            )
-            p_w = joint_positions(self._parents, self._offsets, q_wb, place)
-            root = stands_on if stands_on >= 0 else root
-        elif len(self._rules.segments):
-            p_w = joint_positions(self._parents, self._offsets, q_wb, np.array(p_w[0]))
-        return replace(found, q_wb=q_wb, angular_rate=rate, sigma=sigma, status=status, p_w=p_w, root=root)
-
     def state(self) -> dict[str, NDArray[np.generic]]:
         """All that is remembered, as arrays. Raises ``TypeError`` if the finder cannot tell its state."""
         if not isinstance(self.finder, _Resumable):
@@ -312,8 +312,8 @@ class WholeBodyReconstructor:
         state = dict(self.finder.state())
         for part, memory in self._memory._asdict().items():
             state |= {f"{part}.{name}": array.copy() for name, array in memory._asdict().items()}
-        state |= {f"last.{name}": getattr(self._last, name).copy() for name in _POSE_ARRAYS}
-        return state | {"time_ns.whole_body": np.array([self._time_ns]), "last.numbers": _numbers(self._last)}
+        state |= {f"last.{name}": getattr(self._last, name).copy() for name in POSE_ARRAYS}
+        return state | {"time_ns.whole_body": self._clock.copy(), "last.numbers": _numbers(self._last)}
 
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
         """Go on from a saved state. Raises ``ValueError`` if it is of another body."""
@@ -326,9 +326,9 @@ class WholeBodyReconstructor:
                     raise ValueError(f"the saved state's '{part}.{name}' does not fit this body")
                 array[...] = saved
         sequence, time_ns, root = (int(number) for number in state["last.numbers"])
-        arrays: dict[str, Any] = {name: state[f"last.{name}"].copy() for name in _POSE_ARRAYS}
+        arrays: dict[str, Any] = {name: state[f"last.{name}"].copy() for name in POSE_ARRAYS}
         self._last = replace(self._last, sequence=sequence, time_ns=time_ns, root=root, **arrays)
-        self._time_ns = int(state["time_ns.whole_body"][0])
+        self._clock[0] = state["time_ns.whole_body"][0]
         self.finder.set_state(state)
 
     def _compile(self) -> None:
@@ -337,9 +337,6 @@ class WholeBodyReconstructor:
         ones, none = np.ones((m, 3)), np.zeros(m, np.int64)
         for k in range(2):
             self.update(ImuFrame(k, k * 10_000_000, ones, 0.1 * ones, ones, none.astype(np.uint8), none))
-
-
-_POSE_ARRAYS = ("q_wb", "angular_rate", "joint_acceleration", "p_w", "sigma", "status")
 
 
 def no_pose(n: int) -> SkeletonFrame:
@@ -355,12 +352,12 @@ def _numbers(pose: SkeletonFrame) -> IntArray:
 
 
 @runtime_checkable
-class _BatchFinder(Protocol):
-    """A finder that takes many frames in one call."""
+class _ArrayFinder(Protocol):
+    """A finder that takes many frames in one call, in arrays."""
 
-    def update_many(
-        self, observations: Sequence[ImuFrame], resting: FloatArray | None = None
-    ) -> list[SkeletonFrame]: ...
+    def poses(
+        self, observations: Sequence[ImuFrame], frames: StackedFrames, resting: FloatArray
+    ) -> Poses: ...
 
 
 @runtime_checkable
@@ -372,23 +369,14 @@ class _Resumable(Protocol):
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None: ...
 
 
-def tell_doubtful(status: StatusArray, sigma: FloatArray, is_doubtful: StatusArray) -> None:
-    """In place: measured segments that are doubtful; nothing is known of how they are turned."""
-    if is_doubtful.any():
-        told = (is_doubtful > 0) & (status <= Status.INTERPOLATED)
-        status[told], sigma[told] = Status.DOUBTFUL, UNKNOWN
-
-
 def _spoken(segment: str) -> str:
     return segment.replace("_", " ")
 
 
-def _tell_clipped(status: StatusArray, observed: SegmentObservations) -> None:
-    """In place: whoever found the orientations, a gyrometer at the end of its range does not say how far its
-    segment has turned, nor such an accelerometer where down is."""
-    is_told = status <= Status.INTERPOLATED
-    status[is_told & (observed.clipped & Clipped.SPECIFIC_FORCE > 0)] = Status.UNAIDED
-    status[is_told & (observed.clipped & Clipped.ANGULAR_RATE > 0)] = Status.PREDICTED
+def _room(n_frames: int, n: int) -> tuple[FloatArray, StatusArray, FloatArray, FloatArray]:
+    """Return arrays for what ``prepare_frames`` writes of n segments."""
+    clipped = np.empty((n_frames, n), np.uint8)
+    return np.empty((n_frames, n, 3)), clipped, np.empty((n_frames, n)), np.empty(n_frames)
 
 
 def _contacts(suit: WornSuit, root: RootSettings) -> Contacts | None:
@@ -416,3 +404,9 @@ def _contacts(suit: WornSuit, root: RootSettings) -> Contacts | None:
         has_floor=root.has_floor,
         floor=float(root.floor),  # of a whole number, the kernel is compiled once more
     )
+
+
+def _no_contacts() -> Contacts:
+    """In the place of those of a root that does not walk."""
+    places, numbers = np.zeros((0, 3)), np.zeros(0, np.int64)
+    return Contacts(numbers, places, numbers, places, 0, np.zeros(3), np.zeros(3), False, 0.0)

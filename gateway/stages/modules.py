@@ -39,7 +39,7 @@ from gateway.reconstruction import (
     update_many,
 )
 from gateway.reconstruction.reconstructor import Reconstructor
-from gateway.reconstruction.whole_body import tell_doubtful
+from gateway.reconstruction.whole_body_frames import tell_doubtful
 from gateway.sources.light import SunCompass
 from gateway.sources.markers import NO_MARKERS
 from gateway.stages.frame_assembler import FrameAssembler, Lost

@@ -64,6 +64,9 @@ def layout(everything: tuple[Any, ...], words: list[int]) -> HeldType:
         elif isinstance(value, bool):
             words.append(int(value))
             kind = types.boolean
+        elif isinstance(value, int):
+            words.append(value)
+            kind = types.int64
         elif isinstance(value, float):
             words.append(int(np.array(value).view(np.int64)))
             kind = types.float64
@@ -110,7 +113,7 @@ def _read(context: Any, builder: Any, held: HeldType, table: Any, name: str) -> 
     word = _word(builder, table, field.word)
     if field.type == types.float64:
         return builder.bitcast(word, ir.DoubleType())
-    return builder.icmp_signed("!=", word, word.type(0))
+    return word if field.type == types.int64 else builder.icmp_signed("!=", word, word.type(0))
 
 
 def _array(context: Any, builder: Any, field: Field, table: Any) -> Any:

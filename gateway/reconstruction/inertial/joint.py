@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +33,10 @@ from gateway.reconstruction.inertial.chain_state import (
 )
 from gateway.reconstruction.inertial.held_arguments import hold
 from gateway.reconstruction.inertial.local_device import RootMotion, in_segment_axes
-from gateway.reconstruction.inertial.observations import clipped_of
 from gateway.reconstruction.inertial.place_keeper import PlaceKeeper
 from gateway.reconstruction.inertial.sun_rows import stacked_sights
 from gateway.reconstruction.inertial.time_reversal import turned_back
+from gateway.reconstruction.stacked_frames import Poses, StackedFrames, stacked
 
 READINGS_AT_ONCE = 8
 """Of local devices, for which a live frame has room made beforehand."""
@@ -160,19 +159,31 @@ class ChainReconstructor:
         if not observations:
             return []
         rest = np.zeros((len(observations), self._n)) if resting is None else resting
+        return self.poses(observations, stacked(observations), rest, covariance).frames()
+
+    def poses(
+        self,
+        observations: Sequence[ImuFrame],
+        frames: StackedFrames,
+        resting: FloatArray,
+        covariance: FloatArray | None = None,
+    ) -> Poses:
+        """The same in arrays. frames: the observations."""
         wanted = self._no_covariance if covariance is None else covariance
-        arrays = advance(self._held, *self._inputs(observations), rest, wanted)
-        return [
-            SkeletonFrame(o.sequence, o.time_ns, q_wb, rate, acceleration, p_w, sigma, status, self._root)
-            for o, q_wb, rate, acceleration, p_w, sigma, status in zip(observations, *arrays, strict=True)
-        ]
+        arrays = advance(self._held, *self._inputs(observations, frames), resting, wanted)
+        return Poses(
+            [observation.sequence for observation in observations],
+            [observation.time_ns for observation in observations],
+            *arrays,
+            np.full(len(observations), self._root),
+        )
 
     def _inputs_of_one(self, observation: ImuFrame) -> Inputs:
         """In arrays made once, where the frame has no more than they hold: live, making them takes longer
         than the filter of some segments."""
         rows = self._rows_of(observation, self._first_ns(observation)) if observation.local else []
         if observation.sun is not None or self._measures_place or len(rows) > READINGS_AT_ONCE:
-            return self._inputs((observation,))
+            return self._inputs((observation,), stacked((observation,)))
         one = self._one
         one.time_ns[0] = observation.time_ns
         one.specific_force[...] = observation.specific_force
@@ -185,18 +196,12 @@ class ChainReconstructor:
             one.readings[k] = row
         return one
 
-    def _inputs(self, observations: Sequence[ImuFrame]) -> Inputs:
-        time_ns = np.array([observation.time_ns for observation in observations], np.int64)
+    def _inputs(self, observations: Sequence[ImuFrame], frames: StackedFrames) -> Inputs:
         readings, readings_end = self._no_readings, np.zeros(len(observations), np.int64)
         if any(observation.local for observation in observations):
             readings, readings_end = self._readings(observations)
         return Inputs(
-            time_ns,
-            _stacked([observation.specific_force for observation in observations], np.float64),
-            _stacked([observation.angular_rate for observation in observations], np.float64),
-            _stacked([observation.magnetic_field for observation in observations], np.float64),
-            _stacked([observation.status for observation in observations], np.uint8),
-            _stacked([clipped_of(observation) for observation in observations], np.uint8),
+            *frames,
             self._root_positions(observations),
             readings_end,
             readings,
@@ -249,7 +254,9 @@ class ChainReconstructor:
         self.reset()
         ones, none = np.ones((n_modules, 3)), np.zeros(n_modules, np.int64)
         frame = ImuFrame(0, 0, ones, ones, ones, none.astype(np.uint8), none)
-        self._one = self._inputs((frame,))._replace(readings=np.zeros((READINGS_AT_ONCE, 8)))
+        self._one = self._inputs((frame,), stacked((frame,)))._replace(
+            readings=np.zeros((READINGS_AT_ONCE, 8))
+        )
         self.update(frame)
 
 
@@ -261,10 +268,3 @@ class OutwardReconstructor(ChainReconstructor):
 
 
 JointReconstructor = ChainReconstructor
-
-
-def _stacked(arrays: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
-    """(T, …) copied, so that a read-only or strided array does not have the kernel compiled again."""
-    if len(arrays) == 1:  # three times as fast
-        return np.array(arrays[0], dtype, order="C", ndmin=arrays[0].ndim + 1)
-    return np.array(arrays, dtype, order="C")

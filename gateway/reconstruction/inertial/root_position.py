@@ -17,7 +17,7 @@ import numpy as np
 from gateway.frames import FloatArray, IntArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import cross, is_finite, norm
+from gateway.geometry.vectors import is_finite, norm
 
 
 class PositionSettings(NamedTuple):
@@ -133,7 +133,8 @@ def advance_position(
             n_held += 1
             _stand(contacts, settings, state, c, r[c], v_r[c], resting_s, dt)
         else:
-            state.anchor[c] = np.nan
+            for i in range(3):
+                state.anchor[c, i] = np.nan
     if n_held > 1:
         for c in range(len(contacts.segments)):
             if is_finite(state.anchor[c]):
@@ -147,31 +148,59 @@ def advance_position(
 def _relative_motion(contacts: Contacts, q_wb: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Place (c, 3) and velocity (c, 3) of the contact points relative to the reference module; world."""
     n = len(contacts.parents)
-    p, v = np.zeros((n, 3)), np.zeros((n, 3))
+    p, v, turned = np.zeros((n, 3)), np.zeros((n, 3)), np.empty(3)
     for s in range(n):
         parent = contacts.parents[s]
         if parent >= 0:
-            p[s] = p[parent] + quaternion.rotate(q_wb[parent], contacts.offsets[s])
-            v[s] = v[parent] + quaternion.rotate(q_wb[parent], cross(rate[parent], contacts.offsets[s]))
-    ref = contacts.reference
-    here = p[ref] + quaternion.rotate(q_wb[ref], contacts.arm)
-    moves = v[ref] + quaternion.rotate(q_wb[ref], cross(rate[ref], contacts.arm))
+            _carry(p[s], v[s], p[parent], v[parent], q_wb[parent], rate[parent], contacts.offsets[s], turned)
+    ref, here, moves = contacts.reference, np.empty(3), np.empty(3)
+    _carry(here, moves, p[ref], v[ref], q_wb[ref], rate[ref], contacts.arm, turned)
     m = len(contacts.segments)
     r, v_r = np.empty((m, 3)), np.empty((m, 3))
     for c in range(m):
         s = contacts.segments[c]
-        r[c] = p[s] + quaternion.rotate(q_wb[s], contacts.points[c]) - here
-        v_r[c] = v[s] + quaternion.rotate(q_wb[s], cross(rate[s], contacts.points[c])) - moves
+        _carry(r[c], v_r[c], p[s], v[s], q_wb[s], rate[s], contacts.points[c], turned)
+        for i in range(3):
+            r[c, i] -= here[i]
+            v_r[c, i] -= moves[i]
     return r, v_r
+
+
+@compiled
+def _carry(
+    place: FloatArray,
+    velocity: FloatArray,
+    p: FloatArray,
+    v: FloatArray,
+    q: FloatArray,
+    rate: FloatArray,
+    arm: FloatArray,
+    turned: FloatArray,
+) -> None:
+    """place, velocity (3,) ← of the point ``arm`` from the joint at p, which moves with v; turned: (3,) to
+    work in."""
+    quaternion.rotate_into(turned, q, arm)
+    for i in range(3):
+        place[i] = p[i] + turned[i]
+    swept = (
+        rate[1] * arm[2] - rate[2] * arm[1],
+        rate[2] * arm[0] - rate[0] * arm[2],
+        rate[0] * arm[1] - rate[1] * arm[0],
+    )
+    quaternion.rotate_into(turned, q, swept)
+    for i in range(3):
+        velocity[i] = v[i] + turned[i]
 
 
 @compiled
 def _joint_of(contacts: Contacts, q_wb: FloatArray, segment: int) -> FloatArray:
     """Proximal joint of a segment from the skeleton root's joint, world, m."""
-    place = np.zeros(3)
+    place, turned = np.zeros(3), np.empty(3)
     s = segment
     while contacts.parents[s] >= 0:
-        place += quaternion.rotate(q_wb[contacts.parents[s]], contacts.offsets[s])
+        quaternion.rotate_into(turned, q_wb[contacts.parents[s]], contacts.offsets[s])
+        for i in range(3):
+            place[i] += turned[i]
         s = contacts.parents[s]
     return place
 
@@ -299,7 +328,8 @@ def _stand(
             return
         state.anchor[c] = state.x[:, 0] + r
         for k in range(2):  # from here on place means place relative to what is held
-            state.P[k, 0, :], state.P[k, :, 0] = 0.0, 0.0
+            for i in range(3):
+                state.P[k, 0, i], state.P[k, i, 0] = 0.0, 0.0
     if contacts.has_floor:
         above = state.anchor[c, 2] - contacts.floor
         state.anchor[c, 2] -= above * (1.0 - math.exp(-dt / settings.floor_s))
@@ -309,14 +339,17 @@ def _stand(
 @compiled
 def _observe(state: PositionState, what: int, value: FloatArray, variance: float) -> None:
     """A place (what 0) or a velocity (1) of the reference point, (3,)."""
-    gains = np.empty((2, 3))
     for k in range(2):
-        P = state.P[k]
-        gains[k] = P[what] / (P[what, what] + variance)
-        state.P[k] = P - np.outer(gains[k], P[what])
-    for axis in range(3):
-        gain = gains[1 if axis == 2 else 0]
-        state.x[axis] += gain * (value[axis] - state.x[axis, what])
+        P, x = state.P[k], state.x
+        told, total = (P[what, 0], P[what, 1], P[what, 2]), P[what, what] + variance
+        gain = told[0] / total, told[1] / total, told[2] / total
+        for i in range(3):
+            for j in range(3):
+                P[i, j] -= gain[i] * told[j]
+        for axis in range(2 * k, 2 + k):
+            innovation = value[axis] - x[axis, what]
+            for i in range(3):
+                x[axis, i] += gain[i] * innovation
 
 
 @compiled

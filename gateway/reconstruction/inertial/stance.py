@@ -14,13 +14,14 @@ rad/s.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from gateway.frames import FloatArray, StatusArray
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import dot, is_finite, norm
+from gateway.geometry.vectors import dot, is_finite
 
 
 class StanceSettings(NamedTuple):
@@ -70,40 +71,67 @@ def watch_stance(
     carries: (n,) 1 for segments that stand on the ground (feet). gravity: its size, m/s². force, rate: (n,
     3), m/s² and rad/s. dt: since the frame before, s.
     """
-    n = len(carries)
-    resting = np.zeros(n)
-    for s in range(n):
-        state.history[s, :, 0] += dt
+    resting = np.zeros(len(carries))
+    watch_stance_into(resting, settings, state, carries, gravity, force, rate, status, dt)
+    return resting
+
+
+@compiled
+def watch_stance_into(
+    resting: FloatArray,
+    settings: StanceSettings,
+    state: StanceState,
+    carries: FloatArray,
+    gravity: float,
+    force: FloatArray,
+    rate: FloatArray,
+    status: StatusArray,
+    dt: float,
+) -> None:
+    """The same into a given array."""
+    for s in range(len(carries)):
+        resting[s] = 0.0
         # a module that is silent, or repeats itself, shows nothing
         if status[s] > 1 or not (is_finite(force[s]) and is_finite(rate[s])):
-            state.history[s, :, 0] = np.inf
+            for k in range(N_HISTORY):
+                state.history[s, k, 0] = np.inf
             state.still_s[s] = 0.0
             continue
-        state.history[s, 1:] = state.history[s, :-1].copy()
-        newest = state.history[s, 0]
-        newest[0], newest[1:4], newest[4] = 0.0, force[s], dot(rate[s], rate[s])
+        _remember(state.history[s], force[s], rate[s], dt)
         limit = settings.ends_above if state.still_s[s] > 0.0 else settings.begins_below
         is_still = _test(settings, state.history[s], gravity) < limit
         state.still_s[s] = state.still_s[s] + dt if is_still else 0.0
         if carries[s] > 0.0 or state.still_s[s] > settings.slow_segment_s:
             resting[s] = state.still_s[s]
-    return resting
+
+
+@compiled
+def _remember(history: FloatArray, force: FloatArray, rate: FloatArray, dt: float) -> None:
+    """Put a frame before those of history (N_HISTORY, 5), the oldest of which is forgotten."""
+    for k in range(N_HISTORY - 1, 0, -1):
+        history[k, 0] = history[k - 1, 0] + dt
+        for i in range(1, 5):
+            history[k, i] = history[k - 1, i]
+    history[0, 0], history[0, 4] = 0.0, dot(rate, rate)
+    for i in range(3):
+        history[0, 1 + i] = force[i]
 
 
 @compiled
 def _test(settings: StanceSettings, history: FloatArray, gravity: float) -> float:
     """T of the frames within the window; infinite while they do not fill half of it."""
-    mean = np.zeros(3)
+    x, y, z = 0.0, 0.0, 0.0
     square, rate, count, oldest = 0.0, 0.0, 0, 0.0
     for k in range(len(history)):
         if history[k, 0] > settings.window_s:
             break
-        mean += history[k, 1:4]
-        square += dot(history[k, 1:4], history[k, 1:4])
+        f, g, h = history[k, 1], history[k, 2], history[k, 3]
+        x, y, z = x + f, y + g, z + h
+        square += f * f + g * g + h * h
         rate += history[k, 4]
         oldest = history[k, 0]
         count += 1
     if oldest < 0.4 * settings.window_s and count < len(history):
         return np.inf
-    spread = (square - 2.0 * gravity * norm(mean)) / count + gravity**2
+    spread = (square - 2.0 * gravity * math.sqrt(x * x + y * y + z * z)) / count + gravity**2
     return spread / settings.force_sigma**2 + rate / count / settings.rate_sigma**2
