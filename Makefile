@@ -60,7 +60,9 @@ $(VENV)/.dev: requirements/dev.lock $(BUILD_TOOLS_DEV) $(VENV)/.runtime
 	@$(BIN)/python -m pip install -q $(FROM_SOURCE) --require-hashes -r requirements/dev.lock
 	@touch $@
 
+# What the usual run needs is compiled once; where that fails the first start does it.
 install: $(VENV)/.runtime
+	@$(BIN)/python -m gateway kernels build || echo "Kernels could not be compiled beforehand: the first start will."
 install-dev: $(VENV)/.dev
 
 # What tests need from the system: a broker, and a browser with what drives it. NAME=PACKAGE+PACKAGE

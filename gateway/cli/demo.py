@@ -150,10 +150,12 @@ def demo(
             ),
         )
         tell = partial(console.print, style="dim")
+        usual = settings.reconstructor
         if reconstructor is None:
             settings = _startable(settings, tell)
         with told_when_compiling(tell):
-            service = Service(settings, suit)
+            awaited = usual if settings.reconstructor != usual else None
+            service = Service(settings, suit, awaited=awaited)
         with contextlib.ExitStack() as beside:
             beside.enter_context(_live_page(settings, _free_port(page_port) if page else None, console))
             running = _run(service, settings, truth, imperfections, None if keep else seconds, beside)
@@ -174,7 +176,7 @@ def _startable(settings: GatewaySettings, tell: Callable[[str], object]) -> Gate
         return settings
     settings = stand_in(settings, tell)
     tell(
-        f"first start: '{usual}' is compiled in the background, about a minute; this run shows "
+        f"first start: '{usual}' is compiled in the background, up to a minute; this run shows "
         f"'{readiness.FALLBACK}', and the body stays in its place"
     )
     nowhere = subprocess.DEVNULL

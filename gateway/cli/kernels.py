@@ -27,8 +27,13 @@ Methods = Annotated[
 ]
 
 
-@kernels_app.command(epilog="Example: mocap-gateway kernels build")
-def build(methods: Methods = None) -> None:
+@kernels_app.command(epilog="Examples: mocap-gateway kernels build; mocap-gateway kernels build gyro_free")
+def build(
+    methods: Methods = None,
+    for_all: Annotated[
+        bool, typer.Option("--for-all", help="Into the installation itself, for all who use it.")
+    ] = False,
+) -> None:
     """Compile what methods need, from the bytes of a suit to the pose, on all cores. What is there stays.
 
     `NUMBA_CACHE_DIR` says where it lies, else a folder of the package, or the user's cache.
@@ -36,12 +41,17 @@ def build(methods: Methods = None) -> None:
     names = _known(methods)
     begun_s = time.monotonic()
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total}")
-    if all(map(readiness.is_ready, names)):
+    folder = compiled.SHIPPED if for_all else None
+    if folder is None and all(map(readiness.is_ready, names)):
         typer.echo(f"kernels of {', '.join(names)} are ready ({target_name()})")
         return
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
         task = progress.add_task("compiling kernels, once")
-        readiness.make_ready(*names, tell=lambda done, of: progress.update(task, completed=done, total=of))
+
+        def tell(done: int, of: int) -> None:
+            progress.update(task, completed=done, total=of)
+
+        readiness.make_ready(*names, tell=tell, folder=folder)
     seconds = time.monotonic() - begun_s
     typer.echo(f"kernels of {', '.join(names)} compiled for {target_name()} in {seconds:.0f} s")
 

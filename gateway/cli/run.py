@@ -48,20 +48,20 @@ def run(
         make_ready(wanted)  # the one that would stand in for it cannot use both fields
     is_ready = readiness.is_ready(wanted)
     set_up_logging(configured.log.level, configured.log.format)
-    service = _load(config, while_compiling=not is_ready)
+    service = _load(config, awaited=None if is_ready else wanted)
     _tell(service)
     asyncio.run(_Supervisor(config, service, None if is_ready else wanted).run())
 
 
-def _load(config: Path, while_compiling: bool = False) -> Service:
-    """The service that a configuration describes, or what stands in for it while that is compiled. Raises
-    ``GatewayError`` with what is wrong in it."""
+def _load(config: Path, awaited: str | None = None) -> Service:
+    """The service that a configuration describes, or what stands in for it while its method ``awaited`` is
+    compiled. Raises ``GatewayError`` with what is wrong in it."""
     settings = load_gateway_settings(config)
     suit = load_rig(settings.rig, config)
-    if while_compiling:
+    if awaited is not None:
         settings = stand_in(settings, log.info)
     with told_when_compiling(log.info):
-        return Service(settings, suit)
+        return Service(settings, suit, awaited=awaited)
 
 
 def _tell(service: Service) -> None:
@@ -108,7 +108,7 @@ class _Supervisor:
         if name is None:
             return
         log.warning(
-            "compiling the method '%s', once after an installation, about a minute; until then '%s' makes "
+            "compiling the method '%s', once after an installation, up to a minute; until then '%s' makes "
             "the poses, and the body stays in its place", name, readiness.FALLBACK,
         )  # fmt: skip
         process = await asyncio.create_subprocess_exec(*readiness.command(name))

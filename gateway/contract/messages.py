@@ -75,6 +75,21 @@ class UtcAnchor(Message):
     )
 
 
+class KernelsInfo(Message):
+    """Where the compiled kernels of a running gateway come from."""
+
+    target: str = Field(
+        description="Processor that they are compiled for: `x86-64-v3`, `generic` (arm64), or `native`, the "
+        "one that runs them."
+    )
+    ready: int = Field(ge=0, description="Kernels that lay compiled on the disk at the start.")
+    compiled: int = Field(ge=0, description="Kernels that had to be compiled at the start.")
+    awaited: str | None = Field(
+        default=None,
+        description="Method that is being compiled while another one makes the poses; null: none is.",
+    )
+
+
 class BridgeInfo(Message):
     """What the gateway is and runs."""
 
@@ -90,6 +105,7 @@ class BridgeInfo(Message):
     utc: UtcAnchor | None = Field(
         default=None, description="Gateway time against UTC, as of the start or the last step of UTC."
     )
+    kernels: KernelsInfo | None = Field(default=None, description="Where compiled kernels come from.")
 
 
 class OutputCounters(Message):

@@ -18,8 +18,16 @@ from gateway.doctor.broker import broker, camera_topic, is_at_broker
 from gateway.doctor.findings import Finding, Surroundings, Verdict, bad, good, warning
 from gateway.doctor.links import can_interface, capacity, latency, listen, naming, opening
 from gateway.errors import SettingsError
-from gateway.settings import GatewaySettings, MetricsSettings, RecordingSettings, load_gateway_settings
+from gateway.service import readiness
+from gateway.settings import (
+    GatewaySettings,
+    MetricsSettings,
+    RecordingSettings,
+    fitting_suit,
+    load_gateway_settings,
+)
 from gateway.sources.link_settings import LinkSettings
+from gateway.support.processor import target_name
 
 _MB = 1e6
 
@@ -40,6 +48,21 @@ def disk(settings: RecordingSettings, surroundings: Surroundings) -> Finding:
     if free_mb < settings.warn_free_mb:
         return warning("disk", found, remedy)
     return good("disk", found)
+
+
+def kernels(method: str) -> Iterator[Finding]:
+    """Whether the method's kernels are compiled."""
+    if method not in readiness.LONG_COMPILED:
+        return
+    found = readiness.readiness(method)
+    text = f"'{method}': {readiness.in_words(found)}, for {target_name()}"
+    if found.is_complete:
+        yield good("kernels", text)
+    else:
+        remedy = (
+            f"mocap-gateway kernels build {method}; else the first start compiles them, for up to a minute"
+        )
+        yield warning("kernels", text, remedy)
 
 
 def metrics_port(settings: MetricsSettings, *, gateway_runs: bool) -> Iterator[Finding]:
@@ -94,6 +117,7 @@ def examine(
     here = here or Surroundings()
     suit = load_rig(settings.rig, config)
     yield good("rig", f"{len(suit.module_ids)} modules on body '{suit.skeleton.name}'")
+    yield from kernels(fitting_suit(settings, suit).reconstructor)
     states = asyncio.run(running.module_states(settings.mqtt, settings.gateway))
     readable = []
     for link in settings.links:

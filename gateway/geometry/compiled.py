@@ -141,12 +141,20 @@ def called() -> list[KernelState]:
     """Return the kernels that this process has called from Python, all of them at the top of a module."""
     return sorted(
         KernelState(function.__module__, function.__qualname__, fingerprint([function]))
-        for function in _CALLED
+        for function in (kernel.kernel_function for kernel in _CALLED)
     )
 
 
+def origins() -> tuple[int, int]:
+    """Return how many of the kernels that this process has called lay compiled on the disk, and how many it
+    had to compile, in one signature or more."""
+    statistics = [kernel.dispatcher.stats for kernel in _CALLED]
+    compiled = sum(bool(each.cache_misses) for each in statistics)
+    return len(statistics) - compiled, compiled
+
+
 _KERNEL_FUNCTIONS: set[Callable[..., object]] = set()
-_CALLED: set[Callable[..., object]] = set()
+_CALLED: set[Kernel] = set()
 
 
 @functools.cache
@@ -184,7 +192,7 @@ class Kernel:
     @functools.cached_property
     def dispatcher(self) -> Any:
         """Numba's side, kept on the disk."""
-        _CALLED.add(self.kernel_function)
+        _CALLED.add(self)
         return _compiler().njit(cache=_is_kept(CACHE_DIRECTORY), **COMPILER_OPTIONS)(self.kernel_function)
 
     @functools.cached_property

@@ -14,15 +14,15 @@ Until a method is ready ``FALLBACK`` serves, with a root that stays where it is:
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import json
 import os
 import queue
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -107,12 +107,16 @@ def is_ready(name: str) -> bool:
     return name == FIRST and readiness(FALLBACK).is_complete
 
 
-def make_ready(*names: str, tell: Callable[[int, int], object] = lambda _done, _of: None) -> None:
+def make_ready(
+    *names: str, tell: Callable[[int, int], object] = lambda _done, _of: None, folder: Path | None = None
+) -> None:
     """Compile what is still to be compiled of these methods, in as many processes as there are cores; takes
     half a minute to a minute.
 
-    tell: is given how many of all steps are done. Raises ``GatewayError`` if a step fails."""
-    wanted = [name for name in names if not is_ready(name)]
+    tell: is given how many of all steps are done. folder: where it is to lie, ready elsewhere or not; else
+    ``CACHE_DIRECTORY``. Raises ``GatewayError`` if a step fails."""
+    wanted = [name for name in names if folder is not None or not is_ready(name)]
+    there = os.environ | ({} if folder is None else {"NUMBA_CACHE_DIR": str(folder)})
     needed = {part for name in wanted for part in _parts_of(name)}
     parts = [part for part in PARTS if part in needed]
     n_workers = len(os.sched_getaffinity(0))
@@ -125,19 +129,19 @@ def make_ready(*names: str, tell: Callable[[int, int], object] = lambda _done, _
         def report() -> None:
             tell(next(n_done), n_steps)
 
-        for worker in [workers.submit(_compile, waiting, report) for _ in range(min(n_workers, len(parts)))]:
+        for worker in [workers.submit(_compile, waiting, report, there) for _ in parts[:n_workers]]:
             worker.result()
-        for _ in workers.map(_run_through, wanted):  # now that their parts lie on the disk
+        for _ in workers.map(partial(_run_through, there=there), wanted):  # their parts lie on the disk now
             report()
 
 
-def _compile(waiting: queue.SimpleQueue[str], report: Callable[[], object]) -> None:
+def _compile(waiting: queue.SimpleQueue[str], report: Callable[[], object], there: Mapping[str, str]) -> None:
     """Hand one part after another to a process, until none waits."""
     part = ""
     try:
         with (
             subprocess.Popen(
-                _step("parts"), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+                _step("parts"), env=there, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
             ) as process,
             contextlib.suppress(queue.Empty),
         ):
@@ -153,8 +157,8 @@ def _compile(waiting: queue.SimpleQueue[str], report: Callable[[], object]) -> N
         raise GatewayError(f"compiling failed in the part '{part}': see above") from None
 
 
-def _run_through(name: str) -> None:
-    if subprocess.run(_step(f"through:{name}"), check=False).returncode:
+def _run_through(name: str, there: Mapping[str, str]) -> None:
+    if subprocess.run(_step(f"through:{name}"), env=there, check=False).returncode:
         raise GatewayError(f"compiling failed in the method '{name}': see above")
 
 
@@ -194,10 +198,10 @@ def _stream() -> None:
 
 
 PARTS: dict[str, Callable[[], None]] = {
-    **{name: functools.partial(_method, name) for name in sorted(LONG_COMPILED - {FALLBACK})},
-    "walking": functools.partial(_whole_body, RootMode.WALKING),
-    "standing": functools.partial(_whole_body, RootMode.FIXED),
-    FALLBACK: functools.partial(_method, FALLBACK),
+    **{name: partial(_method, name) for name in sorted(LONG_COMPILED - {FALLBACK})},
+    "walking": partial(_whole_body, RootMode.WALKING),
+    "standing": partial(_whole_body, RootMode.FIXED),
+    FALLBACK: partial(_method, FALLBACK),
     "stream": _stream,
 }
 """What is compiled side by side, in this order: what takes longest begins first."""

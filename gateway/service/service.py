@@ -28,9 +28,10 @@ from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
 from gateway.cameras.broker_link import link_of
 from gateway.contract.balances import Balance
-from gateway.contract.messages import BridgeInfo, ModuleInfo
+from gateway.contract.messages import BridgeInfo, KernelsInfo, ModuleInfo
 from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
+from gateway.geometry import compiled
 from gateway.modules.journal import Journal, default_journal_path
 from gateway.modules.makers import MakersModules
 from gateway.modules.module_log import ModuleLog, Strangers
@@ -56,6 +57,7 @@ from gateway.sources.module_table import ClockMode
 from gateway.sources.registry import source_kind
 from gateway.sources.stream import Stream
 from gateway.support.memory import bound_memory, give_back
+from gateway.support.processor import target_name
 from gateway.support.supervision import kept_running
 
 log = logging.getLogger(__name__)
@@ -70,8 +72,13 @@ class Service:
     """Runs until cancelled, or until every link has come to its end (recordings do)."""
 
     def __init__(
-        self, settings: GatewaySettings, suit: WornSuit, links: Sequence[Link] | None = None
+        self,
+        settings: GatewaySettings,
+        suit: WornSuit,
+        links: Sequence[Link] | None = None,
+        awaited: str | None = None,
     ) -> None:
+        """awaited: the method that is being compiled meanwhile, and takes over then."""
         settings = fitting_suit(settings, suit)
         self.settings = settings
         self.has_begun = False
@@ -88,7 +95,7 @@ class Service:
             settings, suit, contents, self.pipeline.statistics, self.pipeline.modules.restarts
         )
         self._records_at_start = settings.recording.at_start
-        info = _describe(settings, suit)
+        info = _describe(settings, suit, awaited)
         self.side = SideOutputs(settings.outputs, suit.skeleton, settings.gateway, settings.assembly.rate_hz)
         self.mqtt = MqttOutput(
             settings.mqtt,
@@ -425,7 +432,8 @@ def _askers(
         yield Triggerer(links, sender, answers, clock.trigger_rate_hz)
 
 
-def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:
+def _describe(settings: GatewaySettings, suit: WornSuit, awaited: str | None) -> BridgeInfo:
+    ready, made = compiled.origins()
     worn = zip(suit.module_of_segment, suit.skeleton.segment_names, strict=True)
     return BridgeInfo(
         version=gateway.__version__,
@@ -435,4 +443,5 @@ def _describe(settings: GatewaySettings, suit: WornSuit) -> BridgeInfo:
         modules=tuple(
             ModuleInfo(module=suit.module_ids[row], segment=segment) for row, segment in worn if row >= 0
         ),
+        kernels=KernelsInfo(target=target_name(), ready=ready, compiled=made, awaited=awaited),
     )
