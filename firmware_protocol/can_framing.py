@@ -72,19 +72,22 @@ IDENTIFIER_SHIFT = {name: sum(_WIDTHS[place + 1 :]) for place, (name, _) in enum
 """Place of the lowest bit of each part."""
 
 _MASK = {name: ((1 << bits) - 1) << IDENTIFIER_SHIFT[name] for name, bits in IDENTIFIER_BITS}
-_LAST, _INDEX_MASK = _MASK["last"], _MASK["index"]
-_STREAM_SHIFT, _STREAM_MASK = IDENTIFIER_SHIFT["module"], _MASK["kind"] | _MASK["module"]
+LAST, INDEX_MASK = _MASK["last"], _MASK["index"]
+STREAM_SHIFT, STREAM_MASK = IDENTIFIER_SHIFT["module"], _MASK["kind"] | _MASK["module"]
+"""Of kind and module together, which tell wire frames apart that come in turns."""
 
 # Ours is what has a long identifier, is neither remote nor an error, and is of our version.
-_OWN_MASK = EXTENDED | REMOTE | ERROR | _MASK["version"]
-_OWN_PATTERN = EXTENDED | PROTOCOL_VERSION << IDENTIFIER_SHIFT["version"]
+OWN_MASK = EXTENDED | REMOTE | ERROR | _MASK["version"]
+OWN_PATTERN = EXTENDED | PROTOCOL_VERSION << IDENTIFIER_SHIFT["version"]
 
 _IDENTITY = struct.Struct("<BBB")
 _HEAD = struct.Struct(BYTE_ORDER + "".join(f.struct_format for f in HEAD_FIELDS))
-_LENGTH_OFFSET = _HEAD.size - 1
+LENGTH_OFFSET = _HEAD.size - 1
+"""Place of the body's length in the joined pieces, and the end of what a byte stream has, too."""
 OVERHEAD = _HEAD.size + CHECKSUM_FIELD.size
 """Bytes of the joined pieces beside the body."""
-_MAX_PADDING = max(longer - shorter for shorter, longer in pairwise(FD_LENGTHS)) - 1
+MAX_PADDING = max(longer - shorter for shorter, longer in pairwise(FD_LENGTHS)) - 1
+"""Bytes after the checksum, of FD frames."""
 MAX_CLASSIC_BODY_SIZE = MAX_PIECES * CLASSIC_DATA_SIZE - OVERHEAD
 
 
@@ -105,7 +108,7 @@ def fragment(frame: WireFrame, fd: bool = False) -> list[CanFrame]:
     base = identifier(frame.kind, frame.module, version=frame.version)
     last = len(pieces) - 1
     return [
-        CanFrame(base | (_LAST if index == last else 0) | index, piece, is_fd=fd, bitrate_switch=fd)
+        CanFrame(base | (LAST if index == last else 0) | index, piece, is_fd=fd, bitrate_switch=fd)
         for index, piece in enumerate(pieces)
     ]
 
@@ -130,7 +133,7 @@ def identifier(
 
 def _payload(frame: WireFrame) -> bytes:
     raw = serialize(frame)
-    head_end = _IDENTITY.size + _LENGTH_OFFSET
+    head_end = _IDENTITY.size + LENGTH_OFFSET
     return raw[_IDENTITY.size : head_end] + bytes([len(frame.body)]) + raw[head_end:]
 
 
@@ -163,17 +166,17 @@ class CanFrameDecoder:
         records, is_broken = split_records(chunk)
         entries: list[Entry] = []
         for flagged_identifier, fd_flags, data in records:
-            if flagged_identifier & _OWN_MASK != _OWN_PATTERN:
+            if flagged_identifier & OWN_MASK != OWN_PATTERN:
                 self.dropped[Defect.FOREIGN] += 1
                 continue
-            stream = (flagged_identifier & _STREAM_MASK) >> _STREAM_SHIFT
-            index = flagged_identifier & _INDEX_MASK
+            stream = (flagged_identifier & STREAM_MASK) >> STREAM_SHIFT
+            index = flagged_identifier & INDEX_MASK
             pieces = self._partial.get(stream)
             if not index or pieces is None or len(pieces) != index:
                 pieces = self._pieces_before(stream, index)
             if pieces is not None:
                 pieces.append(data)
-            if flagged_identifier & _LAST:
+            if flagged_identifier & LAST:
                 self._finish(stream, bool(fd_flags & FD), entries)
         if is_broken:
             self.dropped[Defect.TRUNCATED] += 1
@@ -217,8 +220,8 @@ def _reassemble(stream: int, payload: bytes, is_fd: bool) -> Entry | Defect:
     """The wire frame of one (kind, module) ``stream`` from its joined pieces."""
     if len(payload) < OVERHEAD:
         return Defect.TOO_SHORT
-    end = OVERHEAD + payload[_LENGTH_OFFSET]
-    if not 0 <= len(payload) - end <= (_MAX_PADDING if is_fd else 0):
+    end = OVERHEAD + payload[LENGTH_OFFSET]
+    if not 0 <= len(payload) - end <= (MAX_PADDING if is_fd else 0):
         return Defect.BAD_LENGTH
     identity = _IDENTITY.pack(PROTOCOL_VERSION, stream >> 8, stream & 0xFF)
-    return parse(identity + payload[:_LENGTH_OFFSET] + payload[_HEAD.size : end])
+    return parse(identity + payload[:LENGTH_OFFSET] + payload[_HEAD.size : end])

@@ -19,6 +19,9 @@ CLASSIC_DATA_SIZE = 8
 FD_DATA_SIZE = 64
 
 _RECORD = struct.Struct("<IBB")
+RECORD_SIZE = _RECORD.size
+"""Bytes of a record beside its data."""
+FD_FLAGS_AT, LENGTH_AT = struct.calcsize("<I"), struct.calcsize("<IB")
 
 Record = tuple[int, int, bytes]
 """identifier with flags, fd flags, data: a plain tuple because thousands pass each second."""

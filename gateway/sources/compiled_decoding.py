@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.link import Chunk
+from devices.link import Chunk, Framing
 from firmware_protocol import Defect, FrameDecoder, PacketDecoder, ReceivedPacket
+from firmware_protocol.can_framing import MAX_PARTIAL_FRAMES
+from gateway.sources.can_kernels import decode_records
 from gateway.sources.module_rows import SHARED_KINDS
 from gateway.sources.module_table import ModuleTable
 from gateway.sources.readings import Readings
 from gateway.sources.wire_kernels import decode_stream, follow
 from gateway.sources.wire_layout import (
+    CARRIED,
     DECODER,
     DEFECTS,
     ENTRY,
     ENTRY_SIZE,
     EVENT,
+    N_STREAMS,
+    PARTIAL,
     READABLE,
     SAMPLE,
     TICK,
@@ -54,8 +59,8 @@ class Entries:
     def fit(self, n_bytes: int) -> None:
         """Make room for whatever so many bytes can hold."""
         self.n_bytes = n_bytes
-        most = n_bytes // ENTRY_SIZE + 1
-        self.raw = np.zeros(n_bytes, np.uint8)
+        self.raw = np.zeros(n_bytes + CARRIED, np.uint8)
+        most = len(self.raw) // ENTRY_SIZE + 1
         self.rows = np.zeros(most, ENTRY)
         self.left = np.zeros(most, np.int64)
         """Places of those that are left to Python."""
@@ -108,11 +113,8 @@ class CompiledDecoder(Row):
     @property
     def dropped(self) -> Counter[Defect]:
         """What was dropped by reason."""
-        counts = self._row["dropped"][0].tolist()
-        return (
-            Counter({d: count for d, count in zip(DEFECTS, counts, strict=True) if count})
-            + self._others.dropped
-        )
+        counts = zip(DEFECTS, self._row["dropped"][0].tolist(), strict=True)
+        return Counter({defect: count for defect, count in counts if count}) + self._others.dropped
 
     @property
     def damaged(self) -> int:
@@ -124,12 +126,35 @@ class CompiledDecoder(Row):
         entries, data = self._entries, self._partial + chunk if self._partial else bytes(chunk)
         if len(data) > entries.n_bytes:
             entries.fit(2 * len(data))
-        used, n = decode_stream(
-            data, entries.treatments, self._row, entries.rows, entries.left, entries.raw, 0, 0, 0
-        )
-        self._partial = data[used:]
-        entries.begin(n, self._n_left, self._others)
+        entries.begin(self._decode(data), self._n_left, self._others)
         return entries
+
+    def _decode(self, data: bytes) -> int:
+        """Have a kernel take bytes apart; return the number of entries."""
+        to = self._entries
+        used, n = decode_stream(data, to.treatments, self._row, to.rows, to.left, to.raw, 0, 0, 0)
+        self._partial = data[used:]
+        return n
+
+
+class CompiledCanDecoder(CompiledDecoder):
+    """The same of CAN records; a chunk is a run of whole ones."""
+
+    def __init__(self, entries: Entries) -> None:
+        """entries: where packets are put."""
+        super().__init__(entries)
+        self._frames = np.zeros(MAX_PARTIAL_FRAMES, PARTIAL)
+        self._places = np.zeros(N_STREAMS, np.int64)
+
+    def _decode(self, data: bytes) -> int:
+        to, partial = self._entries, (self._frames, self._places)
+        return decode_records(data, to.treatments, self._row, *partial, to.rows, to.left, to.raw, 0, 0, 0)
+
+
+DECODERS: Mapping[Framing, type[CompiledDecoder]] = {
+    Framing.BYTE_STREAM: CompiledDecoder,
+    Framing.CAN: CompiledCanDecoder,
+}
 
 
 class Follower:

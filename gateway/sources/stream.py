@@ -44,7 +44,7 @@ from gateway.frames import (
     Sample,
 )
 from gateway.sources.air_velocity import air_velocity
-from gateway.sources.compiled_decoding import CompiledDecoder, Entries, Follower
+from gateway.sources.compiled_decoding import DECODERS, Entries, Follower
 from gateway.sources.exchanges import TimeExchanges
 from gateway.sources.module_rows import SHARED_KINDS
 from gateway.sources.module_table import ClockMode, ModuleTable
@@ -102,9 +102,10 @@ class Stream:
 
     def add_link(self, name: str, content: str) -> None:
         """Announce a link, before its first chunk. content: its framing."""
-        if self._is_compiled and content == Framing.BYTE_STREAM:
-            self._decoders[name] = SenderDecoders(lambda: CompiledDecoder(self._entries))
-            CompiledDecoder(self._entries).feed(b"")  # compiled now, not when the first packets wait
+        if self._is_compiled:
+            decoder = DECODERS[Framing(content)]
+            self._decoders[name] = SenderDecoders(lambda: decoder(self._entries))
+            decoder(self._entries).feed(b"")  # compiled now, not when the first packets wait
             self._follower.warm_up(self._entries)
         else:
             self._decoders[name] = LinkDecoder(Framing(content))

@@ -77,7 +77,7 @@ _HALF, _SEQUENCE_MASK = 1 << (_SEQUENCE_BITS - 1), (1 << _SEQUENCE_BITS) - 1
 
 
 @compiled
-def _unsigned(raw: Bytes, at: int, size: int) -> int:
+def unsigned(raw: bytes | Bytes, at: int, size: int) -> int:
     """Return an integer of so many bytes, the lowest first."""
     value = 0
     for k in range(size):
@@ -105,14 +105,14 @@ def _unstuff(data: bytes, place: int, end: int, raw: Bytes, at: int) -> int:
 
 
 @compiled
-def _defect_of_frame(raw: Bytes, start: int, stop: int) -> int:
+def defect_of_frame(raw: Bytes, start: int, stop: int) -> int:
     """Return why the bytes are no wire frame, or -1."""
     if stop - start < MIN_FRAME_SIZE:
         return TOO_SHORT
     checksum = 0xFFFFFFFF
     for k in range(start, stop - CHECKSUM_SIZE):
         checksum = CRC_TABLE[(checksum ^ int(raw[k])) & 0xFF] ^ (checksum >> 8)
-    if checksum ^ 0xFFFFFFFF != _unsigned(raw, stop - CHECKSUM_SIZE, CHECKSUM_SIZE):
+    if checksum ^ 0xFFFFFFFF != unsigned(raw, stop - CHECKSUM_SIZE, CHECKSUM_SIZE):
         return BAD_CRC
     return -1 if raw[start + VERSION_AT] == PROTOCOL_VERSION else BAD_VERSION
 
@@ -135,7 +135,8 @@ def _defect_of_packet(how: int, module: int, raw: Bytes, start: int, stop: int) 
 
 
 @compiled
-def _drop(decoder: Rows, defect: int) -> None:
+def drop(decoder: Rows, defect: int) -> None:
+    """Count a defect. decoder: (1,) DECODER."""
     decoder[0].dropped[defect] += 1
     decoder[0].damaged += 1
 
@@ -149,7 +150,7 @@ def _take_entry(
     how = int(treatments[kind])
     defect = _defect_of_packet(how, module, raw, start, stop)
     if defect >= 0:
-        _drop(decoder, defect)
+        drop(decoder, defect)
         return n
     entry = entries[n]
     entry.how, entry.kind, entry.module, entry.sequence = how, kind, module, sequence
@@ -161,13 +162,13 @@ def _take_entry(
 
 
 @compiled
-def _take_frame(
+def take_frame(
     raw: Bytes, start: int, stop: int, treatments: Bytes, decoder: Rows, entries: Rows, left: IntArray, n: int
 ) -> int:
     """Append the packets of a wire frame; return how many entries there are now."""
     kind, module = int(raw[start + KIND_AT]), int(raw[start + MODULE_AT])
-    sequence = _unsigned(raw, start + SEQUENCE_AT, SEQUENCE_SIZE)
-    time_us = _unsigned(raw, start + TIME_AT, TIME_SIZE)
+    sequence = unsigned(raw, start + SEQUENCE_AT, SEQUENCE_SIZE)
+    time_us = unsigned(raw, start + TIME_AT, TIME_SIZE)
     at, end = start + HEADER_SIZE, stop - CHECKSUM_SIZE
     relayed_us = time_us if treatments[kind] == BATCH else -1
     if relayed_us < 0:
@@ -175,7 +176,7 @@ def _take_frame(
             raw, treatments, decoder, entries, left, n, kind, module, sequence, time_us, relayed_us, at, end
         )
     if module != RELAY:
-        _drop(decoder, BAD_MODULE)
+        drop(decoder, BAD_MODULE)
         return n
     while at + ENTRY_SIZE <= end:
         body = at + ENTRY_SIZE
@@ -183,15 +184,15 @@ def _take_frame(
         if body_end > end:
             break
         kind, module = int(raw[at + ENTRY_KIND_AT]), int(raw[at + ENTRY_MODULE_AT])
-        sequence = _unsigned(raw, at + ENTRY_SEQUENCE_AT, SEQUENCE_SIZE)
-        time_us = _unsigned(raw, at + ENTRY_TIME_AT, TIME_SIZE)
+        sequence = unsigned(raw, at + ENTRY_SEQUENCE_AT, SEQUENCE_SIZE)
+        time_us = unsigned(raw, at + ENTRY_TIME_AT, TIME_SIZE)
         n = _take_entry(
             raw, treatments, decoder, entries, left, n,
             kind, module, sequence, time_us, relayed_us, body, body_end,
         )  # fmt: skip
         at = body_end
     if at < end:
-        _drop(decoder, TRUNCATED)
+        drop(decoder, TRUNCATED)
     return n
 
 
@@ -221,18 +222,18 @@ def decode_stream(
         if decoder[0].is_skipping != 0:
             decoder[0].is_skipping = 0
         elif place - begin > MAX_STUFFED_SIZE:
-            _drop(decoder, OVERLONG)
+            drop(decoder, OVERLONG)
         elif place > begin:
             stop = _unstuff(data, begin, place, raw, at)
-            defect = BAD_STUFFING if stop < 0 else _defect_of_frame(raw, at, stop)
+            defect = BAD_STUFFING if stop < 0 else defect_of_frame(raw, at, stop)
             if defect >= 0:
-                _drop(decoder, defect)
+                drop(decoder, defect)
             else:
-                n = _take_frame(raw, at, stop, treatments, decoder, entries, left, n)
+                n = take_frame(raw, at, stop, treatments, decoder, entries, left, n)
                 at = stop
         begin = place + 1
     if decoder[0].is_skipping == 0 and len(data) - begin > MAX_STUFFED_SIZE:
-        _drop(decoder, OVERLONG)
+        drop(decoder, OVERLONG)
         decoder[0].is_skipping = 1
     return (begin if decoder[0].is_skipping == 0 else len(data)), n
 
@@ -248,7 +249,7 @@ def _read_sample(raw: Bytes, entry: Row, sample: Row) -> None:
             if begin < 0:
                 sample.measured[sensor, axis] = np.nan
             else:
-                element = (_unsigned(raw, entry.start + begin + axis * size, size) ^ sign) - sign
+                element = (unsigned(raw, entry.start + begin + axis * size, size) ^ sign) - sign
                 sample.measured[sensor, axis] = element * SCALE[place, sensor]
     sample.clipped = CLIPPED[place, mask]
 

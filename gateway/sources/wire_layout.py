@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import PACKETS, Defect, InertialSample, InertialSampleFine
+from firmware_protocol.can_framing import MAX_CAN_BODY_SIZE, MAX_PARTIAL_FRAMES, MAX_PIECES, OVERHEAD
+from firmware_protocol.can_records import FD_DATA_SIZE
 from firmware_protocol.fields import BYTE_ORDER, Layout, WireField, layout_of
 from firmware_protocol.framing import CHECKSUM_FIELD, HEADER_FIELDS
 from firmware_protocol.relay import ENTRY_FIELDS, RELAY_BATCH
@@ -28,6 +30,7 @@ TOO_SHORT, BAD_CRC = _NUMBER[Defect.TOO_SHORT], _NUMBER[Defect.BAD_CRC]
 BAD_VERSION, UNKNOWN_KIND = _NUMBER[Defect.BAD_VERSION], _NUMBER[Defect.UNKNOWN_KIND]
 BAD_LENGTH, BAD_VALUE = _NUMBER[Defect.BAD_LENGTH], _NUMBER[Defect.BAD_VALUE]
 BAD_MODULE, TRUNCATED = _NUMBER[Defect.BAD_MODULE], _NUMBER[Defect.TRUNCATED]
+FOREIGN, LOST_FRAGMENT = _NUMBER[Defect.FOREIGN], _NUMBER[Defect.LOST_FRAGMENT]
 
 
 def _places(fields: Sequence[WireField]) -> dict[str, tuple[int, int]]:
@@ -124,9 +127,26 @@ DECODER = np.dtype(
         ("damaged", np.int64),  # drops that packets of ours may have been lost in
         ("n_left", np.int64),  # entries of the newest chunk that are ``READABLE``
         ("dropped", np.int64, (len(DEFECTS),)),
+        ("n_partial", np.int64),  # CAN: wire frames in reassembly, and how many were ever begun
+        ("n_begun", np.int64),
     ]
 )
 """What a decoder keeps from chunk to chunk, beside the bytes begun."""
+
+PARTIAL = np.dtype(
+    [
+        ("stream", np.int64),  # kind and module
+        ("begun", np.int64),  # in this order; 0: nothing is here
+        ("pieces", np.int64),  # so far; -1 while the rest of a spoilt wire frame passes
+        ("size", np.int64),
+        ("data", np.uint8, (MAX_PIECES * FD_DATA_SIZE,)),
+    ]
+)
+"""One wire frame in reassembly from CAN frames."""
+N_STREAMS = 1 << (8 * (MODULE_AT + 1 - KIND_AT))
+"""Numbers that kind and module together can have."""
+CARRIED = MAX_PARTIAL_FRAMES * (SEQUENCE_AT + OVERHEAD + MAX_CAN_BODY_SIZE)
+"""Bytes of wire frames that may have been in reassembly before a chunk and be whole in it."""
 
 ENTRY = np.dtype(
     [
