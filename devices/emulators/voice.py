@@ -6,7 +6,7 @@ befall its bytes like any others.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -49,7 +49,14 @@ class Voice:
     def __init__(self, module: int, field_ut: float = 49.0) -> None:
         """module: its number; field_ut: strength of the field that it was calibrated in, µT."""
         self.module, self.field_ut = module, field_ut
-        self._newest_us = 0
+        self.from_port = 0
+        """UDP port that it sends from, and takes commands on; 0: any."""
+        self._newest_us: int | None = None
+
+    @property
+    def link_settings(self) -> Mapping[str, object]:
+        """What the configuration of its link must say besides the usual."""
+        return {}
 
     def say(self, sensed: Sensed) -> bytes:
         """Return what the device sends for a sample."""
@@ -87,6 +94,8 @@ class Voice:
         return Encoding(self.framing).corrupt(data, rng)
 
     def _unwrapped(self, stamp_us: int) -> int:
+        if self._newest_us is None:
+            self._newest_us = stamp_us
         half = 1 << (STAMP_BITS - 1)
         ahead = (stamp_us - self._newest_us + half) % (2 * half) - half
         self._newest_us = max(self._newest_us + ahead, 0)

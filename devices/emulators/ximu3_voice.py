@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from devices.emulators.emulated_device import EmulatedDevice
@@ -43,6 +44,7 @@ class Ximu3Voice(Voice):
     def __init__(self, module: int, field_ut: float = 49.0, receive_port: int = COMMAND_PORT) -> None:
         """receive_port: UDP port on which it takes commands."""
         super().__init__(module, field_ut)
+        self.from_port = receive_port
         serial = f"{0x65570000 + module:08X}"
         self.settings = {**_FACTORY, "serial_number": serial, "udp_receive_port": receive_port}
         """By name, as the device tells and takes them."""
@@ -50,6 +52,11 @@ class Ximu3Voice(Voice):
         self._field_due_us = 0
         self._rest = b""
         self._health: Health | None = None
+
+    @property
+    def link_settings(self) -> Mapping[str, object]:
+        """Where it takes commands, if that is not the usual port."""
+        return {} if self.from_port == COMMAND_PORT else {"command_port": self.from_port}
 
     def say(self, sensed: Sensed) -> bytes:
         """Return the messages of one sample."""

@@ -9,6 +9,7 @@ follows on those before it (user manual v0.11, sections on data messages, comman
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import math
 import struct
@@ -305,7 +306,7 @@ def read_announcement(data: bytes) -> Announcement | None:
         told = json.loads(data)
         ports = [int(told[key]) for key in ("port", "send", "receive")]
         levels = [_level(told.get(key)) for key in ("battery", "rssi")]
-        words = [str(told[key]) for key in ("name", "sn", "ip")]
+        words = [str(told["name"]), str(told["sn"]), str(ipaddress.ip_address(told["ip"]))]
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         return None
     if not all(0 <= port < 2**16 for port in ports) or not all(0 < len(word) <= 64 for word in words):

@@ -36,6 +36,7 @@ from devices.emulators.sampling import FUSED, RAW, TRIGGERED
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.emulators.transports import (
     CanBusTransport,
+    LinkPerDevice,
     PtyTransport,
     SignedTcpTransport,
     SignedUdpTransport,
@@ -44,9 +45,11 @@ from devices.emulators.transports import (
     Transport,
     UdpTransport,
 )
+from devices.emulators.voices import VOICES, announce
 from devices.link import Framing, gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
+from gateway.cli.emulate_makers import SpokenSuit, say_links, spoken_by, voices_of
 from gateway.cli.options import with_options
 from gateway.cli.terminal import TypedLines
 from gateway.emulation.rig import calibrate, dress, move_about, sunlight, tumble, worn_wrong
@@ -92,6 +95,12 @@ class Emulation:
     """The options of ``emulate``: what is worn and how, what it does, and where it speaks."""
 
     rig: Annotated[str, typer.Option(help="Rig to wear: a shipped one or a file.")] = "suit_17"
+    speaks: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Speak as modules of another maker, each on a link of its own: {', '.join(VOICES)}."
+        ),
+    ] = None
     on: Annotated[Medium, typer.Option(help="What to speak on.")] = Medium.PTY
     link: Annotated[Path | None, typer.Option(help="pty, slcan: make this link to the port.")] = None
     port: Annotated[
@@ -311,8 +320,10 @@ def emulate(wanted: Emulation) -> None:
     start_ns = gateway_time_ns() + _START_DELAY_NS
     if wanted.motion is MotionKind.CALIBRATION:
         start_ns = begin_of_script(start_ns)
+    spoken = spoken_by(touchable(source), wanted.speaks)
     try:
-        _play(source, _transport(wanted), wanted, receiver, start_ns)
+        transport = _transport(wanted) if spoken is None else _transport_of_each(wanted, spoken)
+        _play(source, transport, wanted, receiver, start_ns)
     except (OSError, can.CanError) as error:
         raise GatewayError(
             f"the emulated suit cannot speak on {wanted.on}: {error}; {_REMEDIES[wanted.on]}"
@@ -334,6 +345,8 @@ def _played(wanted: Emulation) -> Iterable[Transmission]:
 
 def _worn(wanted: Emulation) -> Conversation:
     """A suit on a moving body, with its faults. Raises ``GatewayError``."""
+    if wanted.speaks is not None and wanted.speaks not in VOICES:
+        raise GatewayError(f"--speaks {wanted.speaks}: unknown{nearest(wanted.speaks, VOICES)}")
     if wanted.imperfections not in PRESETS:
         raise GatewayError(
             f"--imperfections {wanted.imperfections}: unknown{nearest(wanted.imperfections, PRESETS)}"
@@ -348,14 +361,16 @@ def _worn(wanted: Emulation) -> Conversation:
 
 def _suit_settings(wanted: Emulation, suit: WornSuit) -> SuitSettings:
     encoding = _encoding(wanted)
-    can_relay = encoding.framing is Framing.BYTE_STREAM
+    can_relay = encoding.framing is Framing.BYTE_STREAM and wanted.speaks is None
+    relays = wanted.on is not Medium.UDP
     ids = suit.module_ids
     return SuitSettings(
         sampling_rate_hz=wanted.rate,
         mode=_MODES[wanted.mode],
         is_fine=wanted.fine,
-        has_relay=can_relay and (wanted.on is not Medium.UDP if wanted.relay is None else wanted.relay),
+        has_relay=can_relay and (relays if wanted.relay is None else wanted.relay),
         encoding=encoding,
+        voice=None if wanted.speaks is None else voices_of(wanted.speaks, suit),
         gravity=suit.gravity,
         magnetic_field=suit.magnetic_field,
         sunlight=sunlight(suit, gateway_time_ns()),
@@ -403,6 +418,22 @@ def _transport(wanted: Emulation) -> Transport:
             return PtyTransport(wanted.link)
 
 
+def _transport_of_each(wanted: Emulation, spoken: SpokenSuit) -> LinkPerDevice:
+    """A link a module: ports one after the other, links to pseudo-terminals named for the modules."""
+    single = len(spoken.voices) == 1
+    links: dict[int, Transport] = {}
+    for place, (module, voice) in enumerate(spoken.voices.items()):
+        link = wanted.link
+        if link is not None and not single:
+            link = link.with_name(f"{link.name}-{module}")
+        one = replace(wanted, port=wanted.port and wanted.port + place, link=link)
+        if wanted.on is Medium.UDP:
+            links[module] = UdpTransport(one.port, one.host, voice.from_port)
+        else:
+            links[module] = _transport(one)
+    return LinkPerDevice(links)
+
+
 def _signed_transport(wanted: Emulation, key_file: Path) -> Transport:
     if wanted.on not in {Medium.TCP, Medium.UDP}:
         raise GatewayError(f"--key-file: nothing is signed on {wanted.on}; take --on tcp or --on udp")
@@ -424,7 +455,7 @@ def _play(
     beside = None if receiver is None else receiver(start_ns)
     suit = EmulatedSuit(source, transport, start_ns=start_ns, duration_s=wanted.seconds)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_run(suit, beside, source, wanted.as_json))
+        asyncio.run(_run(suit, beside, source, wanted))
     if not wanted.as_json:
         counts = suit.counts
         Console().print(
@@ -433,7 +464,8 @@ def _play(
         )
 
 
-async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, source: object, as_json: bool) -> None:
+async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, source: object, wanted: Emulation) -> None:
+    as_json = wanted.as_json
     runs = [suit.run()] if beside is None else [suit.run(), beside.run()]
     task = asyncio.ensure_future(asyncio.gather(*runs))
     # Else the link to the port would stay, and one day lead to another.
@@ -441,11 +473,20 @@ async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, source: object, 
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     companions = [asyncio.create_task(pull_cable(plan_of(source), suit))]
+    spoken = spoken_by(touchable(source), wanted.speaks)
+    if spoken is not None and wanted.on is Medium.UDP:
+        ports = range(wanted.port, wanted.port + len(spoken.voices))
+        heard = zip(spoken.voices.values(), ports, strict=True)
+        companions.append(asyncio.create_task(announce(heard, wanted.host)))
     while not (url := suit.transport.url) and not task.done():  # noqa: ASYNC110 - for a moment
         await asyncio.sleep(0.01)
     traffic = touchable(source)
     if url:
-        _announce(url, suit, as_json, traffic is not None)
+        if spoken is None:
+            _announce(url, suit, as_json, traffic is not None)
+        else:
+            assert isinstance(suit.transport, LinkPerDevice)
+            say_links(suit.transport.urls, suit, spoken, as_json)
         if traffic is not None:
             companions.append(asyncio.create_task(obey_typed_lines(suit, traffic, is_quiet=as_json)))
     try:

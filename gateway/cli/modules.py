@@ -22,6 +22,7 @@ from gateway.cli.modules_suit import WIDEST, Operations, SuitChoice, modules_scr
 from gateway.cli.terminal import TypedLines, wide_console
 from gateway.errors import GatewayError, nearest
 from gateway.modules.assignment import Proposal, Wardrobe
+from gateway.modules.discovery import EVERYWHERE, discovered, link_line
 from gateway.modules.motion import AmbiguousMotionError
 from gateway.modules.operations import RequestError
 from gateway.support.settings_files import load_yaml
@@ -52,6 +53,31 @@ def list_modules(
         return 1 if listed["conflicts"] else 0
 
     run_with_suit(suit, work)
+
+
+def discover_modules(
+    listen: Annotated[
+        float, typer.Option(min=1, max=60, help="Seconds to listen; devices announce themselves each second.")
+    ] = 3.0,
+    host: Annotated[str, typer.Option(help="Address of this computer to listen on.")] = EVERYWHERE,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+) -> None:
+    """Find modules of other makers that announce themselves in the network, and print their link lines."""
+    found = asyncio.run(discovered(listen, host))
+    if as_json:
+        typer.echo(json.dumps([each._asdict() for each in found]))
+        return
+    if not found:
+        typer.echo(
+            "no module announced itself: is it in this network, does a firewall keep UDP back?",
+            err=True,
+        )
+        raise typer.Exit(1)
+    for each in found:
+        battery = "" if each.battery_percent is None else f", battery {each.battery_percent} %"
+        signal = "" if each.rssi_percent is None else f", signal {each.rssi_percent} %"
+        typer.echo(f"# {each.carries} {each.unique_id}{battery}{signal}")
+        typer.echo(link_line(each))
 
 
 @with_suit
@@ -452,6 +478,7 @@ modules_app.command(
     "list",
     epilog=f"{_EXAMPLE} list -c my.yaml; or through a running gateway: modules list --mqtt 127.0.0.1:1883",
 )(list_modules)
+modules_app.command("discover", epilog=f"{_EXAMPLE} discover --listen 5")(discover_modules)
 modules_app.command("watch", epilog=f"{_EXAMPLE} watch --link /dev/ttyUSB0 --rig suit_17")(watch_modules)
 modules_app.command("identify", epilog=f"{_EXAMPLE} identify 3 --seconds 10 -c my.yaml")(identify)
 modules_app.command(

@@ -27,6 +27,7 @@ from gateway.settings import (
     load_gateway_settings,
 )
 from gateway.sources.link_settings import LinkSettings
+from gateway.sources.registry import source_kind
 from gateway.support.processor import target_name
 
 _MB = 1e6
@@ -129,22 +130,24 @@ def examine(
         yield from naming(link, here)
         yield from latency(link, here)
         yield from can_interface(link, here)
-        yield from capacity(link.name, link.url, len(suit.module_ids), rate_hz)
-        if opened.verdict is Verdict.GOOD and _speaks_as_a_suit(link):
+        if link.carries == SUIT:
+            yield from capacity(link.name, link.url, len(suit.module_ids), rate_hz)
+        if opened.verdict is Verdict.GOOD and _has_modules(link):
             readable.append(link)
     yield from asyncio.run(broker(settings.mqtt, settings.gateway, here))
     if states is not None:
         yield from running.judge(settings.gateway, states)
     else:
-        yield from _listen(readable, suit, listen_s)
+        yield from _listen(readable, suit, listen_s, rate_hz)
     yield disk(settings.recording, here)
     yield from metrics_port(settings.metrics, gateway_runs=states is not None)
 
 
-def _listen(links: list[LinkSettings], suit: WornSuit, seconds: float) -> list[Finding]:
-    return asyncio.run(listen(links, suit, seconds)) if links and seconds else []
+def _listen(links: list[LinkSettings], suit: WornSuit, seconds: float, rate_hz: float) -> list[Finding]:
+    return asyncio.run(listen(links, suit, seconds, rate_hz)) if links and seconds else []
 
 
-def _speaks_as_a_suit(link: LinkSettings) -> bool:
+def _has_modules(link: LinkSettings) -> bool:
     """Whether modules are at the other end: no receiver, no cameras, no file."""
-    return link.carries == SUIT and not isinstance(link_from_url(link.url), ReplayLink)
+    has_modules = source_kind(link.carries).has_modules
+    return has_modules and not isinstance(link_from_url(link.url), ReplayLink)

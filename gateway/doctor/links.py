@@ -13,7 +13,7 @@ from urllib.parse import parse_qsl, urlsplit
 from devices.device_errors import DeviceError
 from devices.endpoints import link_from_url
 from devices.line_rate import DEFAULT_BITRATE, CanRate, UartRate, line_rate
-from devices.link import LinkError
+from devices.link import SUIT, LinkError
 from devices.replay_link import ReplayLink
 from firmware_protocol import Defect, InertialSample
 from firmware_protocol.capacity import Traffic, can_load, uart_load
@@ -21,10 +21,12 @@ from gateway.body.skeleton import WornSuit
 from gateway.doctor.findings import Finding, Surroundings, Verdict, bad, good, warning
 from gateway.errors import GatewayError
 from gateway.modules.journal import Journal, default_journal_path
+from gateway.modules.makers import MakersModules
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import suit_session
 from gateway.modules.summary import ModuleList, ModuleSummary
 from gateway.sources.link_settings import LinkSettings
+from gateway.sources.makers import ANOTHER_SENDER, Advice
 
 LONGEST_LATENCY_MS = 2
 _UDEV_RULE = "docker/udev/60-mocap-gateway.rules"
@@ -226,14 +228,23 @@ _LEAST_FRAMES = 5
 _GARBLED = (Defect.OVERLONG, Defect.BAD_STUFFING, Defect.TOO_SHORT, Defect.BAD_CRC, Defect.BAD_VERSION)
 
 
-async def listen(links: Sequence[LinkSettings], suit: WornSuit, seconds: float) -> list[Finding]:
-    """Read the links, and ask modules who they are; changes nothing in them."""
+async def listen(
+    links: Sequence[LinkSettings], suit: WornSuit, seconds: float, rate_hz: float
+) -> list[Finding]:
+    """Read the links, and ask modules who they are; changes nothing in them. rate_hz: of the poses."""
     journal = Journal(default_journal_path())
     try:
         async with suit_session(links, suit, allow_writes=False, journal=journal) as operations:
             listed = await operations.perform("list", {"listen_s": max(seconds, SHORTEST_S)})
             found = ModuleList.model_validate({k: v for k, v in listed.items() if k != "allows_writes"})
-            return [*_readability(links, operations), *_presence(found, suit)]
+            others = [link for link in links if link.carries != SUIT]
+            own = [link for link in links if link.carries == SUIT]
+            return [
+                *_readability(own, operations),
+                *_others_readability(others, operations.makers),
+                *_others_settings(await operations.makers.advice(rate_hz)),
+                *_presence(found, suit),
+            ]
     except (GatewayError, LinkError, DeviceError) as error:
         what, _, remedy = str(error).partition("; ")
         return [bad("suit", what, remedy or "see the findings about its ports")]
@@ -248,6 +259,22 @@ def _readability(links: Sequence[LinkSettings], operations: ModuleOperations) ->
         garbled = sum(dropped.get(defect.name.lower(), 0) for defect in _GARBLED)
         yield from _line(f"{name}: data", url, garbled, received)
         yield from _signatures(f"{name}: signatures", operations.unverified(name))
+
+
+def _others_readability(links: Sequence[LinkSettings], makers: MakersModules) -> Iterator[Finding]:
+    """Of modules of other makers."""
+    for link in links:
+        heard = makers.heard(link.name)
+        unread = {reason: count for reason, count in heard.dropped.items() if reason != ANOTHER_SENDER}
+        yield from _line(f"{link.name}: data", link.url, sum(unread.values()), heard.received)
+        if strangers := heard.dropped.get(ANOTHER_SENDER):
+            found = f"{strangers:,} datagrams came from a second device"
+            yield bad(f"{link.name}: senders", found, "let every device send to a port and a link of its own")
+
+
+def _others_settings(advice: Sequence[tuple[str, Advice]]) -> Iterator[Finding]:
+    for link, each in advice:
+        yield warning(f"{link}: settings", each.found, each.remedy)
 
 
 def _line(subject: str, url: str, garbled: int, received: int) -> Iterator[Finding]:

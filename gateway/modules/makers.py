@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from devices.device_errors import DeviceError, NoAnswerError
 from devices.link import Link, LinkError, SentChunk, gateway_time_ns
-from gateway.sources.makers import Description, MakersCommands, MakersSource
+from gateway.sources.makers import Advice, Description, MakersCommands, MakersSource
 from gateway.sources.registry import source_kind
 from gateway.sources.source import Source
 
@@ -38,6 +38,15 @@ class MakersModule(NamedTuple):
         """Whether it goes by a module id or the beginning of a serial number."""
         wanted = name.strip().lower()
         return wanted == str(self.module) or (len(wanted) > 3 and self.unique_id.startswith(wanted))
+
+
+class Heard(NamedTuple):
+    """What came over a link."""
+
+    received: int
+    """Packets of the module, by now on any link."""
+    dropped: Mapping[str, int]
+    """Messages that could not be read, by reason."""
 
 
 class MakersLine:
@@ -90,12 +99,14 @@ class MakersModules:
     def __init__(self, on_sent: Callable[[SentChunk], None] = lambda _sent: None) -> None:
         """on_sent: told of everything that was written to a link."""
         self._on_sent = on_sent
+        self._sources: dict[str, MakersSource] = {}
         self._lines: dict[str, tuple[MakersSource, MakersCommands, MakersLine]] = {}
         self._known: dict[str, MakersModule] = {}
 
     def add_link(self, link: Link, source: Source) -> None:
         """Announce a link, and the source that reads it; one that takes no commands is passed over."""
         if isinstance(source, MakersSource):
+            self._sources[link.name] = source
             commands = source_kind(source.carries).commands
             if commands is not None:
                 line = MakersLine(link, source, self._on_sent)
@@ -103,8 +114,8 @@ class MakersModules:
 
     @property
     def has_links(self) -> bool:
-        """Whether there is any to be asked."""
-        return bool(self._lines)
+        """Whether there is any such link."""
+        return bool(self._sources)
 
     async def discover(self) -> list[MakersModule]:
         """Return those that say who they are, by module id."""
@@ -122,6 +133,22 @@ class MakersModules:
             if found is None and name.strip() == str(source.devices[link].module):
                 found = await self._asked(link)
         return found or _meant(await self.discover(), name)
+
+    def heard(self, link: str) -> Heard:
+        """Return what came over a link."""
+        source, device = self._sources[link], self._sources[link].devices[link]
+        record = source.modules.records.get(device.module)
+        return Heard(0 if record is None else record.received, device.dropped)
+
+    async def advice(self, rate_hz: float) -> list[tuple[str, Advice]]:
+        """Return what would be better otherwise in the devices' settings, with the link of each; of those
+        that answer. rate_hz: of the poses."""
+        found = []
+        for module in await self.discover():
+            settings = await module.commands.read(module.line)
+            told = module.commands.advice(module.module, settings, rate_hz)
+            found += [(module.link, each) for each in told]
+        return found
 
     async def _describe(self, link: str) -> MakersModule | None:
         try:

@@ -14,7 +14,7 @@ from devices.card_download import Card
 from devices.command_client import CommandClient
 from devices.configure import Change, Configurator
 from devices.device_backup import Restored, read_backup, restore_backup
-from devices.device_errors import DeviceError, UnfinishedError, WritesLockedError
+from devices.device_errors import DeviceError, UnfinishedError, UnknownDeviceError, WritesLockedError
 from devices.id_plan import plan_moves, spare_id
 from devices.link import LinkError, gateway_time_ns
 from devices.reconnect import ReconnectingLink
@@ -69,7 +69,7 @@ class ModuleOperations:
         makers: MakersModules | None = None,
     ) -> None:
         """makers: modules of others, which can be listed, identified, read and set, and no more."""
-        self._makers = makers or MakersModules()
+        self.makers = makers or MakersModules()
         self.configurator = Configurator(client)
         self._stream = stream
         self._client = client
@@ -143,7 +143,7 @@ class ModuleOperations:
             await asyncio.sleep(_LOOK_S)
 
     async def _identify(self, request: requests.IdentifyRequest) -> Plain:
-        if (other := await self._makers.find(request.device)) is not None:
+        if (other := await self.makers.find(request.device)) is not None:
             await other.commands.identify(other.line, request.seconds)
             return _named(other)
         device = await self._find(request.device)
@@ -151,14 +151,14 @@ class ModuleOperations:
         return _named(device)
 
     async def _read(self, request: requests.ReadRequest) -> Plain:
-        if (other := await self._makers.find(request.device)) is not None:
+        if (other := await self.makers.find(request.device)) is not None:
             return _named(other) | {"settings": await other.commands.read(other.line)}
         device = await self._find(request.device)
         return _named(device) | {"settings": await self.configurator.read_all(device.unique_id)}
 
     async def _set(self, request: requests.SetRequest) -> Plain:
         self._refuse_unless_allowed("changing settings")
-        if (other := await self._makers.find(request.device)) is not None:
+        if (other := await self.makers.find(request.device)) is not None:
             before, after = await changed(other, request.settings)
             return _named(other) | {"before": before, "after": after}
         device = await self._find(request.device)
@@ -316,9 +316,13 @@ class ModuleOperations:
 
     async def _discover_all(self) -> tuple[Roster, dict[int, MakersModule]]:
         """Return who answers: our own, and those of others by module id."""
-        others = {module.module: module for module in await self._makers.discover()}
-        has_own = self._client.links or not self._makers.has_links
-        return await self._discover() if has_own else Roster(()), others
+        others = {module.module: module for module in await self.makers.discover()}
+        return await self._discover() if self._has_own else Roster(()), others
+
+    @property
+    def _has_own(self) -> bool:
+        """Whether there is a link on which modules of our own may be, or none at all."""
+        return bool(self._client.links) or not self.makers.has_links
 
     async def _roster(self) -> Roster:
         return self.configurator.roster or await self._discover()
@@ -330,6 +334,9 @@ class ModuleOperations:
                 return self.configurator.roster.find(name)
             except DeviceError:
                 _log.debug("%s is not known yet", name)
+        if not self._has_own:
+            there = ", ".join(f"{other.module} ({other.unique_id})" for other in await self.makers.discover())
+            raise UnknownDeviceError(f"no device '{name}' answers; there are: {there or 'none'}")
         return (await self._discover()).find(name)
 
 

@@ -41,10 +41,10 @@ async def suit_session(
 ) -> AsyncIterator[ModuleOperations]:
     """Open the links of modules and read them until the end. Raises ``LinkError`` for one that is absent.
 
-    A link that is lost later is opened again: a module on USB goes away when it restarts. Links with nobody
-    to be asked at the other end are left alone.
+    A link that is lost later is opened again: a module on USB goes away when it restarts. Links with no
+    modules at the other end are left alone.
     """
-    asked = [link for link in links if _takes_questions(link.carries)]
+    asked = [link for link in links if source_kind(link.carries).has_modules]
     opened = {
         each.name: ReconnectingLink(link_from_url(each.url, name=each.name), strict=True) for each in asked
     }
@@ -72,11 +72,6 @@ async def suit_session(
         yield ModuleOperations(sources.stream, client, suit, journal, makers)
 
 
-def _takes_questions(carries: str) -> bool:
-    kind = source_kind(carries)
-    return kind.takes_commands or kind.commands is not None
-
-
 class _Sources:
     """What reads the links, one of a kind."""
 
@@ -91,7 +86,7 @@ class _Sources:
         routes = {}
         for name, content in contents_of(link.link, carries).items():
             carried = carried_by(content)
-            if _takes_questions(carried):
+            if source_kind(carried).has_modules:
                 if carried not in self._sources:
                     self._sources[carried] = source_kind(carried).make(self._context)
                 routes[name] = self._sources[carried]

@@ -21,6 +21,8 @@ from gateway.sources.link_settings import LinkSettings
 from gateway.sources.module_table import ModuleTable
 from gateway.sources.source import ListeningSource, SourceContext
 
+ANOTHER_SENDER = "another_sender"
+"""Reason for which datagrams of a second device on a link are dropped."""
 GRAVITY = 9.80665
 """m/s² in the g of data sheets."""
 _INTERVALS, _FEWEST_INTERVALS = 31, 8
@@ -94,7 +96,7 @@ class MakersDevice:
     def feed(self, chunk: Chunk) -> Sequence[Any]:
         """Return the messages of the device; those of another sender are counted, since it has the number."""
         if self.sender not in (None, chunk.sender):
-            self._strange["another_sender"] += 1
+            self._strange[ANOTHER_SENDER] += 1
             return ()
         before = self.decoder.dropped.total()
         messages = self.decoder.feed(chunk.data)
@@ -229,6 +231,13 @@ class Description(NamedTuple):
     firmware: str | None = None
 
 
+class Advice(NamedTuple):
+    """Something in a device's settings that a gateway would have otherwise."""
+
+    found: str
+    remedy: str
+
+
 class CommandLine(Protocol):
     """The way to one device, and back."""
 
@@ -259,6 +268,10 @@ class MakersCommands(Protocol):
 
     async def write(self, line: CommandLine, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Change settings, keep them over a loss of power, and return what stands there now."""
+        ...
+
+    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
+        """Yield what would be better otherwise in settings that were read. rate_hz: of the poses."""
         ...
 
 

@@ -12,7 +12,7 @@ from gateway.sources.gnss.receiver import GnssLinkSettings, GnssSource
 from gateway.sources.heat_maps import NO_CAMERAS, HeatMapSource
 from gateway.sources.hips import HipSource
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.makers import Discovery, MakersCommands
+from gateway.sources.makers import Discovery, MakersCommands, MakersLinkSettings
 from gateway.sources.markers import NO_MARKERS, MarkerSource
 from gateway.sources.source import Source, SourceContext
 from gateway.sources.stream import Stream
@@ -33,6 +33,11 @@ class SourceKind(NamedTuple):
     """How its devices are found in the network."""
     refusal: Callable[[WornSuit], str | None] = lambda _suit: None
     """Why a suit has no use for it; None: it has."""
+
+    @property
+    def has_modules(self) -> bool:
+        """Whether worn modules are at the other end, ours or another maker's."""
+        return self.takes_commands or issubclass(self.settings, MakersLinkSettings)
 
 
 def _without_markers(suit: WornSuit) -> str | None:

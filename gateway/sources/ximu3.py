@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -15,6 +15,7 @@ from devices.link import Chunk
 from devices.vendor_protocols.ximu3 import (
     COMMAND_PORT,
     DISCOVERY_PORT,
+    INERTIAL_HZ,
     SETTINGS,
     Answer,
     Battery,
@@ -31,6 +32,7 @@ from firmware_protocol import InertialSample
 from gateway.frames import NOT_READ, Clipped, Sample
 from gateway.sources.makers import (
     GRAVITY,
+    Advice,
     Announced,
     CommandLine,
     Description,
@@ -47,6 +49,9 @@ from gateway.sources.module_table import ModuleTable
 
 RANGE_DEG_S, RANGE_G = 1999.0, 23.99
 """At or beyond these a sensor of the device is at the end of its range."""
+_RATE_SETTING = "inertial_message_rate_divisor"
+_LEAST_SHARE = 0.9
+"""Of the poses' rate, below which a device is too slow for them."""
 _MAGNETIC = 1 << 9
 """Added to the kind: its magnetometer runs by itself, and is counted by itself."""
 
@@ -152,6 +157,32 @@ class Ximu3Commands:
         for key in ("apply", "save"):
             await _answered(line, key, None)
         return after
+
+    def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
+        """Yield what would be better otherwise. rate_hz: of the poses."""
+        divisor = settings.get(_RATE_SETTING)
+        told = f"mocap-gateway modules set {module} {{}} --allow-writes"
+        if divisor is not None and (not divisor or INERTIAL_HZ / divisor < _LEAST_SHARE * rate_hz):
+            sent_hz = INERTIAL_HZ / divisor if divisor else 0
+            wanted = max(1, int(INERTIAL_HZ // rate_hz))
+            yield Advice(
+                f"sends {sent_hz:g} inertial messages a second for {rate_hz:g} poses",
+                told.format(f"{_RATE_SETTING}={wanted}"),
+            )
+        if settings.get("magnetometer_message_rate_divisor") == 0:
+            yield Advice(
+                "its magnetometer is off: headings are held by joints alone",
+                told.format("magnetometer_message_rate_divisor=1"),
+            )
+        if settings.get("binary_mode_enabled") is False:
+            yield Advice(
+                "sends text, which takes three times the bytes", told.format("binary_mode_enabled=true")
+            )
+        if settings.get("ahrs_message_rate_divisor"):
+            yield Advice(
+                "sends orientations of its own, which nothing is made from",
+                told.format("ahrs_message_rate_divisor=0"),
+            )
 
 
 async def _answered(line: CommandLine, key: str, value: object) -> Any:

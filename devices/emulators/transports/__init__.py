@@ -5,6 +5,7 @@ it knows no packet fields.
 """
 
 from devices.emulators.transports.can_bus_transport import CanBusTransport
+from devices.emulators.transports.link_per_device import LinkPerDevice
 from devices.emulators.transports.loopback_transport import LoopbackTransport
 from devices.emulators.transports.memory_transport import MemoryTransport
 from devices.emulators.transports.pty_transport import PtyTransport
@@ -17,6 +18,7 @@ from devices.emulators.transports.udp_transport import UdpTransport
 __all__ = [
     "CanBusTransport",
     "DatagramTransport",
+    "LinkPerDevice",
     "LoopbackTransport",
     "MemoryTransport",
     "PtyTransport",

@@ -16,8 +16,10 @@ class UdpTransport:
 
     framing = Framing.BYTE_STREAM
 
-    def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+    def __init__(self, port: int, host: str = "127.0.0.1", from_port: int = 0) -> None:
+        """port: of the gateway; from_port: of the device, where there is one alone; 0: any."""
         self.host = host
+        self._from_port = from_port
         self.port = port
         self.on_receive: OnReceive = ignore
         self._sockets: dict[int | None, socket.socket] = {}
@@ -64,6 +66,10 @@ class UdpTransport:
         if opened is None:
             opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             opened.setblocking(False)
+            if self._from_port:
+                # Connected sockets share a port: each hears the one that it speaks to.
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                opened.bind(("", self._from_port))
             opened.connect((self.host, self.port))
             asyncio.get_running_loop().add_reader(opened, self._receive, device, opened)
             self._sockets[device] = opened

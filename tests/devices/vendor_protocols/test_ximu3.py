@@ -112,7 +112,7 @@ levels = st.one_of(st.none(), st.integers(0, 100))
 words = st.text(min_size=1, max_size=64)
 
 
-@given(st.builds(Announcement, words, words, words, ports, ports, ports, levels, levels))
+@given(st.builds(Announcement, words, words, st.ip_addresses().map(str), ports, ports, ports, levels, levels))
 def test_announcements_come_back(announced):
     assert read_announcement(encode_announcement(announced)) == announced
 

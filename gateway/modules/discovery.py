@@ -1,0 +1,53 @@
+"""Devices that announce themselves in the network, and the lines that a configuration needs for them."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+
+from devices.udp_link import UdpLink
+from gateway.sources.makers import Announced, Discovery
+from gateway.sources.registry import SOURCES
+
+EVERYWHERE = "0.0.0.0"
+_MOST_DEVICES = 256
+
+
+async def discovered(seconds: float, host: str = EVERYWHERE) -> list[Announced]:
+    """Return the devices that announce themselves within a time, by kind and name.
+
+    host: address of this computer to listen on. Raises ``LinkError`` where a port cannot be listened on.
+    """
+    found: dict[tuple[str, str], Announced] = {}
+    tasks = [
+        asyncio.create_task(_hear(UdpLink(host, kind.discovery.port), kind.discovery, found))
+        for kind in SOURCES.values()
+        if kind.discovery is not None
+    ]
+    done, waiting = await asyncio.wait(tasks, timeout=seconds, return_when=asyncio.FIRST_EXCEPTION)
+    for task in waiting:
+        task.cancel()
+    await asyncio.gather(*waiting, return_exceptions=True)
+    for task in done:
+        task.result()
+    return sorted(found.values(), key=lambda each: (each.carries, each.name, each.unique_id))
+
+
+def link_line(announced: Announced, module: int | str = "?") -> str:
+    """Return the line of a configuration's ``links`` for a device. module: its number in the rig."""
+    name = re.sub(r"[^\w .-]", "", announced.name).strip() or announced.unique_id
+    more = "".join(f", {key}: {value}" for key, value in announced.more.items())
+    return (
+        f'- {{name: "{name}", url: "{announced.url}", carries: {announced.carries}, module: {module}{more}}}'
+    )
+
+
+async def _hear(link: UdpLink, discovery: Discovery, found: dict[tuple[str, str], Announced]) -> None:
+    await link.open()
+    try:
+        async for chunk in link:
+            announced = discovery.read(chunk.data)
+            if announced is not None and len(found) < _MOST_DEVICES:
+                found[announced.carries, announced.unique_id] = announced
+    finally:
+        await link.close()

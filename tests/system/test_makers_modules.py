@@ -1,0 +1,161 @@
+"""Modules of other makers as their owner meets them: emulated on ports, commands typed as in docs/."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from gateway.doctor import Surroundings, Verdict, examine_file
+from gateway.recording import open_recording
+from tests.patience import PATIENCE_S
+
+pytestmark = pytest.mark.system
+
+RIG = "arm_3"
+
+
+@pytest.fixture(autouse=True)
+def _state_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def emulated(command, tmp_path, unused_port):
+    """``emulated(maker, medium, …)``: the links of emulated modules, for a configuration."""
+
+    def start(maker, medium, *more):
+        where = ["--link", tmp_path / "imu"] if medium == "pty" else ["--port", unused_port]
+        process = command("emulate", "--speaks", maker, "--rig", RIG, "--on", medium, *where, *more, "--json")
+        return json.loads(process.until_said('"links"'))["links"]
+
+    return start
+
+
+@pytest.fixture
+def configured(tmp_path, mosquitto):
+    def write(links, **more):
+        settings = {"gateway": "lab", "links": links, "rig": RIG, "mqtt": {"port": mosquitto.port}}
+        path = tmp_path / "gateway.yaml"
+        path.write_text(yaml.safe_dump({**settings, "recording": {"folder": str(tmp_path)}, **more}))
+        return path
+
+    return write
+
+
+def ended(process):
+    code = process.wait()
+    assert code == 0, process.report()
+    return process.output
+
+
+@pytest.mark.parametrize("medium", ["pty", "tcp", "udp"])
+def test_plugged_in_listed_run_recorded_and_verified(
+    emulated, configured, command, mosquitto, medium, tmp_path
+):
+    links = emulated("ximu3", medium)
+    assert len({link["url"] for link in links}) == 3
+    config = configured(links)
+    assert "is good" in ended(command("config", "check", config))
+    listed = json.loads(ended(command("modules", "list", "-c", config, "--json")))
+    for module in listed["modules"]:
+        assert module["answers"], module
+        assert len(module["unique_id"]) == 8
+        assert module["battery_percent"] > 90
+        assert module["rate_hz"] > 80
+    gateway = command("record", "-c", config, "--folder", tmp_path, "--name", "walk", "--quiet")
+    watched = command(
+        "watch", "--port", mosquitto.port, "--count", 400, "--json", "--timeout", 2 * PATIENCE_S
+    )
+    poses = [json.loads(line) for line in ended(watched).splitlines()]
+    assert not any("missing" in pose["status"].values() for pose in poses[-50:])
+    hands = np.array([pose["segments"]["right_forearm"] for pose in poses[100:]])
+    assert np.abs(np.diff(hands, axis=0)).max() > 1e-3  # it moves
+    gateway.terminate()
+    gateway.wait()
+    (recorded,) = tmp_path.glob("*walk.mcap")
+    assert set(open_recording(recorded).meta.links.values()) == {"ximu3"}
+    assert "identical" in ended(command("replay", recorded, "--verify"))
+
+
+def test_settings_are_written_where_that_is_allowed_and_by_the_running_gateway(
+    emulated, configured, command, mosquitto
+):
+    links = emulated("ximu3", "udp")
+    module = links[1]["module"]
+    config = configured(links)
+    wanted = ["set", module, "inertial_message_rate_divisor=2"]
+    refused = command("modules", *wanted, "-c", config)
+    assert refused.wait() == 1
+    assert "allow_device_writes" in refused.errors
+    said = ended(command("modules", *wanted, "-c", config, "--allow-writes"))
+    assert "inertial_message_rate_divisor 4 → 2" in said
+    gateway = command("run", "-c", configured(links, allow_device_writes=True))
+    gateway.until_said("up")
+    remote = ["--mqtt", f"127.0.0.1:{mosquitto.port}"]
+    shown = yaml.safe_load(ended(command("modules", "show", module, *remote)))
+    assert shown["inertial_message_rate_divisor"] == 2
+    said = ended(command("modules", "set", module, "inertial_message_rate_divisor=8", *remote))
+    assert "inertial_message_rate_divisor 2 → 8" in said
+    assert "blinks" in ended(command("modules", "identify", module, *remote))
+    absent = command("modules", "identify", 77, *remote)
+    assert absent.wait() == 1
+    assert "no device '77' answers" in absent.errors
+
+
+def test_devices_in_the_network_are_found_with_the_lines_for_them(emulated, command):
+    links = emulated("ximu3", "udp")
+    said = ended(command("modules", "discover", "--listen", 2.5))
+    found = yaml.safe_load(said)
+    # others may be announced meanwhile, by another test
+    assert {link["url"].partition("?")[0].rpartition(":")[2] for link in found} >= {
+        link["url"].rpartition(":")[2] for link in links
+    }
+    assert all(link["carries"] == "ximu3" and "peers=127.0.0.1" in link["url"] for link in found)
+
+
+def test_the_doctor_says_what_an_owner_would_change(emulated, configured, command):
+    links = emulated("ximu3", "tcp")
+    module = links[0]["module"]
+    config = configured(links)
+    for setting in ("inertial_message_rate_divisor=8", "binary_mode_enabled=false"):
+        ended(command("modules", "set", module, setting, "-c", config, "--allow-writes"))
+    found = list(examine_file(config, None, 1.0, Surroundings(usual_broker_ports=())))
+    warned = [f for f in found if f.subject == f"{links[0]['name']}: settings"]
+    assert [f.verdict for f in warned] == [Verdict.WARNING] * 2
+    assert "50 inertial messages a second for 100 poses" in warned[0].found
+    assert warned[0].remedy == (
+        f"mocap-gateway modules set {module} inertial_message_rate_divisor=4 --allow-writes"
+    )
+    assert "text" in warned[1].found
+    assert {f.verdict for f in found if f.subject.endswith(": data")} == {Verdict.GOOD}
+    assert not any(f.subject.endswith(": capacity") for f in found)
+
+
+FAULTS = {
+    "seed": 3,
+    "faults": [
+        {"kind": "bit_errors", "at": 0, "share": 0.05},
+        {"kind": "loss", "at": 0, "share": 0.05},
+        {"kind": "noise", "at": 0, "bytes_per_s": 200},
+    ],
+}
+
+
+@pytest.mark.parametrize("medium", ["pty", "tcp", "udp"])
+def test_a_bad_line_costs_samples_and_nothing_else(emulated, configured, command, tmp_path, medium):
+    faults = tmp_path / "faults.yaml"
+    faults.write_text(yaml.safe_dump(FAULTS))
+    links = emulated("ximu3", medium, "--faults", faults)
+    recorded = command(
+        "record", "-c", configured(links), "--folder", tmp_path, "--name", "bad", "--seconds", 8, "--quiet"
+    )
+    ended(recorded)
+    (path,) = tmp_path.glob("*bad.mcap")
+    assert "identical" in ended(command("replay", path, "--verify"))
+    recording = open_recording(path)
+    solved = list(recording.skeleton_frames())
+    assert len(solved) > 400
+    assert np.isfinite([pose.q_wb for pose in solved[100:]]).all()
