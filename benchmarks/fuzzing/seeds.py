@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,13 @@ import firmware_protocol
 from benchmarks.fuzzing.mutants import mutants
 from benchmarks.fuzzing.targets import ROOT, Target
 from benchmarks.fuzzing.vendor_seeds import of_vendors
+from devices.emulators.makers_campaign import LANGUAGES
 from devices.link import Chunk, Framing
 from devices.marker_messages import encode_markers
 from devices.recording_file import RecordingFile
 from devices.recording_format import HOST
 from devices.recording_writer import RecordingWriter, session_record
+from devices.vendor_protocols.ximu3 import Announcement, encode_announcement
 from firmware_protocol import CanFrame, pack_can_records
 from firmware_protocol.device_settings import factory_settings
 from firmware_protocol.flash_slots import encode_slot
@@ -70,6 +73,16 @@ def _vectors(name: str) -> list[dict[str, Any]]:
     return vectors
 
 
+_ANNOUNCED = encode_announcement(Announcement("Hand", "64F0EDBF", "10.0.0.7", 7000, 8001, 9000, 87, 70))
+
+
+def _spoken(language: str) -> list[bytes]:
+    """Messages of another maker's protocol, alone and in a row."""
+    rng = Random(1)
+    said = [LANGUAGES[language].message(rng, number) for number in range(9)]
+    return [*said, b"".join(said)]
+
+
 def _of_the_wire() -> dict[str, list[bytes]]:
     packets, asked = _vectors("packets"), _vectors("commands")
     streams = [bytes.fromhex(each["byte_stream"]) for each in packets]
@@ -77,6 +90,7 @@ def _of_the_wire() -> dict[str, list[bytes]]:
     slot = encode_slot(7, factory_settings())
     return {
         "wire_stream": [*streams, b"".join(streams[:8])],
+        "ximu3_stream": [*_spoken("ximu3"), *_spoken("ximu3_text"), _ANNOUNCED],
         "can_stream": [*buses, b"".join(buses[:4])],
         "slcan_text": [b"T0c400c4081100d01213000d05\rt1232ab01\rd1239" + b"00" * 12 + b"\r\x07V1013\r"],
         "can_transfers": [bytes([1, 0]) + bytes.fromhex(each["body"])[:14] for each in packets],

@@ -71,6 +71,14 @@ _ALL = (
         4096,
         _MANY,
     ),
+    Target(
+        "ximu3_stream",
+        "messages of an x-IMU3, and its announcements",
+        "wire",
+        ("devices.vendor_protocols.ximu3",),
+        2048,
+        _MANY,
+    ),
     Target("slcan_text", "lines of an slcan adapter", "wire", ("devices.slcan",), 1024, _MANY),
     Target(
         "can_transfers",

@@ -15,11 +15,13 @@ from devices.card_recording import convert_card_file
 from devices.emulators.command_responder import CommandResponder
 from devices.emulators.emulated_card import EmulatedCard
 from devices.emulators.emulated_flash import EmulatedFlash
+from devices.emulators.makers_campaign import LANGUAGES
 from devices.emulators.stored_settings import StoredSettings
 from devices.link import Chunk
 from devices.marker_messages import MarkerReceiver, encode_markers
 from devices.slcan import SlcanDecoder
 from devices.transactions import Transactions
+from devices.vendor_protocols.ximu3 import read_announcement
 from firmware_protocol import (
     MAX_FRAME_SIZE,
     PACKETS,
@@ -67,6 +69,20 @@ def wire_stream(data: bytes) -> None:
         decoder = PacketDecoder(FrameDecoder())
         decoder.feed(encode_frame(frame))
         assert not decoder.dropped[Defect.BAD_CRC]
+
+
+def ximu3_stream(data: bytes) -> None:
+    """Messages of an x-IMU3; and what would announce one."""
+    _same_messages_however_cut(data, "ximu3")
+    read_announcement(data)
+
+
+def _same_messages_however_cut(data: bytes, language: str) -> None:
+    whole, cut = (LANGUAGES[language].decoder() for _ in range(2))
+    place = data[0] * len(data) // 256 if data else 0
+    together, apart = whole.feed(data), [*cut.feed(data[:place]), *cut.feed(data[place:])]
+    assert repr(list(together)) == repr(apart), "messages depend on chunks"
+    assert whole.dropped == cut.dropped, (whole.dropped, cut.dropped)
 
 
 def can_stream(data: bytes) -> None:

@@ -33,7 +33,7 @@ async def discovered(seconds: float, host: str = EVERYWHERE) -> list[Announced]:
     return sorted(found.values(), key=lambda each: (each.carries, each.name, each.unique_id))
 
 
-def link_line(announced: Announced, module: int | str = "?") -> str:
+def link_line(announced: Announced, module: int | str = "NUMBER") -> str:
     """Return the line of a configuration's ``links`` for a device. module: its number in the rig."""
     name = re.sub(r"[^\w .-]", "", announced.name).strip() or announced.unique_id
     more = "".join(f", {key}: {value}" for key, value in announced.more.items())

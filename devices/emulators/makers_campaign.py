@@ -1,0 +1,187 @@
+"""Damaged traffic of other makers' protocols through their decoders: nothing may raise, and it is measured
+how much that was damaged is taken for good.
+
+::
+
+    python -m devices.emulators.makers_campaign --messages 1000000 --seed 1 ximu3 mti
+
+These protocols check little or nothing: a sum of 8 bits lets one damaged message in 256 through, the x-IMU3
+has none. So a corrupt message that is accepted is no failure here, but a figure, for each way of damage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any, NamedTuple, Protocol
+
+from devices.emulators.wire_damage import BYTE_DAMAGES, DAMAGED_SHARE
+from devices.vendor_protocols import ximu3
+
+BLOCK = 256
+"""Messages between two looks at what came out."""
+_SHOWN_FAILURES = 5
+_RECOVERED = 4
+"""So many intact messages in a row, and the last of them must come through."""
+_WAYS = (
+    "bits",
+    "cut short",
+    "begins late",
+    "spliced",
+    "repeated",
+    "overtaken",
+    "bytes between",
+    "noise before",
+)
+"""What ``BYTE_DAMAGES`` do, in their order."""
+
+
+class _Decoder(Protocol):
+    dropped: Counter[str]
+
+    def feed(self, data: bytes) -> Sequence[Any]: ...
+
+
+class Language(NamedTuple):
+    """A protocol as a campaign sees it."""
+
+    decoder: Callable[[], _Decoder]
+    message: Callable[[Random, int], bytes]
+    """A message of a number: no two of a campaign are alike."""
+
+
+def _of_ximu3(rng: Random, number: int) -> bytes:
+    time_us = 10**9 + 2500 * number
+    if number % 20 == 7:
+        return ximu3.encode_binary(b"M", time_us, [rng.uniform(-1, 1) for _ in range(3)])
+    values = [rng.gauss(0, 200) for _ in range(3)] + [rng.gauss(0, 1.5) for _ in range(3)]
+    return ximu3.encode_binary(b"I", time_us, values)
+
+
+def _of_ximu3_text(rng: Random, number: int) -> bytes:
+    values = [rng.gauss(0, 200) for _ in range(3)] + [rng.gauss(0, 1.5) for _ in range(3)]
+    return ximu3.encode_text(b"I", 10**9 + 2500 * number, values)
+
+
+LANGUAGES: Mapping[str, Language] = {
+    "ximu3": Language(ximu3.Ximu3Decoder, _of_ximu3),
+    "ximu3_text": Language(ximu3.Ximu3Decoder, _of_ximu3_text),
+}
+"""By name. A maker is a line here, and how a message of it is made."""
+
+
+@dataclass
+class Verdict:
+    """What a campaign found."""
+
+    n_messages: int = 0
+    n_accepted: int = 0
+    damaged: Counter[str] = field(default_factory=Counter)
+    """Messages, by way of damage."""
+    corrupt: Counter[str] = field(default_factory=Counter)
+    """Of these, how many were taken for another message than any that was sent."""
+    raised: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    """Intact, after ``_RECOVERED`` others, and not accepted."""
+    dropped: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def corrupt_share(self) -> float:
+        """Of the damaged messages, how many were accepted as something else."""
+        return self.corrupt.total() / max(self.damaged.total(), 1)
+
+    def lines(self) -> Iterator[str]:
+        """Yield the verdict."""
+        yield (
+            f"{self.n_messages} messages ({self.damaged.total()} damaged), {self.n_accepted} accepted; "
+            f"{len(self.raised)} exceptions, {len(self.lost)} intact lost; "
+            f"{100 * self.corrupt_share:.2f} % of the damaged accepted as something else"
+        )
+        for way in _WAYS:
+            share = self.corrupt[way] / max(self.damaged[way], 1)
+            yield f"  {way:14} {self.damaged[way]:>8} damaged, {100 * share:6.2f} % so accepted"
+        yield "  dropped: " + ", ".join(f"{why} {count}" for why, count in sorted(self.dropped.items()))
+
+
+class _Sent(NamedTuple):
+    pieces: list[bytes]
+    way: str | None
+    """Of its damage; None: intact."""
+
+
+def run(language: Language, n_messages: int, seed: int) -> Verdict:
+    """Send so many messages, or a few more, three in ten of them damaged."""
+    rng, verdict, decoder = Random(f"makers {seed}"), Verdict(), language.decoder()
+    known: dict[Hashable, int] = {}
+    before, since_damage = language.message(rng, 0), 0
+    while verdict.n_messages < n_messages:
+        for _ in range(BLOCK):
+            number = verdict.n_messages
+            verdict.n_messages += 1
+            data = language.message(rng, number)
+            content = repr(next(iter(language.decoder().feed(data)), data))
+            known[content] = number
+            sent = _damaged(rng, data, before)
+            before = data
+            found = _fed(decoder, sent.pieces, rng, verdict)
+            verdict.n_accepted += len(found)
+            since_damage = 0 if sent.way else since_damage + 1
+            if sent.way is not None:
+                verdict.damaged[sent.way] += 1
+                last_way = sent.way
+            strange = [each for each in found if each not in known]
+            if strange:
+                verdict.corrupt[last_way] += 1
+            if since_damage > _RECOVERED and content not in found:
+                verdict.lost.append(data.hex())
+        known = {content: number for content, number in known.items() if number > verdict.n_messages - BLOCK}
+    verdict.dropped = decoder.dropped
+    return verdict
+
+
+def _damaged(rng: Random, data: bytes, before: bytes) -> _Sent:
+    if rng.random() >= DAMAGED_SHARE:
+        return _Sent([data], None)
+    place = rng.randrange(len(BYTE_DAMAGES))
+    return _Sent(BYTE_DAMAGES[place](rng, data, before), _WAYS[place])
+
+
+def _fed(decoder: _Decoder, pieces: list[bytes], rng: Random, verdict: Verdict) -> list[str]:
+    """Feed pieces, each cut somewhere; return what came of them."""
+    found: list[str] = []
+    for piece in pieces:
+        cut = rng.randrange(len(piece) + 1)
+        for part in (piece[:cut], piece[cut:]):
+            try:
+                found += map(repr, decoder.feed(part))
+            except Exception as error:  # whatever it is, it is a finding
+                verdict.raised.append(f"{error!r} for {part.hex()}")
+    return found
+
+
+def main() -> None:
+    """Run a campaign from the command line."""
+    parser = argparse.ArgumentParser(prog="python -m devices.emulators.makers_campaign", description=__doc__)
+    parser.add_argument("languages", nargs="*", default=[], help=", ".join(LANGUAGES))
+    parser.add_argument("--messages", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    is_good = True
+    for name in arguments.languages or LANGUAGES:
+        begin = time.monotonic()
+        verdict = run(LANGUAGES[name], arguments.messages, arguments.seed)
+        print(f"{name}, seed {arguments.seed}, {time.monotonic() - begin:.0f} s:", *verdict.lines(), sep="\n")
+        for failures in (verdict.raised, verdict.lost):
+            for failure in failures[:_SHOWN_FAILURES]:
+                print(failure)
+        is_good &= not (verdict.raised or verdict.lost)
+    sys.exit(0 if is_good else 1)
+
+
+if __name__ == "__main__":
+    main()

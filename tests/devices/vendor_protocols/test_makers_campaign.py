@@ -1,0 +1,53 @@
+"""A slice of the campaign for every maker's protocol, and proof that it notices decoders that are wrong."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from devices.emulators import makers_campaign
+from devices.emulators.makers_campaign import LANGUAGES, Language, run
+from devices.vendor_protocols.ximu3 import Ximu3Decoder
+
+N_MESSAGES = 200_000 if os.environ.get("CI") else 20_000
+MOST_CORRUPT = {"ximu3": 0.10, "ximu3_text": 0.05}
+"""Of the damaged, accepted as something else: what their own checks let through, and a little."""
+
+
+@pytest.mark.parametrize("name", LANGUAGES)
+def test_nothing_raises_nothing_intact_is_lost_and_little_damaged_is_accepted(name):
+    verdict = run(LANGUAGES[name], N_MESSAGES, seed=20)
+    told = "\n".join(verdict.lines())
+    assert not verdict.raised, verdict.raised[0]
+    assert not verdict.lost, verdict.lost[0]
+    assert verdict.damaged.total() > 0.25 * N_MESSAGES
+    assert verdict.n_accepted > 0.7 * N_MESSAGES, told
+    assert verdict.corrupt_share < MOST_CORRUPT[name], told
+
+
+class _Fragile(Ximu3Decoder):
+    def feed(self, data):
+        if b"\xdb\x00" in data:
+            raise ValueError("what is this?")
+        return super().feed(data)
+
+
+class _SlowToRecover(Ximu3Decoder):
+    def feed(self, data):
+        dropped = self.dropped.total()
+        found = super().feed(data)
+        return found if self.dropped.total() == dropped and dropped % 3 else []
+
+
+@pytest.mark.parametrize(("decoder", "finding"), [(_Fragile, "raised"), (_SlowToRecover, "lost")])
+def test_a_decoder_that_is_wrong_is_found_out(decoder, finding):
+    wrong = Language(decoder, LANGUAGES["ximu3"].message)
+    assert getattr(run(wrong, 5000, seed=1), finding)
+
+
+def test_it_is_run_from_the_command_line(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["campaign", "--messages", "500", "ximu3"])
+    with pytest.raises(SystemExit, match="0"):
+        makers_campaign.main()
+    assert "0 exceptions, 0 intact lost" in capsys.readouterr().out
