@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -293,11 +294,13 @@ def write_config(folder: Path, port: Path, broker_port: int, n_modules: int) -> 
 
 
 @contextlib.asynccontextmanager
-async def process_of(*arguments: str) -> AsyncIterator[asyncio.subprocess.Process]:
-    """A Python process that is ended with the block."""
+async def process_of(*arguments: str, tree: Path | None = None) -> AsyncIterator[asyncio.subprocess.Process]:
+    """A Python process that is ended with the block. tree: a clone whose packages it takes,
+    as an absolute path."""
     pipe = asyncio.subprocess.PIPE
+    environment = None if tree is None else os.environ | {"PYTHONPATH": str(tree)}
     process = await asyncio.create_subprocess_exec(
-        sys.executable, *arguments, stdin=pipe, stdout=pipe, limit=2**24
+        sys.executable, *arguments, stdin=pipe, stdout=pipe, limit=2**24, cwd=tree, env=environment
     )
     try:
         yield process
