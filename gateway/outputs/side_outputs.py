@@ -26,7 +26,6 @@ from gateway.body.skeleton import Skeleton
 from gateway.contract.messages import OutputCounters
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
-from gateway.outputs.connection import end_tasks
 from gateway.outputs.output import Thinning
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import OutputsSettings, PoseMap, UdpJsonSettings
@@ -60,11 +59,15 @@ class LatestOutput:
         self._sink = sink
         self._thinning = Thinning(rate)
         self._waiting: SkeletonFrame | None = None
-        self._wake = asyncio.Event()
+        self._is_running = False
         self._published = self._dropped = self._thinned = 0
         self._has_complained = False
-        self._task: asyncio.Task[None] | None = None
         self._is_open = False
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a pose is to be sent at the next turn of the event loop."""
+        return self._waiting is not None and self._is_running
 
     @property
     def counters(self) -> OutputCounters:
@@ -83,8 +86,9 @@ class LatestOutput:
             return
         if self._waiting is not None:
             self._dropped += 1
+        elif self._is_running:
+            asyncio.get_running_loop().call_soon(self._send_waiting)
         self._waiting = frame
-        self._wake.set()
 
     async def open(self) -> None:
         """Open the sink; does nothing for the second time. Raises ``OutputError``."""
@@ -95,23 +99,19 @@ class LatestOutput:
     async def start(self) -> None:
         """Begin. Raises ``OutputError`` when the sink cannot be opened."""
         await self.open()
-        self._task = asyncio.create_task(self._run(), name=f"output {self.name}")
+        self._is_running = True
+        self._send_waiting()
 
     async def stop(self) -> None:
         """End, begun or not; what still waits is dropped."""
-        if self._task is not None:
-            await end_tasks(self._task)
-            self._task = None
+        self._is_running = False
         self._sink.close()
         self._is_open = False
 
-    async def _run(self) -> None:
-        while True:
-            await self._wake.wait()
-            self._wake.clear()
+    def _send_waiting(self) -> None:
+        if self._is_running and self._waiting is not None:
             frame, self._waiting = self._waiting, None
-            if frame is not None:
-                self._send(frame)
+            self._send(frame)
 
     def _send(self, frame: SkeletonFrame) -> None:
         try:
@@ -301,6 +301,11 @@ class SideOutputs:
         """Give a frame to all. Never waits."""
         for output in self._outputs:
             output.offer(frame)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether one has a pose to send, and the event loop should have its turn."""
+        return any(output.is_waiting for output in self._outputs)
 
     def pause(self, is_paused: bool) -> None:
         """Send nothing for a while, or go on: what is offered meanwhile counts as thinned."""

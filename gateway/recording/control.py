@@ -129,8 +129,13 @@ class RecordingControl:
         """How the suit is worn from now on: recordings begun later tell of this one."""
         self._suit = suit
 
-    async def keep_pace(self) -> None:
-        """Let the disk catch up, if it has fallen far behind; mostly returns at once."""
+    @property
+    def is_behind(self) -> bool:
+        """Whether the disk has fallen far behind: whoever feeds it should ``catch_up`` first."""
+        return self._recorder is not None and self._recorder.is_behind
+
+    async def catch_up(self) -> None:
+        """Let the disk catch up, if it has fallen far behind."""
         if self._recorder is not None and self._recorder.is_behind:
             log.warning("the disk is slower than the suit: the stream waits for it")
             await self._recorder.catch_up()

@@ -63,6 +63,8 @@ from gateway.support.supervision import kept_running
 log = logging.getLogger(__name__)
 
 REPORT_INTERVAL_S = 10.0
+_POSES_A_TURN = 8
+"""Of a link that is never empty; then the event loop has its turn."""
 _MOST_STRANGERS_NAMED = 32
 _TOLD_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
@@ -262,28 +264,33 @@ class Service:
             self._makers.add_link(link, self.pipeline.source_of(link.name))
             if self._takes_commands(link):
                 self._announced.append(link)
-        losses = 0
+        counts = link.counts if isinstance(link, ReconnectingLink) else LinkCounts()
+        losses = n_poses = 0
         try:
             async for item in link:
-                await self.recording.keep_pace()
-                if isinstance(link, ReconnectingLink) and link.counts.losses != losses:
-                    losses = link.counts.losses
+                if self.recording.is_behind:
+                    await self.recording.catch_up()
+                if counts.losses != losses:
+                    losses = counts.losses
                     self.pipeline.modules.notice(link.name, Cause.OVERRUN)
-                if isinstance(item, SentChunk):
+                if isinstance(item, Chunk):
+                    n_poses += self._take_chunk(item, contents[item.link])
+                    if not isinstance(link, ReplayLink):
+                        self._note_lag(link.name, counts, item.arrived_ns)
+                    if self.side.is_waiting or n_poses >= _POSES_A_TURN:
+                        n_poses = 0
+                        await asyncio.sleep(0)  # a link that is never empty must not starve all else
+                elif isinstance(item, SentChunk):
                     self._note_sent(item)
-                elif isinstance(item, InputEvent):
+                else:
                     self._replay_event(item)
-                elif self._take_chunk(link, item, contents[item.link]):
-                    await asyncio.sleep(0)  # a link that is never empty must not starve the outputs
         finally:
             await link.close()
 
-    def _take_chunk(self, link: Link, chunk: Chunk, content: str) -> int:
+    def _take_chunk(self, chunk: Chunk, content: str) -> int:
         """Record a chunk, feed it, hand the poses on; return how many there are."""
         self.recording.chunk(chunk, content)
         skeleton_frames = self._fed(chunk)
-        if not isinstance(link, ReplayLink):
-            self._note_lag(link, chunk.arrived_ns)
         for frame in skeleton_frames:
             self.recording.skeleton(frame, chunk.arrived_ns)
             for output in self._outputs:
@@ -321,22 +328,21 @@ class Service:
             self.load.lag_s * 1e3,
         )
 
-    def _note_lag(self, link: Link, arrived_ns: int) -> None:
+    def _note_lag(self, link: str, counts: LinkCounts, arrived_ns: int) -> None:
         """Tell the load watch by how much a link is behind, also with what still waits in the system."""
         now_ns = gateway_time_ns()
-        counts = link.counts if isinstance(link, ReconnectingLink) else None
-        if counts is not None and counts.backlog_since_ns is not None:
+        if counts.backlog_since_ns is not None:
             arrived_ns = min(arrived_ns, counts.backlog_since_ns)
-        if self.load.observe(link.name, (now_ns - arrived_ns) * 1e-9, now_ns * 1e-9):
+        if self.load.observe(link, (now_ns - arrived_ns) * 1e-9, now_ns * 1e-9):
             self._shed()
 
     async def _watch_load(self) -> None:
         """Look also where nothing arrives any more, or nothing of it is let through by its link."""
         while True:
             await asyncio.sleep(TICK_S)
-            for link in self.links:
-                if isinstance(link, ReconnectingLink) and link.counts.backlog_since_ns is not None:
-                    self._note_lag(link, gateway_time_ns())
+            for name, counts in self._link_counts.items():
+                if counts.backlog_since_ns is not None:
+                    self._note_lag(name, counts, gateway_time_ns())
             if self.load.look(gateway_time_ns() * 1e-9):
                 self._shed()
 
