@@ -12,11 +12,18 @@ from devices.link_counts import LinkCounts
 # More than a minute of the busiest serial line. A reader that is further behind has failed; keeping
 # more would only trade memory for data that is too old to use.
 LIMIT_BYTES = 8 * 1024 * 1024
+HAND_OVER_S = 1e-3
+"""Small chunks that come faster than this are handed over together: waking a reader costs several times what
+most of them do."""
+SMALL_BYTES = 512
+"""Chunks below are small; a relay's batch of a whole suit is not."""
 
 
 class Arrivals:
-    """Chunks in the order they arrived, for one reader; ``put`` never waits.
+    """Chunks in the order they arrived, each with its time, for one reader; ``put`` never waits.
 
+    The reader is woken at once after a pause and by a chunk that is not small, else ``HAND_OVER_S`` after it
+    was woken last.
     When the reader is more than ``limit_bytes`` behind, the oldest chunks are dropped and counted.
     Chunks that arrived before the end are handed out before the end is told.
     """
@@ -33,6 +40,8 @@ class Arrivals:
         self._has_ended = False
         self._error: LinkError | None = None
         self._reader: asyncio.Future[None] | None = None
+        self._woken_s = 0.0  # on the event loop's clock
+        self._alarm: asyncio.TimerHandle | None = None
 
     @classmethod
     def never_opened(cls, link: str) -> Self:
@@ -66,7 +75,8 @@ class Arrivals:
             self.dropped_bytes += len(oldest.data)
             self._counts.behind += len(oldest.data)
             self._counts.waiting -= len(oldest.data)
-        self._wake()
+        if self._reader is not None and not self._reader.done():
+            self._hand_over(is_small=len(data) < SMALL_BYTES)
 
     def end(self, error: LinkError | None = None) -> None:
         """End the stream, with the reason when it was lost. The first call counts."""
@@ -96,6 +106,19 @@ class Arrivals:
         self._counts.waiting -= len(chunk.data)
         return chunk
 
+    def _hand_over(self, *, is_small: bool) -> None:
+        """Wake the reader, now or when a millisecond has passed since it was woken last."""
+        loop = asyncio.get_running_loop()
+        due_s = self._woken_s + HAND_OVER_S
+        if not is_small or loop.time() >= due_s:
+            self._wake()
+        elif self._alarm is None:
+            self._alarm = loop.call_at(due_s, self._wake)
+
     def _wake(self) -> None:
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._alarm = None
         if self._reader is not None and not self._reader.done():
+            self._woken_s = self._reader.get_loop().time()
             self._reader.set_result(None)
