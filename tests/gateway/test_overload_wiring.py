@@ -50,7 +50,8 @@ async def test_what_waits_in_the_system_counts_as_lag_also_where_none_of_it_beco
     watching = asyncio.create_task(service._watch_load())
     link.counts.backlog_since_ns = gateway_time_ns() - 1_000_000_000
     await until(lambda: service.load.stage >= 1)
-    service._note_lag(link.name, link.counts, gateway_time_ns())  # a chunk that was read a moment ago does not hide it
+    # A chunk that was read a moment ago does not hide it.
+    service._note_lag(link.name, link.counts, gateway_time_ns())
     assert service.load.worst_s > 1.0
     link.counts.backlog_since_ns = None
     await until(lambda: service.load.stage == 0)
