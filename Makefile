@@ -31,7 +31,7 @@ help:
 	@echo "make golden-renew  after a change that is meant to change poses: store them anew, say by how much each moved"
 	@echo "make bench   measure, and rewrite the figures in docs/"
 	@echo "make docs    the pages in docs/ as HTML"
-	@echo "make soak    ten million wire frames, damaged and good, through the decoders;"
+	@echo "make soak    ten million wire frames, damaged and good, through the decoders, readable and compiled;"
 	@echo "             then MINUTES=20 of random faults on a running gateway (make soak-faults: these alone)"
 	@echo "make fuzz    MINUTES=30 of coverage-guided fuzzing (Linux on x86-64); what it reaches stays in build/fuzz"
 	@echo "make audit   known vulnerabilities of the pinned dependencies"
@@ -124,6 +124,7 @@ bench: install-dev system-tools
 soak soak-faults: MINUTES ?= 20
 soak: install-dev system-tools
 	$(BIN)/python -m devices.emulators.wire_campaign --frames 10000000
+	$(BIN)/python -m benchmarks.wire_both_ways --frames 10000000
 	$(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
 
 soak-faults: install-dev system-tools

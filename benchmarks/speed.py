@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from vqf import VQF
 
-from benchmarks import speed_optical
+from benchmarks import speed_optical, speed_wire
 from benchmarks.figures import Figure, Report, table
 from benchmarks.speed_growth import SIZES, enlarged_frame, enlarged_suit
 from devices.link import Chunk, Framing
@@ -38,6 +38,7 @@ def run() -> Report:
     report = Report("speed")
     report.figures = [
         *_decode_figures(chunks, singles),
+        *speed_wire.figures(chunks),
         *_frame_figures(suit, frames),
         *_offline_figures(suit, chunks, frames),
     ]

@@ -17,7 +17,7 @@ from devices.emulators.emulated_card import EmulatedCard
 from devices.emulators.emulated_flash import EmulatedFlash
 from devices.emulators.makers_campaign import LANGUAGES
 from devices.emulators.stored_settings import StoredSettings
-from devices.link import Chunk
+from devices.link import Chunk, Framing
 from devices.marker_messages import MarkerReceiver, encode_markers
 from devices.slcan import SlcanDecoder
 from devices.transactions import Transactions
@@ -52,7 +52,10 @@ from firmware_protocol import (
 )
 from firmware_protocol.flash_slots import SLOT_MAGIC, SLOT_SIZE
 from firmware_protocol.messages import ANYONE
+from gateway.emulation.both_ways import BothWays
 from gateway.sources.gnss.sentences import GnssDecoder
+from gateway.sources.module_table import ClockMode
+from gateway.sources.stream import Stream
 
 _SCRATCH = Path(tempfile.mkdtemp(prefix="mocap-fuzz-"))
 _PATIENCE_NS = 50_000_000
@@ -64,11 +67,12 @@ def wire_stream(data: bytes) -> None:
     And the input as a header and a body, under the checksum that chance would never find.
     """
     _same_however_cut(data, FrameDecoder)
-    frame = _framed(data)
+    frame, sent = _framed(data), b""
     if frame is not None:
-        decoder = PacketDecoder(FrameDecoder())
-        decoder.feed(encode_frame(frame))
+        decoder, sent = PacketDecoder(FrameDecoder()), encode_frame(frame)
+        decoder.feed(sent)
         assert not decoder.dropped[Defect.BAD_CRC]
+    _same_both_ways(Framing.BYTE_STREAM, data, sent, sent)
 
 
 def ximu3_stream(data: bytes) -> None:
@@ -89,19 +93,18 @@ def can_stream(data: bytes) -> None:
     """Records are whole in a chunk, so a stream of them is cut between two."""
     frames = unpack_can_records(data)
     pieces = [pack_can_records([each]) for each in frames if _can_be_sent(each.identifier, each.is_extended)]
+    frame, sent = _framed(data), b""
+    if frame is not None:
+        with contextlib.suppress(ValueError):  # a body that CAN does not carry
+            sent = pack_can_records(fragment(frame))
+    _same_both_ways(Framing.CAN, data, sent, sent)
     if len(pieces) != len(frames):
-        PacketDecoder(CanFrameDecoder()).feed(data)
         return
     whole, cut = PacketDecoder(CanFrameDecoder()), PacketDecoder(CanFrameDecoder())
     together = whole.feed(b"".join(pieces))
     one_by_one = [packet for piece in pieces for packet in cut.feed(piece)]
     assert repr(together) == repr(one_by_one), "reassembly depends on chunks"
     assert whole.dropped == cut.dropped, (whole.dropped, cut.dropped)
-    PacketDecoder(CanFrameDecoder()).feed(data)
-    frame = _framed(data)
-    if frame is not None:
-        with contextlib.suppress(ValueError):  # a body that CAN does not carry
-            PacketDecoder(CanFrameDecoder()).feed(pack_can_records(fragment(frame)))
 
 
 def slcan_text(data: bytes) -> None:
@@ -280,6 +283,15 @@ def _same_however_cut(data: bytes, frames: Callable[[], WireFrameDecoder]) -> No
     packets = whole.feed(data)
     assert repr(cut.feed(data[:at]) + cut.feed(data[at:])) == repr(packets), "packets depend on chunks"
     assert whole.dropped == cut.dropped, (whole.dropped, cut.dropped)
+
+
+def _same_both_ways(framing: Framing, *chunks: bytes) -> None:
+    """Kernels give what the readable way gives."""
+    both = BothWays(lambda is_compiled: Stream(ClockMode.SHARED, is_compiled=is_compiled))
+    both.add_link("fuzzed", framing)
+    for k, data in enumerate(chunks):
+        both.receive(Chunk(data, k * 1_000_000, "fuzzed"))
+    both.compare_accounts()
 
 
 def _framed(data: bytes) -> WireFrame | None:
