@@ -87,7 +87,7 @@ def test_two_seconds_of_rest_at_the_start_show_the_gyrometers_biases():
     )
     resting = sampled(suit, fast_motion(suit, 3), replace(Switches(), has_bias=False), 3)[:200]
     reconstructor.update_many([replace(f, angular_rate=f.angular_rate + true) for f in resting])
-    np.testing.assert_allclose(reconstructor.state()["bias"], true, atol=np.radians(0.1))
+    np.testing.assert_allclose(reconstructor.state()["segments"]["bias"], true, atol=np.radians(0.1))
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_lever_arms_that_are_wrong_are_found_where_they_show():
     reconstructor = JointReconstructor(wrong, 0.01)
     reconstructor.update_many(sampled(suit, motion, IDEAL, 2))
     # to_joint is minus the lever arm: too small by 0.02 along y, on the links that turn about all axes
-    found = reconstructor.state()["arm"][2:, 1]
+    found = reconstructor.state()["segments"]["arms"]["error"][2:, 1]
     np.testing.assert_allclose(found, 0.02, atol=0.006)
 
 
@@ -164,7 +164,7 @@ def test_a_fixed_point_shows_the_accelerometers_error_along_gravity_while_the_ba
     reconstructor = JointReconstructor(suit, 0.01)
     observed = sampled(suit, motion, IDEAL, 2)
     reconstructor.update_many([replace(f, specific_force=f.specific_force + wrong) for f in observed])
-    found = reconstructor.state()["force_bias"]
+    found = reconstructor.state()["segments"]["force_bias"]
     assert found[0, 2] == pytest.approx(wrong[0, 2], abs=0.01)
     assert np.linalg.norm(found[0] - wrong[0]) < np.linalg.norm(wrong[0])  # across: a tilt looks the same
     assert not found[1:].any()
@@ -179,9 +179,9 @@ def test_a_heading_lost_by_a_saturated_gyrometer_is_open_until_motion_shows_it_a
         if 10.0 <= frame.time_ns * 1e-9 < 10.4:
             frame.angular_rate[3] = 40.0
         frames.append(reconstructor.update(frame))
-        was_open |= frame.time_ns > 10e9 and bool(reconstructor.state()["is_open"][3])
+        was_open |= frame.time_ns > 10e9 and bool(reconstructor.state()["segments"]["heading"][3])
     assert was_open
-    assert not reconstructor.state()["is_open"][3]
+    assert not reconstructor.state()["segments"]["heading"][3]
     errors = errors_deg(frames, motion, 14.0)
     assert abs(errors[3] - errors[2]) < 2.0  # the chain's own heading is nobody's: there is no field
 
@@ -232,5 +232,5 @@ def test_gyrometers_that_are_worse_than_thought_are_found_out_on_a_real_pendulum
         for frames in (update_many(body, observed), solved("independent", suit, interval_s, observed))
     ]
     assert errors[0] < 0.65 * errors[1]
-    doubts = body.state()["corrections"][:, 7]
-    assert doubts[0] < 0.1 < doubts[2]  # the last link turns the fastest
+    inflations = body.state()["segments"]["corrections"]["gyroscope"]
+    assert inflations[0] < 0.1 < inflations[2]  # the last link turns the fastest

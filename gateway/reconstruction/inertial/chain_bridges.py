@@ -15,11 +15,7 @@ import numpy as np
 
 from gateway.body.skeleton import Interpolation, WornSuit
 from gateway.frames import FloatArray, IntArray
-
-RULED_SLACK = 0.5
-"""Of the length of a segment without module: standard deviation of where it bends."""
-UNRULED_SLACK = 1.0
-"""The same of one that just goes with its parent."""
+from gateway.reconstruction.inertial.tuning import Tuning
 
 
 class Bridges(NamedTuple):
@@ -32,7 +28,7 @@ class Bridges(NamedTuple):
     is_bridged: IntArray  # (n,) 1 where segments lie between
 
 
-def bridges_of(suit: WornSuit) -> Bridges:
+def bridges_of(suit: WornSuit, tuning: Tuning) -> Bridges:
     """Of all segments of a suit. A segment without module is in no chain."""
     skeleton, n = suit.skeleton, suit.skeleton.n_segments
     rules = {rule.segment: rule for rule in skeleton.interpolations}
@@ -50,7 +46,8 @@ def bridges_of(suit: WornSuit) -> Bridges:
             share = _share(rule, a, int(s))
             before[s] += (1.0 - share) * length
             beyond[s] += share * length
-            slack[s] += (UNRULED_SLACK if share == 0.0 else RULED_SLACK) * float(np.linalg.norm(length))
+            bends = tuning.joint_slack if share == 0.0 else tuning.joint_half_slack
+            slack[s] += bends * float(np.linalg.norm(length))
     return Bridges(parents, before, beyond, slack, is_bridged)
 
 

@@ -1,4 +1,4 @@
-"""Frames of a suit through a chain filter in one call: modules to segments, step, outputs. Compiled.
+"""Frames of a suit through the tree filter in one call: modules to segments, step, outputs. Compiled.
 
 A live frame and a whole recording go through the same function, so they agree bit for bit.
 """
@@ -6,7 +6,7 @@ A live frame and a whole recording go through the same function, so they agree b
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,17 +15,34 @@ from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records, array_of
 from gateway.geometry.vectors import is_finite
-from gateway.reconstruction.inertial.chain_scratch import Scratch
-from gateway.reconstruction.inertial.chain_state import ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.chain_step import mark_unaided, note_sigma, step
+from gateway.reconstruction.inertial.chain_state import (
+    Body,
+    Clock,
+    Device,
+    Link,
+    Mount,
+    Segment,
+    SegmentWork,
+    SharedWork,
+    Started,
+    State,
+    Validity,
+    Work,
+    World,
+)
+from gateway.reconstruction.inertial.chain_step import mark_unaided, step
 from gateway.reconstruction.inertial.local_rows import take_reading
-from gateway.reconstruction.inertial.observations import by_segment_into, sensor_to_segment_matrices
-from gateway.reconstruction.inertial.sun_rows import sun_by_segment_into
+from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
+from gateway.reconstruction.inertial.sun_rows import take_sun
+from gateway.reconstruction.inertial.tuning import Tuning
 
 SHORTEST_STEP_S = 1e-5
 MISSING, PREDICTED, UNAIDED = Status.MISSING.value, Status.PREDICTED.value, Status.UNAIDED.value
 AIR_VELOCITY = Quantity.AIR_VELOCITY.value
+NOTHING, RATE, FORCE = Validity.NOTHING.value, Validity.RATE.value, Validity.FORCE.value
+NOT_STARTED, STARTED = Started.NO.value, Started.YES.value
 
 
 class Wearing(NamedTuple):
@@ -40,16 +57,23 @@ class Wearing(NamedTuple):
     nominal_interval_ns: IntArray  # (1,)
 
 
-class Constants(NamedTuple):
-    """All that does not change from frame to frame but the state's arrays, which change in place."""
+class Filter(NamedTuple):
+    """What a frame is made with."""
 
     wearing: Wearing
-    body: ChainBody
-    noise: Noise
-    fixed: IntArray  # (d,) see ``chain_state.fixed_points``
-    is_joint: bool
-    state: FilterState
-    scratch: Scratch
+    body: Body
+    state: State
+    tuning: Tuning
+    work: Work
+
+    def arrays(self) -> tuple[Any, ...]:
+        """As ``advance`` takes it: Numba finds out the type of an array that is an argument of its own five
+        times as fast as that of one in a tuple, or of a single record."""
+        return (
+            self.wearing, self.body.segments, self.body.devices, array_of(self.body.world),
+            self.state.segments, self.state.devices, array_of(self.state.clock), array_of(self.tuning),
+            self.work.segments, array_of(self.work.shared),
+        )  # fmt: skip
 
 
 class Inputs(NamedTuple):
@@ -87,65 +111,84 @@ def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval
 
 @compiled
 def advance(
-    held: Constants,
-    time_ns: IntArray,
-    specific_force: FloatArray,
-    angular_rate: FloatArray,
-    magnetic_field: FloatArray,
-    status: StatusArray,
-    clipped: StatusArray,
-    root_position: FloatArray,
-    readings_end: IntArray,
-    readings: FloatArray,
-    sun: FloatArray,
+    inputs: Inputs,
     resting: FloatArray,
     covariance: FloatArray,
+    wearing: Wearing,
+    links: Records[Link],
+    mounts: Records[Mount],
+    world: Records[World],
+    segments: Records[Segment],
+    devices: Records[Device],
+    clock: Records[Clock],
+    tuning: Records[Tuning],
+    segments_work: Records[SegmentWork],
+    shared: Records[SharedWork],
 ) -> Outputs:
-    """All instants in turn. held: see ``held_arguments``; then the fields of ``Inputs``, and (T, n) for how
-    long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that of the orientation
-    errors, world axes, rad²; empty: not wanted."""
-    wearing, state, scratch = held.wearing, held.state, held.scratch
-    n_frames, n, taken, sees_sun = len(time_ns), len(wearing.parents), 0, sun.shape[1] > 0
-    q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
-    acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
-    sigma, status_out = np.full((n_frames, n), np.nan), np.empty((n_frames, n), np.uint8)
-    for t in range(n_frames):
-        by_segment_into(
-            scratch.observed, wearing.module_of_segment, wearing.R_bs, specific_force[t], angular_rate[t],
-            magnetic_field[t], status[t], clipped[t],
-        )  # fmt: skip
-        dt = _tick(state.time_ns, time_ns[t], wearing.nominal_interval_ns[0])
-        time_s = (time_ns[t] - state.time_ns[1]) * 1e-9
-        if dt > SHORTEST_STEP_S:
-            _take(held.body, state, held.noise, time_s - dt, readings[taken : readings_end[t]])
-            if sees_sun:
-                sun_by_segment_into(scratch.sun, wearing.module_of_segment, wearing.R_bs, sun[t])
-            step(
-                held.body, state, held.noise, scratch, held.fixed, held.is_joint, sees_sun, dt, time_s,
-                resting[t], acceleration[t],
-            )  # fmt: skip
-        else:
-            for s in range(n):
-                scratch.is_valid[s] = 0.0
-        taken = readings_end[t]
-        _outputs(wearing, state, scratch, q_wb[t], rate[t], status_out[t])
-        mark_unaided(held.body, state, scratch, held.fixed, time_s, status_out[t])
-        note_sigma(sigma[t], state)
-        if len(covariance) > 0:
-            for s in range(n):
-                rotation_matrix.copy_into(covariance[t, s], state.P[s])
-        _place(p_w[t], wearing, q_wb[t], root_position[t])
-    return q_wb, rate, acceleration, p_w, sigma, status_out
+    """All instants in turn; after the first three arguments the parts of a ``Filter``.
+
+    resting: (T, n) for how long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that
+    of the orientation errors, world axes, rad²; empty: not wanted.
+    """
+    body = Body(links, mounts, world[0])
+    state, work = State(segments, devices, clock[0]), Work(segments_work, shared[0])
+    return _advance(Filter(wearing, body, state, tuning[0], work), inputs, resting, covariance)
 
 
 @compiled
-def _tick(clock: IntArray, time_ns: int, nominal_interval_ns: int) -> float:
+def _advance(held: Filter, inputs: Inputs, resting: FloatArray, covariance: FloatArray) -> Outputs:
+    wearing, body, state, tuning, work = held
+    n_frames, n, taken = len(inputs.time_ns), len(wearing.parents), 0
+    q_wb, rate = np.full((n_frames, n, 4), np.nan), np.full((n_frames, n, 3), np.nan)
+    acceleration, p_w = np.full((n_frames, n, 3), np.nan), np.empty((n_frames, n, 3))
+    sigma, status = np.full((n_frames, n), np.nan), np.empty((n_frames, n), np.uint8)
+    for t in range(n_frames):
+        _observe(work, wearing, inputs, resting[t], t)
+        dt = _tick(state.clock, inputs.time_ns[t], wearing.nominal_interval_ns[0])
+        work.shared.time_s = (inputs.time_ns[t] - state.clock.first_ns) * 1e-9
+        if dt > SHORTEST_STEP_S:
+            _take(body, state, tuning, work, dt, inputs.readings[taken : inputs.readings_end[t]])
+            step(body, state, tuning, work, dt)
+        else:
+            for s in range(n):
+                work.segments[s].validity = NOTHING
+        taken = inputs.readings_end[t]
+        for s in range(n):
+            status[t, s] = _status(state.segments[s], work, wearing, s, status[t])
+        _outputs(held, q_wb[t], rate[t], acceleration[t], sigma[t])
+        mark_unaided(body, state, tuning, work, status[t])
+        if len(covariance) > 0:
+            for s in range(n):
+                rotation_matrix.copy_into(covariance[t, s], state.segments[s].P)
+        _place(p_w[t], wearing, q_wb[t], inputs.root_position[t])
+    return q_wb, rate, acceleration, p_w, sigma, status
+
+
+@compiled
+def _observe(work: Work, wearing: Wearing, inputs: Inputs, resting: FloatArray, t: int) -> None:
+    """What the modules measured at instant t, by segment and in segment axes."""
+    work.shared.sees_sun = inputs.sun.shape[1] > 0
+    if work.shared.sees_sun:
+        take_sun(work, wearing.module_of_segment, wearing.R_bs, inputs.sun[t])
+    for s in range(len(wearing.parents)):
+        row, now, R_bs = wearing.module_of_segment[s], work.segments[s], wearing.R_bs[s]
+        now.stance_s = resting[s]
+        if row >= 0:
+            rotation_matrix.rotate_into(now.specific_force, R_bs, inputs.specific_force[t, row])
+            rotation_matrix.rotate_into(now.angular_rate, R_bs, inputs.angular_rate[t, row])
+            rotation_matrix.rotate_into(now.magnetic_field, R_bs, inputs.magnetic_field[t, row])
+            now.status = inputs.status[t, row] if is_finite(now.specific_force) else MISSING
+            now.clipped = inputs.clipped[t, row]
+
+
+@compiled
+def _tick(clock: Clock, time_ns: int, nominal_interval_ns: int) -> float:
     """Seconds since the frame before; one that is not later leaves the clock as it is."""
-    if clock[1] < 0:
-        clock[0], clock[1] = time_ns - nominal_interval_ns, time_ns
-    dt = 1e-9 * float(time_ns - clock[0])
+    if clock.first_ns < 0:
+        clock.last_ns, clock.first_ns = time_ns - nominal_interval_ns, time_ns
+    dt = 1e-9 * float(time_ns - clock.last_ns)
     if dt > SHORTEST_STEP_S:
-        clock[0] = time_ns
+        clock.last_ns = time_ns
     return dt
 
 
@@ -164,58 +207,65 @@ def _place(p_w: FloatArray, wearing: Wearing, q_wb: FloatArray, root_position: F
 
 
 @compiled
-def _take(body: ChainBody, state: FilterState, noise: Noise, before_s: float, readings: FloatArray) -> None:
-    """before_s: of the frame that the orientations are of."""
-    turn, value = np.empty((3, 3)), np.empty(3)
+def _take(body: Body, state: State, tuning: Tuning, work: Work, dt: float, readings: FloatArray) -> None:
+    """Readings of an instant, dt (s) after the frame that the orientations are of."""
+    turn, value, before_s = work.shared.rotation, work.shared.reading, work.shared.time_s - dt
     for k in range(len(readings)):
-        reading, sigma, s = readings[k], 0.0, body.device_segment[int(readings[k, 0])]
+        reading, d, sigma = readings[k], int(readings[k, 0]), 0.0
+        mount, segment = body.devices[d], state.segments[body.devices[d].segment]
         for i in range(3):
             value[i] = reading[2 + i]
-        is_own = body.device_kind[int(reading[0])] == AIR_VELOCITY
+        is_own = mount.kind == AIR_VELOCITY
         if is_own:
-            w, b, since = state.rate[s], state.bias[s], reading[1] - before_s
+            w, b, since = segment.rate, segment.bias, reading[1] - before_s
             rotation_matrix.exponential_into(
                 turn, (w[0] - b[0]) * since, (w[1] - b[1]) * since, (w[2] - b[2]) * since
             )
             rotation_matrix.turn(turn, value)
-            rotation_matrix.turn(state.R[s], value)
-        if is_finite(value) and not (is_own and state.is_started[s] != 1):
+            rotation_matrix.turn(segment.R, value)
+        if is_finite(value) and not (is_own and segment.started != STARTED):
             for i in range(5, 8):
                 if not math.isnan(reading[i]):
                     sigma = max(sigma, min(reading[i], np.finfo(np.float64).max))
-            kind = body.device_kind[int(reading[0])]
-            take_reading(state, noise, int(reading[0]), kind, reading[1], value, sigma)
+            take_reading(state.devices[d], mount.kind, reading[1], value, sigma, tuning)
+
+
+@compiled
+def _status(segment: Segment, work: Work, wearing: Wearing, s: int, status: StatusArray) -> int:
+    """Of segment s. One without module goes with its parent; a saturated gyroscope is none; with its
+    accelerometer saturated, or off, a segment turns by its gyroscope alone. status: (n,) of those before."""
+    now, p = work.segments[s], wearing.parents[s]
+    if wearing.module_of_segment[s] < 0:
+        return PREDICTED if p >= 0 and status[p] != MISSING else MISSING
+    if segment.started == NOT_STARTED:
+        return MISSING
+    if now.validity < RATE:
+        return PREDICTED
+    return UNAIDED if now.validity == RATE else int(now.status)
 
 
 @compiled
 def _outputs(
-    wearing: Wearing,
-    state: FilterState,
-    scratch: Scratch,
-    q_wb: FloatArray,
-    rate: FloatArray,
-    status: StatusArray,
+    held: Filter, q_wb: FloatArray, rate: FloatArray, acceleration: FloatArray, sigma: FloatArray
 ) -> None:
-    """Segments without module go with their parent; the others as the filter has them. A saturated gyrometer
-    is none; with its accelerometer saturated, or off, a segment turns by its gyrometer alone."""
-    for s in range(len(wearing.parents)):
-        p = wearing.parents[s]
-        status[s] = scratch.observed.status[s]
-        if wearing.module_of_segment[s] < 0:
-            status[s] = MISSING
-            if p >= 0 and status[p] != MISSING:
-                status[s] = PREDICTED
+    """Segments without module go with their parent; the others as the filter has them; NaN is left where
+    nothing is known. (n, 4), (n, 3), (n, 3), (n,)."""
+    gravity, unknown = held.body.world.gravity, 2.0 * held.tuning.unknown_heading
+    for s in range(len(held.wearing.parents)):
+        segment, now, p = held.state.segments[s], held.work.segments[s], held.wearing.parents[s]
+        if now.validity == FORCE:
+            for i in range(3):
+                acceleration[s, i] = now.U[i] + gravity[i]
+        if segment.started != NOT_STARTED:
+            P = segment.P
+            sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), unknown)
+        if held.wearing.module_of_segment[s] < 0:
+            if p >= 0:
                 for i in range(4):
                     q_wb[s, i] = q_wb[p, i]
                 for i in range(3):
                     rate[s, i] = rate[p, i]
-        elif state.is_started[s] == 0:
-            status[s] = MISSING
-        else:
-            quaternion.from_matrix_into(q_wb[s], state.R[s])
+        elif segment.started != NOT_STARTED:
+            quaternion.from_matrix_into(q_wb[s], segment.R)
             for i in range(3):
-                rate[s, i] = state.rate[s, i] - state.bias[s, i]
-            if scratch.is_valid[s] < 1.0:
-                status[s] = PREDICTED
-            elif scratch.is_valid[s] == 1.0:
-                status[s] = UNAIDED
+                rate[s, i] = segment.rate[i] - segment.bias[i]

@@ -1,4 +1,4 @@
-"""Prediction and correction of the chain filters: everything that turns with a segment. Compiled."""
+"""Prediction and correction of the tree filter: everything that turns with a segment. Compiled."""
 
 from __future__ import annotations
 
@@ -10,86 +10,99 @@ from gateway.frames import Clipped, FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, is_finite, norm
-from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.corrections import gyrometer_doubt
-from gateway.reconstruction.inertial.observations import SegmentObservations
+from gateway.reconstruction.inertial.chain_state import (
+    Body,
+    Heading,
+    Link,
+    Segment,
+    SegmentWork,
+    Started,
+    State,
+    Validity,
+    Work,
+    World,
+)
+from gateway.reconstruction.inertial.corrections import gyroscope_inflation
 from gateway.reconstruction.inertial.tree_filter import propagate, propagate_own
+from gateway.reconstruction.inertial.tuning import Tuning
 
 FORCE_CLIPPED, RATE_CLIPPED = Clipped.SPECIFIC_FORCE.value, Clipped.ANGULAR_RATE.value
 AIR_VELOCITY = Quantity.AIR_VELOCITY.value
-LONGEST_COAST_S = 0.1
-"""A silent segment keeps its rate for about that long."""
-LONGEST_SILENCE_S = 1.0
-"""After a longer silence, or saturation, a segment begins anew."""
-START_ARM = 0.3
-"""m: of a module from what it turns about when it begins."""
-SATURATED_NOISE = 5.0
-"""rad/s/√Hz of a gyrometer at its limit."""
+NOTHING, SATURATED_RATE = Validity.NOTHING.value, Validity.SATURATED_RATE.value
+RATE, FORCE = Validity.RATE.value, Validity.FORCE.value
+NOT_STARTED, STARTED, STARTS_AGAIN = Started.NO.value, Started.YES.value, Started.AGAIN.value
+OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
 
 
 @compiled
-def predict(
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    rate: FloatArray,
-    is_valid: FloatArray,
-    is_joint: bool,
-    dt: float,
-    before: FloatArray,
-) -> None:
-    """Turns every started segment over dt by the mean of its last two rates (n, 3), in place.
-
-    is_joint: whether segments and their parents share covariance. before: (n, 3, 3) to be used on the way.
-    """
-    turn, w = np.empty((3, 3)), np.empty(3)
-    for s in range(len(body.parents)):
-        if state.is_started[s] == 0:
+def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Turn every started segment over dt by the mean of its last two rates, in place."""
+    for s in range(len(body.segments)):
+        segment, now, parent = state.segments[s], work.segments[s], body.segments[s].parent
+        if segment.started == NOT_STARTED:
             continue
-        rotation_matrix.copy_into(before[s], state.R[s])
-        if is_valid[s] > 0.0:
-            _mean_rate(w, state, s, rate[s], dt)
-            speed = norm(w)
-            density = noise.gyrometer**2 + (noise.gyrometer_scale * speed) ** 2 * noise.scale_memory_s
-            if is_valid[s] < 1.0:
-                density += SATURATED_NOISE**2
-                state.silent_s[s] += dt
-            else:
-                state.silent_s[s] = 0.0
-            change = 0.0
-            for i in range(3):
-                step = rate[s, i] - state.rate[s, i]
-                change += step**2
-                state.slope[s, i], state.rate[s, i] = step / dt, rate[s, i]
-            density += gyrometer_doubt(state, s, change, dt)
+        rotation_matrix.copy_into(now.before, segment.R)
+        if now.validity > NOTHING:
+            density = _turn_as_measured(segment, now, tuning, dt)
         else:
-            for i in range(3):
-                w[i] = (state.rate[s, i] - state.bias[s, i]) * math.exp(-dt / LONGEST_COAST_S)
-                state.rate[s, i] = state.bias[s, i] + w[i]
-            state.silent_s[s] += dt
-            density = (noise.dead_rate**2 + dot(w, w)) * LONGEST_COAST_S
-            state.slope[s] = np.nan
-        if state.silent_s[s] > LONGEST_SILENCE_S:
-            state.is_started[s] = 2
+            density = _coast(segment, now, tuning, dt)
+        if segment.silent_s > tuning.longest_silence_s:
+            segment.started = STARTS_AGAIN
+        w, turn = now.mean_rate, work.shared.rotation
         rotation_matrix.exponential_into(turn, w[0] * dt, w[1] * dt, w[2] * dt)
-        rotation_matrix.turn_rows(state.R[s], turn)
-        propagate_own(state.P[s], before[s], dt)
+        rotation_matrix.turn_rows(segment.R, turn)
+        propagate_own(segment.P, now.before, dt)
         for i in range(3):
             # an orientation cannot be worse than unknown: keeps a long silence finite
-            state.P[s, i, i] += density * dt if state.P[s, i, i] < OPEN_SIGMA**2 else 0.0
-            state.P[s, 3 + i, 3 + i] += noise.bias_walk**2 * dt
-        if is_joint and body.parents[s] >= 0:
-            propagate(state.C[s], before[s], before[body.parents[s]], dt)
+            segment.P[i, i] += density * dt if segment.P[i, i] < tuning.unknown_heading**2 else 0.0
+            segment.P[3 + i, 3 + i] += tuning.bias_walk**2 * dt
+        if body.world.is_tree and parent >= 0:
+            propagate(segment.C, now.before, work.segments[parent].before, dt)
 
 
 @compiled
-def _mean_rate(w: FloatArray, state: FilterState, s: int, rate: FloatArray, dt: float) -> None:
-    """w ← what turns segment s over dt, rad/s: from its last three rates, error O(dt³) of the angle.
+def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
+    """``now.mean_rate`` ← by the gyroscope; returns the density of its noise, (rad/s)²/Hz."""
+    _mean_rate(segment, now, dt)
+    speed = norm(now.mean_rate)
+    density = tuning.gyroscope**2 + (tuning.gyroscope_scale * speed) ** 2 * tuning.scale_memory_s
+    if now.validity < RATE:
+        density += tuning.saturated_noise**2
+        segment.silent_s += dt
+    else:
+        segment.silent_s = 0.0
+    change = 0.0
+    for i in range(3):
+        step = now.angular_rate[i] - segment.rate[i]
+        change += step**2
+        segment.rate_slope[i], segment.rate[i] = step / dt, now.angular_rate[i]
+    density += gyroscope_inflation(segment, change, dt)
+    return float(density)
+
+
+@compiled
+def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
+    """``now.mean_rate`` ← of a silent module; returns the density of its noise, (rad/s)²/Hz."""
+    w = now.mean_rate
+    for i in range(3):
+        w[i] = (segment.rate[i] - segment.bias[i]) * math.exp(-dt / tuning.longest_coast_s)
+        segment.rate[i] = segment.bias[i] + w[i]
+        segment.rate_slope[i] = np.nan
+    segment.silent_s += dt
+    return float((tuning.dead_rate**2 + dot(w, w)) * tuning.longest_coast_s)
+
+
+@compiled
+def _mean_rate(segment: Segment, now: SegmentWork, dt: float) -> None:
+    """``now.mean_rate`` ← what turns the segment over dt, rad/s: by its last three rates, error O(dt³) of the
+    angle.
 
     The trapezoid, less its error by Euler and Maclaurin's formula, and the coning of an axis that moves
     (Bortz 1971). At 100 Hz the trapezoid alone is off by up to a degree in fast motion.
     """
-    bias, last, slope = state.bias[s], state.rate[s], state.slope[s]
+    w, rate, bias, last, slope = (
+        now.mean_rate, now.angular_rate, segment.bias, segment.rate, segment.rate_slope
+    )  # fmt: skip
     a = last[0] - bias[0], last[1] - bias[1], last[2] - bias[2]
     b = rate[0] - bias[0], rate[1] - bias[1], rate[2] - bias[2]
     w[0] = 0.5 * (a[0] + b[0]) + (a[1] * b[2] - a[2] * b[1]) * dt / 12.0
@@ -107,93 +120,134 @@ def exceeds(v: FloatArray, limit: float) -> bool:
 
 
 @compiled
-def note_valid_rows(is_valid: FloatArray, noise: Noise, observed: SegmentObservations) -> None:
-    """is_valid (n,) ← 0: no sample; 0.5: turns by a gyrometer at the end of its range; 1: turns by its
-    gyrometer; 2: its specific force counts too.
+def judge_samples(work: Work, tuning: Tuning) -> None:
+    """``validity`` of each segment ← what of its module's sample counts.
 
     A sensor is at the end of its range where its module says so, and at the largest range there is.
     """
-    force, rate, status, clipped = (
-        observed.specific_force, observed.angular_rate, observed.status, observed.clipped
-    )  # fmt: skip
-    for s in range(len(status)):
-        is_valid[s] = 0.0
-        if status[s] <= 1 and is_finite(rate[s]):
-            is_valid[s] = 1.0
-            is_usable = is_finite(force[s]) and clipped[s] & FORCE_CLIPPED == 0
-            if exceeds(rate[s], noise.largest_rate) or clipped[s] & RATE_CLIPPED > 0:
-                is_valid[s] = 0.5
-            elif is_usable and not exceeds(force[s], noise.largest_force):
-                is_valid[s] = 2.0
+    for s in range(len(work.segments)):
+        now = work.segments[s]
+        now.validity = NOTHING
+        if now.status <= 1 and is_finite(now.angular_rate):
+            now.validity = RATE
+            is_usable = is_finite(now.specific_force) and now.clipped & FORCE_CLIPPED == 0
+            if exceeds(now.angular_rate, tuning.largest_rate) or now.clipped & RATE_CLIPPED > 0:
+                now.validity = SATURATED_RATE
+            elif is_usable and not exceeds(now.specific_force, tuning.largest_force):
+                now.validity = FORCE
 
 
 @compiled
-def start(
-    body: ChainBody, state: FilterState, noise: Noise, s: int, f: FloatArray, w: FloatArray, m: FloatArray
-) -> None:
-    """Segment s from its first sample: level by the specific force, facing as the field says, if any."""
-    secondary, secondary_w = m, body.field
-    if not (body.uses_field and is_finite(m)):
-        secondary, secondary_w = np.zeros(3), np.zeros(3)
+def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None:
+    """Begin where a first sample has come; until then what a module says does not count."""
+    for s in range(len(body.segments)):
+        segment, now = state.segments[s], work.segments[s]
+        if segment.started != STARTED:
+            if now.validity == FORCE:
+                _start(segment, body.segments[s], now, body.world, tuning)
+            if segment.started != STARTED:
+                now.validity = NOTHING
+
+
+@compiled
+def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning: Tuning) -> None:
+    """From the first sample: level by the specific force, facing as the field says, if any."""
+    f, w, m = now.specific_force, now.angular_rate, now.magnetic_field
+    secondary, secondary_w = np.zeros(3), np.zeros(3)
+    if world.uses_field and is_finite(m):
+        for i in range(3):
+            secondary[i], secondary_w[i] = m[i], world.magnetic_field[i]
+    else:
         secondary[int(abs(f[0]) > abs(f[1]))] = 1.0
         secondary_w[1] = 1.0
-    R = rotation_matrix.from_two_vectors(f, secondary, body.at_rest, secondary_w)
+    R = rotation_matrix.from_two_vectors(f, secondary, world.at_rest, secondary_w)
     if not is_finite(R[0]):
         return
-    rotation_matrix.copy_into(state.R[s], R)
+    rotation_matrix.copy_into(segment.R, R)
+    moved = start_acceleration(world.gravity, f, w, tuning)
+    segment.starting_square = tuning.starting_share * moved
+    tilt = tuning.start_tilt**2 + moved / dot(world.gravity, world.gravity)
+    _start_covariance(segment, min(tilt, tuning.unknown_heading**2), tuning)
+    segment.started = STARTED
+    segment.heading = UNOBSERVED if link.heading_observable else OBSERVED
+    segment.silent_s, segment.compass_s, segment.averages.seconds = 0.0, 0.0, 0.0
+    segment.joint_nis = 0.0
+    _start_watches(segment)
     for i in range(3):
-        state.bias[s, i], state.rate[s, i], state.slope[s, i] = 0.0, w[i], np.nan
-    state.P[s], state.C[s] = 0.0, 0.0
-    moved = start_acceleration(body.gravity, f, w)
-    tilt = noise.start_tilt**2 + moved / dot(body.gravity, body.gravity)
-    state.starting_square[s] = noise.starting_share * moved
-    for i in range(3):
-        state.P[s, i, i] = min(tilt, OPEN_SIGMA**2)
-        state.P[s, 3 + i, 3 + i] = noise.bias**2
-    state.P[s, 2, 2] = OPEN_SIGMA**2
-    # a module that comes back may sit elsewhere
-    state.arm_covariance[s] = 0.0
-    for i in range(6):
-        state.arm_covariance[s, i, i] = noise.lever_arm_offset**2
-    state.learnt_s[s], state.corrections[s] = np.inf, 0.0
-    state.field_offset[s, 0], state.field_offset[s, 1] = 0.0, noise.heading**2
-    state.is_started[s], state.is_open[s] = 1, body.opens[s]
-    state.fresh_s[s], state.silent_s[s], state.compass_s[s] = 0.0, 0.0, 0.0
-    state.heading[s], state.rest[s], state.misfit[s] = 0.0, 0.0, 0.0
-    for i in range(3):  # means of one sample: begun at zero, gravity alone would be a change for seconds
-        state.rest[s, i], state.rest[s, 3 + i] = w[i], f[i]
+        segment.bias[i], segment.rate[i], segment.rate_slope[i] = 0.0, w[i], np.nan
+        # means of one sample: begun at zero, gravity alone would be a change for seconds
+        segment.rest.rate[i], segment.rest.force[i] = w[i], f[i]
 
 
 @compiled
-def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray) -> float:
+def _start_covariance(segment: Segment, tilt: float, tuning: Tuning) -> None:
+    """tilt: rad²."""
+    arms = segment.arms
+    for i in range(6):
+        for j in range(6):
+            segment.P[i, j], segment.C[i, j], arms.covariance[i, j] = 0.0, 0.0, 0.0
+    for i in range(3):
+        segment.P[i, i] = tilt
+        segment.P[3 + i, 3 + i] = tuning.bias**2
+    segment.P[2, 2] = tuning.unknown_heading**2
+    # a module that comes back may sit elsewhere
+    for i in range(6):
+        arms.covariance[i, i] = tuning.lever_arm_offset**2
+    arms.since_s = np.inf
+    segment.field_offset.angle, segment.field_offset.variance = 0.0, tuning.heading**2
+
+
+@compiled
+def _start_watches(segment: Segment) -> None:
+    """What is said of a module's samples begins anew."""
+    seen, heading, rest = segment.corrections, segment.heading_sums, segment.rest
+    for i in range(2):
+        seen.sums[i], seen.sums_before[i] = 0.0, 0.0
+    seen.seconds, seen.product, seen.square, seen.gyroscope, seen.rows = 0.0, 0.0, 0.0, 0.0, 0.0
+    heading.along, heading.across, heading.length, heading.seconds = 0.0, 0.0, 0.0, 0.0
+    rest.rate_square, rest.force_square, rest.still_s, rest.standing_s = 0.0, 0.0, 0.0, 0.0
+
+
+@compiled
+def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray, tuning: Tuning) -> float:
     """(m/s²)², square of what a module may accelerate by, as its first sample shows: as much as it feels more
-    or less than gravity, and as it turns at the end of ``START_ARM``."""
-    turning = dot(w, w) * START_ARM
+    or less than gravity, and as it turns at the end of ``start_arm``."""
+    turning = dot(w, w) * tuning.start_arm
     square: float = (norm(f) - norm(gravity)) ** 2 + turning * turning
     return square
 
 
 @compiled
-def turn_segments(body: ChainBody, state: FilterState, turns: FloatArray, E: FloatArray) -> None:
-    """Rotations of segments, and of all remembered that turns with them, in place.
+def turn_segments(body: Body, state: State, work: Work) -> None:
+    """Turn segments by their ``turn``, and all remembered that turns with them, in place."""
+    for s in range(len(body.segments)):
+        now, segment = work.segments[s], state.segments[s]
+        if _is_turn(now.turn):
+            E, averages = now.rotation, segment.averages
+            rotation_matrix.exponential_into(E, now.turn[0], now.turn[1], now.turn[2])
+            rotation_matrix.turn_columns(E, segment.R)
+            rotation_matrix.turn_columns(E, averages.lever_arm_matrix)
+            rotation_matrix.turn(E, averages.force)
+            rotation_matrix.turn(E, averages.last_force)
+            rotation_matrix.turn(E, averages.long_force)
+    for d in range(len(body.devices)):
+        mount, device = body.devices[d], state.devices[d]
+        now = work.segments[mount.segment]
+        if _is_turn(now.turn):
+            if mount.kind == AIR_VELOCITY:
+                for j in range(device.n_readings):
+                    rotation_matrix.turn(now.rotation, device.readings[j].value)
+            rotation_matrix.turn_columns(now.rotation, device.turn)
 
-    turns: (n, 3 or more) rotation vectors, world; E: (n, 3, 3) to be used on the way.
-    """
-    for s in range(len(body.parents)):
-        if _is_turn(turns[s]):
-            rotation_matrix.exponential_into(E[s], turns[s, 0], turns[s, 1], turns[s, 2])
-            rotation_matrix.turn_columns(E[s], state.R[s])
-            rotation_matrix.turn_columns(E[s], state.swing[s])
-            rotation_matrix.turn(E[s], state.force[s])
-            rotation_matrix.turn(E[s], state.last_force[s])
-            rotation_matrix.turn(E[s], state.long_force[s])
-    for d in range(len(body.device_segment)):
-        s = body.device_segment[d]
-        if _is_turn(turns[s]):
-            if body.device_kind[d] == AIR_VELOCITY:
-                for j in range(state.n_readings[d, 0]):
-                    rotation_matrix.turn(E[s], state.readings[d, j, 1:4])
-            rotation_matrix.turn_columns(E[s], state.device_turn[d])
+
+@compiled
+def correct(state: State, work: Work) -> None:
+    """``turn`` ← the errors found of orientations; those of biases are added."""
+    for s in range(len(work.segments)):
+        now = work.segments[s]
+        for i in range(3):
+            now.turn[i] = now.x[i]
+            state.segments[s].bias[i] += now.x[3 + i]
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""The observations of the chain filters as rows on orientation errors. Compiled.
+"""The observations of the tree filter as rows on orientation errors. Compiled.
 
 A world vector ``u = R̂ s`` is truly ``exp(δ) R̂ s ≈ u − [u]× δ``. Two sides that must agree therefore give
 ``u − u_p = [m]× (δ − δ_p)`` with their mean ``m = (u + u_p) / 2``, and a known vector ``y``:
@@ -9,146 +9,113 @@ With u and u_p in their own places noise would seem to show a turn of both toget
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot, skew
-from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.lever_arms import own_covariance, relative_covariance, spread
-from gateway.reconstruction.inertial.tree_filter import (
-    Evidence,
-    Three,
-    add_edge,
-    add_joint,
-    add_known,
-    add_own,
+from gateway.reconstruction.inertial.chain_state import (
+    ExpectedField,
+    FieldWatch,
+    Link,
+    Segment,
+    SegmentWork,
+    World,
 )
-
-DIP_TOLERANCE = 0.1
-"""rad: a field steeper or flatter than it should be by that much is half disturbed."""
-NORM_TOLERANCE = 0.1
-FIELD_MEMORY_S = 20.0
-FIELD_CHANGE_S = 3.0
-FIELD_CHANGE = 0.14
-"""Of norm (relative) and dip (rad), before any has been seen."""
-FIELD_SMOOTHING_S = 0.05
-"""What differs from sample to sample is the magnetometer's noise, and no change of place."""
-FIELD_PROOF_RAD = 5.0
-"""Turned by so much a module has shown whether the field is as it should be."""
-LEAST_HORIZONTAL = 0.1
-FIRST_LOOK_S = 0.5
-"""A heading that nothing else can show is taken from the field within that time."""
-AIDED_TILT = 0.15
-"""rad: an inclination less sure than that tells no mean acceleration."""
-UNSETTLED_TILT = 0.5
-"""rad: an inclination less sure than that is helped by gravity, wherever it hangs."""
-AIDED_RISE_S, AIDED_FALL_S = 2.0, 30.0
-"""How fast larger and smaller mean accelerations are believed."""
-MISFIT_S = 5.0
-"""Over which a joint's residuals are compared with what is expected of them."""
-LARGEST_MISFIT = 1e4
-LOOSE = 9.0
-"""Misfit of a joint that holds nothing together: three times the deviations expected, for seconds."""
-REST_RATE_SIGMA = 0.002
-"""rad/s: of a mean rate at rest against the bias."""
+from gateway.reconstruction.inertial.lever_arms import own_covariance, relative_covariance, spread
+from gateway.reconstruction.inertial.tree_filter import Three, add_edge, add_joint, add_known, add_own
+from gateway.reconstruction.inertial.tuning import Tuning
 
 
 @compiled
 def joint_row(
-    evidence: Evidence,
-    state: FilterState,
-    noise: Noise,
-    s: int,
-    p: int,
-    u: FloatArray,
-    u_p: FloatArray,
-    variance: float,
-    dt: float,
-    is_open: bool,
+    now: SegmentWork, child: Segment, parent: Segment, is_unobserved: bool, tuning: Tuning, dt: float
 ) -> None:
-    """The joint's acceleration seen from both sides, every dt; variance of a component, (m/s²)².
+    """The joint's acceleration seen from both sides, ``now.u`` and ``now.u_parent``, every dt, to
+    ``now.row_variance``.
 
-    is_open: the heading of one against the other is not known.
+    is_unobserved: the heading of one against the other is not known.
     """
+    u, u_p, variance = now.u, now.u_parent, now.row_variance
     residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
     middle = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
-    at_once = variance * min(1.0, dt / noise.row_memory_s)
-    off = spread(middle[0], middle[1], middle[2], relative_covariance(state, s, p))
-    widened = _misfit(state, noise, s, off, residual, at_once, dt, 2 if is_open else 0)
-    if widened >= LOOSE:
+    at_once = variance * min(1.0, dt / tuning.row_memory_s)
+    off = spread(middle[0], middle[1], middle[2], relative_covariance(child, parent))
+    nis = _nis(off, residual, at_once, 2 if is_unobserved else 0)
+    inflation = _watch_joint(child, nis, tuning, dt)
+    if inflation >= tuning.loose_nis:
         return
-    variance *= widened
-    if is_open:
-        # heading against the parent unknown: the horizontal parts are only equally long
-        H, H_p = skew(u), skew(u_p)
-        wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
-        for i in range(3):
-            H[i, 2], H_p[i, 2] = 0.0, 0.0
-            for j in range(2):
-                H_p[i, j] *= -1.0
-            add_edge(evidence, s, H[i], H_p[i], residual[i], wide if i < 2 else variance)
+    variance *= inflation
+    if is_unobserved:
+        _unobserved_joint_row(now, residual, variance)
         return
-    variance *= _huber(off, residual, widened * at_once, noise.huber)
-    add_joint(evidence, s, middle, residual, variance)
+    variance *= _huber(off, residual, inflation * at_once, tuning.huber)
+    add_joint(now.evidence, middle, residual, variance)
+
+
+@compiled
+def _unobserved_joint_row(now: SegmentWork, residual: Three, variance: float) -> None:
+    """Heading against the parent unknown: the horizontal parts are only equally long."""
+    u, u_p = now.u, now.u_parent
+    H, H_p = skew(u), skew(u_p)
+    wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
+    for i in range(3):
+        H[i, 2], H_p[i, 2] = 0.0, 0.0
+        for j in range(2):
+            H_p[i, j] *= -1.0
+        add_edge(now.evidence, H[i], H_p[i], residual[i], wide if i < 2 else variance)
 
 
 @compiled
 def known_row(
-    evidence: Evidence,
-    state: FilterState,
-    noise: Noise,
-    s: int,
-    u: FloatArray,
-    y: FloatArray,
-    variance: float,
-    is_open: bool,
+    now: SegmentWork, segment: Segment, u: FloatArray, y: FloatArray, variance: float, tuning: Tuning
 ) -> None:
-    """A vector that is known in the world; is_open: its horizontal direction says nothing yet."""
+    """A vector u of the segment that is known in the world: y; (3,)."""
     residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
-    if is_open:
-        H, H_y = skew(u), skew(y)
-        wide = variance + _horizontal_square(u) + _horizontal_square(y)
-        for i in range(3):
-            H[i, 2] = 0.0
-            for j in range(2):
-                H[i, j] = 0.5 * (H[i, j] + H_y[i, j])
-            add_own(evidence, s, H[i], residual[i], wide if i < 2 else variance)
-        return
-    variance *= _huber(spread(y[0], y[1], y[2], own_covariance(state, s)), residual, variance, noise.huber)
-    add_known(evidence, s, (y[0], y[1], y[2]), residual, variance)
+    uncertain = spread(y[0], y[1], y[2], own_covariance(segment))
+    variance *= _huber(uncertain, residual, variance, tuning.huber)
+    add_known(now.evidence, (y[0], y[1], y[2]), residual, variance)
 
 
 @compiled
-def _misfit(
-    state: FilterState,
-    noise: Noise,
-    s: int,
-    uncertain: Three,
-    residual: Three,
-    variance: float,
-    dt: float,
-    first: int,
-) -> float:
-    """By how much the joint of segment s and its parent agrees worse than its noise says, variances; 1: no
-    worse. Modules worn otherwise than the rig says disagree all the time, and their joint tells little.
+def unobserved_known_row(now: SegmentWork, u: FloatArray, y: FloatArray, variance: float) -> None:
+    """The same where the horizontal direction of u says nothing yet."""
+    residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
+    H, H_y = skew(u), skew(y)
+    wide = variance + _horizontal_square(u) + _horizontal_square(y)
+    for i in range(3):
+        H[i, 2] = 0.0
+        for j in range(2):
+            H[i, j] = 0.5 * (H[i, j] + H_y[i, j])
+        add_own(now.evidence, H[i], residual[i], wide if i < 2 else variance)
 
-    Where that comes out, what the joint has told until then is taken back: the segment is as uncertain as at
-    its start, and stands on what its own module tells until the joint fits again. first: component from which
-    they are compared; 2 where the horizontal ones cannot be.
-    """
+
+@compiled
+def _nis(uncertain: Three, residual: Three, variance: float, first: int) -> float:
+    """Normalised innovation squared, per component; first: component from which they are compared, 2 where
+    the horizontal ones cannot be."""
     square, expected = 0.0, 0.0
     for i in range(first, 3):
         square += residual[i] ** 2
         expected += uncertain[i] + variance
-    surprise, before = min(square / expected, LARGEST_MISFIT), state.misfit[s]
-    state.misfit[s] += (1.0 - math.exp(-dt / MISFIT_S)) * (surprise - before)
-    if before < LOOSE <= state.misfit[s]:
+    return square / expected
+
+
+@compiled
+def _watch_joint(child: Segment, nis: float, tuning: Tuning, dt: float) -> float:
+    """By how much the joint to the parent agrees worse than its noise says, variances; 1: no worse. Modules
+    worn otherwise than the rig says disagree all the time, and their joint tells little.
+
+    Where that comes out, what the joint has told until then is taken back: the segment is as uncertain as at
+    its start, and stands on what its own module tells until the joint fits again.
+    """
+    seen, before = min(nis, tuning.largest_nis), child.joint_nis
+    child.joint_nis += (1.0 - math.exp(-dt / tuning.joint_nis_memory_s)) * (seen - before)
+    if before < tuning.loose_nis <= child.joint_nis:
         for i in range(3):
-            state.P[s, i, i] += noise.start_heading**2 if i == 2 else noise.start_tilt**2
-        state.unaided_square[s] = 0.0
-    widened: float = max(1.0, state.misfit[s])
-    return widened
+            child.P[i, i] += tuning.start_heading**2 if i == 2 else tuning.start_tilt**2
+        child.unaided_square = 0.0
+    inflation: float = max(1.0, child.joint_nis)
+    return inflation
 
 
 @compiled
@@ -179,83 +146,74 @@ def _seen(R: FloatArray, m: FloatArray) -> Three:
     )
 
 
-class ExpectedField(NamedTuple):
-    """What every segment's field is held against, and how fast, the same for all of an instant."""
-
-    norm: float  # µT
-    dip: float  # rad, above the horizontal
-    horizontal: float  # square of the part of it that shows a heading
-    by_tilt: float  # rad², of the heading it shows, by how accelerometers tilt the module
-    gain: float  # of a low-pass of ``FIELD_MEMORY_S``
-    change_gain: float  # and of ``FIELD_CHANGE_S``
-    smoothing_gain: float  # and of ``FIELD_SMOOTHING_S``
-
-
 @compiled
-def expected_field(body: ChainBody, noise: Noise, dt: float) -> ExpectedField:
-    """dt: since the instant before, s."""
-    h = body.field
+def expect_field(expected: ExpectedField, world: World, tuning: Tuning, dt: float) -> None:
+    """``expected`` ← for an instant dt (s) after the one before."""
+    h = world.magnetic_field
     level, square = h[0] * h[0] + h[1] * h[1], dot(h, h)
-    horizontal = max(level / square, LEAST_HORIZONTAL**2)
-    return ExpectedField(
-        math.sqrt(square),
-        math.atan2(h[2], math.sqrt(level)),
-        horizontal,
-        noise.force_bias**2 / dot(body.gravity, body.gravity) * (1.0 / horizontal - 1.0),
-        1.0 - math.exp(-dt / FIELD_MEMORY_S),
-        1.0 - math.exp(-dt / FIELD_CHANGE_S),
-        1.0 - math.exp(-dt / FIELD_SMOOTHING_S),
-    )
+    horizontal = max(level / square, tuning.least_horizontal**2)
+    expected.norm = math.sqrt(square)
+    expected.dip = math.atan2(h[2], math.sqrt(level))
+    expected.horizontal = horizontal
+    gravity = world.gravity
+    expected.by_tilt = tuning.force_bias**2 / dot(gravity, gravity) * (1.0 / horizontal - 1.0)
+    expected.gain = 1.0 - math.exp(-dt / tuning.field_memory_s)
+    expected.change_gain = 1.0 - math.exp(-dt / tuning.field_change_s)
+    expected.smoothing_gain = 1.0 - math.exp(-dt / tuning.field_smoothing_s)
 
 
 @compiled
 def watch_field(
-    body: ChainBody, state: FilterState, s: int, m: FloatArray, expected: ExpectedField, dt: float
-) -> tuple[float, float]:
-    """Heading by which the field is seen off, rad, and how disturbed it looks (1: not at all).
+    segment: Segment, now: SegmentWork, world: World, expected: ExpectedField, tuning: Tuning, dt: float
+) -> None:
+    """``now.field_off``, ``now.disturbance`` ← of a segment's field.
 
-    How much its norm and dip change while segment s moves goes to ``state.field_seen[s]``, and how much of
+    How much its norm and dip change while the segment moves goes to ``segment.field_watch``, and how much of
     that lasts: means of a change to and fro are small. So does how far they are from what they should be: at
     once where that is more than before, with the turning of the module where it is less.
     """
-    h, seen = body.field, _seen(state.R[s], m)
-    off = math.atan2(h[0] * seen[1] - h[1] * seen[0], h[0] * seen[0] + h[1] * seen[1])
+    h, m, mean = world.magnetic_field, now.magnetic_field, segment.field_watch
+    seen = _seen(segment.R, m)
+    now.field_off = math.atan2(h[0] * seen[1] - h[1] * seen[0], h[0] * seen[0] + h[1] * seen[1])
     length, dip = math.sqrt(dot(m, m)), math.atan2(seen[2], math.sqrt(_horizontal_square(seen)))
-    mean = state.field_seen[s]
-    if mean[3] == 0.0:
-        mean[0], mean[1], mean[2] = length, dip, FIELD_CHANGE**2
-        mean[4], mean[5], mean[8] = FIELD_CHANGE, 0.0, FIELD_CHANGE**2
-    mean[3] += dt
-    gain = max(expected.gain, dt / mean[3])
-    mean[0] += gain * (length - mean[0])
-    mean[1] += gain * (dip - mean[1])
-    mean[6] += expected.smoothing_gain * (length / mean[0] - 1.0 - mean[6])
-    mean[7] += expected.smoothing_gain * (dip - mean[1] - mean[7])
-    of_norm, of_dip = mean[6], mean[7]
-    mean[2] += expected.change_gain * (of_norm * of_norm + of_dip * of_dip - mean[2])
-    mean[4] += expected.change_gain * (of_norm - mean[4])
-    mean[5] += expected.change_gain * (of_dip - mean[5])
-    stronger, steeper = (1.0 + of_norm) * mean[0] / expected.norm - 1.0, of_dip + mean[1] - expected.dip
-    wrong, w = stronger * stronger + steeper * steeper, state.rate[s]
-    proof = expected.change_gain if wrong > mean[8] else math.sqrt(dot(w, w)) * dt / FIELD_PROOF_RAD
-    mean[8] += min(proof, 1.0) * (wrong - mean[8])
-    steeper, stronger = (dip - expected.dip) / DIP_TOLERANCE, (length / expected.norm - 1.0) / NORM_TOLERANCE
-    return off, 1.0 + steeper * steeper + stronger * stronger
+    _watch_changes(mean, length, dip, expected, tuning, dt)
+    stronger = (1.0 + mean.norm_change) * mean.norm / expected.norm - 1.0
+    steeper = mean.dip_change + mean.dip - expected.dip
+    wrong, w, proof = stronger * stronger + steeper * steeper, segment.rate, expected.change_gain
+    if not wrong > mean.error_square:
+        proof = math.sqrt(dot(w, w)) * dt / tuning.field_proof
+    mean.error_square += min(proof, 1.0) * (wrong - mean.error_square)
+    steeper = (dip - expected.dip) / tuning.dip_tolerance
+    stronger = (length / expected.norm - 1.0) / tuning.norm_tolerance
+    now.disturbance = 1.0 + steeper * steeper + stronger * stronger
+
+
+@compiled
+def _watch_changes(
+    mean: FieldWatch, length: float, dip: float, expected: ExpectedField, tuning: Tuning, dt: float
+) -> None:
+    """One norm (µT) and dip (rad) more."""
+    if mean.seconds == 0.0:
+        change = tuning.field_change
+        mean.norm, mean.dip, mean.norm_drift, mean.dip_drift = length, dip, change, 0.0
+        mean.change_square, mean.error_square = change**2, change**2
+    mean.seconds += dt
+    gain = max(expected.gain, dt / mean.seconds)
+    mean.norm += gain * (length - mean.norm)
+    mean.dip += gain * (dip - mean.dip)
+    mean.norm_change += expected.smoothing_gain * (length / mean.norm - 1.0 - mean.norm_change)
+    mean.dip_change += expected.smoothing_gain * (dip - mean.dip - mean.dip_change)
+    of_norm, of_dip = mean.norm_change, mean.dip_change
+    mean.change_square += expected.change_gain * (of_norm * of_norm + of_dip * of_dip - mean.change_square)
+    mean.norm_drift += expected.change_gain * (of_norm - mean.norm_drift)
+    mean.dip_drift += expected.change_gain * (of_dip - mean.dip_drift)
 
 
 @compiled
 def field_row(
-    evidence: Evidence,
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    s: int,
-    off: float,
-    disturbance: float,
-    expected: ExpectedField,
-    dt: float,
+    segment: Segment, link: Link, now: SegmentWork, expected: ExpectedField, tuning: Tuning, dt: float
 ) -> None:
-    """Heading by the field, weak. off, disturbance: see ``watch_field``.
+    """Heading by the field, weak; after ``watch_field``.
 
     How far it is off throughout is found beside the heading and taken off: a field that stays as it is holds
     a heading where it was, but does not say where that is. How far it may be off is told by how far norm and
@@ -264,91 +222,94 @@ def field_row(
     the more the steeper the field: for ``heading_memory_s`` to the same side where the change lasts, for no
     longer than it is watched where it comes and goes.
     """
-    seen, offset = state.field_seen[s], state.field_offset[s]
-    change = seen[2] / expected.horizontal
-    fleeting = max(0.0, seen[2] - seen[4] * seen[4] - seen[5] * seen[5]) / expected.horizontal
-    largest = min(noise.heading**2, seen[8] / expected.horizontal + expected.by_tilt)
-    offset[1] += largest * dt / noise.heading_offset_s
-    if offset[1] > largest:
-        offset[0] *= largest / offset[1]
-        offset[1] = largest
-    straying, uncertain = offset[1] + change, min(state.P[s, 2, 2], OPEN_SIGMA**2)
-    off -= offset[0]
-    weight = max(1.0, abs(off) / math.sqrt(straying + uncertain) / noise.huber) * disturbance
-    is_first = (body.opens[s] == 0 or state.misfit[s] >= LOOSE) and state.P[s, 2, 2] > straying
-    memory_s = FIRST_LOOK_S if is_first else noise.heading_memory_s
-    varying = (change - fleeting) * memory_s + fleeting * min(memory_s, FIELD_CHANGE_S)
-    variance = (offset[1] * memory_s + varying) / dt * weight
-    add_own(evidence, s, (0.0, 0.0, 1.0), -off, variance)
+    seen, offset, heading_variance = segment.field_watch, segment.field_offset, segment.P[2, 2]
+    change = seen.change_square / expected.horizontal
+    drift_square = seen.change_square - seen.norm_drift * seen.norm_drift - seen.dip_drift * seen.dip_drift
+    fleeting = max(0.0, drift_square) / expected.horizontal
+    _bound_offset(segment, expected, tuning, dt)
+    straying, uncertain = offset.variance + change, min(heading_variance, tuning.unknown_heading**2)
+    off = now.field_off - offset.angle
+    weight = max(1.0, abs(off) / math.sqrt(straying + uncertain) / tuning.huber) * now.disturbance
+    is_alone = link.heading_observable == 0 or segment.joint_nis >= tuning.loose_nis
+    is_first = is_alone and heading_variance > straying
+    memory_s = tuning.first_look_s if is_first else tuning.heading_memory_s
+    varying = (change - fleeting) * memory_s + fleeting * min(memory_s, tuning.field_change_s)
+    variance = (offset.variance * memory_s + varying) / dt * weight
+    add_own(now.evidence, (0.0, 0.0, 1.0), -off, variance)
     if not is_first:  # what the heading is off by stays as long as the field's own
-        white = (uncertain * noise.heading_memory_s + varying) / dt * weight
-        gain = offset[1] / (offset[1] + white)
-        offset[0] += gain * off
-        offset[1] -= gain * offset[1]
+        white = (uncertain * tuning.heading_memory_s + varying) / dt * weight
+        gain = offset.variance / (offset.variance + white)
+        offset.angle += gain * off
+        offset.variance -= gain * offset.variance
 
 
 @compiled
-def note_aided(state: FilterState, noise: Noise, s: int, at_rest: FloatArray, dt: float) -> None:
-    """How far the mean acceleration of segment s is from none while its inclination is known: what a row
-    that takes it for none will be off by, once nothing aids the chain any more."""
-    if state.fresh_s[s] < noise.unaided_window_s or state.P[s, 0, 0] + state.P[s, 1, 1] > AIDED_TILT**2:
+def _bound_offset(segment: Segment, expected: ExpectedField, tuning: Tuning, dt: float) -> None:
+    """The field's heading may be off otherwise after a while, by no more than norm and dip let expect."""
+    offset = segment.field_offset
+    shown = segment.field_watch.error_square / expected.horizontal + expected.by_tilt
+    largest = min(tuning.heading**2, shown)
+    offset.variance += largest * dt / tuning.heading_offset_s
+    if offset.variance > largest:
+        offset.angle *= largest / offset.variance
+        offset.variance = largest
+
+
+@compiled
+def note_aided(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
+    """How far a mean acceleration is from none while the inclination is known: what a row that takes it for
+    none will be off by, once nothing aids the chain any more."""
+    tilt = segment.P[0, 0] + segment.P[1, 1]
+    if segment.averages.seconds < tuning.unaided_window_s or tilt > tuning.aided_tilt**2:
         return
     square = 0.0
     for i in range(3):
-        square += (state.long_force[s, i] - at_rest[i]) ** 2 / 3.0
-    memory_s = AIDED_RISE_S if square > state.unaided_square[s] else AIDED_FALL_S
-    state.unaided_square[s] += (1.0 - math.exp(-dt / memory_s)) * (square - state.unaided_square[s])
+        square += (segment.averages.long_force[i] - world.at_rest[i]) ** 2 / 3.0
+    memory_s = tuning.aided_rise_s if square > segment.unaided_square else tuning.aided_fall_s
+    segment.unaided_square += (1.0 - math.exp(-dt / memory_s)) * (square - segment.unaided_square)
 
 
 @compiled
 def unaided_row(
-    evidence: Evidence,
-    state: FilterState,
-    noise: Noise,
-    s: int,
-    at_rest: FloatArray,
-    sharing: float,
-    dt: float,
+    now: SegmentWork, segment: Segment, world: World, sharing: int, tuning: Tuning, dt: float
 ) -> None:
     """Mean acceleration over a window is small, where nothing tells what it is: no smaller than it was while
     that was known, and over a shorter time as much larger as speeds are the same. It stays for the window on
     either side. sharing: segments that move together and have such a row each."""
-    square = max(_mean_square(state, noise, s, dt), 2.0 * state.unaided_square[s])
-    variance = square * noise.unaided_window_s / dt * sharing
-    known_row(evidence, state, noise, s, state.long_force[s], at_rest, variance, False)
+    square = max(_mean_square(segment, tuning, dt), 2.0 * segment.unaided_square)
+    variance = square * tuning.unaided_window_s / dt * sharing
+    known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
 
 
 @compiled
-def starting_row(
-    evidence: Evidence, state: FilterState, noise: Noise, s: int, at_rest: FloatArray, dt: float
-) -> None:
-    """The same of a segment whose chain is held up, as long as its inclination is hardly known: after a start
-    in mid-motion. Joints show it only then, one after the other from where the chain is held."""
-    if state.P[s, 0, 0] + state.P[s, 1, 1] > UNSETTLED_TILT**2:
-        variance = _mean_square(state, noise, s, dt) * noise.unaided_window_s / dt
-        known_row(evidence, state, noise, s, state.long_force[s], at_rest, variance, False)
+def starting_row(now: SegmentWork, segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
+    """The same of a segment whose chain is aided, as long as its inclination is hardly known: after a start
+    in mid-motion. Joints show it only then, one after the other from where the chain is aided."""
+    if segment.P[0, 0] + segment.P[1, 1] > tuning.unsettled_tilt**2:
+        variance = _mean_square(segment, tuning, dt) * tuning.unaided_window_s / dt
+        known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
 
 
 @compiled
-def _mean_square(state: FilterState, noise: Noise, s: int, dt: float) -> float:
+def _mean_square(segment: Segment, tuning: Tuning, dt: float) -> float:
     """(m/s²)² of a mean acceleration: over a shorter time, as after a gap, as much larger as speeds are the
     same, and for some time as large as a start in motion has let expect."""
-    lasted_s = min(max(state.fresh_s[s], dt), noise.unaided_window_s)
-    square: float = max((noise.unaided_speed / lasted_s) ** 2, state.starting_square[s])
+    lasted_s = min(max(segment.averages.seconds, dt), tuning.unaided_window_s)
+    square: float = max((tuning.unaided_speed / lasted_s) ** 2, segment.starting_square)
     return square
 
 
 @compiled
-def rest_row(evidence: Evidence, state: FilterState, s: int, window_s: float, dt: float) -> None:
+def rest_row(now: SegmentWork, segment: Segment, tuning: Tuning, dt: float) -> None:
     """At rest the mean rate is the bias."""
-    variance = REST_RATE_SIGMA**2 * window_s / dt
+    variance = tuning.rest_rate_sigma**2 * tuning.rest_window_s / dt
     for i in range(3):
-        evidence.own[s, 3 + i, 3 + i] += 1.0 / variance
-        evidence.own_vector[s, 3 + i] += (state.rest[s, i] - state.bias[s, i]) / variance
+        now.evidence.own[3 + i, 3 + i] += 1.0 / variance
+        now.evidence.own_vector[3 + i] += (segment.rest.rate[i] - segment.bias[i]) / variance
 
 
 @compiled
-def row_variance(noise: Noise, motion: float, interval_s: float) -> float:
+def row_variance(tuning: Tuning, motion: float, interval_s: float) -> float:
     """(m/s²)² of a row of accelerations that comes every ``interval_s``; motion: ‖[ω̇, ω]‖ or rms sum."""
-    variance = noise.specific_force**2 + (noise.lever_arm * motion) ** 2
-    return variance * noise.row_memory_s / interval_s
+    variance = tuning.specific_force**2 + (tuning.lever_arm * motion) ** 2
+    return variance * tuning.row_memory_s / interval_s

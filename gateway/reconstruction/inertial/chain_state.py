@@ -1,213 +1,419 @@
-"""What the chain filters know and remember: the body, the noise, the state. All plain arrays."""
+"""What the tree filter knows and remembers: the body, its state, the work space of an instant.
+
+All of it are records (``gateway.geometry.records``): one a segment, one a device, one for what all share.
+World vectors that are averages turn with every correction of their segment.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from enum import IntEnum
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, IntArray, Quantity
+from gateway.frames import FloatArray, Quantity, Status
+from gateway.geometry.records import Block, Matrix, Record, Records, Six, Vector, record, records
 from gateway.reconstruction.inertial.chain_bridges import bridges_of
+from gateway.reconstruction.inertial.tuning import Tuning, tuning
 
 N_READINGS = 12
 """Readings of a local device that a derivative is fitted to, at most."""
 N_HISTORY = 96
 """Frames remembered of the segment that carries a local device."""
-N_OF_FRAME = 16
-"""Numbers remembered of each."""
-OPEN_SIGMA = 1.6
-"""rad: a heading of which nothing is known."""
 
 
-class Noise(NamedTuple):
-    """One set for all bodies and motions; per axis, one standard deviation."""
+class Started(IntEnum):
+    """How far a segment has come."""
 
-    specific_force: float = 0.1
-    """m/s²: what a row of accelerations is off by besides the lever arms. Sensors are several times better;
-    this is play of joints and clock residue."""
-    lever_arm: float = 0.01
-    """m: by how much a lever arm changes while the body moves (soft tissue), times ‖[ω̇, ω]‖."""
-    lever_arm_offset: float = 0.02
-    """m: how far a lever arm was measured wrong; what of it shows in the motion is found out."""
-    force_bias: float = 0.05
-    """m/s²: constant error of an accelerometer after its calibration; found where a known point shows it."""
-    row_memory_s: float = 0.1
-    """For how long a row stays off to the same side: denser rows say no more in all."""
-    huber: float = 2.0
-    """Standard deviations beyond which a row counts linearly, no longer quadratically."""
-    smoothing_s: float = 0.05
-    """Time constant of the low-pass through which both sides of a row go: bandwidth 3 Hz."""
-    gyrometer: float = 0.001
-    """rad/s/√Hz: consumer sensors have 0.0002; sampling at tens of Hz and aliasing add."""
-    gyrometer_scale: float = 0.006
-    """Relative error of scale and axes."""
-    scale_memory_s: float = 0.5
-    """For how long a scale error keeps its effect in a motion to and fro."""
-    bias: float = 0.01
-    """rad/s at the start: half a degree per second, as after a factory calibration."""
-    bias_walk: float = 2e-4
-    """rad/s/√s."""
-    start_tilt: float = 0.3
-    """rad: of a first orientation from one specific force."""
-    heading: float = 0.1
-    """rad: how far the field's heading is off at the most where it does not change from place to place; where
-    its norm and dip change, that is added."""
-    heading_offset_s: float = 300.0
-    """Within it that is another one; until then it is found."""
-    heading_memory_s: float = 10.0
-    """For how long changes stay off to the same side, and what is not yet found."""
-    start_heading: float = 0.5
-    """rad: how far it may be off throughout: what a first heading by the field counts against the motion."""
-    unaided_speed: float = 0.3
-    """m/s: how fast a body moves whose acceleration nothing tells; one that was aided may have shown more."""
-    unaided_window_s: float = 1.0
-    """Over it the mean acceleration is that speed over the window."""
-    starting_share: float = 0.1
-    """Of the square of what a first sample shows of acceleration: how much of it lasts over that window."""
-    starting_memory_s: float = 2.0
-    """For how long that is expected."""
-    local_window_s: float = 0.2
-    """Least span of readings of a local device that an acceleration is fitted to: bandwidth about 5 Hz."""
-    local_acceleration: float = 0.2
-    """m/s²: the span is so long that the readings' noise leaves no more than that, where it can be."""
-    heading_evidence: float = 20.0
-    """Concentration (von Mises) from which an open heading is taken as shown."""
-    heading_coherence: float = 0.6
-    """Least agreement of the two sides' horizontal accelerations for that."""
-    heading_time_s: float = 1.0
-    """For how long it must have been gathered: what one swing tells is off to one side."""
-    rest_rate: float = 0.035
-    """rad/s: less change of the rate than this, for ``REST_S``, is rest."""
-    dead_rate: float = 2.0
-    """rad/s: how a segment turns while its module is silent."""
-    largest_rate: float = 34.8
-    """rad/s: beyond it (2000 °/s less rounding) a gyrometer is saturated."""
-    largest_force: float = 156.0
-    """m/s²: beyond it (16 g less rounding) an accelerometer is saturated."""
+    NO = 0
+    """No sample yet."""
+    YES = 1
+    AGAIN = 2
+    """It has an orientation, but was silent for so long that it begins anew."""
 
 
-class ChainBody(NamedTuple):
+class Heading(IntEnum):
+    """Whether something has shown a segment's heading against its parent, of a root in the world."""
+
+    OBSERVED = 0
+    UNOBSERVED = 1
+
+
+class Validity(IntEnum):
+    """What of a module's sample counts; each with all before it."""
+
+    NOTHING = 0
+    SATURATED_RATE = 1
+    """It turns by a gyroscope at the end of its range."""
+    RATE = 2
+    FORCE = 3
+
+
+class Link(Record):
+    """A segment as it is built and worn; constant."""
+
+    parent: int  # nearest one towards the root with a module; −1: none, or has none itself
+    heading_observable: int  # 1: motion can show it: against the parent, or by a device on a root
+    to_joint: Vector  # module to proximal joint, own axes, m
+    from_parent: Vector  # parent's module to this joint, parent's axes, m
+    is_bridged: int  # 1: segments without module lie between; see ``chain_bridges``
+    beyond: Vector  # of these, what turns with this segment, own axes, m
+    slack: float  # by how much the joint beyond them may be elsewhere, m
+    stands: int  # 1: made to stand on the ground
+
+
+class Mount(Record):
+    """Where a local device sits; constant."""
+
+    segment: int
+    kind: int  # Quantity
+    arm: Vector  # module to device, segment axes, m
+
+
+class World(Record):
+    """What is the same for all segments; constant."""
+
+    gravity: Vector  # m/s²
+    at_rest: Vector  # specific force of what does not accelerate: −gravity
+    magnetic_field: Vector  # µT
+    uses_field: int
+    is_tree: int  # 1: one filter over the whole tree; 0: segment by segment, outward
+
+
+class Body(NamedTuple):
     """Constant."""
 
-    parents: IntArray  # (n,) nearest one towards the root with a module; −1: none, or has none itself
-    opens: IntArray  # (n,) 1 where motion can show the heading: against the parent, or by a device on a root
-    to_joint: FloatArray  # (n, 3) module to proximal joint, own axes, m
-    from_parent: FloatArray  # (n, 3) parent's module to this joint, parent's axes, m
-    is_bridged: IntArray  # (n,) 1 where segments without module lie between; see ``chain_bridges``
-    beyond: FloatArray  # (n, 3) of those, what turns with this segment, own axes, m
-    slack: FloatArray  # (n,) by how much the joint beyond them may be elsewhere, m
-    device_segment: IntArray  # (d,)
-    device_kind: IntArray  # (d,) Quantity
-    device_arm: FloatArray  # (d, 3) module to device, segment axes, m
-    carries: IntArray  # (n,) 1 for segments that stand on the ground
-    gravity: FloatArray  # (3,)
-    at_rest: FloatArray  # (3,) specific force of what does not accelerate: −gravity
-    field: FloatArray  # (3,)
-    uses_field: bool
+    segments: Records[Link]
+    devices: Records[Mount]
+    world: World
 
 
-class FilterState(NamedTuple):
-    """By segment, changed in place. Averages are world vectors and turn with every correction."""
+class Averages(Record):
+    """What rows are made of, through their low-pass, world axes; see ``chain_averages``."""
 
-    time_ns: IntArray  # (2,) of the last frame and of the first; −1: none yet
-    is_started: IntArray  # (n,) 0: no, 1: yes, 2: yes, but silent for so long that it begins anew
-    is_open: IntArray  # (n,) heading not yet shown: against the parent, of a root against the world
-    silent_s: FloatArray  # (n,) since the module's last sample
-    fresh_s: FloatArray  # (n,) since the averages were begun
-    R: FloatArray  # (n, 3, 3)
-    bias: FloatArray  # (n, 3)
-    force_bias: FloatArray  # (n, 3) found error of the accelerometer, m/s², of segments with a local device
-    P: FloatArray  # (n, 6, 6)
-    C: FloatArray  # (n, 6, 6)
-    rate: FloatArray  # (n, 3) last measured, bias included
-    slope: FloatArray  # (n, 3) its change over the last step, rad/s²; NaN: not known
-    force: FloatArray  # (n, 3) average of R f
-    last_force: FloatArray  # (n, 3) R f of the frame before
-    long_force: FloatArray  # (n, 3) the same over the unaided window
-    swing: FloatArray  # (n, 3, 3) average of R [ω]×
-    arm: FloatArray  # (n, 6) found errors of to_joint and from_parent, m
-    arm_covariance: FloatArray  # (n, 6, 6) their covariance
-    arm_variance: FloatArray  # (n,) what that meant for a component of the joint's row when asked, (m/s²)²
-    learnt_s: FloatArray  # (n,) since that; infinite: never
-    compass_s: FloatArray  # (n,) for how long an undisturbed field has been seen
-    field_seen: FloatArray  # (n, 9) field's mean norm µT and dip rad, mean square of their changes, seconds;
-    # mean changes of norm (relative) and dip, rad, and these of now; mean square of what they are wrong by
-    field_offset: FloatArray  # (n, 2) heading by which the field is off throughout, rad; its variance
-    heading: FloatArray  # (n, 4) cosine and sine sums of an open heading, their possible length; seconds
-    rest: FloatArray  # (n, 10) average rate, force, their variances, seconds at rest, and see ``rest_rows``
-    device_shift: FloatArray  # (d, 3) found error of a device's arm, m
-    device_covariance: FloatArray  # (d, 6, 6) its covariance and that of the accelerometer's error
-    device_age_s: FloatArray  # (d,) since the device last told something
-    device_fit: (
-        FloatArray  # (d, 2) span of its readings that a fit takes, s; what the last one left, (m/s²)² s
-    )
-    readings: FloatArray  # (d, N_READINGS, 5) seconds of frame time, value, standard deviation
-    n_readings: IntArray  # (d, 2) how many; 1 while the last one waits for its frames
-    history: FloatArray  # (d, N_HISTORY, N_OF_FRAME) time, R f, the columns of R, ω: of the device's segment,
-    device_turn: FloatArray  # (d, 3, 3) of these into the world: all corrections since the first of them
-    unaided_square: FloatArray  # (n,) mean square acceleration over the unaided window while aided, (m/s²)²
-    starting_square: FloatArray  # (n,) the same as a start in motion lets expect, less and less with time
-    sun: FloatArray  # (n, 3) cosine and sine sums of the headings that the sun showed, their length; seconds
-    vibration: FloatArray  # (n, 14) mean square, samples, and the last four of each axis, see ``vibration``
-    corrections: FloatArray  # (n, 9) horizontal sums of this block and of the one before, seconds; means of
-    # their product and square; doubts of the gyrometer, of rows
-    misfit: FloatArray  # (n,) of the joint to the parent: mean square of its residual over what is expected
+    force: Vector  # of R f, m/s²
+    last_force: Vector  # R f of the frame before
+    long_force: Vector  # over the unaided window
+    lever_arm_matrix: Matrix  # of R [ω]×, rad/s
+    seconds: float  # since they were begun
 
 
-def initial_state(n: int, d: int) -> FilterState:
-    """Nothing known, of n segments and d devices."""
+class LeverArms(Record):
+    """Found errors of a joint's place on both its segments, and their filter."""
 
-    def z(*shape: int) -> FloatArray:
-        return np.zeros(shape)
-
-    return FilterState(
-        np.full(2, -1, np.int64), np.zeros(n, np.int64), np.ones(n, np.int64), z(n), z(n),
-        z(n, 3, 3), z(n, 3), z(n, 3), z(n, 6, 6), z(n, 6, 6),
-        z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3), z(n, 3, 3),
-        z(n, 6), z(n, 6, 6), z(n), np.full(n, np.inf),
-        z(n), z(n, 9), z(n, 2), z(n, 4), z(n, 10), z(d, 3), z(d, 6, 6), np.full(d, np.inf), z(d, 2),
-        z(d, N_READINGS, 5), np.zeros((d, 2), np.int64),
-        np.full((d, N_HISTORY, N_OF_FRAME), -np.inf), np.tile(np.eye(3), (d, 1, 1)),
-        z(n), z(n), z(n, 3), z(n, 14), z(n, 9), z(n),
-    )  # fmt: skip
+    error: Six  # of to_joint, of from_parent, m
+    covariance: Block
+    row_variance: float  # what it meant for a component of the joint's row when asked, (m/s²)²
+    since_s: float  # since then; infinite: never
 
 
-def chain_body(suit: WornSuit, uses_field: bool) -> ChainBody:
-    """The suit as the filters see it. Devices on segments without module tell nothing and are left out."""
+class FieldWatch(Record):
+    """Norm and dip of the field that a module sees."""
+
+    norm: float  # mean, µT
+    dip: float  # mean, rad
+    change_square: float  # mean square of the changes of both
+    seconds: float  # for which it has been seen
+    norm_drift: float  # means of the changes: of the norm, relative
+    dip_drift: float  # and of the dip, rad
+    norm_change: float  # of now
+    dip_change: float
+    error_square: float  # mean square of what both are wrong by
+
+
+class FieldOffset(Record):
+    """Heading by which the field is off throughout."""
+
+    angle: float  # rad
+    variance: float  # rad²
+
+
+class HeadingSums(Record):
+    """What motion has shown of an unobserved heading; see ``heading_start``."""
+
+    along: float  # Σ of cosines over variances
+    across: float  # Σ of sines
+    length: float  # how long both together could be
+    seconds: float
+
+
+class RestWatch(Record):
+    """Whether a segment turns and accelerates no longer."""
+
+    rate: Vector  # mean, rad/s
+    force: Vector  # mean, m/s²
+    rate_square: float  # mean square of what the rate is off its mean
+    force_square: float
+    still_s: float  # for how long both have been small
+    standing_s: float  # for how much longer a foot that has stood aids its chain
+
+
+class SunSums(Record):
+    """Headings that the sun showed."""
+
+    along: float
+    across: float
+    seconds: float
+
+
+class Vibration(Record):
+    """See ``vibration``."""
+
+    square: float  # mean, of a component, (m/s²)²
+    samples: float
+    last: Annotated[FloatArray, 3, 4]  # of each axis, newest first
+
+
+class Corrections(Record):
+    """What the filter's own corrections say; see ``corrections``."""
+
+    sums: Annotated[FloatArray, 2]  # of this block, horizontal, rad
+    sums_before: Annotated[FloatArray, 2]  # of the one before
+    seconds: float
+    product: float  # mean of the two blocks'
+    square: float  # and of their squares
+    gyroscope: float  # noise inflation, 0 to 1
+    rows: float
+
+
+class Segment(Record):
+    """Everything remembered of a segment."""
+
+    started: int  # Started
+    heading: int  # Heading
+    silent_s: float  # since the module's last sample
+    R: Matrix  # segment to world
+    bias: Vector  # of the gyroscope, rad/s
+    force_bias: Vector  # found error of the accelerometer, m/s², where a local device is
+    P: Block  # covariance of its errors: orientation (world axes, rad), bias (segment axes, rad/s)
+    C: Block  # of its errors (rows) with its parent's (columns)
+    rate: Vector  # last measured, bias included, rad/s
+    rate_slope: Vector  # its change over the last step, rad/s²; NaN: not known
+    averages: Averages
+    arms: LeverArms
+    joint_nis: float  # of the joint to the parent: mean of its residual's square over what is expected
+    compass_s: float  # for how long an undisturbed field has been seen
+    field_watch: FieldWatch
+    field_offset: FieldOffset
+    heading_sums: HeadingSums
+    sun: SunSums
+    rest: RestWatch
+    unaided_square: float  # mean square acceleration over the unaided window while aided, (m/s²)²
+    starting_square: float  # the same as a start in motion lets expect, less and less with time
+    vibration: Vibration
+    corrections: Corrections
+
+
+class Reading(Record):
+    """Of a local device."""
+
+    time_s: float  # since the first frame
+    value: Vector  # world axes
+    sigma: float
+
+
+class PastFrame(Record):
+    """What a device's segment felt; ``turn`` of the device brings it into the world of now."""
+
+    time_s: float  # −inf: none
+    force: Vector  # R f
+    R: Matrix
+    rate: Vector  # segment axes, rad/s
+
+
+class Device(Record):
+    """Everything remembered of a local device."""
+
+    shift: Vector  # found error of its arm, m
+    covariance: Block  # of that and of the accelerometer's error
+    age_s: float  # since it last told something
+    fit_span_s: float  # span of its readings that a fit takes
+    fit_density: float  # what the last fit left, (m/s²)² s
+    n_readings: int
+    is_waiting: int  # 1: the last reading waits for its frames
+    readings: Annotated[Records[Reading], Reading, N_READINGS]  # oldest first
+    history: Annotated[Records[PastFrame], PastFrame, N_HISTORY]  # oldest first
+    turn: Matrix  # all corrections since the first of them
+
+
+class Clock(Record):
+    """Of the filter; −1: no frame yet."""
+
+    last_ns: int
+    first_ns: int
+
+
+class State(NamedTuple):
+    """Changed in place."""
+
+    segments: Records[Segment]
+    devices: Records[Device]
+    clock: Clock
+
+
+class Evidence(Record):
+    """What an instant tells, in information form: of a segment alone (``own``), and of the edge to its
+    parent, child ``c`` and parent ``p``, in their orientation errors only."""
+
+    own: Block
+    own_vector: Six
+    cc: Matrix
+    cp: Matrix
+    pp: Matrix
+    c: Vector
+    p: Vector
+
+
+class SegmentWork(Record):
+    """Of a segment at an instant; nothing in it outlives that."""
+
+    specific_force: Vector  # m/s², segment axes, at the module; NaN where there is none
+    angular_rate: Vector  # rad/s, segment axes
+    magnetic_field: Vector  # µT, segment axes
+    status: int  # Status
+    clipped: int  # Clipped
+    sun: Vector  # direction, segment axes; NaN where it is not seen
+    sun_sigma: float
+    validity: int  # Validity
+    stance_s: float  # for how long it has stood still, 0: not
+    mean_rate: Vector  # that turns it from the frame before to this one, rad/s
+    before: Matrix  # orientation of the frame before
+    K: Matrix  # filtered lever-arm matrix, 1/s², world
+    motion: float  # ‖[ω̇, ω]‖, 1/s²
+    turn: Vector  # world rotation that it is given, rad
+    rotation: Matrix  # of that
+    rolling: float  # rad/s²; see ``rest_rows``
+    aided: int  # 1: a device or the ground shows what it accelerates by
+    chain: int  # first segment of the chain that it belongs to
+    sharing: int  # of a first segment: how many of its chain have a sample
+    is_beyond: int  # 1: turns with the segment whose heading was shown
+    is_settled: int  # 1: the sun has just shown its heading
+    field_off: float  # heading by which the field is seen off, rad
+    disturbance: float  # of the field, 1: none
+    U: Vector  # specific force at the proximal joint as the segment sees it, world
+    u: Vector  # and at the joint to the parent, which may lie beyond; see ``chain_bridges``
+    u_parent: Vector  # there as its parent sees it
+    row_variance: float  # of a component of the joint's row, (m/s²)²
+    evidence: Evidence
+    x: Six  # the errors found
+    is_known: int  # 1: the prior has been inverted
+    known: Block  # prior information, of segments with children
+    G: Block  # of the segment on its parent
+    W: Block  # covariance given the parent
+    offset: Six  # error where the parent has none
+
+
+class Learning(Record):
+    """What learning lever arms works in: three rows on six constants."""
+
+    rows: Annotated[FloatArray, 3, 6]
+    gains: Annotated[FloatArray, 3, 6]  # covariance of each row with the constants, after the rows before it
+    scaled: Annotated[FloatArray, 3, 6]  # over the variance of the innovation
+    residual: Vector
+    off: Vector  # variance that an uncertain orientation gives each row
+    variance: float  # of a row but for that
+    at_once: float  # of a single row, as outliers are judged by
+    memory: float  # rows for which ``off`` stays
+    found: Vector  # innovations
+    change: Six  # of the constants
+
+
+class LocalPair(Record):
+    """What the two sides of a device's row are made of, world axes."""
+
+    u: Vector  # specific force of the module, R f, averaged with the fit's kernel
+    y: Vector  # that of the device, as its readings tell it
+    arm: Matrix  # what a device off the module adds to u, by its place there (segment axes, m)
+    turn: Matrix  # R averaged as u is
+    variance: float  # of the fit, (m/s²)²
+    span_s: float  # of the readings
+
+
+class ExpectedField(Record):
+    """What every segment's field is held against, and how fast."""
+
+    norm: float  # µT
+    dip: float  # rad, above the horizontal
+    horizontal: float  # square of the part of it that shows a heading
+    by_tilt: float  # rad², of the heading it shows, by how accelerometers tilt the module
+    gain: float  # of a low-pass of ``field_memory_s``
+    change_gain: float  # and of ``field_change_s``
+    smoothing_gain: float  # and of ``field_smoothing_s``
+
+
+class SharedWork(Record):
+    """Of all segments at an instant."""
+
+    time_s: float  # since the first frame
+    sees_sun: int
+    sun: Vector  # direction in the world
+    expected: ExpectedField
+    force: Vector
+    force_world: Vector
+    lever_arm_matrix: Matrix
+    reading: Vector
+    rotation: Matrix
+    learning: Learning
+    pair: LocalPair
+    A: Block  # prior regression on the parent
+    B: Block
+    X: Block
+
+
+class Work(NamedTuple):
+    """Made once, so that no frame makes any."""
+
+    segments: Records[SegmentWork]
+    shared: SharedWork
+
+
+def initial_state(n: int, d: int) -> State:
+    """Return that of n segments and d devices of which nothing is known."""
+    state = State(records(Segment, n), records(Device, d), record(Clock))
+    state.clock.last_ns = state.clock.first_ns = -1
+    state.segments["heading"] = Heading.UNOBSERVED
+    state.segments["arms"]["since_s"] = np.inf
+    state.devices["age_s"] = np.inf
+    state.devices["history"]["time_s"] = -np.inf
+    state.devices["turn"] = np.eye(3)
+    return state
+
+
+def work_space(n: int) -> Work:
+    """Return that of n segments, of which no module has spoken."""
+    work = Work(records(SegmentWork, n), record(SharedWork))
+    for name in ("specific_force", "angular_rate", "magnetic_field", "sun", "sun_sigma"):
+        work.segments[name] = np.nan
+    work.segments["status"] = Status.MISSING
+    work.shared.sun[:] = np.nan
+    return work
+
+
+def chain_body(
+    suit: WornSuit, uses_field: bool, is_tree: bool = True, constants: Tuning | None = None
+) -> Body:
+    """The suit as the filter sees it. Devices on segments without module tell nothing and are left out."""
     skeleton = suit.skeleton
     has_module = suit.module_of_segment >= 0
-    bridges = bridges_of(suit)
-    parents, joined = bridges.parents, bridges.parents >= 0
+    bridges = bridges_of(suit, constants or tuning())
+    joined = bridges.parents >= 0
     devices = [device for device in suit.local_devices if has_module[device.segment]]
     lever_arms = np.asarray(suit.lever_arms, np.float64)
-    opens = joined.astype(np.int64)
+    links, mounts, world = records(Link, skeleton.n_segments), records(Mount, len(devices)), record(World)
+    links["parent"] = bridges.parents
+    links["heading_observable"] = joined
     for device in devices:
         if device.quantity not in {Quantity.FIXED_POINT, Quantity.AIR_VELOCITY}:  # these turn with the body
-            opens[device.segment] = 1
-    carries = np.zeros(skeleton.n_segments, np.int64)
-    carries[[segment for segment, _ in skeleton.contacts]] = 1
-    arms = [np.asarray(device.position, np.float64) - lever_arms[device.segment] for device in devices]
-    return ChainBody(
-        parents=parents,
-        opens=opens,
-        to_joint=-lever_arms,
-        from_parent=np.where(joined[:, None], bridges.before - lever_arms[parents], 0.0),
-        is_bridged=bridges.is_bridged,
-        beyond=bridges.beyond,
-        slack=bridges.slack,
-        device_segment=np.array([device.segment for device in devices], np.int64),
-        device_kind=np.array([int(device.quantity) for device in devices], np.int64),
-        device_arm=np.array(arms, np.float64).reshape(len(devices), 3),
-        carries=carries,
-        gravity=np.array(suit.gravity, np.float64),
-        at_rest=-np.array(suit.gravity, np.float64),
-        field=np.array(suit.magnetic_field, np.float64),
-        uses_field=uses_field,
-    )
-
-
-def fixed_points(body: ChainBody) -> IntArray:
-    """(d,) 1 where a device is a fixed point."""
-    fixed: IntArray = (body.device_kind == int(Quantity.FIXED_POINT)).astype(np.int64)
-    return fixed
+            links["heading_observable"][device.segment] = 1
+    links["to_joint"] = -lever_arms
+    links["from_parent"] = np.where(joined[:, None], bridges.before - lever_arms[bridges.parents], 0.0)
+    links["is_bridged"], links["beyond"], links["slack"] = bridges.is_bridged, bridges.beyond, bridges.slack
+    links["stands"][[segment for segment, _ in skeleton.contacts]] = 1
+    for d, device in enumerate(devices):
+        mounts["segment"][d], mounts["kind"][d] = device.segment, int(device.quantity)
+        mounts["arm"][d] = np.asarray(device.position, np.float64) - lever_arms[device.segment]
+    world.gravity[:], world.at_rest[:] = suit.gravity, -np.array(suit.gravity, np.float64)
+    world.magnetic_field[:] = suit.magnetic_field
+    world.uses_field, world.is_tree = int(uses_field), int(is_tree)
+    return Body(links, mounts, world)

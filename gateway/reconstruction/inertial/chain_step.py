@@ -1,295 +1,269 @@
-"""One instant of the chain filters: predict, average, open headings, rows, update, correct. Compiled."""
+"""One instant of the tree filter: predict, average, observe headings, rows, update, correct. Compiled."""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from gateway.frames import FloatArray, IntArray, Status, StatusArray
+from gateway.frames import Quantity, Status, StatusArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial import chain_rows
-from gateway.reconstruction.inertial.chain_averages import (
-    REST_WINDOW_S,
-    SETTLED,
-    average,
-    felt_into,
-    watch_rest,
-)
+from gateway.reconstruction.inertial.chain_averages import average, felt_into, watch_rest
 from gateway.reconstruction.inertial.chain_prediction import (
-    note_valid_rows,
+    correct,
+    judge_samples,
     predict,
-    start,
+    start_segments,
     turn_segments,
 )
-from gateway.reconstruction.inertial.chain_scratch import Scratch
-from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.corrections import note_correction, row_doubt
-from gateway.reconstruction.inertial.device_rows import device_rows, is_heard
+from gateway.reconstruction.inertial.chain_state import Body, Heading, State, Validity, Work
+from gateway.reconstruction.inertial.corrections import note_correction, row_inflation
+from gateway.reconstruction.inertial.device_rows import device_rows, has_spoken
 from gateway.reconstruction.inertial.heading_start import (
-    bending,
     compass_turn,
     gather_heading,
     is_apart,
-    reopen_headings,
+    lose_headings,
+    second_order_variance,
     shown_heading,
     tilt_spread,
     turn_beyond,
-    turn_evidence,
+    turn_heading_sums,
 )
-from gateway.reconstruction.inertial.lever_arms import learn_joint_arms
-from gateway.reconstruction.inertial.rest_rows import note_rolling, rest_rows
+from gateway.reconstruction.inertial.lever_arms import ask_again, is_due, learn_joint_arms
+from gateway.reconstruction.inertial.rest_rows import note_rolling, stance_rows
 from gateway.reconstruction.inertial.sun_rows import follow_sun
-from gateway.reconstruction.inertial.tree_filter import (
-    Evidence,
-    add_edge,
-    clear,
-    update_outward,
-    update_tree,
-)
+from gateway.reconstruction.inertial.tree_filter import add_edge, clear, update_outward, update_tree
+from gateway.reconstruction.inertial.tuning import Tuning
 
 INTERPOLATED, UNAIDED = Status.INTERPOLATED.value, Status.UNAIDED.value
+FIXED_POINT = Quantity.FIXED_POINT.value
+NOTHING, RATE, FORCE = Validity.NOTHING.value, Validity.RATE.value, Validity.FORCE.value
+OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
 LEAST_SQUARE = 1e-9
 """(m/s²)²: nothing, but no number so small that processors are slow with it."""
-STARTING_S = 2.0
-"""So long a device may take to say its first."""
 
 
 @compiled
-def step(
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    scratch: Scratch,
-    fixed: IntArray,
-    is_joint: bool,
-    sees_sun: bool,
-    dt: float,
-    time_s: float,
-    resting: FloatArray,
-    acceleration: FloatArray,
-) -> None:
-    """dt: since the frame before, s (> 0); time_s: of the frame since the first. resting: (n,) s for how
-    long each segment has stood still, 0: not. What was observed is in ``scratch``; ``state`` changes.
+def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """dt: since the frame before, s (> 0). What was observed is in ``work``; ``state`` changes.
 
-    acceleration: (n, 3) is given those of all proximal joints, world; it is left as it was where none is
-    known. ``scratch.is_valid`` tells whether a segment's module counted.
+    ``U`` of each segment whose ``validity`` is FORCE then is the specific force at its proximal joint.
     """
-    observed, is_valid, K, motion = scratch.observed, scratch.is_valid, scratch.K, scratch.motion
-    evidence, turns = scratch.evidence, scratch.turns
-    force, rate, field = observed.specific_force, observed.angular_rate, observed.magnetic_field
-    note_valid_rows(is_valid, noise, observed)
-    note_rolling(scratch.rolling, state, rate, resting, dt)
-    predict(body, state, noise, rate, is_valid, is_joint, dt, scratch.before)
-    _start_segments(body, state, noise, scratch)
-    reopen_headings(body, state)
-    average(body, state, noise, force, rate, is_valid, dt, K, motion)
-    _forget(scratch)
-    if body.uses_field:
-        _follow_field(evidence, body, state, noise, is_valid, field, dt, turns)
-    if sees_sun:
-        follow_sun(evidence, body, state, noise, is_valid, scratch.sun, dt, turns)
-    device_rows(body, state, noise, scratch, fixed, dt, time_s)
-    rest_rows(evidence, body, state, noise, is_valid, force, resting, scratch.rolling, dt, scratch.anchored)
-    _joint_rows(body, state, noise, scratch, is_joint, dt)
-    rest_gain = 1.0 - math.exp(-dt / REST_WINDOW_S)
-    for s in range(len(is_valid)):
-        if is_valid[s] > 0.0 and watch_rest(state, noise, s, force[s], rate[s], rest_gain, dt):
-            chain_rows.rest_row(evidence, state, s, REST_WINDOW_S, dt)
-    turn_segments(body, state, turns, scratch.rotations)
-    if is_joint:
-        update_tree(body.parents, state.P, state.C, evidence, scratch.tree)
+    judge_samples(work, tuning)
+    note_rolling(state, work, dt)
+    predict(body, state, tuning, work, dt)
+    start_segments(body, state, tuning, work)
+    lose_headings(body, state, tuning)
+    average(state, tuning, work, dt)
+    _forget(work)
+    if body.world.uses_field:
+        _follow_field(body, state, tuning, work, dt)
+    if work.shared.sees_sun:
+        follow_sun(body, state, tuning, work, dt)
+    device_rows(body, state, tuning, work, dt)
+    stance_rows(body, state, tuning, work, dt)
+    _joint_rows(body, state, tuning, work, dt)
+    _unaided_rows(body, state, tuning, work, dt)
+    _rest_rows(state, tuning, work, dt)
+    turn_segments(body, state, work)
+    if body.world.is_tree:
+        update_tree(body.segments, state.segments, work)
     else:
-        update_outward(body.parents, state.P, evidence, scratch.tree)
-    turn_segments(body, state, scratch.tree.x, scratch.rotations)
-    for s in range(len(is_valid)):
-        if is_valid[s] == 2.0 and scratch.anchored[scratch.chain[s]] > 0.0 and state.is_open[s] == 0:
-            note_correction(state, s, scratch.tree.x[s, 0], scratch.tree.x[s, 1], dt)
-        for i in range(3):
-            state.bias[s, i] += scratch.tree.x[s, 3 + i]
-            if is_valid[s] == 2.0:
-                acceleration[s, i] = scratch.U[s, i] + body.gravity[i]
+        update_outward(body.segments, state.segments, work)
+    correct(state, work)
+    turn_segments(body, state, work)
+    _note_corrections(state, tuning, work, dt)
 
 
 @compiled
-def _start_segments(body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch) -> None:
-    """Where a first sample has come; until then what a module says does not count."""
-    observed, is_valid = scratch.observed, scratch.is_valid
-    for s in range(len(is_valid)):
-        if state.is_started[s] != 1:
-            if is_valid[s] == 2.0:
-                start(
-                    body, state, noise, s, observed.specific_force[s], observed.angular_rate[s],
-                    observed.magnetic_field[s],
-                )  # fmt: skip
-            if state.is_started[s] != 1:
-                is_valid[s] = 0.0
-
-
-@compiled
-def _forget(scratch: Scratch) -> None:
+def _forget(work: Work) -> None:
     """What the instant before has left."""
-    clear(scratch.evidence)
-    for s in range(len(scratch.anchored)):
-        scratch.anchored[s] = 0.0
+    for s in range(len(work.segments)):
+        now = work.segments[s]
+        clear(now.evidence)
+        now.aided = 0
         for i in range(3):
-            scratch.turns[s, i] = 0.0
+            now.turn[i] = 0.0
 
 
 @compiled
-def _follow_field(
-    evidence: Evidence,
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    is_valid: FloatArray,
-    field: FloatArray,
-    dt: float,
-    turns: FloatArray,
-) -> None:
-    """A row where the heading is settled; where it is open the field leads it as a compass."""
-    expected = chain_rows.expected_field(body, noise, dt)
-    for s in range(len(body.parents)):
-        if is_valid[s] < 1.0:
-            continue  # a saturated gyrometer has lost it: the field would seem disturbed
-        if not math.isfinite(field[s, 0] + field[s, 1] + field[s, 2]):
+def _follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """A row where the heading is observed; where it is not the field leads it as a compass."""
+    expected, world = work.shared.expected, body.world
+    chain_rows.expect_field(expected, world, tuning, dt)
+    for s in range(len(body.segments)):
+        segment, now = state.segments[s], work.segments[s]
+        m = now.magnetic_field
+        if now.validity < RATE:
+            continue  # a saturated gyroscope has lost it: the field would seem disturbed
+        if not math.isfinite(m[0] + m[1] + m[2]):
             continue
-        off, disturbance = chain_rows.watch_field(body, state, s, field[s], expected, dt)
-        if state.is_open[s] == 0:
-            chain_rows.field_row(evidence, body, state, noise, s, off, disturbance, expected, dt)
+        chain_rows.watch_field(segment, now, world, expected, tuning, dt)
+        if segment.heading == OBSERVED:
+            chain_rows.field_row(segment, body.segments[s], now, expected, tuning, dt)
             continue
-        turns[s, 2] = compass_turn(state, s, off, disturbance, dt)
-    for s in range(len(body.parents)):
-        turn_evidence(state, s, turns[s, 2])
-        if body.parents[s] >= 0:
-            turn_evidence(state, s, -turns[body.parents[s], 2])
+        now.turn[2] = compass_turn(segment, now, tuning, dt)
+    for s in range(len(body.segments)):
+        p, sums = body.segments[s].parent, state.segments[s].heading_sums
+        turn_heading_sums(sums, work.segments[s].turn[2])
+        if p >= 0:
+            turn_heading_sums(sums, -work.segments[p].turn[2])
 
 
 @compiled
-def mark_unaided(
-    body: ChainBody, state: FilterState, scratch: Scratch, fixed: IntArray, time_s: float, status: StatusArray
-) -> None:
+def mark_unaided(body: Body, state: State, tuning: Tuning, work: Work, status: StatusArray) -> None:
     """Tells in ``status`` (n,), in place, which chains have lost all their local devices."""
-    n, chain, held_up = len(body.parents), scratch.chain, scratch.sharing
-    for s in range(n):
-        chain[s], held_up[s] = s, 0.0  # 1: by nothing any more, 2: by a device
-        if body.parents[s] >= 0:
-            chain[s] = chain[body.parents[s]]
-    for d in range(len(fixed)):
-        c, age_s = chain[body.device_segment[d]], state.device_age_s[d]
-        is_aiding = fixed[d] or is_heard(state, d) or (age_s == np.inf and time_s < STARTING_S)
-        held_up[c] = max(held_up[c], 2.0 if is_aiding else 1.0)
-    for s in range(n):
-        if held_up[chain[s]] == 1.0 and status[s] <= INTERPOLATED:
+    for s in range(len(body.segments)):
+        now, p = work.segments[s], body.segments[s].parent
+        now.chain, now.sharing = s, 0  # 1: aided by nothing any more, 2: by a device
+        if p >= 0:
+            now.chain = work.segments[p].chain
+    for d in range(len(body.devices)):
+        mount, device = body.devices[d], state.devices[d]
+        is_starting = device.age_s == math.inf and work.shared.time_s < tuning.device_start_s
+        is_aiding = mount.kind == FIXED_POINT or has_spoken(device, tuning) or is_starting
+        first = work.segments[work.segments[mount.segment].chain]
+        first.sharing = max(first.sharing, 2 if is_aiding else 1)
+    for s in range(len(body.segments)):
+        if work.segments[work.segments[s].chain].sharing == 1 and status[s] <= INTERPOLATED:
             status[s] = UNAIDED
 
 
 @compiled
-def _joint_rows(
-    body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, is_joint: bool, dt: float
-) -> None:
-    """Rows of all joints, and ``scratch.U``; chains that nothing holds up get an unaided row.
+def _joint_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Rows of all joints, and ``U``; segments whose joints are seen from both sides are one chain.
 
-    In the joint filter a foot or a device anywhere holds up its chain; outward only one on its root does.
+    In the joint filter a foot or a device anywhere aids its chain; outward only one on its root does.
     """
-    settled_s = SETTLED * noise.smoothing_s
-    is_valid, chain, anchored = scratch.is_valid, scratch.chain, scratch.anchored
-    for s in range(len(body.parents)):
-        p, chain[s] = body.parents[s], s
-        felt_into(scratch.U[s], state.force[s], scratch.K[s], body.to_joint[s], state.arm[s], 0)
-        if p < 0 or is_valid[s] < 2.0 or is_valid[p] < 2.0:
+    settled_s = tuning.settled * tuning.smoothing_s
+    for s in range(len(body.segments)):
+        link, segment, now = body.segments[s], state.segments[s], work.segments[s]
+        p, now.chain = link.parent, s
+        felt_into(now.U, segment.averages.force, now.K, link.to_joint, segment.arms.error, 0)
+        if p < 0 or now.validity < FORCE or work.segments[p].validity < FORCE:
             continue
-        if state.misfit[s] < chain_rows.LOOSE:  # else what holds up the one does not hold up the other
-            chain[s] = chain[p]  # also while its row waits for the averages: after a gap nothing has changed
-        if is_joint:
-            anchored[chain[s]] = max(anchored[chain[s]], anchored[s])
-        if state.fresh_s[s] < settled_s or state.fresh_s[p] < settled_s:
+        if segment.joint_nis < tuning.loose_nis:  # else what aids the one does not aid the other
+            # also while its row waits for the averages: after a gap nothing has changed
+            now.chain = work.segments[p].chain
+        if body.world.is_tree:
+            first = work.segments[now.chain]
+            first.aided = max(first.aided, now.aided)
+        if segment.averages.seconds < settled_s or state.segments[p].averages.seconds < settled_s:
             continue
-        _joint_row(body, state, noise, scratch, s, p, dt)
-    _unaided_rows(body, state, noise, scratch, dt)
+        _joint_row(body, state, tuning, work, s, dt)
 
 
 @compiled
-def _unaided_rows(body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, dt: float) -> None:
-    """All segments of a chain that nothing holds up share one: that averages their accelerometers' errors.
+def _unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """All segments of a chain that nothing aids share one: that averages their accelerometers' errors.
 
-    Where one is held up, its segments have a weak one of their own until their inclinations are settled.
+    Where one is aided, its segments have a weak one of their own until their inclinations are settled.
     """
-    is_valid, chain, sharing = scratch.is_valid, scratch.chain, scratch.sharing
-    decay = math.exp(-dt / noise.starting_memory_s)
-    for s in range(len(chain)):
-        sharing[s] = 0.0
-        state.starting_square[s] = max(state.starting_square[s] * decay, LEAST_SQUARE)
-    for s in range(len(chain)):
-        if is_valid[s] == 2.0:
-            sharing[chain[s]] += 1.0
-    for s in range(len(chain)):
-        if is_valid[s] < 2.0:
+    decay = math.exp(-dt / tuning.starting_memory_s)
+    for s in range(len(work.segments)):
+        segment = state.segments[s]
+        work.segments[s].sharing = 0
+        segment.starting_square = max(segment.starting_square * decay, LEAST_SQUARE)
+    for s in range(len(work.segments)):
+        if work.segments[s].validity == FORCE:
+            work.segments[work.segments[s].chain].sharing += 1
+    for s in range(len(work.segments)):
+        segment, now = state.segments[s], work.segments[s]
+        first = work.segments[now.chain]
+        if now.validity < FORCE:
             continue
-        if scratch.anchored[chain[s]] > 0.0:
-            chain_rows.note_aided(state, noise, s, body.at_rest, dt)
-            chain_rows.starting_row(scratch.evidence, state, noise, s, body.at_rest, dt)
+        if first.aided:
+            chain_rows.note_aided(segment, body.world, tuning, dt)
+            chain_rows.starting_row(now, segment, body.world, tuning, dt)
         else:
-            chain_rows.unaided_row(scratch.evidence, state, noise, s, body.at_rest, sharing[chain[s]], dt)
+            chain_rows.unaided_row(now, segment, body.world, first.sharing, tuning, dt)
 
 
 @compiled
-def _joint_row(
-    body: ChainBody, state: FilterState, noise: Noise, scratch: Scratch, s: int, p: int, dt: float
-) -> None:
-    """Of segment s and its parent p; changes ``scratch.U[s]`` where it corrects lever arms."""
-    K, motion, evidence, turns = scratch.K, scratch.motion, scratch.evidence, scratch.turns
-    u, u_p = scratch.U[s], scratch.U_parent[s]
-    felt_into(u_p, state.force[p], K[p], body.from_parent[s], state.arm[s], 3)
-    moved = math.sqrt(motion[s] ** 2 + motion[p] ** 2)
-    variance = chain_rows.row_variance(noise, moved, dt)
-    if body.is_bridged[s]:
-        u = scratch.U_beyond[s]
-        for i in range(3):
-            u[i] = scratch.U[s, i]
-            for j in range(3):
-                u[i] -= K[s, i, j] * body.beyond[s, j]
-        variance += (body.slack[s] * moved) ** 2 * noise.row_memory_s / dt
-    variance += state.vibration[s, 0] + state.vibration[p, 0]
-    variance += bending(state, s, u, dt) + bending(state, p, u_p, dt)
-    is_lost = state.is_open[s] == 1
-    if not is_lost and state.is_open[p] == 1 and is_apart(body, state, s):
+def _joint_row(body: Body, state: State, tuning: Tuning, work: Work, s: int, dt: float) -> None:
+    """Of segment s and its parent; changes ``U`` where it corrects lever arms."""
+    p = body.segments[s].parent
+    child, parent, now, above = state.segments[s], state.segments[p], work.segments[s], work.segments[p]
+    _see_joint(body, state, tuning, work, s, dt)
+    is_lost = child.heading == UNOBSERVED
+    if not is_lost and parent.heading == UNOBSERVED and is_apart(body, state, tuning, s):
         # the parent has begun anew beside a segment that has not: this shows the parent's heading
         is_lost = True
-        uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
-        gather_heading(state, p, u_p, u, uncertain, dt)
+        uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
+        gather_heading(parent.heading_sums, now.u_parent, now.u, uncertain, tuning, dt)
     elif is_lost:
-        uncertain = variance + tilt_spread(state, s, dt) + tilt_spread(state, p, dt)
-        gather_heading(state, s, u, u_p, uncertain, dt)
-        shown, angle = shown_heading(state, noise, s)
+        uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
+        gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, tuning, dt)
+        shown, angle = shown_heading(child, tuning)
         if shown > 0.0:
-            state.is_open[s] = 0
-            _settle(evidence, s, shown)
-            turn_beyond(body, state, s, angle, turns)
+            child.heading = OBSERVED
+            # the heading against the parent is what it is now, to that variance
+            add_edge(now.evidence, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.0, shown)
+            turn_beyond(body, state, tuning, work, s, angle)
             return
-    elif turns[s, 2] != 0.0 or turns[p, 2] != 0.0:
+    elif now.turn[2] != 0.0 or above.turn[2] != 0.0:
         return  # this instant's averages are those before the turn
     else:
-        at_once = variance * dt / noise.row_memory_s
-        added = learn_joint_arms(state, noise, scratch.learning, s, p, u, u_p, K[s], K[p], at_once, dt)
-        variance += added * noise.row_memory_s / dt
+        _learn_arms(body, state, tuning, work, s, dt)
     if not is_lost:
-        variance *= row_doubt(state, s, p)
-    chain_rows.joint_row(evidence, state, noise, s, p, u, u_p, variance, dt, is_lost)
+        now.row_variance *= row_inflation(child, parent, tuning)
+    chain_rows.joint_row(now, child, parent, is_lost, tuning, dt)
 
 
 @compiled
-def _settle(evidence: Evidence, s: int, variance: float) -> None:
-    """The heading against the parent is what it is now, to that variance."""
-    row, row_p = np.zeros(3), np.zeros(3)
-    row[2], row_p[2] = 1.0, -1.0
-    add_edge(evidence, s, row, row_p, 0.0, variance)
+def _see_joint(body: Body, state: State, tuning: Tuning, work: Work, s: int, dt: float) -> None:
+    """``u``, ``u_parent``, ``row_variance`` ← of the joint between segment s and its parent."""
+    link = body.segments[s]
+    child, parent = state.segments[s], state.segments[link.parent]
+    now, above = work.segments[s], work.segments[link.parent]
+    felt_into(now.u_parent, parent.averages.force, above.K, link.from_parent, child.arms.error, 3)
+    moved = math.sqrt(now.motion**2 + above.motion**2)
+    variance = chain_rows.row_variance(tuning, moved, dt)
+    for i in range(3):
+        now.u[i] = now.U[i]
+    if link.is_bridged:
+        for i in range(3):
+            for j in range(3):
+                now.u[i] -= now.K[i, j] * link.beyond[j]
+        variance += (link.slack * moved) ** 2 * tuning.row_memory_s / dt
+    variance += child.vibration.square + parent.vibration.square
+    variance += second_order_variance(child, now.u, tuning, dt) + second_order_variance(
+        parent, now.u_parent, tuning, dt
+    )
+    now.row_variance = variance
 
 
 @compiled
-def note_sigma(sigma: FloatArray, state: FilterState) -> None:
-    """sigma (n,) rad ← root of the expected square of the angle of error; as it was where there is none."""
-    for s in range(len(sigma)):
-        if state.is_started[s]:
-            P = state.P[s]
-            sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), 2.0 * OPEN_SIGMA)
+def _learn_arms(body: Body, state: State, tuning: Tuning, work: Work, s: int, dt: float) -> None:
+    """What the lever arms are uncertain of is added to the joint's row, and from time to time is learnt."""
+    link, child, now = body.segments[s], state.segments[s], work.segments[s]
+    if is_due(child, tuning, dt):
+        learning = work.shared.learning
+        learning.at_once = now.row_variance * dt / tuning.row_memory_s
+        learn_joint_arms(
+            child, state.segments[link.parent], now, work.segments[link.parent], learning, tuning
+        )
+        ask_again(child, s, dt)
+        if not link.is_bridged:
+            for i in range(3):
+                now.U[i] = now.u[i]
+    now.row_variance += child.arms.row_variance * tuning.row_memory_s / dt
+
+
+@compiled
+def _rest_rows(state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Of all segments that have rested for a while."""
+    gain = 1.0 - math.exp(-dt / tuning.rest_window_s)
+    for s in range(len(work.segments)):
+        segment, now = state.segments[s], work.segments[s]
+        if now.validity > NOTHING and watch_rest(segment.rest, now, tuning, gain, dt):
+            chain_rows.rest_row(now, segment, tuning, dt)
+
+
+@compiled
+def _note_corrections(state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Of segments whose inclinations rows have shown."""
+    for s in range(len(work.segments)):
+        segment, now = state.segments[s], work.segments[s]
+        if now.validity == FORCE and work.segments[now.chain].aided and segment.heading == OBSERVED:
+            note_correction(segment.corrections, now.x[0], now.x[1], tuning, dt)

@@ -19,14 +19,14 @@ from gateway.frames import Clipped, FloatArray, ImuFrame, IntArray, SkeletonFram
 from gateway.geometry import derivatives, quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import norm
-from gateway.reconstruction.inertial.chain_state import Noise
 from gateway.reconstruction.inertial.habits import clear, no_habits, note
 from gateway.reconstruction.inertial.module_filter import ModuleFilter, Sample
 from gateway.reconstruction.inertial.observations import SegmentObserver, clipped_of, with_sun_as_field
+from gateway.reconstruction.inertial.tuning import tuning
 
 HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
 UNAIDED = Status.UNAIDED.value
-RANGES = Noise()
+RANGES = tuning()
 """Where sensors are saturated that do not say so themselves, the same as for ``joint``."""
 
 

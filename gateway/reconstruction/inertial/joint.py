@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,26 +19,21 @@ from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame
 from gateway.reconstruction.inertial.chain_frames import (
     SHORTEST_STEP_S,
-    Constants,
+    Filter,
     Inputs,
     advance,
     wearing_of,
 )
-from gateway.reconstruction.inertial.chain_scratch import scratch
-from gateway.reconstruction.inertial.chain_state import (
-    FilterState,
-    Noise,
-    chain_body,
-    fixed_points,
-    initial_state,
-)
-from gateway.reconstruction.inertial.held_arguments import hold
+from gateway.reconstruction.inertial.chain_state import State, chain_body, initial_state, work_space
 from gateway.reconstruction.inertial.local_device import RootMotion, in_segment_axes
 from gateway.reconstruction.inertial.place_keeper import PlaceKeeper
 from gateway.reconstruction.inertial.sun_rows import stacked_sights
 from gateway.reconstruction.inertial.time_reversal import turned_back
+from gateway.reconstruction.inertial.tuning import Tuning, tuning
 from gateway.reconstruction.stacked_frames import Poses, StackedFrames, stacked
 
+STATE_VERSION = 2
+"""Of what ``state`` returns. 1 had an array for every quantity and is not read any more."""
 READINGS_AT_ONCE = 8
 """Of local devices, for which a live frame has room made beforehand."""
 
@@ -46,7 +42,7 @@ READINGS_AT_ONCE = 8
 class ChainSettings:
     """Parameters of the chain estimators; the defaults serve all bodies and motions."""
 
-    noise: Noise = field(default_factory=Noise)
+    tuning: Tuning = field(default_factory=tuning)
     uses_field: bool = True
     """Whether the earth's field tells headings: weakly, the less the more its norm and dip are off."""
     longest_hold_s: float = 0.25
@@ -61,7 +57,7 @@ class ChainReconstructor:
     parent), UNAIDED where all local devices of the chain have fallen silent or the accelerometer is
     saturated, MISSING before the first sample. sigma: root of the expected square of the error's angle, rad;
     above 1.6 while the heading is not known. angular_rate: bias taken off. joint_acceleration: after the
-    low-pass of the rows; NaN where the module is silent or saturated. A module needs its gyrometers.
+    low-pass of the rows; NaN where the module is silent or saturated. A module needs its gyroscopes.
     A frame that is not later than the one before changes nothing.
     """
 
@@ -73,8 +69,7 @@ class ChainReconstructor:
         self._settings = settings = settings or ChainSettings()
         self._suit, self._nominal_interval_s = suit, nominal_interval_s
         self._n = suit.skeleton.n_segments
-        self._body = chain_body(suit, settings.uses_field)
-        self._fixed = fixed_points(self._body)
+        self._body = chain_body(suit, settings.uses_field, self.is_joint, settings.tuning)
         device = suit.local_devices[0] if suit.local_devices else None
         self._device = device
         self._root = device.segment if device else int(np.flatnonzero(suit.skeleton.parents < 0)[0])
@@ -99,18 +94,29 @@ class ChainReconstructor:
 
     def state(self) -> dict[str, NDArray[np.generic]]:
         """Return all that is remembered, as arrays."""
-        filtered = {name: array.copy() for name, array in self._state._asdict().items()}
-        return filtered | self._root_motion.places() | self._place.state()
+        state = self._state
+        filtered = {"segments": state.segments.copy(), "devices": state.devices.copy()}
+        clock = np.array([state.clock.last_ns, state.clock.first_ns])
+        version = np.array([STATE_VERSION])
+        return (
+            filtered | {"clock": clock, "version": version} | self._root_motion.places() | self._place.state()
+        )
 
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
         """Go on from a saved state: as if never interrupted, bit for bit. Raises ``ValueError`` if it is of
-        another body."""
+        another body, or of another version of this filter."""
+        version = int(state["version"][0]) if "version" in state else 1
+        if version != STATE_VERSION:
+            raise ValueError(f"the saved state is of version {version}; this is version {STATE_VERSION}")
         for name, array in self.state().items():
             if name not in state or state[name].shape != array.shape:
                 raise ValueError(f"the saved state's {name!r} does not fit this body of {self._n} segments")
         fresh = initial_state(self._n, len(self._devices))
-        for name, array in fresh._asdict().items():
-            array[...] = state[name]
+        for name, records in (("segments", fresh.segments), ("devices", fresh.devices)):
+            if state[name].dtype.descr != np.asarray(records).dtype.descr:
+                raise ValueError(f"the saved state's {name!r} have other fields than those of this version")
+            records[...] = state[name]
+        fresh.clock.last_ns, fresh.clock.first_ns = state["clock"]
         self._use(fresh)
         self._root_motion.set_places(state)
         self._place.set_state(state)
@@ -118,16 +124,14 @@ class ChainReconstructor:
     def turned_back(self) -> ChainReconstructor:
         """The same estimator, to go backward from where this one is; see ``time_reversal``."""
         back = type(self)(self._suit, self._nominal_interval_s, self._settings)
-        back._use(turned_back(self._state, self._settings.noise, self._body.gravity))
+        back._use(turned_back(self._state, self._settings.tuning, self._body.world.gravity))
         return back
 
-    def _use(self, state: FilterState) -> None:
+    def _use(self, state: State) -> None:
         self._state = state
-        noise = self._settings.noise
-        constants = Constants(
-            self._wearing, self._body, noise, self._fixed, self.is_joint, state, scratch(self._n)
-        )
-        self._held = hold(constants)
+        work = work_space(self._n)
+        held = Filter(self._wearing, self._body, state, self._settings.tuning, work)
+        self._arrays: Any = held.arrays()
 
     def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``.
@@ -135,10 +139,10 @@ class ChainReconstructor:
         resting: (n_segments,) s for how long each has stood still, 0: not; see ``stance``.
         """
         q_wb, rate, acceleration, p_w, sigma, status = advance(
-            self._held,
-            *self._inputs_of_one(observation),
+            self._inputs_of_one(observation),
             self._never_resting if resting is None else resting[None],
             self._no_covariance,
+            *self._arrays,
         )
         return SkeletonFrame(
             observation.sequence, observation.time_ns, q_wb[0], rate[0], acceleration[0], p_w[0], sigma[0],
@@ -170,7 +174,7 @@ class ChainReconstructor:
     ) -> Poses:
         """The same in arrays. frames: the observations."""
         wanted = self._no_covariance if covariance is None else covariance
-        arrays = advance(self._held, *self._inputs(observations, frames), resting, wanted)
+        arrays = advance(self._inputs(observations, frames), resting, wanted, *self._arrays)
         return Poses(
             [observation.sequence for observation in observations],
             [observation.time_ns for observation in observations],
@@ -219,7 +223,7 @@ class ChainReconstructor:
 
     def _first_ns(self, observation: ImuFrame) -> int:
         """When the filter's seconds begin, if this may be its first frame."""
-        first_ns = int(self._state.time_ns[1])
+        first_ns = int(self._state.clock.first_ns)
         return observation.time_ns if first_ns < 0 else first_ns
 
     def _rows_of(self, observation: ImuFrame, first_ns: int) -> list[tuple[float, ...]]:
@@ -240,7 +244,7 @@ class ChainReconstructor:
         """(T, 3) where the device that measures a place is; without one, zeros."""
         positions = np.zeros((len(observations), 3))
         if self._measures_place:
-            latest_ns = int(self._state.time_ns[0])
+            latest_ns = int(self._state.clock.last_ns)
             for position, observation in zip(positions, observations, strict=True):
                 if (observation.time_ns - latest_ns) * 1e-9 > SHORTEST_STEP_S:
                     latest_ns = observation.time_ns

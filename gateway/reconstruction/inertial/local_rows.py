@@ -12,160 +12,134 @@ window first.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records
 from gateway.reconstruction.inertial.chain_state import (
     N_HISTORY,
-    N_OF_FRAME,
     N_READINGS,
-    ChainBody,
-    FilterState,
-    Noise,
+    Device,
+    LocalPair,
+    Mount,
+    PastFrame,
+    Segment,
+    SegmentWork,
+    World,
 )
-from gateway.reconstruction.inertial.observations import SegmentObservations
+from gateway.reconstruction.inertial.tuning import Tuning
 
 ACCELERATION, POSITION = Quantity.ACCELERATION.value, Quantity.POSITION.value
 VELOCITY = Quantity.VELOCITY.value
 LEAST_READINGS = 4
-LONGEST_GAP_S = 0.35
-"""Between readings; over a longer one nothing is differentiated."""
-LONGEST_WINDOW_S = 3.0
-"""So long gyrometers keep the directions that are averaged."""
-WINDOW_CHANGE = 1.25
-"""A window stays as it is while readings' uncertainties ask for one that is longer or shorter by less."""
-HISTORY_PER_WINDOW = 80.0
 
 
 @compiled
-def _choose_window(state: FilterState, noise: Noise, d: int, kind: int, sigma: float) -> float:
-    """Span (s) of the readings of device d: the less certain they are, the longer.
+def _choose_window(device: Device, kind: int, sigma: float, tuning: Tuning) -> float:
+    """Span (s) of the readings of a device: the less certain they are, the longer.
 
     n readings of standard deviation σ within T leave ``σ √(720 / n) / T²`` of an acceleration, of velocities
     ``σ √(12 / n) / T``. Those of pressure tubes are as uncertain as the air is slow, and stay as they are.
     """
-    wanted = noise.local_window_s
+    wanted, change = tuning.local_window_s, tuning.local_window_change
     if kind == POSITION:
-        wanted = math.sqrt(sigma * math.sqrt(720.0 / N_READINGS) / noise.local_acceleration)
+        wanted = math.sqrt(sigma * math.sqrt(720.0 / N_READINGS) / tuning.local_acceleration)
     elif kind == VELOCITY:
-        wanted = sigma * math.sqrt(12.0 / N_READINGS) / noise.local_acceleration
-    wanted = min(max(wanted, noise.local_window_s), LONGEST_WINDOW_S)
-    fit = state.device_fit[d]
-    if not fit[0] / WINDOW_CHANGE < wanted < fit[0] * WINDOW_CHANGE:
-        fit[0] = wanted
-    window_s: float = fit[0]
+        wanted = sigma * math.sqrt(12.0 / N_READINGS) / tuning.local_acceleration
+    wanted = min(max(wanted, tuning.local_window_s), tuning.local_longest_window_s)
+    if not device.fit_span_s / change < wanted < device.fit_span_s * change:
+        device.fit_span_s = wanted
+    window_s: float = device.fit_span_s
     return window_s
 
 
 @compiled
 def take_reading(
-    state: FilterState, noise: Noise, d: int, kind: int, time_s: float, value: FloatArray, sigma: float
+    device: Device, kind: int, time_s: float, value: FloatArray, sigma: float, tuning: Tuning
 ) -> None:
-    """Keeps a reading of device d; those much denser than the window needs are passed over."""
-    readings, n = state.readings[d], state.n_readings[d, 0]
-    window_s = _choose_window(state, noise, d, kind, sigma)
+    """Keeps a reading of a device; those much denser than the window needs are passed over."""
+    readings, n = device.readings, device.n_readings
+    window_s = _choose_window(device, kind, sigma, tuning)
     if n > 0:
-        since = time_s - readings[n - 1, 0]
+        since = time_s - readings[n - 1].time_s
         if since < 0.8 * window_s / (N_READINGS - 1):
             return
-        if since > max(LONGEST_GAP_S, 0.5 * window_s):
+        if since > max(tuning.local_longest_gap_s, 0.5 * window_s):
             n = 0
     if n == N_READINGS:
         for i in range(N_READINGS - 1):
-            for j in range(5):
-                readings[i, j] = readings[i + 1, j]
+            readings[i] = readings[i + 1]
         n -= 1
-    readings[n, 0], readings[n, 4] = time_s, sigma
+    newest = readings[n]
+    newest.time_s, newest.sigma = time_s, sigma
     for i in range(3):
-        readings[n, 1 + i] = value[i]
-    state.n_readings[d, 0], state.n_readings[d, 1] = n + 1, 1
+        newest.value[i] = value[i]
+    device.n_readings, device.is_waiting = n + 1, 1
 
 
 @compiled
-def note_frame(
-    body: ChainBody, state: FilterState, noise: Noise, observed: SegmentObservations, d: int, time_s: float
-) -> None:
-    """Remembers what device d's segment felt, in axes that corrections need not turn: see ``device_turn``."""
-    s = body.device_segment[d]
-    history, R = state.history[d], state.R[s]
-    window_s = max(noise.local_window_s, state.device_fit[d, 0])
-    if time_s - history[N_HISTORY - 1, 0] < window_s / HISTORY_PER_WINDOW:
+def note_frame(device: Device, segment: Segment, now: SegmentWork, tuning: Tuning, time_s: float) -> None:
+    """Remembers what a device's segment felt, in axes that corrections need not turn: see ``Device.turn``."""
+    history, R, turn = device.history, segment.R, device.turn
+    window_s = max(tuning.local_window_s, device.fit_span_s)
+    if time_s - history[N_HISTORY - 1].time_s < window_s / tuning.local_frames:
         return
     for j in range(N_HISTORY - 1):
-        for i in range(N_OF_FRAME):
-            history[j, i] = history[j + 1, i]
-    newest, turn = history[N_HISTORY - 1], state.device_turn[d]
-    newest[0] = time_s
+        history[j] = history[j + 1]
+    newest = history[N_HISTORY - 1]
+    newest.time_s = time_s
     f = np.empty(3)
     for i in range(3):
-        f[i] = observed.specific_force[s, i] - state.force_bias[s, i]
-        newest[13 + i] = observed.angular_rate[s, i] - state.bias[s, i]
+        f[i] = now.specific_force[i] - segment.force_bias[i]
+        newest.rate[i] = now.angular_rate[i] - segment.bias[i]
     for i in range(3):
-        newest[1 + i] = 0.0
+        newest.force[i] = 0.0
         for j in range(3):
             column = turn[0, i] * R[0, j] + turn[1, i] * R[1, j] + turn[2, i] * R[2, j]
-            newest[4 + 3 * j + i] = column
-            newest[1 + i] += column * f[j]
-
-
-class LocalPair(NamedTuple):
-    """What the two sides of a device's row are made of, world axes."""
-
-    u: FloatArray  # (3,) specific force of the module, R f, averaged with the fit's kernel
-    y: FloatArray  # (3,) that of the device, as its readings tell it
-    arm: FloatArray  # (3, 3) what a device off the module adds to u, by its place there (segment axes, m)
-    turn: FloatArray  # (3, 3) R averaged as u is
-
-
-def local_pair_of() -> LocalPair:
-    """To be used again and again."""
-    return LocalPair(np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
+            newest.R[i, j] = column
+            newest.force[i] += column * f[j]
 
 
 @compiled
 def find_local_pair(
-    pair: LocalPair, body: ChainBody, state: FilterState, noise: Noise, d: int, time_s: float
-) -> tuple[bool, float, float]:
-    """Whether there is a new row (its sides: ``pair``), the fit's variance, the window's span in s."""
-    none = (False, 0.0, 0.0)
-    n = state.n_readings[d, 0]
-    if state.n_readings[d, 1] == 0 or n < LEAST_READINGS or state.readings[d, n - 1, 0] > time_s:
-        return none
-    state.n_readings[d, 1] = 0
+    pair: LocalPair, device: Device, mount: Mount, world: World, tuning: Tuning, time_s: float
+) -> bool:
+    """Whether there is a new row; ``pair`` ← its sides, the fit's variance and span."""
+    n, readings = device.n_readings, device.readings
+    if device.is_waiting == 0 or n < LEAST_READINGS or readings[n - 1].time_s > time_s:
+        return False
+    device.is_waiting = 0
     first = max(0, n - LEAST_READINGS)
-    while (
-        first > 0
-        and state.readings[d, n - 1, 0] - state.readings[d, first - 1, 0] < 1.05 * state.device_fit[d, 0]
-    ):
+    reach = 1.05 * device.fit_span_s
+    while first > 0 and readings[n - 1].time_s - readings[first - 1].time_s < reach:
         first -= 1
     t, values = np.empty(n - first), np.empty((n - first, 3))
     for k in range(n - first):
-        t[k] = state.readings[d, first + k, 0]
+        t[k] = readings[first + k].time_s
         for i in range(3):
-            values[k, i] = state.readings[d, first + k, 1 + i]
-    order = 2 if body.device_kind[d] == POSITION else 1
-    if body.device_kind[d] == ACCELERATION:
+            values[k, i] = readings[first + k].value[i]
+    order = 2 if mount.kind == POSITION else 1
+    if mount.kind == ACCELERATION:
         _sum_up(t, values)
     weights = derivative_weights(t, order)
-    if not _average_own_side(pair, state.history[d], t, weights, order):
-        return none
-    rotation_matrix.turn(state.device_turn[d], pair.u)
-    rotation_matrix.turn_columns(state.device_turn[d], pair.arm)
-    rotation_matrix.turn_columns(state.device_turn[d], pair.turn)
-    variance = 0.0
+    if not _average_own_side(pair, device.history, t, weights, order, tuning.local_longest_gap_s):
+        return False
+    rotation_matrix.turn(device.turn, pair.u)
+    rotation_matrix.turn_columns(device.turn, pair.arm)
+    rotation_matrix.turn_columns(device.turn, pair.turn)
+    pair.variance, pair.span_s = 0.0, t[len(t) - 1] - t[0]
     for i in range(3):
-        pair.y[i] = -body.gravity[i]
+        pair.y[i] = -world.gravity[i]
     for k in range(len(t)):
-        variance += (weights[k] * state.readings[d, first + k, 4]) ** 2
+        pair.variance += (weights[k] * readings[first + k].sigma) ** 2
         for i in range(3):
             pair.y[i] += weights[k] * values[k, i]
-    if body.device_kind[d] == ACCELERATION:
-        variance = state.readings[d, n - 1, 4] ** 2 / len(t)
-    return True, variance, t[len(t) - 1] - t[0]
+    if mount.kind == ACCELERATION:
+        pair.variance = readings[n - 1].sigma ** 2 / len(t)
+    return True
 
 
 @compiled
@@ -200,7 +174,12 @@ def derivative_weights(t: FloatArray, order: int) -> FloatArray:
 
 @compiled
 def _average_own_side(
-    pair: LocalPair, history: FloatArray, t: FloatArray, weights: FloatArray, order: int
+    pair: LocalPair,
+    history: Records[PastFrame],
+    t: FloatArray,
+    weights: FloatArray,
+    order: int,
+    longest_gap_s: float,
 ) -> bool:
     """u and turn averaged with the fit's kernel, and the arm's matrix; whether the frames reach so far."""
     total = 0.0
@@ -211,19 +190,20 @@ def _average_own_side(
     if not _reaches(history, t[0]):
         return False
     for j in range(1, N_HISTORY):
-        if history[j - 1, 0] == -np.inf or history[j, 0] < t[0]:
+        older, newer = history[j - 1], history[j]
+        if older.time_s == -np.inf or newer.time_s < t[0]:
             continue
-        step = history[j, 0] - history[j - 1, 0]
-        if step > LONGEST_GAP_S:
+        step = newer.time_s - older.time_s
+        if step > longest_gap_s:
             return False
-        middle = 0.5 * (history[j, 0] + history[j - 1, 0])
+        middle = 0.5 * (newer.time_s + older.time_s)
         kernel = 0.0
         for i in range(len(t)):
             ahead = t[i] - middle
             if ahead > 0.0:
                 kernel += weights[i] * (ahead if order == 2 else 1.0)
-        _add_share(pair, history[j - 1], 0.5 * kernel * step)
-        _add_share(pair, history[j], 0.5 * kernel * step)
+        _add_share(pair, older, 0.5 * kernel * step)
+        _add_share(pair, newer, 0.5 * kernel * step)
         total += kernel * step
     for k in range(len(t)):
         _add_arm(pair.arm, weights[k], history, t[k], order)
@@ -235,42 +215,44 @@ def _average_own_side(
 
 
 @compiled
-def _add_share(pair: LocalPair, frame: FloatArray, share: float) -> None:
+def _add_share(pair: LocalPair, frame: PastFrame, share: float) -> None:
     for i in range(3):
-        pair.u[i] += share * frame[1 + i]
+        pair.u[i] += share * frame.force[i]
         for j in range(3):
-            pair.turn[i, j] += share * frame[4 + 3 * j + i]
+            pair.turn[i, j] += share * frame.R[i, j]
 
 
 @compiled
-def _reaches(history: FloatArray, time_s: float) -> bool:
+def _reaches(history: Records[PastFrame], time_s: float) -> bool:
     """Whether some remembered frame is as old."""
     for j in range(N_HISTORY):
-        if history[j, 0] > -np.inf:
-            return bool(history[j, 0] <= time_s)
+        if history[j].time_s > -np.inf:
+            return bool(history[j].time_s <= time_s)
     return False
 
 
 @compiled
-def _add_arm(arm: FloatArray, weight: float, history: FloatArray, time_s: float, order: int) -> None:
+def _add_arm(arm: FloatArray, weight: float, history: Records[PastFrame], time_s: float, order: int) -> None:
     """arm (3, 3) += weight R, of velocities weight R [ω]×, at an instant: between frames linear, the nearest
     one outside."""
     last = N_HISTORY - 1
-    while last > 1 and history[last - 1, 0] >= time_s:
+    while last > 1 and history[last - 1].time_s >= time_s:
         last -= 1
-    step = history[last, 0] - history[last - 1, 0]
-    part = min(1.0, max(0.0, (time_s - history[last - 1, 0]) / step)) if math.isfinite(step) else 1.0
+    older, newer = history[last - 1], history[last]
+    step = newer.time_s - older.time_s
+    part = min(1.0, max(0.0, (time_s - older.time_s) / step)) if math.isfinite(step) else 1.0
     if part != 1.0:
-        _add_frame(arm, weight * (1.0 - part), history[last - 1], order)
-    _add_frame(arm, weight * part, history[last], order)
+        _add_frame(arm, weight * (1.0 - part), older, order)
+    _add_frame(arm, weight * part, newer, order)
 
 
 @compiled
-def _add_frame(arm: FloatArray, weight: float, frame: FloatArray, order: int) -> None:
+def _add_frame(arm: FloatArray, weight: float, frame: PastFrame, order: int) -> None:
+    R, w = frame.R, frame.rate
     for i in range(3):
-        x, y, z = frame[4 + i], frame[7 + i], frame[10 + i]
+        x, y, z = R[i, 0], R[i, 1], R[i, 2]
         if order == 1:
-            a, b, c = frame[13], frame[14], frame[15]
+            a, b, c = w[0], w[1], w[2]
             x, y, z = y * c - z * b, z * a - x * c, x * b - y * a
         arm[i, 0] += weight * x
         arm[i, 1] += weight * y

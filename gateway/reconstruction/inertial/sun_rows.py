@@ -1,4 +1,4 @@
-"""Headings by the sun in the chain filters. Compiled.
+"""Headings by the sun in the tree filter. Compiled.
 
 Of the direction that the cells see only the azimuth counts: light of sky and ground comes from all around
 and shifts its height alone. A wrong tilt θ shifts the azimuth by ``θ tan(height)``; the variance has it.
@@ -14,21 +14,22 @@ import numpy as np
 from gateway.frames import FloatArray, ImuFrame, IntArray, SunSight
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.chain_state import OPEN_SIGMA, ChainBody, FilterState, Noise
-from gateway.reconstruction.inertial.heading_start import turn_evidence
-from gateway.reconstruction.inertial.tree_filter import Evidence, add_own
+from gateway.reconstruction.inertial.chain_state import (
+    Body,
+    Heading,
+    Segment,
+    SegmentWork,
+    State,
+    SunSums,
+    Validity,
+    Work,
+)
+from gateway.reconstruction.inertial.heading_start import turn_heading_sums
+from gateway.reconstruction.inertial.tree_filter import add_own
+from gateway.reconstruction.inertial.tuning import Tuning
 
-SUN_MEMORY_S = 1.0
-"""For how long cells stay off to the same side while the module turns."""
-HEIGHT_TOLERANCE = 0.1
-"""rad: light from higher or lower than the sun by that much is half believed."""
-LOOK_S = 0.3
-"""Seen steadily for so long, the sun settles an open heading."""
-LOOK_MEMORY_S = 1.0
-STEADY = 0.97
-"""Mean resultant length of the headings seen meanwhile."""
-UNSURE = 0.5
-"""rad: a heading no surer than this is turned at once, not by a linearised row."""
+RATE = Validity.RATE.value
+OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
 
 
 def stacked_sights(observations: Sequence[ImuFrame]) -> FloatArray:
@@ -53,87 +54,76 @@ def sight_of(rows: FloatArray) -> SunSight | None:
 
 
 @compiled
-def sun_by_segment_into(
-    seen: FloatArray, module_of_segment: IntArray, R_bs: FloatArray, sun: FloatArray
-) -> None:
-    """Rows (m + 1, 4) of modules to (n + 1, 4) of segments, segment axes; those without module are left."""
-    n, m = len(module_of_segment), len(sun) - 1
-    for i in range(4):
-        seen[n, i] = sun[m, i]
-    for s in range(n):
-        row = module_of_segment[s]
+def take_sun(work: Work, module_of_segment: IntArray, R_bs: FloatArray, sun: FloatArray) -> None:
+    """Rows (m + 1, 4) of modules to segments, segment axes; those without module are left."""
+    m = len(sun) - 1
+    for i in range(3):
+        work.shared.sun[i] = sun[m, i]
+    for s in range(len(module_of_segment)):
+        row, now = module_of_segment[s], work.segments[s]
         if row >= 0:
-            rotation_matrix.rotate_into(seen[s], R_bs[s], sun[row])
-            seen[s, 3] = sun[row, 3]
+            rotation_matrix.rotate_into(now.sun, R_bs[s], sun[row])
+            now.sun_sigma = sun[row, 3]
 
 
 @compiled
-def follow_sun(
-    evidence: Evidence,
-    body: ChainBody,
-    state: FilterState,
-    noise: Noise,
-    is_valid: FloatArray,
-    sun: FloatArray,
-    dt: float,
-    turns: FloatArray,
-) -> None:
-    """A row for every segment that sees the sun; an open heading is turned to it. sun: (n + 1, 4) direction
-    in segment axes and its standard deviation, the last row: in the world; NaN where it is not seen."""
-    n = len(body.parents)
-    world, settled = sun[n], np.zeros(n)
+def follow_sun(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """A row for every segment that sees the sun; an unobserved heading is turned to it."""
+    n, world = len(body.segments), work.shared.sun
     across = math.hypot(world[0], world[1])
     for s in range(n):
-        is_seen = math.isfinite(sun[s, 0] + sun[s, 3] + across)
-        if is_valid[s] < 1.0 or not is_seen:
-            continue
-        off, height_off = _sun_error(state.R[s], sun[s, :3].copy(), world)
-        tilt = 0.5 * (state.P[s, 0, 0] + state.P[s, 1, 1])
-        variance = (sun[s, 3] ** 2 + tilt * world[2] ** 2) / across**2
-        variance *= 1.0 + (height_off / HEIGHT_TOLERANCE) ** 2
-        if state.is_open[s] == 1 or state.P[s, 2, 2] > UNSURE**2:
-            angle = _steady_turn(state, s, off, dt)
-            if angle != 0.0:
-                turns[s, 2], settled[s] = angle, 1.0
-                state.is_open[s] = 0
-                _heading_row(evidence, s, 0.0, variance)
-            continue
-        sigma = math.sqrt(variance + min(state.P[s, 2, 2], OPEN_SIGMA**2))
-        weight = max(1.0, abs(off) / sigma / noise.huber)
-        _heading_row(evidence, s, -off, variance * weight * max(1.0, SUN_MEMORY_S / dt))
+        now = work.segments[s]
+        now.is_settled = 0
+        if now.validity >= RATE and math.isfinite(now.sun[0] + now.sun_sigma + across):
+            _follow_sun(state.segments[s], now, world, tuning, dt)
     for s in range(n):
-        if settled[s] > 0.0:
-            turn_evidence(state, s, turns[s, 2])
-        elif body.parents[s] >= 0 and settled[body.parents[s]] > 0.0:
-            turn_evidence(state, s, -turns[body.parents[s], 2])
+        p, sums = body.segments[s].parent, state.segments[s].heading_sums
+        if work.segments[s].is_settled:
+            turn_heading_sums(sums, work.segments[s].turn[2])
+        elif p >= 0 and work.segments[p].is_settled:
+            turn_heading_sums(sums, -work.segments[p].turn[2])
 
 
 @compiled
-def _sun_error(R: FloatArray, seen: FloatArray, world: FloatArray) -> tuple[float, float]:
+def _follow_sun(segment: Segment, now: SegmentWork, world: FloatArray, tuning: Tuning, dt: float) -> None:
+    """One segment; world: (3,) direction of the sun."""
+    across, heading_variance = math.hypot(world[0], world[1]), segment.P[2, 2]
+    off, height_off = _sun_error(segment.R, now.sun, world)
+    tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
+    variance = (now.sun_sigma**2 + tilt * world[2] ** 2) / across**2
+    variance *= 1.0 + (height_off / tuning.sun_height_tolerance) ** 2
+    if segment.heading == UNOBSERVED or heading_variance > tuning.sun_unsure**2:
+        angle = _steady_turn(segment.sun, off, tuning, dt)
+        if angle != 0.0:
+            now.turn[2], now.is_settled = angle, 1
+            segment.heading = OBSERVED
+            add_own(now.evidence, (0.0, 0.0, 1.0), 0.0, variance)
+        return
+    sigma = math.sqrt(variance + min(heading_variance, tuning.unknown_heading**2))
+    weight = max(1.0, abs(off) / sigma / tuning.huber)
+    variance = variance * weight * max(1.0, tuning.sun_memory_s / dt)
+    add_own(now.evidence, (0.0, 0.0, 1.0), -off, variance)
+
+
+@compiled
+def _sun_error(R: FloatArray, sun: FloatArray, world: FloatArray) -> tuple[float, float]:
     """Heading and height by which a direction (3,) in segment axes is off the sun, rad."""
-    rotation_matrix.turn(R, seen)
+    seen = rotation_matrix.rotate(R, sun)
     off = math.atan2(world[0] * seen[1] - world[1] * seen[0], world[0] * seen[0] + world[1] * seen[1])
     height = math.atan2(seen[2], math.hypot(seen[0], seen[1]))
     return off, height - math.atan2(world[2], math.hypot(world[0], world[1]))
 
 
 @compiled
-def _steady_turn(state: FilterState, s: int, off: float, dt: float) -> float:
+def _steady_turn(look: SunSums, off: float, tuning: Tuning, dt: float) -> float:
     """The turn that brings an unknown heading to the sun, once it was seen steadily; 0: not yet."""
-    look = state.sun[s]
-    decay = math.exp(-dt / LOOK_MEMORY_S)
-    look[0] = look[0] * decay + math.cos(off) * dt
-    look[1] = look[1] * decay + math.sin(off) * dt
-    look[2] = look[2] * decay + dt
-    if look[2] < LOOK_S or math.hypot(look[0], look[1]) < STEADY * look[2]:
+    decay = math.exp(-dt / tuning.sun_look_memory_s)
+    look.along = look.along * decay + math.cos(off) * dt
+    look.across = look.across * decay + math.sin(off) * dt
+    look.seconds = look.seconds * decay + dt
+    length = math.hypot(look.along, look.across)
+    if look.seconds < tuning.sun_look_s or length < tuning.sun_steady * look.seconds:
         return 0.0
-    angle = -math.atan2(look[1], look[0])
-    look[:] = 0.0
+    angle = -math.atan2(look.across, look.along)
+    look.along, look.across, look.seconds = 0.0, 0.0, 0.0
     return angle if angle != 0.0 else -1e-12
-
-
-@compiled
-def _heading_row(evidence: Evidence, s: int, residual: float, variance: float) -> None:
-    row = np.zeros(3)
-    row[2] = 1.0
-    add_own(evidence, s, row, residual, variance)

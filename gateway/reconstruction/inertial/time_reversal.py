@@ -13,17 +13,18 @@ import numpy as np
 
 from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity
 from gateway.reconstruction.inertial.chain_prediction import start_acceleration
-from gateway.reconstruction.inertial.chain_state import FilterState, Noise, initial_state
+from gateway.reconstruction.inertial.chain_state import State, initial_state
+from gateway.reconstruction.inertial.tuning import Tuning
 
 KEPT = (
-    "R", "is_started", "is_open", "silent_s", "force_bias", "arm", "arm_covariance", "compass_s",
-    "field_seen", "field_offset", "sun", "unaided_square", "device_shift", "device_covariance",
-    "device_age_s", "rest", "misfit", "vibration", "corrections",
+    "R", "started", "heading", "silent_s", "force_bias", "compass_s", "field_watch", "field_offset", "sun",
+    "unaided_square", "rest", "joint_nis", "vibration", "corrections",
 )  # fmt: skip
+KEPT_OF_ARMS, KEPT_OF_DEVICES = ("error", "covariance"), ("shift", "covariance", "age_s")
 """Of the state, what is the same seen backward."""
 
 
-def turned_back(state: FilterState, noise: Noise, gravity: FloatArray) -> FilterState:
+def turned_back(state: State, tuning: Tuning, gravity: FloatArray) -> State:
     """The state to go backward with from where ``state`` is: orientations, biases, lever arms and shown
     headings are kept; the rows' averages begin anew. The clock stands at 0, where the last frame lies: it has
     been taken, and turning by its rate once more would be off by a whole interval.
@@ -33,21 +34,27 @@ def turned_back(state: FilterState, noise: Noise, gravity: FloatArray) -> Filter
     knows would count twice where the two are put together, and an error at its end would be carried back.
     gravity: (3,) m/s².
     """
-    back = initial_state(len(state.is_started), len(state.device_age_s))
-    sign = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    before, devices = state.segments, state.devices
+    turned = initial_state(len(before), len(devices))
+    back, sign = turned.segments, np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
     for name in KEPT:
-        getattr(back, name)[...] = getattr(state, name)
-    back.time_ns[...] = 0
-    back.bias[...], back.rate[...] = -state.bias, -state.rate
-    back.rest[:, :3] *= -1.0
-    back.P[...] = state.P * np.outer(sign, sign)
-    back.C[...] = state.C * np.outer(sign, sign)
-    forgotten = np.array([noise.start_tilt] * 2 + [noise.start_heading] + [noise.bias] * 3) ** 2
-    back.P[:, range(6), range(6)] += forgotten
-    back.field_offset[:, 1] = noise.heading**2
-    for s, (force, rate) in enumerate(zip(state.last_force, state.rate, strict=True)):
-        back.starting_square[s] = noise.starting_share * start_acceleration(gravity, force, rate)
-    return back
+        back[name][...] = before[name]
+    for name in KEPT_OF_ARMS:
+        back["arms"][name][...] = before["arms"][name]
+    for name in KEPT_OF_DEVICES:
+        turned.devices[name][...] = devices[name]
+    turned.clock.last_ns, turned.clock.first_ns = 0, 0
+    back["bias"][...], back["rate"][...] = -before["bias"], -before["rate"]
+    back["rest"]["rate"][...] *= -1.0
+    back["P"][...] = before["P"] * np.outer(sign, sign)
+    back["C"][...] = before["C"] * np.outer(sign, sign)
+    forgotten = np.array([tuning.start_tilt] * 2 + [tuning.start_heading] + [tuning.bias] * 3) ** 2
+    back["P"][:, range(6), range(6)] += forgotten
+    back["field_offset"]["variance"][...] = tuning.heading**2
+    for s in range(len(back)):
+        force, rate = before[s].averages.last_force, before[s].rate
+        back[s].starting_square = tuning.starting_share * start_acceleration(gravity, force, rate, tuning)
+    return turned
 
 
 def seen_backward(

@@ -1,7 +1,7 @@
 """A Kalman filter over a tree: 6 states a segment, cost linear in the number of segments. Compiled.
 
 The state of a segment is the error of its orientation (rotation vector in **world** axes, rad: the true
-``R = exp(δ) R̂``) and of its gyrometer bias (rad/s, segment axes). Segments are driven by independent noise
+``R = exp(δ) R̂``) and of its gyroscope's bias (rad/s, segment axes). Segments are driven by independent noise
 and every observation involves one segment or two neighbours. The joint covariance is kept as that of a
 Gaussian Markov tree: the blocks of every segment and of every edge; the rest follows from them. One update
 of such a tree is exact in two sweeps (leaves to root, root to leaves: belief propagation). Between updates
@@ -11,12 +11,9 @@ Kullback and Leibler, which is the one with the same blocks (Chow & Liu 1968).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-
-from gateway.frames import FloatArray, IntArray
+from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records
 from gateway.reconstruction.inertial.blocks import (
     inverse_into,
     product_into,
@@ -24,77 +21,62 @@ from gateway.reconstruction.inertial.blocks import (
     times_vector_into,
     weakened_into,
 )
+from gateway.reconstruction.inertial.chain_state import (
+    Evidence,
+    Link,
+    Segment,
+    SegmentWork,
+    SharedWork,
+    Work,
+)
 
 Three = tuple[float, float, float]
 """A vector of numbers, for which no array has to be made."""
 
 
-class Evidence(NamedTuple):
-    """What an instant tells, in information form. ``own``: of one segment; others: of an edge's two ends,
-    child ``c`` and parent ``p``, in their orientation errors only; all by segment (edges: by child)."""
-
-    own: FloatArray  # (n, 6, 6)
-    own_vector: FloatArray  # (n, 6)
-    cc: FloatArray  # (n, 3, 3)
-    cp: FloatArray  # (n, 3, 3)
-    pp: FloatArray  # (n, 3, 3)
-    c: FloatArray  # (n, 3)
-    p: FloatArray  # (n, 3)
-
-
-def no_evidence(n: int) -> Evidence:
-    """Of n segments."""
-    return Evidence(
-        np.zeros((n, 6, 6)),
-        np.zeros((n, 6)),
-        np.zeros((n, 3, 3)),
-        np.zeros((n, 3, 3)),
-        np.zeros((n, 3, 3)),
-        np.zeros((n, 3)),
-        np.zeros((n, 3)),
-    )
-
-
 @compiled
 def clear(evidence: Evidence) -> None:
-    """As ``no_evidence``, in place."""
-    for s in range(len(evidence.own)):
-        for i in range(6):
-            evidence.own_vector[s, i] = 0.0
-            for j in range(6):
-                evidence.own[s, i, j] = 0.0
-        for i in range(3):
-            evidence.c[s, i], evidence.p[s, i] = 0.0, 0.0
-            for j in range(3):
-                evidence.cc[s, i, j], evidence.cp[s, i, j], evidence.pp[s, i, j] = 0.0, 0.0, 0.0
+    """Forget all that has been told."""
+    for i in range(6):
+        evidence.own_vector[i] = 0.0
+        for j in range(6):
+            evidence.own[i, j] = 0.0
+    for i in range(3):
+        evidence.c[i], evidence.p[i] = 0.0, 0.0
+        for j in range(3):
+            evidence.cc[i, j], evidence.cp[i, j], evidence.pp[i, j] = 0.0, 0.0, 0.0
 
 
 @compiled
-def add_own(evidence: Evidence, s: int, row: FloatArray | Three, residual: float, variance: float) -> None:
-    """One scalar row on the orientation of segment s; row (3,)."""
+def add_own(evidence: Evidence, row: FloatArray | Three, residual: float, variance: float) -> None:
+    """One scalar row on the orientation of a segment; row (3,)."""
     for i in range(3):
-        evidence.own_vector[s, i] += row[i] * residual / variance
+        evidence.own_vector[i] += row[i] * residual / variance
         for j in range(3):
-            evidence.own[s, i, j] += row[i] * row[j] / variance
+            evidence.own[i, j] += row[i] * row[j] / variance
 
 
 @compiled
 def add_edge(
-    evidence: Evidence, s: int, row: FloatArray, row_p: FloatArray, residual: float, variance: float
+    evidence: Evidence,
+    row: FloatArray | Three,
+    row_p: FloatArray | Three,
+    residual: float,
+    variance: float,
 ) -> None:
-    """One scalar row on the orientations of segment s and of its parent; rows (3,)."""
+    """One scalar row on the orientations of a segment and of its parent; rows (3,)."""
     for i in range(3):
-        evidence.c[s, i] += row[i] * residual / variance
-        evidence.p[s, i] += row_p[i] * residual / variance
+        evidence.c[i] += row[i] * residual / variance
+        evidence.p[i] += row_p[i] * residual / variance
         for j in range(3):
-            evidence.cc[s, i, j] += row[i] * row[j] / variance
-            evidence.cp[s, i, j] += row[i] * row_p[j] / variance
-            evidence.pp[s, i, j] += row_p[i] * row_p[j] / variance
+            evidence.cc[i, j] += row[i] * row[j] / variance
+            evidence.cp[i, j] += row[i] * row_p[j] / variance
+            evidence.pp[i, j] += row_p[i] * row_p[j] / variance
 
 
 @compiled
-def add_joint(evidence: Evidence, s: int, m: Three, residual: Three, variance: float) -> None:
-    """``residual = [m]× (δ − δ_p)``, of segment s and its parent; (3,), variance of each component.
+def add_joint(evidence: Evidence, m: Three, residual: Three, variance: float) -> None:
+    """``residual = [m]× (δ − δ_p)``, of a segment and its parent; (3,), variance of each component.
 
     In closed form, with ``[m]×ᵀ [m]× = (m · m) I − m mᵀ``.
     """
@@ -102,24 +84,24 @@ def add_joint(evidence: Evidence, s: int, m: Three, residual: Three, variance: f
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         across = residual[j] * m[k] - residual[k] * m[j]
-        evidence.c[s, i] += weight * across
-        evidence.p[s, i] -= weight * across
+        evidence.c[i] += weight * across
+        evidence.p[i] -= weight * across
         for j in range(3):
             information = weight * ((square if i == j else 0.0) - m[i] * m[j])
-            evidence.cc[s, i, j] += information
-            evidence.cp[s, i, j] -= information
-            evidence.pp[s, i, j] += information
+            evidence.cc[i, j] += information
+            evidence.cp[i, j] -= information
+            evidence.pp[i, j] += information
 
 
 @compiled
-def add_known(evidence: Evidence, s: int, m: Three, residual: Three, variance: float) -> None:
-    """``residual = [m]× δ``, of segment s; (3,), variance of each component."""
+def add_known(evidence: Evidence, m: Three, residual: Three, variance: float) -> None:
+    """``residual = [m]× δ``, of a segment; (3,), variance of each component."""
     weight, square = 1.0 / variance, m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        evidence.own_vector[s, i] += weight * (residual[j] * m[k] - residual[k] * m[j])
+        evidence.own_vector[i] += weight * (residual[j] * m[k] - residual[k] * m[j])
         for j in range(3):
-            evidence.own[s, i, j] += weight * ((square if i == j else 0.0) - m[i] * m[j])
+            evidence.own[i, j] += weight * ((square if i == j else 0.0) - m[i] * m[j])
 
 
 @compiled
@@ -150,74 +132,54 @@ def propagate_own(P: FloatArray, R: FloatArray, dt: float) -> None:
             P[j, i] = P[i, j]
 
 
-class Workspace(NamedTuple):
-    """What one update needs besides its arguments, and what it finds."""
-
-    x: FloatArray  # (n, 6) the errors found
-    is_known: IntArray  # (n,) 1: the prior has been inverted
-    known: FloatArray  # (n, 6, 6) prior information, of segments with children
-    G: FloatArray  # (n, 6, 6) of a segment on its parent
-    W: FloatArray  # (n, 6, 6) covariance given the parent
-    offset: FloatArray  # (n, 6) error where the parent has none
-    A: FloatArray  # (6, 6) prior regression on the parent
-    T: FloatArray  # (6, 6)
-    X: FloatArray  # (6, 6)
-
-
-def workspace(n: int) -> Workspace:
-    """Of n segments, to be used again and again."""
-    blocks, six = (n, 6, 6), (6, 6)
-    return Workspace(
-        np.zeros((n, 6)), np.zeros(n, np.int64), np.zeros(blocks), np.zeros(blocks), np.zeros(blocks),
-        np.zeros((n, 6)), np.zeros(six), np.zeros(six), np.zeros(six),
-    )  # fmt: skip
-
-
 @compiled
-def update_tree(parents: IntArray, P: FloatArray, C: FloatArray, evidence: Evidence, work: Workspace) -> None:
-    """Finds the errors, ``work.x``; P (n, 6, 6) and C (n, 6, 6; child rows, parent columns) change in place.
+def update_tree(links: Records[Link], segments: Records[Segment], work: Work) -> None:
+    """Find the errors, ``x`` of each segment's work; P and C of the segments change in place.
 
-    ``evidence`` is used up. parents: (n,), parents first, −1 for the root of a tree (several may be).
+    The evidence is used up. Parents stand before their children; several segments may have none.
     """
-    n, x = len(parents), work.x
+    n = len(links)
     for s in range(n):
-        work.is_known[s] = 0
+        work.segments[s].is_known = 0
     for s in range(n - 1, -1, -1):
-        p = parents[s]
-        if p < 0 and not work.is_known[s]:
-            inverse_into(work.known[s], P[s])
+        p, now = links[s].parent, work.segments[s]
+        if p < 0 and not now.is_known:
+            inverse_into(now.known, segments[s].P)
         if p >= 0:
-            if not work.is_known[p]:
-                inverse_into(work.known[p], P[p])
-                work.is_known[p] = 1
-            _gather(s, p, P, C, evidence, work)
+            above = work.segments[p]
+            if not above.is_known:
+                inverse_into(above.known, segments[p].P)
+                above.is_known = 1
+            _gather(segments[s], now, above, work.shared)
     for s in range(n):
-        if parents[s] < 0:
-            _add_into(work.X, work.known[s], evidence.own[s])
-            inverse_into(P[s], work.X)
-            times_vector_into(x[s], P[s], evidence.own_vector[s])
+        p, now = links[s].parent, work.segments[s]
+        if p < 0:
+            _add_into(work.shared.X, now.known, now.evidence.own)
+            inverse_into(segments[s].P, work.shared.X)
+            times_vector_into(now.x, segments[s].P, now.evidence.own_vector)
         else:
-            _hand_down(s, parents[s], P, C, x, work)
+            _hand_down(segments[s], segments[p], now, work.segments[p])
 
 
 @compiled
-def _gather(s: int, p: int, P: FloatArray, C: FloatArray, evidence: Evidence, work: Workspace) -> None:
+def _gather(child: Segment, now: SegmentWork, above: SegmentWork, shared: SharedWork) -> None:
     """All that is known beyond the edge is told to the parent.
 
     A priori ``x_s = A x_p + noise of covariance Σ``. With Λ the information about x_s and B that about
-    both ends, ``W = (Σ⁻¹ + Λ)⁻¹``, ``T = Λ A + B``, ``G = A − W T``; the parent hears ``Bᵀ A + Gᵀ T``: the
+    both ends, ``W = (Σ⁻¹ + Λ)⁻¹``, ``T = Λ A + B``, ``G = A − W T``; the parent is told ``Bᵀ A + Gᵀ T``: the
     usual ``Aᵀ Σ⁻¹ A − …`` without its difference of large numbers.
     """
-    A, T, X, W, G = work.A, work.T, work.X, work.W[s], work.G[s]
-    own, own_p, B = evidence.own[s], evidence.own[p], evidence.cp[s]
-    product_into(A, C[s], work.known[p])
-    symmetric_sum_into(W, P[s], -1.0, A, C[s])
+    A, T, X, W, G = shared.A, shared.B, shared.X, now.W, now.G
+    evidence = now.evidence
+    own, own_p, B = evidence.own, above.evidence.own, evidence.cp
+    product_into(A, child.C, above.known)
+    symmetric_sum_into(W, child.P, -1.0, A, child.C)
     inverse_into(X, W)
     for i in range(3):
-        evidence.own_vector[s, i] += evidence.c[s, i]
+        evidence.own_vector[i] += evidence.c[i]
         for j in range(3):
-            own[i, j] += evidence.cc[s, i, j]
-            own_p[i, j] += evidence.pp[s, i, j]
+            own[i, j] += evidence.cc[i, j]
+            own_p[i, j] += evidence.pp[i, j]
     _add_into(T, X, own)
     inverse_into(W, T)
     product_into(T, own, A)
@@ -236,22 +198,22 @@ def _gather(s: int, p: int, P: FloatArray, C: FloatArray, evidence: Evidence, wo
                 told += B[0, i] * A[0, j] + B[1, i] * A[1, j] + B[2, i] * A[2, j]
             own_p[i, j] += told
             own_p[j, i] = own_p[i, j]
-    times_vector_into(work.offset[s], W, evidence.own_vector[s])
+    times_vector_into(now.offset, W, evidence.own_vector)
     for i in range(6):
         if i < 3:
-            evidence.own_vector[p, i] += evidence.p[s, i]
+            above.evidence.own_vector[i] += evidence.p[i]
         for k in range(6):
-            evidence.own_vector[p, i] += G[k, i] * evidence.own_vector[s, k]
+            above.evidence.own_vector[i] += G[k, i] * evidence.own_vector[k]
 
 
 @compiled
-def _hand_down(s: int, p: int, P: FloatArray, C: FloatArray, x: FloatArray, work: Workspace) -> None:
+def _hand_down(child: Segment, parent: Segment, now: SegmentWork, above: SegmentWork) -> None:
     """What the parent has been found to be is told to the child."""
-    times_vector_into(x[s], work.G[s], x[p])
+    times_vector_into(now.x, now.G, above.x)
     for i in range(6):
-        x[s, i] += work.offset[s, i]
-    product_into(C[s], work.G[s], P[p])
-    symmetric_sum_into(P[s], work.W[s], 1.0, C[s], work.G[s])
+        now.x[i] += now.offset[i]
+    product_into(child.C, now.G, parent.P)
+    symmetric_sum_into(child.P, now.W, 1.0, child.C, now.G)
 
 
 @compiled
@@ -262,48 +224,50 @@ def _add_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
 
 
 @compiled
-def update_outward(parents: IntArray, P: FloatArray, evidence: Evidence, work: Workspace) -> None:
+def update_outward(links: Records[Link], segments: Records[Segment], work: Work) -> None:
     """The same with every segment for itself, its parent taken as found. P changes in place.
 
     The parent's orientation error is known to ``P_p``, which is handed down: integrated out of the edge's
     evidence it leaves the information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child. What is then known of
     the orientation, and at rest of the bias, are blocks of three of the six states.
     """
-    for s in range(len(parents)):
-        p, own = parents[s], evidence.own[s]
-        if p >= 0 and evidence.cc[s, 0, 0] + evidence.cc[s, 1, 1] + evidence.cc[s, 2, 2] > 0.0:
-            _hear_parent(s, p, P, evidence, work)
+    for s in range(len(links)):
+        p, now, P = links[s].parent, work.segments[s], segments[s].P
+        cc, own = now.evidence.cc, now.evidence.own
+        if p >= 0 and cc[0, 0] + cc[1, 1] + cc[2, 2] > 0.0:
+            _integrate_parent_out(segments[p], now, work.segments[p], work.shared)
         for first in range(0, 6, 3):
             if own[first, first] + own[first + 1, first + 1] + own[first + 2, first + 2] > 0.0:
-                _learn_three(P[s], own, first, work)
-        times_vector_into(work.x[s], P[s], evidence.own_vector[s])
+                _learn_three(P, own, first, work.shared)
+        times_vector_into(now.x, P, now.evidence.own_vector)
 
 
 @compiled
-def _hear_parent(s: int, p: int, P: FloatArray, evidence: Evidence, work: Workspace) -> None:
-    """Adds to what is told of s itself what the edge tells once the parent is integrated out."""
-    pp, cp, vector, x, gain = evidence.pp[s], evidence.cp[s], evidence.own_vector[s], work.x[p], work.T
-    weakened_into(work.A, work.X, P[p], 0, pp, 0)
+def _integrate_parent_out(parent: Segment, now: SegmentWork, above: SegmentWork, shared: SharedWork) -> None:
+    """Adds to what is told of a segment itself what its edge tells of it."""
+    evidence, x, gain, known = now.evidence, above.x, shared.B, shared.A
+    pp, cp, vector = evidence.pp, evidence.cp, evidence.own_vector
+    weakened_into(known, shared.X, parent.P, 0, pp, 0)
     for i in range(3):
         for j in range(3):
-            gain[i, j] = cp[i, 0] * work.A[0, j] + cp[i, 1] * work.A[1, j] + cp[i, 2] * work.A[2, j]
+            gain[i, j] = cp[i, 0] * known[0, j] + cp[i, 1] * known[1, j] + cp[i, 2] * known[2, j]
     for i in range(3):
-        vector[i] += evidence.c[s, i]
+        vector[i] += evidence.c[i]
         for k in range(3):
-            innovation = evidence.p[s, k] - pp[k, 0] * x[0] - pp[k, 1] * x[1] - pp[k, 2] * x[2]
+            innovation = evidence.p[k] - pp[k, 0] * x[0] - pp[k, 1] * x[1] - pp[k, 2] * x[2]
             vector[i] -= cp[i, k] * x[k] + gain[i, k] * innovation
         for j in range(i + 1):
-            shared = gain[i, 0] * cp[j, 0] + gain[i, 1] * cp[j, 1] + gain[i, 2] * cp[j, 2]
-            evidence.own[s, i, j] += evidence.cc[s, i, j] - shared
-            evidence.own[s, j, i] = evidence.own[s, i, j]
+            shared_part = gain[i, 0] * cp[j, 0] + gain[i, 1] * cp[j, 1] + gain[i, 2] * cp[j, 2]
+            evidence.own[i, j] += evidence.cc[i, j] - shared_part
+            evidence.own[j, i] = evidence.own[i, j]
 
 
 @compiled
-def _learn_three(P: FloatArray, information: FloatArray, first: int, work: Workspace) -> None:
+def _learn_three(P: FloatArray, information: FloatArray, first: int, shared: SharedWork) -> None:
     """P ← (P⁻¹ + Λ)⁻¹ with Λ (6, 6) not zero only for three states from ``first`` on: ``P − P (Λ⁻¹ + P)⁻¹ P``
     of them, in place."""
-    S, G = work.A, work.X
-    weakened_into(S, work.T, information, first, P, first)
+    S, G = shared.A, shared.X
+    weakened_into(S, shared.B, information, first, P, first)
     for i in range(6):
         a, b, c = P[i, first], P[i, first + 1], P[i, first + 2]
         for j in range(3):

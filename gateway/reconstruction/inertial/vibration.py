@@ -10,35 +10,30 @@ from __future__ import annotations
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.chain_state import FilterState
+from gateway.reconstruction.inertial.chain_state import Vibration
+from gateway.reconstruction.inertial.tuning import Tuning
 
-MEMORY_S = 1.0
-CALM = 0.1
-"""m/s²: vibration below it is not told from none."""
-SHOCK = 9.0
-"""One sample counts for so many times the mean square, not more: a heel that strikes is no vibration."""
 GAIN = 70.0
 
 
 @compiled
-def watch_vibration(state: FilterState, s: int, f: FloatArray, is_fresh: bool, dt: float) -> None:
-    """One specific force (3,) more of segment s, own axes, m/s²; is_fresh: none has come just before it.
+def watch_vibration(seen: Vibration, f: FloatArray, is_fresh: bool, tuning: Tuning, dt: float) -> None:
+    """One specific force (3,) more, own axes, m/s²; is_fresh: none has come just before it.
 
-    ``state.vibration[s, 0]`` ← the mean square of a component, (m/s²)².
+    ``seen.square`` ← the mean square of a component, (m/s²)².
     """
-    seen = state.vibration[s]
     if is_fresh:
-        seen[1] = 0.0
-    square = 0.0
+        seen.samples = 0.0
+    square, last = 0.0, seen.last
     for i in range(3):
-        column = 2 + 4 * i
-        change = f[i] - 4.0 * (seen[column] + seen[column + 2]) + 6.0 * seen[column + 1] + seen[column + 3]
+        change = f[i] - 4.0 * (last[i, 0] + last[i, 2]) + 6.0 * last[i, 1] + last[i, 3]
         square += change * change
-        for k in range(column + 3, column, -1):
-            seen[k] = seen[k - 1]
-        seen[column] = f[i]
-    if seen[1] < 4.0:
-        seen[1] += 1.0
+        for k in range(3, 0, -1):
+            last[i, k] = last[i, k - 1]
+        last[i, 0] = f[i]
+    if seen.samples < 4.0:
+        seen.samples += 1.0
         return
-    square = min(square / (3.0 * GAIN), SHOCK * max(seen[0], CALM * CALM))
-    seen[0] += min(1.0, dt / MEMORY_S) * (square - seen[0])
+    floor = tuning.vibration_floor * tuning.vibration_floor
+    square = min(square / (3.0 * GAIN), tuning.vibration_shock * max(seen.square, floor))
+    seen.square += min(1.0, dt / tuning.vibration_memory_s) * (square - seen.square)

@@ -11,6 +11,7 @@ from gateway.body.kinematics import joint_positions
 from gateway.body.rig import load_rig
 from gateway.reconstruction.inertial.chain_bridges import bridges_of
 from gateway.reconstruction.inertial.chain_state import chain_body
+from gateway.reconstruction.inertial.tuning import tuning
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +21,7 @@ def suit():
 
 def test_with_a_module_on_every_segment_nothing_is_bridged():
     suit = load_rig("suit_17")
-    bridges = bridges_of(suit)
+    bridges = bridges_of(suit, tuning())
     assert not bridges.is_bridged.any()
     assert not bridges.beyond.any()
     assert not bridges.slack.any()
@@ -29,18 +30,18 @@ def test_with_a_module_on_every_segment_nothing_is_bridged():
 
 
 def test_thorax_and_head_are_joined_over_spine_and_neck(suit):
-    skeleton, bridges = suit.skeleton, bridges_of(suit)
+    skeleton, bridges = suit.skeleton, bridges_of(suit, tuning())
     thorax, head = skeleton.index("thorax"), skeleton.index("head")
     assert skeleton.segment_names[bridges.parents[thorax]] == "pelvis"
     assert skeleton.segment_names[bridges.parents[head]] == "thorax"
     assert set(np.flatnonzero(bridges.is_bridged)) == {thorax, head}
     assert all(bridges.parents[suit.module_of_segment < 0] == -1)
-    assert sum(chain_body(suit, True).parents < 0) == 1 + np.sum(suit.module_of_segment < 0)
+    assert sum(chain_body(suit, True).segments["parent"] < 0) == 1 + np.sum(suit.module_of_segment < 0)
 
 
 def test_the_joint_in_their_place_is_where_the_body_has_it(suit):
     """To first order in the bend, and well within ``slack`` for a bend of 30°."""
-    skeleton, bridges = suit.skeleton, bridges_of(suit)
+    skeleton, bridges = suit.skeleton, bridges_of(suit, tuning())
     pelvis, thorax = skeleton.index("pelvis"), skeleton.index("thorax")
     upright = Rotation.from_rotvec([0.1, -0.2, 0.7])
     for bend in (0.05, 0.52):
@@ -59,8 +60,8 @@ def test_the_joint_in_their_place_is_where_the_body_has_it(suit):
 
 def test_without_a_rule_a_segment_goes_with_its_parent(suit):
     skeleton = replace(suit.skeleton, interpolations=())
-    bridges = bridges_of(replace(suit, skeleton=skeleton))
+    bridges = bridges_of(replace(suit, skeleton=skeleton), tuning())
     thorax = skeleton.index("thorax")
     assert not bridges.beyond.any()
     np.testing.assert_allclose(bridges.before[thorax], [0.0, 0.30, 0.0])
-    assert bridges.slack[thorax] > bridges_of(suit).slack[thorax]
+    assert bridges.slack[thorax] > bridges_of(suit, tuning()).slack[thorax]

@@ -10,17 +10,13 @@ from gateway.emulation.fast_arm import sampled
 from gateway.emulation.random_chains import RandomChain, drawn
 from gateway.frames import Quantity
 from gateway.geometry.comparison import orientation_error
-from gateway.reconstruction.inertial.chain_state import N_READINGS, Noise, initial_state
+from gateway.reconstruction.inertial.chain_state import N_READINGS, initial_state
 from gateway.reconstruction.inertial.joint import JointReconstructor
-from gateway.reconstruction.inertial.local_rows import (
-    LONGEST_WINDOW_S,
-    WINDOW_CHANGE,
-    derivative_weights,
-    take_reading,
-)
+from gateway.reconstruction.inertial.local_rows import derivative_weights, take_reading
+from gateway.reconstruction.inertial.tuning import tuning
 from gateway.reconstruction.reconstructor import update_many
 
-NOISE = Noise()
+TUNING = tuning()
 
 
 @pytest.mark.parametrize(("sigma_m", "every_s"), [(0.1, 0.1), (0.02, 0.03), (0.3, 0.2)])
@@ -55,22 +51,24 @@ def test_the_window_leaves_what_is_asked_of_the_readings_noise(kind: Quantity, s
     times = np.linspace(0.0, window_s, N_READINGS)
     order = 2 if kind is Quantity.POSITION else 1
     left = sigma * float(np.sqrt(np.sum(derivative_weights(times, order) ** 2)))
-    assert left == pytest.approx(NOISE.local_acceleration, rel=0.2)  # √720 and √12 are those of many readings
+    assert left == pytest.approx(
+        TUNING.local_acceleration, rel=0.2
+    )  # √720 and √12 are those of many readings
 
 
 def test_windows_have_a_least_and_a_longest_and_do_not_flutter() -> None:
-    assert _window_s(Quantity.POSITION, [0.0]) == NOISE.local_window_s
-    assert _window_s(Quantity.ACCELERATION, [5.0]) == NOISE.local_window_s
-    assert _window_s(Quantity.AIR_VELOCITY, [5.0]) == NOISE.local_window_s
-    assert _window_s(Quantity.POSITION, [50.0]) == LONGEST_WINDOW_S
-    little_more = 0.05 * 0.9 * WINDOW_CHANGE**2
+    assert _window_s(Quantity.POSITION, [0.0]) == TUNING.local_window_s
+    assert _window_s(Quantity.ACCELERATION, [5.0]) == TUNING.local_window_s
+    assert _window_s(Quantity.AIR_VELOCITY, [5.0]) == TUNING.local_window_s
+    assert _window_s(Quantity.POSITION, [50.0]) == TUNING.local_longest_window_s
+    little_more = 0.05 * 0.9 * TUNING.local_window_change**2
     assert _window_s(Quantity.POSITION, [0.05, little_more]) == _window_s(Quantity.POSITION, [0.05])
     assert _window_s(Quantity.POSITION, [0.05, 0.2]) == _window_s(Quantity.POSITION, [0.2])
 
 
 def _window_s(kind: Quantity, sigmas: list[float]) -> float:
     """Of a device that has given readings that certain."""
-    state = initial_state(1, 1)
+    device = initial_state(1, 1).devices[0]
     for k, sigma in enumerate(sigmas):
-        take_reading(state, NOISE, 0, int(kind), float(k), np.zeros(3), sigma)
-    return float(state.device_fit[0, 0])
+        take_reading(device, int(kind), float(k), np.zeros(3), sigma, TUNING)
+    return float(device.fit_span_s)

@@ -46,8 +46,25 @@ def test_resuming_equals_one_run_bit_for_bit(kind, moving):
 def test_a_state_of_another_body_is_refused(moving):
     reconstructor = JointReconstructor(moving[0].suit(), 0.01)
     state = reconstructor.state()
-    state["R"] = state["R"][:2]
-    with pytest.raises(ValueError, match="'R' does not fit"):
+    state["segments"] = state["segments"][:2]
+    with pytest.raises(ValueError, match="'segments' does not fit"):
+        reconstructor.set_state(state)
+
+
+@pytest.mark.parametrize("version", [{}, {"version": np.array([7])}])
+def test_a_state_of_another_version_is_refused(moving, version):
+    reconstructor = JointReconstructor(moving[0].suit(), 0.01)
+    state = reconstructor.state()
+    del state["version"]
+    with pytest.raises(ValueError, match=f"of version {version.get('version', [1])[0]}; this is version 2"):
+        reconstructor.set_state(state | version)
+
+
+def test_a_state_with_other_fields_is_refused(moving):
+    reconstructor = JointReconstructor(moving[0].suit(), 0.01)
+    state = reconstructor.state()
+    state["segments"] = state["segments"][["R", "bias"]].copy()
+    with pytest.raises(ValueError, match="'segments' have other fields"):
         reconstructor.set_state(state)
 
 

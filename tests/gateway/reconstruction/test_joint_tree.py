@@ -4,12 +4,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gateway.geometry.records import record, records
 from gateway.geometry.rotation_matrix import from_rotation_vector
 from gateway.reconstruction.inertial import blocks as blocks_module
 from gateway.reconstruction.inertial import tree_filter
-from gateway.reconstruction.inertial.chain_state import Noise, initial_state
-from gateway.reconstruction.inertial.lever_arms import learn_joint_arms, learn_rows, learning
+from gateway.reconstruction.inertial.chain_state import (
+    Evidence,
+    Learning,
+    Link,
+    SegmentWork,
+    initial_state,
+    work_space,
+)
+from gateway.reconstruction.inertial.lever_arms import ask_again, is_due, learn_joint_arms, learn_rows
 from gateway.reconstruction.inertial.local_rows import derivative_weights
+from gateway.reconstruction.inertial.tuning import tuning
 
 PARENTS = np.array([-1, 0, 1, 1, -1, 4])
 
@@ -31,6 +40,14 @@ def random_tree(rng):
     return dense, *blocks(dense)
 
 
+def filtered(parents, P, C):
+    """Links, segments of these covariances, and work space without evidence."""
+    n = len(parents)
+    links, segments, work = records(Link, n), initial_state(n, 0).segments, work_space(n)
+    links["parent"], segments["P"], segments["C"] = parents, P, C
+    return links, segments, work
+
+
 def blocks(dense):
     n = len(PARENTS)
     P = np.array([dense[6 * s : 6 * s + 6, 6 * s : 6 * s + 6] for s in range(n)])
@@ -46,7 +63,8 @@ def test_two_sweeps_equal_the_dense_update(seed):
     rng = np.random.default_rng(seed)
     n = len(PARENTS)
     dense, P, C = random_tree(rng)
-    evidence, rows, residuals, variances = tree_filter.no_evidence(n), [], [], []
+    tree, rows, residuals, variances = filtered(PARENTS, P, C), [], [], []
+    _, segments, work = tree
     for s, p in enumerate(PARENTS):
         for _ in range(3):
             row, row_p, residual, variance = (
@@ -58,31 +76,29 @@ def test_two_sweeps_equal_the_dense_update(seed):
             full[6 * s : 6 * s + 3] = row
             if p >= 0:
                 full[6 * p : 6 * p + 3] = row_p
-                tree_filter.add_edge(evidence, s, row, row_p, residual, variance)
+                tree_filter.add_edge(work.segments[s].evidence, row, row_p, residual, variance)
             else:
-                tree_filter.add_own(evidence, s, row, residual, variance)
+                tree_filter.add_own(work.segments[s].evidence, row, residual, variance)
             rows.append(full)
             residuals.append(residual)
             variances.append(variance)
     H, R = np.array(rows), np.diag(variances)
     gain = dense @ H.T @ np.linalg.inv(H @ dense @ H.T + R)
     after = dense - gain @ H @ dense
-    work = tree_filter.workspace(n)
-    tree_filter.update_tree(PARENTS, P, C, evidence, work)
-    np.testing.assert_allclose(work.x.ravel(), gain @ residuals, atol=1e-10)
+    tree_filter.update_tree(*tree)
+    np.testing.assert_allclose(work.segments["x"].ravel(), gain @ residuals, atol=1e-10)
     P_after, C_after = blocks(after)
-    np.testing.assert_allclose(P, P_after, atol=1e-10)
-    np.testing.assert_allclose(C, C_after, atol=1e-10)
+    np.testing.assert_allclose(segments["P"], P_after, atol=1e-10)
+    np.testing.assert_allclose(segments["C"], C_after, atol=1e-10)
 
 
 def test_without_evidence_nothing_changes():
     _, P, C = random_tree(np.random.default_rng(1))
-    P_before, C_before = P.copy(), C.copy()
-    work = tree_filter.workspace(len(PARENTS))
-    tree_filter.update_tree(PARENTS, P, C, tree_filter.no_evidence(len(PARENTS)), work)
-    np.testing.assert_array_equal(work.x, 0.0)
-    np.testing.assert_allclose(P, P_before, atol=1e-12)
-    np.testing.assert_allclose(C, C_before, atol=1e-12)
+    links, segments, work = filtered(PARENTS, P, C)
+    tree_filter.update_tree(links, segments, work)
+    np.testing.assert_array_equal(work.segments["x"], 0.0)
+    np.testing.assert_allclose(segments["P"], P, atol=1e-12)
+    np.testing.assert_allclose(segments["C"], C, atol=1e-12)
 
 
 def cross_matrix(a):
@@ -92,14 +108,14 @@ def cross_matrix(a):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_vector_row_is_its_three_scalar_rows(seed):
     m, residual, other = np.random.default_rng(seed).standard_normal((3, 3))
-    whole, rows = (tree_filter.no_evidence(len(PARENTS)) for _ in range(2))
-    tree_filter.add_joint(whole, 2, m, residual, 0.3)
-    tree_filter.add_known(whole, 3, m, other, 0.7)
+    whole, rows = record(Evidence), record(Evidence)
+    tree_filter.add_joint(whole, m, residual, 0.3)
+    tree_filter.add_known(whole, m, other, 0.7)
     for i, H in enumerate(cross_matrix(m)):
-        tree_filter.add_edge(rows, 2, H, -H, residual[i], 0.3)
-        tree_filter.add_own(rows, 3, H, other[i], 0.7)
-    for name, array in rows._asdict().items():
-        np.testing.assert_allclose(getattr(whole, name), array, atol=1e-14, err_msg=name)
+        tree_filter.add_edge(rows, H, -H, residual[i], 0.3)
+        tree_filter.add_own(rows, H, other[i], 0.7)
+    for name in rows.dtype.names:
+        np.testing.assert_allclose(getattr(whole, name), getattr(rows, name), atol=1e-14, err_msg=name)
 
 
 @pytest.mark.parametrize("size", [3, 6])
@@ -118,40 +134,41 @@ def test_inverse_of_ill_conditioned_blocks(size):
 def test_evidence_of_three_states_is_taken_as_by_inverting_the_whole_block():
     """Of an open heading, a tilt known well, and a row that says nothing about one direction."""
     rng, n = np.random.default_rng(6), len(PARENTS)
-    _, P, _ = random_tree(rng)
+    _, P, C = random_tree(rng)
     P[0] = np.diag([1e-4, 1e-4, 2.56, 1e-8, 1e-8, 1e-8])
-    evidence, work = tree_filter.no_evidence(n), tree_filter.workspace(n)
+    links, segments, work = filtered(PARENTS, P, C)
     for s in range(n):
-        tree_filter.add_known(evidence, s, rng.standard_normal(3), rng.standard_normal(3), 0.01)
+        evidence = work.segments[s].evidence
+        tree_filter.add_known(evidence, rng.standard_normal(3), rng.standard_normal(3), 0.01)
         if s % 2:
-            evidence.own[s, 3:, 3:] += 50.0 * np.eye(3)
-            evidence.own_vector[s, 3:] += rng.standard_normal(3)
-    expected = np.linalg.inv(np.linalg.inv(P) + evidence.own)
-    vectors = evidence.own_vector.copy()
-    tree_filter.update_outward(PARENTS, P, evidence, work)
-    np.testing.assert_allclose(P, expected, atol=1e-9)
-    np.testing.assert_allclose(work.x, np.einsum("sij,sj->si", expected, vectors), atol=1e-8)
+            evidence.own[3:, 3:] += 50.0 * np.eye(3)
+            evidence.own_vector[3:] += rng.standard_normal(3)
+    expected = np.linalg.inv(np.linalg.inv(P) + work.segments["evidence"]["own"])
+    vectors = work.segments["evidence"]["own_vector"].copy()
+    tree_filter.update_outward(links, segments, work)
+    np.testing.assert_allclose(segments["P"], expected, atol=1e-9)
+    np.testing.assert_allclose(work.segments["x"], np.einsum("sij,sj->si", expected, vectors), atol=1e-8)
 
 
 def test_outward_a_child_learns_what_its_edge_tells_with_the_parent_integrated_out():
     """Against the dense update of the two, whose errors are independent to this filter."""
     rng = np.random.default_rng(7)
-    _, P, _ = random_tree(rng)
-    P, parents = P[:2].copy(), np.array([-1, 0])
+    _, P, C = random_tree(rng)
+    P = P[:2]
     rows, residuals = rng.standard_normal((3, 2, 3)), rng.standard_normal(3)
-    evidence, work = tree_filter.no_evidence(2), tree_filter.workspace(2)
+    links, segments, work = filtered(PARENTS[:2], P, C[:2])
     H = np.zeros((3, 12))
     for k in range(3):
-        tree_filter.add_edge(evidence, 1, rows[k, 0], rows[k, 1], residuals[k], 0.5)
+        tree_filter.add_edge(work.segments[1].evidence, rows[k, 0], rows[k, 1], residuals[k], 0.5)
         H[k, 6:9], H[k, :3] = rows[k]
     dense = np.zeros((12, 12))
     dense[:6, :6], dense[6:, 6:] = P
     gain = dense @ H.T @ np.linalg.inv(H @ dense @ H.T + 0.5 * np.eye(3))
     after, x = dense - gain @ H @ dense, gain @ residuals
-    tree_filter.update_outward(parents, P, evidence, work)
-    np.testing.assert_allclose(P[1], after[6:, 6:], atol=1e-10)
-    np.testing.assert_allclose(work.x[1], x[6:], atol=1e-10)
-    np.testing.assert_array_equal(work.x[0], 0.0)
+    tree_filter.update_outward(links, segments, work)
+    np.testing.assert_allclose(segments[1].P, after[6:, 6:], atol=1e-10)
+    np.testing.assert_allclose(work.segments[1].x, x[6:], atol=1e-10)
+    np.testing.assert_array_equal(work.segments[0].x, 0.0)
 
 
 def test_propagation_is_that_of_the_turning_error():
@@ -183,13 +200,14 @@ def test_propagation_is_that_of_the_turning_error():
 def test_three_rows_at_once_are_three_scalar_updates(surprise):
     """Against Joseph's form, one row after another; a surprising row counts less."""
     rng = np.random.default_rng(6)
-    A, work = rng.standard_normal((6, 6)), learning()
+    A, learning = rng.standard_normal((6, 6)), record(Learning)
     P, x, rows = A @ A.T, np.zeros(6), rng.standard_normal((3, 6))
     residual, off = tuple(surprise * rng.standard_normal(3)), (0.1, 0.2, 0.3)
     variance, at_once, huber, memory = 2.0, 0.5, 2.0, 100.0
     found = P.copy()
-    work.rows[...] = rows
-    added = learn_rows(found, work, residual, off, variance, at_once, huber, memory)
+    learning.rows[...], learning.residual[...], learning.off[...] = rows, residual, off
+    learning.variance, learning.at_once, learning.memory = variance, at_once, memory
+    added = learn_rows(found, learning, huber)
     assert added == pytest.approx(np.trace(rows @ P @ rows.T) / 3.0)
     for row, seen, spread in zip(rows, residual, off, strict=True):
         innovation, uncertain = seen - row @ x, row @ P @ row
@@ -199,23 +217,28 @@ def test_three_rows_at_once_are_three_scalar_updates(surprise):
         x = x + gain * innovation
         left = np.eye(6) - np.outer(gain, row)
         P = left @ P @ left.T + white * np.outer(gain, gain)
-    np.testing.assert_allclose(work.change, x, atol=1e-12)
+    np.testing.assert_allclose(learning.change, x, atol=1e-12)
     np.testing.assert_allclose(found, P, atol=1e-12)
     np.testing.assert_array_equal(found, found.T)
 
 
 def test_joints_are_asked_about_their_arms_in_turn():
     """At 100 Hz every third frame; what their uncertainty adds to a row is told in every frame."""
-    state, work, noise = initial_state(6, 0), learning(), Noise()
-    state.arm_covariance[:] = noise.lever_arm_offset**2 * np.eye(6)
-    K, u = 20.0 * np.eye(3), np.array([0.0, 0.0, 10.0])
+    segments, learning, constants = initial_state(6, 0).segments, record(Learning), tuning()
+    segments["arms"]["covariance"] = constants.lever_arm_offset**2 * np.eye(6)
+    now = records(SegmentWork, 6)
+    now["K"], learning.at_once = 20.0 * np.eye(3), 0.04
     asked = np.zeros((30, 6), bool)
     for frame in range(30):
         for s in range(1, 6):
-            before = state.arm_covariance[s].copy()
-            added = learn_joint_arms(state, noise, work, s, 0, u.copy(), u.copy(), K, K, 0.04, 0.01)
-            asked[frame, s] = (state.arm_covariance[s] != before).any()
-            assert added > 0.0
+            now["u"] = now["u_parent"] = [0.0, 0.0, 10.0]
+            asked[frame, s] = is_due(segments[s], constants, 0.01)
+            if asked[frame, s]:
+                before = segments[s].arms.covariance.copy()
+                learn_joint_arms(segments[s], segments[0], now[s], now[0], learning, constants)
+                ask_again(segments[s], s, 0.01)
+                assert (segments[s].arms.covariance != before).any()
+            assert segments[s].arms.row_variance > 0.0
     assert asked[0, 1:].all()
     assert asked[1:].sum(axis=1).max() <= 2
     assert asked[:, 1:].sum(axis=0) == pytest.approx(10, abs=1)

@@ -148,7 +148,7 @@ def test_where_a_device_sits_is_found(quantity, moved):
     ]
     body = create_reconstructor("joint", replace(rig, local_devices=(wrong,)), 0.01)
     found = update_many(body, frames)
-    left = body.finder.state()["device_shift"][0] - error
+    left = body.finder.state()["devices"]["shift"][0] - error
     assert np.linalg.norm(left) < 0.25 * np.linalg.norm(error)
     right = update_many(create_reconstructor("joint", rig, 0.01), frames)
     errors = [

@@ -10,8 +10,9 @@ from simulated_body import angular_error_deg, arm, imu_frames, instants, simulat
 from gateway.errors import GatewayError
 from gateway.frames import ImuFrame, LocalReading, Quantity, Status
 from gateway.reconstruction import create_reconstructor, smoothing, update_many
-from gateway.reconstruction.inertial.chain_state import Noise, initial_state
+from gateway.reconstruction.inertial.chain_state import initial_state
 from gateway.reconstruction.inertial.time_reversal import seen_backward, turned_back
+from gateway.reconstruction.inertial.tuning import tuning
 from gateway.reconstruction.inertial.two_ways import put_together
 from gateway.reconstruction.smoothing import Smoother
 
@@ -71,31 +72,44 @@ def test_a_motion_seen_backward_turns_rates_and_velocities_and_waits_for_reading
 
 def test_turning_a_state_back_twice_keeps_what_it_knows():
     state, rng = initial_state(3, 1), np.random.default_rng(1)
-    for name in ("bias", "force_bias", "arm", "C", "field_seen", "device_shift"):
-        getattr(state, name)[...] = rng.normal(size=getattr(state, name).shape)
-    again = turned_back(turned_back(state, Noise(), GRAVITY), Noise(), GRAVITY)
-    for name in ("bias", "force_bias", "arm", "C", "field_seen", "device_shift"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
+    for records, name in known_of(state):
+        records[name] = rng.normal(size=records[name].shape)
+    again = turned_back(turned_back(state, tuning(), GRAVITY), tuning(), GRAVITY)
+    for (records, name), (records_again, _) in zip(known_of(state), known_of(again), strict=True):
+        np.testing.assert_array_equal(records_again[name], records[name])
+
+
+def known_of(state):
+    """Some of what stays: records and the names in them."""
+    segments = state.segments
+    watch = [(segments["field_watch"], name) for name in ("norm", "dip", "change_square", "error_square")]
+    own = [(segments, name) for name in ("bias", "force_bias", "C")]
+    return [*own, *watch, (segments["arms"], "error"), (state.devices, "shift")]
 
 
 def test_the_last_frame_is_not_taken_twice():
     state = initial_state(2, 1)
-    state.time_ns[:] = 7_000_000_000, 1_000_000_000
-    state.rest[:] = np.arange(10.0)
-    back = turned_back(state, Noise(), GRAVITY)
+    state.clock.last_ns, state.clock.first_ns = 7_000_000_000, 1_000_000_000
+    rest = state.segments["rest"]
+    rest["rate"], rest["force"], rest["still_s"] = [0.0, 1.0, 2.0], [3.0, 4.0, 5.0], 8.0
+    back = turned_back(state, tuning(), GRAVITY)
     (last, _), _ = seen_backward([frame(10), frame(20)], 20, [])
-    assert last.time_ns == 0 == back.time_ns[0]
-    np.testing.assert_array_equal(back.rest[0], [-0.0, -1.0, -2.0, *range(3, 10)])
+    assert last.time_ns == 0 == back.clock.last_ns
+    kept = back.segments[0].rest
+    np.testing.assert_array_equal(kept.rate, [-0.0, -1.0, -2.0])
+    np.testing.assert_array_equal(kept.force, [3.0, 4.0, 5.0])
+    assert kept.still_s == 8.0
 
 
 def test_the_way_back_knows_that_it_begins_in_motion():
     state = initial_state(2, 0)
-    state.last_force[0] = 0.0, 0.0, 9.81  # at rest
-    state.last_force[1] = 6.0, 0.0, 12.0
-    state.rate[1] = 0.0, 5.0, 0.0
-    back = turned_back(state, Noise(), GRAVITY)
-    assert back.starting_square[0] == 0.0
-    assert back.starting_square[1] > 1.0
+    still, moving = state.segments[0], state.segments[1]
+    still.averages.last_force[:] = 0.0, 0.0, 9.81
+    moving.averages.last_force[:] = 6.0, 0.0, 12.0
+    moving.rate[:] = 0.0, 5.0, 0.0
+    back = turned_back(state, tuning(), GRAVITY)
+    assert back.segments[0].starting_square == 0.0
+    assert back.segments[1].starting_square > 1.0
 
 
 def test_a_method_that_cannot_go_backward_says_so(tmp_path):

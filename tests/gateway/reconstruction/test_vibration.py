@@ -4,17 +4,18 @@ import numpy as np
 import pytest
 
 from gateway.reconstruction.inertial.chain_state import initial_state
-from gateway.reconstruction.inertial.heading_start import bending
+from gateway.reconstruction.inertial.heading_start import second_order_variance
+from gateway.reconstruction.inertial.tuning import tuning
 from gateway.reconstruction.inertial.vibration import watch_vibration
 
-DT = 0.01
+DT, TUNING = 0.01, tuning()
 
 
 def watched(forces, dt=DT, gaps=()):
-    state = initial_state(2, 0)
+    seen = initial_state(1, 0).segments[0].vibration
     for k, force in enumerate(forces):
-        watch_vibration(state, 1, force, k == 0 or k in gaps, dt)
-    return state.vibration[1, 0]
+        watch_vibration(seen, force, k == 0 or k in gaps, TUNING, dt)
+    return seen.square
 
 
 def swing(seconds, dt, amplitude=40.0, hz=2.0):
@@ -48,18 +49,22 @@ def test_nothing_is_made_of_what_lies_on_two_sides_of_a_gap():
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.2, 0.4])
-def test_bending_is_the_mean_square_of_the_second_order_of_a_tilt(sigma):
+def test_it_is_the_mean_square_of_the_second_order_of_a_tilt(sigma):
     rng, u = np.random.default_rng(2), np.array([0.0, 0.0, 9.81])
-    state = initial_state(2, 0)
-    state.P[1, 0, 0] = state.P[1, 1, 1] = sigma**2
+    segment = initial_state(1, 0).segments[0]
+    segment.P[0, 0] = segment.P[1, 1] = sigma**2
     tilts = np.zeros((200_000, 3))
     tilts[:, :2] = sigma * rng.standard_normal((200_000, 2))
     second = 0.5 * np.cross(tilts, np.cross(tilts, u))
-    assert bending(state, 1, u, 1.0) == pytest.approx(np.mean(second[:, 2] ** 2), rel=0.05)
+    assert second_order_variance(segment, u, TUNING, 1.0) == pytest.approx(
+        np.mean(second[:, 2] ** 2), rel=0.05
+    )
 
 
 def test_rows_that_come_often_share_it():
-    state = initial_state(2, 0)
-    state.P[1, 0, 0] = state.P[1, 1, 1] = 0.04
+    segment = initial_state(1, 0).segments[0]
+    segment.P[0, 0] = segment.P[1, 1] = 0.04
     u = np.array([3.0, 4.0, 12.0])
-    assert bending(state, 1, u, 0.01) == pytest.approx(100.0 * bending(state, 1, u, 1.0))
+    assert second_order_variance(segment, u, TUNING, 0.01) == pytest.approx(
+        100.0 * second_order_variance(segment, u, TUNING, 1.0)
+    )
