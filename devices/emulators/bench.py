@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import NO_PARENT, emulated_body
 from devices.emulators.imperfections import TYPICAL, Imperfections
 from devices.emulators.motions import BodyMotion

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from math import pi, radians
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from devices.calibration_script import PERIOD_S, timetable
+from devices.deferred import Rotation
 from devices.emulators.bodies import EmulatedBody, FloatArray
 from devices.emulators.motions import BodyMotion
 from devices.emulators.scripted import Script, Term, pulses

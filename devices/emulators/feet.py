@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BPoly
 
+from devices.deferred import BPoly
 from devices.emulators.bodies import FloatArray
 from devices.emulators.legs import Leg
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
 from devices.emulators.imperfections import Imperfections, module_random
 from devices.emulators.sensed_motion import Sensed

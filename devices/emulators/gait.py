@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation, make_interp_spline
 from devices.emulators.bodies import EmulatedBody, FloatArray, IntArray
 from devices.emulators.feet import Foot, foot_path
 from devices.emulators.legs import leg_angles, leg_of

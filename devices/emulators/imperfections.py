@@ -8,8 +8,8 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.random import Generator
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
 
 

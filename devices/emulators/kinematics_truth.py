@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import EmulatedBody, FloatArray, IntArray
 from devices.emulators.waves import Derivatives, Fade
 

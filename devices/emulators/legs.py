@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import EmulatedBody, FloatArray
 
 HEEL, TOE = (-0.05, -0.068), (0.15, -0.068)

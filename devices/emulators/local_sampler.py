@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import EmulatedLocalDevice, FloatArray
 from devices.emulators.ideal_sensors import AIR_VELOCITY, VELOCITY, measure_point
 from devices.emulators.imperfections import module_random

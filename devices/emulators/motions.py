@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import NO_PARENT, EmulatedBody, FloatArray, IntArray
 from devices.emulators.gait import WALK, Gait, planned_motion
 from devices.emulators.kinematics_truth import JointAngles, MotionState, RootPath, TreeKinematics

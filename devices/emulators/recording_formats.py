@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation, loadmat
 from devices.emulators.bodies import FloatArray
 from devices.emulators.ideal_sensors import POSITION
 from devices.emulators.recordings import LocalTrack, ModuleTrack, Recording, ReferenceTrack, track_of

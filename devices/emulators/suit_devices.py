@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import NO_MODULE, EmulatedBody, FloatArray, IntArray
 from devices.emulators.emulated_card import EmulatedCard
 from devices.emulators.emulated_device import EmulatedDevice, Equipment

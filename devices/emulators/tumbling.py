@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import NO_PARENT, EmulatedBody, FloatArray, IntArray
 from devices.emulators.kinematics_truth import MotionState
 from devices.emulators.motions import BodyMotion

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import Recording
 from devices.vendor_formats.gaps import rate_of, spread, unwrapped

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from gateway.agreement.time_alignment import TimeAlignment, align_time
 from gateway.agreement.tracks import Tracks, pairs_of, resampled, selected
 from gateway.agreement.world_alignment import (

@@ -10,11 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import correlate
-from scipy.spatial.transform import Rotation
-from scipy.stats import theilslopes
 
+from devices.deferred import Rotation, correlate, gaussian_filter1d, theilslopes
 from gateway.agreement.tracks import Tracks, resampled
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray, Status
 from gateway.recording.arrays import SkeletonArrays

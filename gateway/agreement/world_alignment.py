@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from gateway.frames import FloatArray
 
 ROUNDS = 20

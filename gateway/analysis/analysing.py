@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
+from devices.deferred import make_interp_spline
 from devices.marker_files.force_plates import ForcePlates
 from gateway.analysis.contact import estimated_floor
 from gateway.analysis.floor import FloorForces, feet

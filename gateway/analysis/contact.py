@@ -14,9 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
-from scipy.special import expit
 
+from devices.deferred import expit, nnls
 from gateway.analysis.floor import LEAST_FORCE_N, FloorForces, Source, floor_height, sole_paths, sole_points
 from gateway.analysis.inverse_dynamics import Dynamics, Progress
 from gateway.analysis.smooth_motion import SmoothMotion

@@ -8,8 +8,8 @@ generalised force of the angle (its work by the angle's rate).
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from gateway.analysis.smooth_motion import matrices
 from gateway.body.joints import WORLD, Decomposition, Joint
 from gateway.body.skeleton import Skeleton

@@ -10,10 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.signal import butter, sosfiltfilt
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation, butter, make_interp_spline, sosfiltfilt
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray

@@ -20,8 +20,8 @@ from xml.etree.ElementTree import Element, ParseError  # types only; defusedxml 
 import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from gateway.errors import SettingsError
 from gateway.frames import FloatArray
 

@@ -14,6 +14,7 @@ from itertools import product
 
 import numpy as np
 
+from devices.deferred import least_squares
 from gateway.frames import FloatArray
 
 _SLOW = np.radians(10.0)
@@ -88,8 +89,6 @@ _STARTS = [np.array(start) for start in ((0.1, 0.1), (1.5, 0.1), (0.1, 1.5))]
 
 
 def _refined(w1: FloatArray, w2: FloatArray, start: FloatArray) -> HingeAxes:
-    from scipy.optimize import least_squares  # noqa: PLC0415 - takes half a second
-
     def residuals(p: FloatArray) -> FloatArray:
         difference: FloatArray = _across(w1, _direction(p[:2])) - _across(w2, _direction(p[2:]))
         return difference

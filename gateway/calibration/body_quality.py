@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.axes import MovementAxis
 from gateway.calibration.body_result import ModuleFindings

@@ -20,8 +20,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation, least_squares
 from gateway.calibration.joint_centres import JointEquations, relative_heading
 from gateway.frames import FloatArray, IntArray
 
@@ -94,8 +94,6 @@ class Solution:
 
 def solve_body(problem: Problem) -> Solution:
     """Raises ``ValueError`` when no module was in a pose, or nothing tells headings."""
-    from scipy.optimize import least_squares  # noqa: PLC0415 - takes half a second
-
     used = sorted({term.segment for term in problem.poses})
     if not used:
         raise ValueError("no pose was held: a body calibration needs the N-pose or the T-pose")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from devices.deferred import least_squares
 from gateway.body.camera import Camera
 from gateway.calibration.boards import Board, BoardView
 from gateway.calibration.cameras_intrinsics import Lens
@@ -103,8 +104,6 @@ def _adjusted(
 ) -> FloatArray:
     """Camera and board poses (n, 6) that bring all corners nearest to where they were seen; the first board
     stays."""
-    from scipy.optimize import least_squares  # noqa: PLC0415 - takes a second
-
     n = len(lenses)
     free = np.ones(len(start), dtype=bool)
     free[6 * n : 6 * n + 6] = False

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.optimize import least_squares
 
+from devices.deferred import least_squares
 from gateway.calibration.coverage import coverage
 from gateway.frames import FloatArray, IntArray
 

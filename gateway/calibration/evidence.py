@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-from vqf import offlineVQF
 
+from devices.deferred import Rotation, offlineVQF
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame, Status
 

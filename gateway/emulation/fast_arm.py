@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation, lfilter
 from devices.emulators.bodies import EmulatedBody
 from devices.emulators.ideal_sensors import SensorValues, sense
 from devices.emulators.motions import BodyMotion, generic_motion

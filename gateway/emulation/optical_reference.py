@@ -10,9 +10,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import CubicSpline, Rotation
 from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
 from gateway.emulation.recordings import reference_at
 from gateway.frames import FloatArray

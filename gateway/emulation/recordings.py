@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.recording_formats import METAL_TABLE_S
 from devices.emulators.recordings import Recording, ReferenceTrack, play
 from devices.link import Chunk, Framing

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import EmulatedBody
 from devices.emulators.ideal_sensors import sense
 from devices.emulators.imperfections import IDEAL, Imperfections

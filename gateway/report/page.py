@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.deferred import Rotation
 from gateway.frames import FloatArray, Status
 from gateway.recording.arrays import SkeletonArrays
 from gateway.report.elements import (

@@ -13,8 +13,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from vqf import VQF
 
+from devices.deferred import VQF
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.inertial import settling

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from devices.deferred import butter, sosfilt, sosfilt_zi
 from gateway.frames import FloatArray
 
 ORDER = 6
@@ -23,8 +24,6 @@ class LowPass:
     """The filter over any number of coordinates at once."""
 
     def __init__(self) -> None:
-        from scipy.signal import butter  # noqa: PLC0415 - takes a second
-
         self._sections: FloatArray = butter(ORDER, CORNER, fs=1.0, output="sos")
         self._states: FloatArray | None = None
 
@@ -34,8 +33,6 @@ class LowPass:
 
     def add(self, values: FloatArray) -> FloatArray:
         """The smoothed values (any shape), which belong to ``DELAY`` values before."""
-        from scipy.signal import sosfilt, sosfilt_zi  # noqa: PLC0415 - takes a second
-
         flat = values.reshape(1, -1)
         if self._states is None:
             self._states = sosfilt_zi(self._sections)[:, :, None] * flat
