@@ -135,7 +135,7 @@ class _Commands(LazyGroup):
             "Numerical kernels: compile them beforehand, show how far they are.",
         ),
         "config": LazyCommand(
-            "gateway.cli.doctor:config_app",
+            "gateway.cli.config:config_app",
             "Check a configuration file, show what may stand in one, make a key, describe a suit's CAN bus.",
         ),
     }

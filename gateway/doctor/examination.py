@@ -18,7 +18,6 @@ from gateway.doctor.broker import broker, camera_topic, is_at_broker
 from gateway.doctor.findings import Finding, Surroundings, Verdict, bad, good, warning
 from gateway.doctor.links import can_interface, capacity, latency, listen, naming, opening
 from gateway.errors import SettingsError
-from gateway.service import readiness
 from gateway.settings import (
     GatewaySettings,
     MetricsSettings,
@@ -53,6 +52,8 @@ def disk(settings: RecordingSettings, surroundings: Surroundings) -> Finding:
 
 def kernels(method: str) -> Iterator[Finding]:
     """Whether the method's kernels are compiled."""
+    from gateway.service import readiness  # noqa: PLC0415 - it imports the whole pipeline
+
     if method not in readiness.LONG_COMPILED:
         return
     found = readiness.readiness(method)

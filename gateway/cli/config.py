@@ -1,0 +1,135 @@
+"""``mocap-gateway config``: configuration files, and what is made of them."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+from devices.signed_link import write_key
+from firmware_protocol import MAX_MODULE, RELAY
+from firmware_protocol.dbc import ALL_SENSORS, render
+from gateway.body.rig import load_rig
+from gateway.cameras.broker_link import link_of
+from gateway.errors import GatewayError, nearest
+from gateway.reconstruction.inertial.heading_observability import FACINGS, unobserved_headings
+from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
+from gateway.support.whole_files import write_whole
+
+config_app = typer.Typer(
+    help="Check a configuration file, show what may stand in one, make a key, describe a suit's CAN bus.",
+    no_args_is_help=True,
+)
+
+
+@config_app.command(epilog="Example: mocap-gateway config check config/gateway.yaml")
+def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configuration file.")) -> None:
+    """Check a configuration, the rig and the body it names. Opens nothing."""
+    settings = load_gateway_settings(file)
+    suit = load_rig(settings.rig, file)
+    fitting_suit(settings, suit)
+    for link in settings.links:
+        link_of(link, settings.mqtt, lambda: settings.mqtt.port)
+    Console().print(
+        f"[green]{file} is good[/green]: gateway '{settings.gateway}', {len(settings.links)} link(s), "
+        f"{len(suit.module_ids)} modules on body '{suit.skeleton.name}', {settings.assembly.rate_hz:g} Hz, "
+        f"reconstructor '{settings.reconstructor}'{_late(settings)}, broker {settings.mqtt.broker} "
+        f"{settings.mqtt.host}:{settings.mqtt.port}",
+        soft_wrap=True,
+    )
+    if settings.reconstructor == "articulated" and suit.sun is None:
+        _tell_unobserved(unobserved_headings(suit))
+
+
+def _tell_unobserved(headings: Mapping[str, tuple[int, ...]]) -> None:
+    """Name the segments whose heading is not observed without gyrometers, with the ways to face."""
+    if not headings:
+        return
+    told = "; ".join(f"{segment} (facing {_ranges(lost)})" for segment, lost in headings.items())
+    Console().print(
+        "[yellow]note[/yellow]: where modules have no gyrometers, 'articulated' does not observe, at rest in "
+        f"the neutral posture, the heading of: {told}. North is 0°, east 90°. Such a module wants "
+        "gyrometers, or to sit on the joint, or more to one side of it; see docs/gyro_free.md",
+        soft_wrap=True,
+        highlight=False,
+    )
+
+
+def _ranges(facings: Sequence[int]) -> str:
+    """Return ways to face, of ``FACINGS``, as ranges clockwise."""
+    if len(facings) == len(FACINGS):
+        return "any way"
+    step = FACINGS[1]
+    first = [facing for facing in facings if (facing - step) % 360 not in facings]
+    last = [
+        next(f for f in range(start, start + 360, step) if (f + step) % 360 not in facings) for start in first
+    ]
+    return ", ".join(
+        f"{start}°" if start == end else f"{start}° to {end % 360}°"
+        for start, end in zip(first, last, strict=True)
+    )
+
+
+def _late(settings: GatewaySettings) -> str:
+    delay_ms = settings.reconstructor_delay_ms
+    return f" {delay_ms:g} ms late" if delay_ms else ""
+
+
+@config_app.command(epilog="Example: mocap-gateway config schema > gateway.schema.json")
+def schema() -> None:
+    """Print the JSON Schema of the configuration, for editors and for reading."""
+    typer.echo(json.dumps(GatewaySettings.model_json_schema(), indent=2))
+
+
+@config_app.command(epilog="Example: mocap-gateway config key /etc/mocap/wifi.key")
+def key(file: Path = typer.Argument(help="New file for the key; one that is there stays as it is.")) -> None:
+    """Make a key for a signed link, in a file that only you may read.
+
+    Its line, 64 hexadecimal digits, is what the modules of that link are given.
+    """
+    try:
+        write_key(file)
+    except OSError as error:
+        raise GatewayError(f"cannot make {file}: {error.strerror}") from None
+    Console().print(
+        f"[green]{file} holds a new key[/green]: give it to the modules, and write in the configuration "
+        f"[bold]url: udp://…?key_file={file.absolute()}[/bold] (or tcp://…)",
+        soft_wrap=True,
+    )
+
+
+@config_app.command(epilog="Example: mocap-gateway config dbc --modules 0-16 -o suit.dbc")
+def dbc(
+    modules: str = typer.Option("0-16", help="Ids of the modules, such as 0-16,60; 254 is a relay."),
+    sensor: list[str] = typer.Option(
+        list(ALL_SENSORS), help="What samples hold on classic CAN; to be repeated. Default: all three."
+    ),
+    output: Path = typer.Option(..., "--output", "-o", help="File to write."),
+) -> None:
+    """Describe the CAN messages of a suit to bus monitors, as a DBC file. It needs no suit."""
+    for name in sensor:
+        if name not in ALL_SENSORS:
+            raise GatewayError(f"--sensor {name}: no such sensor{nearest(name, ALL_SENSORS)}")
+    ids = _module_ids(modules)
+    write_whole(output, render(ids, sensor).encode("ascii"))
+    Console().print(f"[green]{output} describes {len(ids)} module(s)[/green]", soft_wrap=True)
+
+
+def _module_ids(text: str) -> tuple[int, ...]:
+    """Return the ids that ``0-16,60`` names, in order. Raises ``GatewayError`` for what names none."""
+    known = {*range(MAX_MODULE + 1), RELAY}
+    ids: set[int] = set()
+    for part in text.split(","):
+        ends = re.fullmatch(r"\s*(\d{1,3})\s*(?:-\s*(\d{1,3})\s*)?", part)
+        named = range(int(ends[1]), int(ends[2] or ends[1]) + 1) if ends else range(0)
+        if not named or not known.issuperset(named):
+            raise GatewayError(
+                f"--modules {text}: '{part}' names no modules; ids are 0 to {MAX_MODULE}, "
+                f"and {RELAY} for a relay, as in 0-16,60"
+            )
+        ids.update(named)
+    return tuple(sorted(ids))
