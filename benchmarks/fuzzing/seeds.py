@@ -22,6 +22,7 @@ from devices.marker_messages import encode_markers
 from devices.recording_file import RecordingFile
 from devices.recording_format import HOST
 from devices.recording_writer import RecordingWriter, session_record
+from devices.vendor_protocols.mti import encode_can
 from devices.vendor_protocols.ximu3 import Announcement, encode_announcement
 from firmware_protocol import CanFrame, pack_can_records
 from firmware_protocol.device_settings import factory_settings
@@ -91,6 +92,7 @@ def _of_the_wire() -> dict[str, list[bytes]]:
     return {
         "wire_stream": [*streams, b"".join(streams[:8])],
         "ximu3_stream": [*_spoken("ximu3"), *_spoken("ximu3_text"), _ANNOUNCED],
+        "mti_stream": [*_spoken("mti"), encode_can({"sample_time_us": (7,), "acceleration": (0, 0, 9.75)})],
         "can_stream": [*buses, b"".join(buses[:4])],
         "slcan_text": [b"T0c400c4081100d01213000d05\rt1232ab01\rd1239" + b"00" * 12 + b"\r\x07V1013\r"],
         "can_transfers": [bytes([1, 0]) + bytes.fromhex(each["body"])[:14] for each in packets],

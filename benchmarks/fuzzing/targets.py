@@ -79,6 +79,7 @@ _ALL = (
         2048,
         _MANY,
     ),
+    Target("mti_stream", "messages of an MTi", "wire", ("devices.vendor_protocols.mti",), 2048, _MANY),
     Target("slcan_text", "lines of an slcan adapter", "wire", ("devices.slcan",), 1024, _MANY),
     Target(
         "can_transfers",

@@ -21,6 +21,8 @@ from devices.link import Chunk, Framing
 from devices.marker_messages import MarkerReceiver, encode_markers
 from devices.slcan import SlcanDecoder
 from devices.transactions import Transactions
+from devices.vendor_protocols.mti import Mid, MtiCanDecoder, MtiDecoder, read_output_configuration
+from devices.vendor_protocols.mti import encode as encode_xbus
 from devices.vendor_protocols.ximu3 import read_announcement
 from firmware_protocol import (
     MAX_FRAME_SIZE,
@@ -79,6 +81,14 @@ def ximu3_stream(data: bytes) -> None:
     """Messages of an x-IMU3; and what would announce one."""
     _same_messages_however_cut(data, "ximu3")
     read_announcement(data)
+
+
+def mti_stream(data: bytes) -> None:
+    """Xbus messages of an MTi; what one of them may hold; and its frames on CAN."""
+    _same_messages_however_cut(data, "mti")
+    MtiDecoder().feed(encode_xbus(Mid.MT_DATA_2, data))
+    read_output_configuration(data)
+    MtiCanDecoder().feed(data)
 
 
 def _same_messages_however_cut(data: bytes, language: str) -> None:

@@ -15,13 +15,13 @@ import argparse
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple, Protocol
 
 from devices.emulators.wire_damage import BYTE_DAMAGES, DAMAGED_SHARE
-from devices.vendor_protocols import ximu3
+from devices.vendor_protocols import mti, ximu3
 
 BLOCK = 256
 """Messages between two looks at what came out."""
@@ -68,9 +68,24 @@ def _of_ximu3_text(rng: Random, number: int) -> bytes:
     return ximu3.encode_text(b"I", 10**9 + 2500 * number, values)
 
 
+def _of_mti(rng: Random, number: int) -> bytes:
+    values: dict[str, Sequence[float]] = {
+        "packet_counter": [number % 2**16],
+        "sample_time_fine": [100 * number % 2**32],
+        "status_word": [3],
+        "acceleration": [rng.gauss(0, 10) for _ in range(3)],
+        "rate_of_turn": [rng.gauss(0, 3) for _ in range(3)],
+    }
+    if number % 2:
+        values["magnetic_field"] = [rng.uniform(-1, 1) for _ in range(3)]
+    items = (mti.encode_item(name, each, number // BLOCK % 4) for name, each in values.items())
+    return mti.encode(mti.Mid.MT_DATA_2, b"".join(items))
+
+
 LANGUAGES: Mapping[str, Language] = {
     "ximu3": Language(ximu3.Ximu3Decoder, _of_ximu3),
     "ximu3_text": Language(ximu3.Ximu3Decoder, _of_ximu3_text),
+    "mti": Language(mti.MtiDecoder, _of_mti),
 }
 """By name. A maker is a line here, and how a message of it is made."""
 
@@ -87,7 +102,7 @@ class Verdict:
     """Of these, how many were taken for another message than any that was sent."""
     raised: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
-    """Intact, after ``_RECOVERED`` others, and not accepted."""
+    """Intact, after ``_RECOVERED`` others, and not accepted, however late."""
     dropped: Counter[str] = field(default_factory=Counter)
 
     @property
@@ -117,7 +132,8 @@ class _Sent(NamedTuple):
 def run(language: Language, n_messages: int, seed: int) -> Verdict:
     """Send so many messages, or a few more, three in ten of them damaged."""
     rng, verdict, decoder = Random(f"makers {seed}"), Verdict(), language.decoder()
-    known: dict[Hashable, int] = {}
+    known: dict[str, int] = {}
+    awaited: dict[str, int] = {}
     before, since_damage = language.message(rng, 0), 0
     while verdict.n_messages < n_messages:
         for _ in range(BLOCK):
@@ -137,9 +153,13 @@ def run(language: Language, n_messages: int, seed: int) -> Verdict:
             strange = [each for each in found if each not in known]
             if strange:
                 verdict.corrupt[last_way] += 1
-            if since_damage > _RECOVERED and content not in found:
-                verdict.lost.append(data.hex())
+            if since_damage > _RECOVERED:
+                awaited[content] = number
+            for each in found:
+                awaited.pop(each, None)
         known = {content: number for content, number in known.items() if number > verdict.n_messages - BLOCK}
+        verdict.lost += [content for content in awaited if content not in known]
+        awaited = {content: number for content, number in awaited.items() if content in known}
     verdict.dropped = decoder.dropped
     return verdict
 

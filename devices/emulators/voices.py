@@ -6,6 +6,7 @@ import asyncio
 import socket
 from collections.abc import Callable, Iterable, Mapping
 
+from devices.emulators.mti_voice import MtiCanVoice, MtiVoice
 from devices.emulators.voice import Voice
 from devices.emulators.ximu3_voice import Ximu3Voice
 from devices.vendor_protocols import ximu3
@@ -17,7 +18,19 @@ def _ximu3(place: int, module: int, field_ut: float) -> Voice:
     return Ximu3Voice(module, field_ut, ximu3.COMMAND_PORT + place)
 
 
-VOICES: Mapping[str, Callable[[int, int, float], Voice]] = {"ximu3": _ximu3}
+def _mti(_place: int, module: int, field_ut: float) -> Voice:
+    return MtiVoice(module, field_ut)
+
+
+def _mti_can(_place: int, module: int, field_ut: float) -> Voice:
+    return MtiCanVoice(module, field_ut)
+
+
+VOICES: Mapping[str, Callable[[int, int, float], Voice]] = {
+    "ximu3": _ximu3,
+    "mti": _mti,
+    "mti_can": _mti_can,
+}
 """By what a link carries: makes the voice of a device from its place among the devices, its number and the
 strength of the field, µT."""
 

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import ipaddress
 import json
-import math
 import struct
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
+
+from devices.vendor_protocols.plausibility import Gate, either_way, fault
 
 LF, ESCAPE = b"\n", b"\xdb"
 _STUFFED = {ESCAPE: b"\xdb\xdd", LF: b"\xdb\xdc"}  # in this order, when stuffing
@@ -102,29 +103,16 @@ class Answer:
 Message = Inertial | Magnetic | Battery | Radio | Temperature | Answer
 
 
-class _Gate(NamedTuple):
-    """What one number of a message can be."""
-
-    name: str
-    """Under which values beyond are counted."""
-    least: float
-    most: float
-
-
-def _either_way(name: str, most: float) -> _Gate:
-    return _Gate(name, -most, most)
-
-
-_RATE = _either_way("rate_beyond_sensor", 2100.0)  # deg/s; the gyroscope ends at 2000
-_FORCE = _either_way("force_beyond_sensor", 25.0)  # g; the accelerometer ends at 24
-_FIELD = _either_way("field_beyond_sensor", 100.0)  # fields of calibration
-_PERCENT = _Gate("implausible_status", 0.0, 100.0)
-_GATES: dict[bytes, tuple[_Gate, ...]] = {
+_RATE = either_way("rate_beyond_sensor", 2100.0)  # deg/s; the gyroscope ends at 2000
+_FORCE = either_way("force_beyond_sensor", 25.0)  # g; the accelerometer ends at 24
+_FIELD = either_way("field_beyond_sensor", 100.0)  # fields of calibration
+_PERCENT = Gate("implausible_status", 0.0, 100.0)
+_GATES: dict[bytes, tuple[Gate, ...]] = {
     b"I": (_RATE,) * 3 + (_FORCE,) * 3,
     b"M": (_FIELD,) * 3,
-    b"B": (_PERCENT, _Gate("implausible_status", 0.0, 10.0), _Gate("implausible_status", 0.0, 4.0)),
-    b"W": (_PERCENT, _Gate("implausible_status", -200.0, 50.0)),
-    b"T": (_Gate("implausible_status", -60.0, 150.0),),
+    b"B": (_PERCENT, Gate("implausible_status", 0.0, 10.0), Gate("implausible_status", 0.0, 4.0)),
+    b"W": (_PERCENT, Gate("implausible_status", -200.0, 50.0)),
+    b"T": (Gate("implausible_status", -60.0, 150.0),),
 }
 """The numbers after the stamp, by the letter of the message."""
 _UNUSED = frozenset(b"QRALEHUSYCONF")
@@ -222,7 +210,7 @@ class Ximu3Decoder:
         return Answer(*pair)
 
     def _judged(self, letter: bytes, time_us: int, values: tuple[float, ...]) -> Message | None:
-        reason = _fault(values, _GATES[letter]) or self._fault_of_stamp(time_us)
+        reason = fault(values, _GATES[letter]) or self._fault_of_stamp(time_us)
         if reason is not None:
             self.dropped[reason] += 1
             return None
@@ -247,14 +235,6 @@ class Ximu3Decoder:
             return None
         self._doubtful_us = time_us
         return "leap_in_time"
-
-
-def _fault(values: tuple[float, ...], gates: tuple[_Gate, ...]) -> str | None:
-    """Name what is wrong with the numbers of a message; None: the device can have measured them."""
-    for value, gate in zip(values, gates, strict=True):
-        if not gate.least <= value <= gate.most:
-            return gate.name if math.isfinite(value) else "not_finite"
-    return None
 
 
 def _single_pair(message: bytes) -> tuple[str, Any] | None:

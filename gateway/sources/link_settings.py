@@ -27,7 +27,8 @@ class LinkSettings(BaseModel):
     )
     carries: str = Field(
         default=SUIT,
-        description="suit: packets of modules; ximu3: an x-IMU3 of x-io; "
+        description="suit: packets of modules; ximu3: an x-IMU3 of x-io; mti, mti_can: an MTi of Xsens on a "
+        "serial line, on a CAN bus; "
         "gnss: NMEA 0183 or UBX of a satellite receiver; "
         "markers: messages of an optical system; heat_maps: those of `mocap-gateway video serve-camera`",
     )

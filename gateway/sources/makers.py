@@ -66,8 +66,8 @@ class MakersDevice:
         """settings: of its link, of the class that its source names."""
         self.settings = settings
         self.decoder = type(self).new_decoder()
-        self.repeated = 0
-        """Samples that had come before."""
+        self.without_reading = 0
+        """Packets counted that gave no reading: they had come before, or hold nothing that is read."""
         self.is_damaged = False
         """Something of the last chunk could not be read."""
         self.sender: str | None = None
@@ -171,8 +171,8 @@ class MakersSource(ListeningSource):
 
     def balances(self) -> Iterator[Balance]:
         """Yield the messages read, each of which is a sample."""
-        repeated = sum(device.repeated for device in self.devices.values())
-        yield Balance("packets_decoded", self._accepted + repeated, {})
+        others = sum(device.without_reading for device in self.devices.values())
+        yield Balance("packets_decoded", self._accepted + others, {})
         yield Balance("readings", self._accepted, {})
 
 

@@ -14,6 +14,13 @@ from gateway.sources.hips import HipSource
 from gateway.sources.link_settings import LinkSettings
 from gateway.sources.makers import Discovery, MakersCommands, MakersLinkSettings
 from gateway.sources.markers import NO_MARKERS, MarkerSource
+from gateway.sources.mti import (
+    MtiCanLinkSettings,
+    MtiCanSource,
+    MtiCommands,
+    MtiLinkSettings,
+    MtiSource,
+)
 from gateway.sources.source import Source, SourceContext
 from gateway.sources.stream import Stream
 from gateway.sources.ximu3 import DISCOVERY, Ximu3Commands, Ximu3LinkSettings, Ximu3Source
@@ -58,6 +65,8 @@ SOURCES: dict[str, SourceKind] = {
     SUIT: SourceKind(Stream.of, takes_commands=True),
     "gnss": SourceKind(GnssSource, GnssLinkSettings),
     "ximu3": SourceKind(Ximu3Source, Ximu3LinkSettings, commands=Ximu3Commands(), discovery=DISCOVERY),
+    "mti": SourceKind(MtiSource, MtiLinkSettings, commands=MtiCommands()),
+    "mti_can": SourceKind(MtiCanSource, MtiCanLinkSettings),
     "markers": SourceKind(MarkerSource, refusal=_without_markers),
     "heat_maps": SourceKind(_cameras, refusal=_without_cameras),
 }

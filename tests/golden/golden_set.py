@@ -53,6 +53,8 @@ METHODS = {
     "light_and_field": ("joint_smoothed",),
     "hips": ("joint",),
     "ximu3": ("independent", "joint"),
+    "mti": ("independent", "joint"),
+    "mti_can": ("independent", "joint"),
     "markers": ("optical", "both_ways"),
     "few_markers": ("optical", "published"),
     "heat_maps": ("video", "video_offline"),

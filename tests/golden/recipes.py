@@ -32,7 +32,8 @@ from devices.emulators import (
 )
 from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
 from devices.emulators.light_sampler import Shade
-from devices.emulators.voice import OneSpeaksOtherwise
+from devices.emulators.mti_voice import MtiCanVoice, MtiVoice
+from devices.emulators.voice import OneSpeaksOtherwise, Voice
 from devices.emulators.ximu3_voice import Ximu3Voice
 from devices.link import Chunk, Framing, InputEvent, SentChunk
 from devices.marker_messages import encode_markers
@@ -51,7 +52,9 @@ from gateway.recording.video import video_settings, video_suit
 from gateway.service.synchronisation import question
 from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings
 from gateway.sources.link_settings import LinkSettings
+from gateway.sources.makers import MakersLinkSettings
 from gateway.sources.module_table import ClockMode
+from gateway.sources.mti import MtiCanLinkSettings, MtiLinkSettings
 from gateway.sources.registry import SOURCES
 from gateway.sources.ximu3 import Ximu3LinkSettings
 from tests.seen_walk import CAMERAS, seen_walk
@@ -360,17 +363,34 @@ def hips(seconds: float) -> Capture:
 
 
 def ximu3(seconds: float) -> Capture:
+    """An arm whose hand wears an x-IMU3."""
+    return _hand_of_another_maker(seconds, Ximu3LinkSettings, Ximu3Voice)
+
+
+def mti(seconds: float) -> Capture:
+    """An arm whose hand wears an MTi on a serial line."""
+    return _hand_of_another_maker(seconds, MtiLinkSettings, MtiVoice)
+
+
+def mti_can(seconds: float) -> Capture:
+    """An arm whose hand wears an MTi on a CAN bus."""
+    return _hand_of_another_maker(seconds, MtiCanLinkSettings, MtiCanVoice)
+
+
+def _hand_of_another_maker(
+    seconds: float, link: type[MakersLinkSettings], voice: Callable[[int, float], Voice]
+) -> Capture:
     """An arm whose hand wears a module of another maker, on a link of its own."""
     suit, until_s = load_rig("arm_3"), FROM_S + seconds
     module = suit.module_ids[-1]
     traffic = SuitTraffic(_moving(suit), _worn_settings(suit), TYPICAL, SEED)
-    voice, items = OneSpeaksOtherwise(Ximu3Voice(module, FIELD_UT)), []
+    spoken, items = OneSpeaksOtherwise(voice(module, FIELD_UT)), []
     for chunk in _reads(traffic.transmissions(until_s), "suit"):
-        ours, theirs = voice.feed(chunk.data)
+        ours, theirs = spoken.feed(chunk.data)
         items += [replace(chunk, data=ours)] if ours else []
         items += [replace(chunk, data=theirs, link="hand")] if theirs else []
-    device = Ximu3LinkSettings(name="hand", url="/dev/null", module=module, field_ut=FIELD_UT)
-    framings = {"suit": Framing.BYTE_STREAM, "hand": "ximu3"}
+    device = link(name="hand", url="/dev/null", module=module, field_ut=FIELD_UT)
+    framings = {"suit": Framing.BYTE_STREAM, "hand": device.carries}
     return Capture(suit, _settings(_link("suit"), device), framings, items)
 
 
@@ -441,7 +461,8 @@ RECIPES: dict[str, Callable[[float], Capture]] = {
     recipe.__name__: recipe
     for recipe in (
         serial, can, relay, trigger, devices, walking, fused,
-        gnss_nmea, gnss_ubx, light, light_and_field, hips, ximu3, markers, few_markers, heat_maps,
+        gnss_nmea, gnss_ubx, light, light_and_field, hips, ximu3, mti, mti_can,
+        markers, few_markers, heat_maps,
     )
 }  # fmt: skip
 """By the name of the recording; the argument: how long it lasts, s."""

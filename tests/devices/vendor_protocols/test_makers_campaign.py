@@ -11,7 +11,7 @@ from devices.emulators.makers_campaign import LANGUAGES, Language, run
 from devices.vendor_protocols.ximu3 import Ximu3Decoder
 
 N_MESSAGES = 200_000 if os.environ.get("CI") else 20_000
-MOST_CORRUPT = {"ximu3": 0.10, "ximu3_text": 0.05}
+MOST_CORRUPT = {"ximu3": 0.10, "ximu3_text": 0.05, "mti": 0.01}
 """Of the damaged, accepted as something else: what their own checks let through, and a little."""
 
 
