@@ -85,6 +85,7 @@ class ClockSettings(_Strict):
     mode: ClockMode = Field(
         default=ClockMode.ESTIMATED,
         description="estimated: every module has its own crystal; shared: they count one clock already; "
+        "synchronised: they keep their clocks together by themselves, as x-IMU3 in one network do; "
         "table: rates as measured by `calibrate clocks`; trigger: the gateway tells modules when to sample "
         "(they must be set to it: mode 3)",
     )

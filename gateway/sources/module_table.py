@@ -22,6 +22,7 @@ from gateway.clocks import (
     RelayBatching,
     SharedClock,
     SharedOffset,
+    SynchronisedClocks,
     TableClocks,
     warm_up,
 )
@@ -55,6 +56,9 @@ class ClockMode(StrEnum):
     """Every module has its own crystal: rate and offset are estimated from arrival times."""
     SHARED = "shared"
     """All modules count one clock already (wired suit, one controller): one offset for all."""
+    SYNCHRONISED = "synchronised"
+    """Modules keep their clocks together by themselves (x-IMU3 in one network): one rate and one offset for
+    all that agree, estimated from the arrivals of all."""
     TABLE = "table"
     """Rates come from a table measured beforehand (`calibrate clocks`), offsets from arrival times."""
     TRIGGER = "trigger"
@@ -79,7 +83,7 @@ class ModuleTable:
         self._relays: dict[str, RelayBatching] = {}
         self.rows = module_rows()
         """What compiled code shares of them, by module id."""
-        self.is_followed = clock_mode is not ClockMode.TABLE
+        self.is_followed = clock_mode not in {ClockMode.TABLE, ClockMode.SYNCHRONISED}
         """Whether compiled code knows the clocks."""
         self._new_clock = _clock_factory(clock_mode, clock_table)
 
@@ -187,6 +191,9 @@ def _clock_factory(mode: ClockMode, table: ClockTable | None) -> _NewClock:
         shared = SharedOffset()
         return lambda _module, _batching, memory: SharedClock(shared, memory)
     warm_up()
+    if mode is ClockMode.SYNCHRONISED:
+        together = SynchronisedClocks()
+        return lambda _module, batching, _memory: together.clock(batching)
     if mode is ClockMode.TABLE and table is not None:
         clocks = TableClocks(table)
         return lambda module, batching, _memory: clocks.clock(module, batching)

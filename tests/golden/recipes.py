@@ -52,7 +52,6 @@ from gateway.recording.video import video_settings, video_suit
 from gateway.service.synchronisation import question
 from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.makers import MakersLinkSettings
 from gateway.sources.module_table import ClockMode
 from gateway.sources.mti import MtiCanLinkSettings, MtiLinkSettings
 from gateway.sources.registry import SOURCES
@@ -363,35 +362,64 @@ def hips(seconds: float) -> Capture:
 
 
 def ximu3(seconds: float) -> Capture:
-    """An arm whose hand wears an x-IMU3."""
-    return _hand_of_another_maker(seconds, Ximu3LinkSettings, Ximu3Voice)
-
-
-def mti(seconds: float) -> Capture:
-    """An arm whose hand wears an MTi on a serial line."""
-    return _hand_of_another_maker(seconds, MtiLinkSettings, MtiVoice)
-
-
-def mti_can(seconds: float) -> Capture:
-    """An arm whose hand wears an MTi on a CAN bus."""
-    return _hand_of_another_maker(seconds, MtiCanLinkSettings, MtiCanVoice)
-
-
-def _hand_of_another_maker(
-    seconds: float, link: type[MakersLinkSettings], voice: Callable[[int, float], Voice]
-) -> Capture:
-    """An arm whose hand wears a module of another maker, on a link of its own."""
+    """An arm whose hand wears an x-IMU3, on a link of its own."""
     suit, until_s = load_rig("arm_3"), FROM_S + seconds
     module = suit.module_ids[-1]
-    traffic = SuitTraffic(_moving(suit), _worn_settings(suit), TYPICAL, SEED)
-    spoken, items = OneSpeaksOtherwise(voice(module, FIELD_UT)), []
-    for chunk in _reads(traffic.transmissions(until_s), "suit"):
-        ours, theirs = spoken.feed(chunk.data)
-        items += [replace(chunk, data=ours)] if ours else []
-        items += [replace(chunk, data=theirs, link="hand")] if theirs else []
-    device = link(name="hand", url="/dev/null", module=module, field_ut=FIELD_UT)
-    framings = {"suit": Framing.BYTE_STREAM, "hand": device.carries}
+    items = _partly_of_others(suit, until_s, {"hand": Ximu3Voice(module, FIELD_UT)})
+    device = Ximu3LinkSettings(name="hand", url="/dev/null", module=module, field_ut=FIELD_UT)
+    framings = {"suit": Framing.BYTE_STREAM, "hand": "ximu3"}
     return Capture(suit, _settings(_link("suit"), device), framings, items)
+
+
+def synchronised(seconds: float) -> Capture:
+    """An arm of three x-IMU3 that keep their clocks together, over links that delay them differently."""
+    suit, until_s = load_rig("arm_3"), FROM_S + seconds
+    together = replace(TYPICAL, clock_skew_ppm=0.0, has_random_clock_start=False)
+    worn = replace(_worn_settings(suit), voice=lambda module: Ximu3Voice(module, FIELD_UT))
+    names = dict(zip(suit.module_ids, ("trunk", "arm", "hand"), strict=True))
+    longer_ns = {name: place * 4_000_000 for place, name in enumerate(names.values())}
+    spoken = SuitTraffic(_moving(suit), worn, together, SEED).transmissions(until_s)
+    items = [
+        Chunk(sent.data, BEGUN_NS + round(sent.time_s * 1e9) + longer_ns[name], name)
+        for sent in spoken
+        if sent.device is not None and sent.time_s >= FROM_S
+        for name in (names[sent.device],)
+    ]
+    items.sort(key=lambda chunk: chunk.arrived_ns)
+    links = [
+        Ximu3LinkSettings(name=name, url="/dev/null", module=module, field_ut=FIELD_UT)
+        for module, name in names.items()
+    ]
+    chosen = _settings(*links, clock=ClockSettings(mode=ClockMode.SYNCHRONISED))
+    return Capture(suit, chosen, dict.fromkeys(names.values(), "ximu3"), items)
+
+
+def makers(seconds: float) -> Capture:
+    """An arm with a module of our own, an MTi on a serial line and another on a CAN bus."""
+    suit, until_s = load_rig("arm_3"), FROM_S + seconds
+    _, arm, hand = suit.module_ids
+    others = {"arm": MtiVoice(arm, FIELD_UT), "hand": MtiCanVoice(hand, FIELD_UT)}
+    links = [
+        MtiLinkSettings(name="arm", url="/dev/null", module=arm, field_ut=FIELD_UT),
+        MtiCanLinkSettings(name="hand", url="/dev/null", module=hand, field_ut=FIELD_UT),
+    ]
+    items = _partly_of_others(suit, until_s, others)
+    framings = {"suit": Framing.BYTE_STREAM, **{link.name: link.carries for link in links}}
+    return Capture(suit, _settings(_link("suit"), *links), framings, items)
+
+
+def _partly_of_others(suit: WornSuit, until_s: float, others: Mapping[str, Voice]) -> list[Item]:
+    """What a suit sends of which some modules speak as other makers' do, by the names of their links."""
+    traffic = SuitTraffic(_moving(suit), _worn_settings(suit), TYPICAL, SEED)
+    spoken = {link: OneSpeaksOtherwise(voice) for link, voice in others.items()}
+    items: list[Item] = []
+    for chunk in _reads(traffic.transmissions(until_s), "suit"):
+        ours = chunk.data
+        for link, speaking in spoken.items():
+            ours, theirs = speaking.feed(ours)
+            items += [replace(chunk, data=theirs, link=link)] if theirs else []
+        items += [replace(chunk, data=ours)] if ours else []
+    return items
 
 
 # No modules.
@@ -461,7 +489,7 @@ RECIPES: dict[str, Callable[[float], Capture]] = {
     recipe.__name__: recipe
     for recipe in (
         serial, can, relay, trigger, devices, walking, fused,
-        gnss_nmea, gnss_ubx, light, light_and_field, hips, ximu3, mti, mti_can,
+        gnss_nmea, gnss_ubx, light, light_and_field, hips, ximu3, synchronised, makers,
         markers, few_markers, heat_maps,
     )
 }  # fmt: skip
