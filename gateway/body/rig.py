@@ -5,6 +5,7 @@ A *body* is a skeleton; a *rig* says which modules and local measuring devices a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from gateway.body.skeleton import (
     CameraPosition,
     Interpolation,
     LocalDevice,
+    SensorRanges,
     Skeleton,
     SunCells,
     WornSuit,
@@ -85,6 +87,18 @@ class BodyFile(_Strict):
     joints: list[JointEntry] = Field(default=[], description="for joint angles, limits and calibration")
 
 
+class RangeEntry(_Strict):
+    """Where a module's sensors end. One that is left out is found once values stay flat there."""
+
+    accelerometer: float | None = Field(default=None, gt=0, description="± m/s²")
+    gyroscope: float | None = Field(default=None, gt=0, description="± °/s")
+
+    def model(self) -> SensorRanges:
+        """Return it in SI units."""
+        force = math.inf if self.accelerometer is None else self.accelerometer
+        return SensorRanges(force, math.inf if self.gyroscope is None else math.radians(self.gyroscope))
+
+
 class WornModule(_Strict):
     """A module strapped to a segment."""
 
@@ -96,6 +110,9 @@ class WornModule(_Strict):
     )
     calibration: CalibrationEntry | None = Field(
         default=None, description="corrections of its readings, as `calibrate sensors` measured them"
+    )
+    ranges: RangeEntry | None = Field(
+        default=None, description="where its sensors end, for modules that do not tell by themselves"
     )
     cells: tuple[Vector, Vector, Vector, Vector, Vector, Vector] = Field(
         default=FACES,
@@ -305,6 +322,7 @@ def load_rig(name: str, beside: Path | None = None) -> WornSuit:
         gravity=np.array([0.0, 0.0, -rig.world.gravity]),
         magnetic_field=field_vector(field.norm_ut, field.dip_deg, field.declination_deg),
         calibrations={m.id: m.calibration.model() for m in rig.modules if m.calibration is not None},
+        ranges={m.id: m.ranges.model() for m in rig.modules if m.ranges is not None},
         sun=_sun(rig),
         camera_position=_camera_position(rig, path),
     )

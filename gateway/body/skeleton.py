@@ -6,6 +6,7 @@ indexed by segment.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -116,6 +117,17 @@ class CameraPosition:
 
 
 @dataclass(frozen=True)
+class SensorRanges:
+    """Magnitudes at which the axes of a module's sensors are at the end of their range; infinite: not
+    stated."""
+
+    specific_force: float = math.inf
+    """m/s²"""
+    angular_rate: float = math.inf
+    """rad/s"""
+
+
+@dataclass(frozen=True)
 class WornSuit:
     """A skeleton with modules strapped to it: all that a reconstructor needs to know beforehand."""
 
@@ -135,6 +147,8 @@ class WornSuit:
     """(3,) world, µT: ``h`` of the source."""
     calibrations: Mapping[int, SensorCalibration] = field(default_factory=dict)
     """By module id: corrections of its readings, for those that have one here."""
+    ranges: Mapping[int, SensorRanges] = field(default_factory=dict)
+    """By module id: where its sensors end, for those of which the rig states it."""
     sun: SunCells | None = None
     """None: light readings are not used."""
     markers: BodyMarkers | None = None

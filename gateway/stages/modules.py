@@ -1,6 +1,6 @@
 """Readings of modules and local devices to frames of one instant, and to poses.
 
-    readings → calibration → (despiking) → frame assembly → (sun) → reconstructor → pose
+    readings → ranges → calibration → (despiking) → frame assembly → (sun) → reconstructor → pose
 
 ``RawAssembly`` and ``FusedAssembler`` put readings together; which one it is, the method decides.
 """
@@ -42,6 +42,7 @@ from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.whole_body_frames import tell_doubtful
 from gateway.sources.light import SunCompass
 from gateway.sources.markers import NO_MARKERS
+from gateway.stages.clipping import RangeWatch
 from gateway.stages.frame_assembler import FrameAssembler, Lost
 from gateway.stages.fused_assembler import FusedAssembler
 from gateway.stages.stage import StageContext
@@ -87,6 +88,7 @@ class ModuleStage:
         """Readings of a kind that the method has no use for."""
         self._suit, self._modules = suit, context.modules
         self._corrections, self._despiker = SensorCorrections(suit.calibrations), context.despiker
+        self._ranges = RangeWatch(suit.ranges)
         self._restless: dict[int, StatusArray] = {}
         """By number of a frame that is to be solved: segments whose modules' clocks begin anew time and
         again."""
@@ -150,6 +152,7 @@ class ModuleStage:
             "dropped_by_assembly": {reason.name.lower(): count for reason, count in lost.items()},
             "unused_readings": dict(self.unused),
             "spikes": {} if self._despiker is None else self._despiker.summary(),
+            "clipped": self._ranges.summary(),
             "joint_agreement": self.reconstructor.joint_agreement()
             if isinstance(self.reconstructor, WholeBodyReconstructor)
             else {},
@@ -173,7 +176,7 @@ class ModuleStage:
     def _add_inertial(
         self, assembler: FrameAssembler, batch: InertialBatch, arrived_ns: int
     ) -> list[ImuFrame]:
-        samples = self._corrections.apply(batch.samples)
+        samples = self._corrections.apply(self._ranges.add(batch.samples))
         if self._despiker is not None:
             samples = self._despiker.add(samples)
         return assembler.add(samples, arrived_ns)

@@ -1,0 +1,210 @@
+"""Sensors at the end of a range that they do not tell: values that stay where they are largest.
+
+An axis that is clipped comes to the end of its range by large steps and then stays there while the others go
+on
+changing: exactly, or by the few percent of what the others change by that the makers' correction of skewed
+axes
+mixes into it. A sensor that turns evenly changes by noise, on all axes alike; a smooth peak is entered by
+steps
+hardly larger than those on it; one that sends old values again changes on no axis; one at rest gives small
+values.
+So all of these are left alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.body.skeleton import SensorRanges
+from gateway.frames import ANGULAR_RATE, INERTIAL_SAMPLE, SPECIFIC_FORCE, Clipped, FloatArray, IntArray
+from gateway.geometry.compiled import compiled
+
+FORCE_BIT, RATE_BIT = Clipped.SPECIFIC_FORCE.value, Clipped.ANGULAR_RATE.value
+FLAT_STEPS = 7
+"""In a row, each next to nothing beside what another axis changed by: fewer occur by chance."""
+CROSS_AXIS = 0.03
+"""Of what the others change by: what correcting skewed axes moves a clipped one by."""
+ENTRY_STEPS = 8.0
+"""The step before them, in the largest of them: at a smooth peak it is two or three."""
+ENTRY_QUANTA = 20.0
+"""The same in the smallest steps of that axis so far: at a peak of coarse values it is one or two."""
+END = 0.99
+"""Of the end that was found, from where a value counts as clipped: skewed axes move it a little."""
+BEYOND = 1.06
+"""Times the end that was found: two values in a row there show that it was none."""
+SMALLEST_RANGES = (15.0, 2.0)
+"""m/s², rad/s: below the smallest ranges of sensors, ± 2 g and ± 125 °/s; nothing smaller is taken for an
+end."""
+
+_AXIS = np.dtype(
+    [
+        ("last", np.float64),
+        ("step", np.float64),  # magnitude of the newest step
+        ("flat", np.int64),  # flat steps in a row
+        ("entry", np.float64),  # the larger of the two steps before them
+        ("entry_next", np.float64),  # the larger of the two newest steps; 0: the magnitude has not grown
+        ("widest", np.float64),  # of the flat steps
+        ("quantum", np.float64),  # the smallest step so far
+        ("largest", np.float64, (2,)),  # magnitude that two samples in a row reached, by sign
+        ("limit", np.float64, (2,)),  # end of the range, by sign; infinite: not found
+    ],
+    align=True,
+)
+_WATCHED = np.dtype(
+    [
+        ("sequence", np.int64),
+        ("stated", np.float64, (2,)),  # end of the range by the rig; infinite: not stated
+        ("axes", _AXIS, (2, 3)),
+        ("clipped", np.int64, (2,)),  # samples so far
+    ],
+    align=True,
+)
+"""Of one module; all by sensor: specific force, angular rate."""
+
+
+@dataclass(frozen=True)
+class FoundRange:
+    """Where a sensor of a module was found clipped."""
+
+    limit: float
+    """Smallest magnitude of any axis, m/s² or rad/s."""
+    samples: int
+    """Clipped so far."""
+
+
+class RangeWatch:
+    """Samples in, the same samples out, those marked ``clipped`` that are at the end of a range, stated or
+    found."""
+
+    def __init__(self, ranges: Mapping[int, SensorRanges]) -> None:
+        """ranges: by module id, as the rig states them."""
+        self._ranges = ranges
+        self._rows: dict[int, int] = {}  # of modules that have been heard
+        self._watched = np.zeros(0, _WATCHED)
+        self.add(np.zeros(0, INERTIAL_SAMPLE))  # compile now, not when the first sample waits
+
+    def add(self, samples: NDArray[np.void]) -> NDArray[np.void]:
+        """Return samples (n,) ``INERTIAL_SAMPLE`` as sent, sensor axes: the same array where nothing is
+        clipped."""
+        rows = np.array([self._row_of(module) for module in samples["module"].tolist()], np.int64)
+        clipped = np.zeros(len(samples), np.uint8)
+        if not _watch(samples, rows, self._watched, clipped):
+            return samples
+        marked = samples.copy()
+        marked["clipped"] |= clipped
+        return marked
+
+    def found(self) -> dict[int, dict[str, FoundRange]]:
+        """Return where sensors have been clipped, by module and sensor."""
+        result: dict[int, dict[str, FoundRange]] = {}
+        for module, row in sorted(self._rows.items()):
+            for sensor, name in ((SPECIFIC_FORCE, "specific_force"), (ANGULAR_RATE, "angular_rate")):
+                count = int(self._watched["clipped"][row, sensor])
+                if count:
+                    found = float(self._watched["axes"]["limit"][row, sensor].min())
+                    limit = min(found, float(self._watched["stated"][row, sensor]))
+                    result.setdefault(module, {})[name] = FoundRange(limit, count)
+        return result
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """For the health message: clipped samples, and the ends that were found, m/s² and °/s."""
+        told: dict[str, dict[str, float]] = {}
+        for module, sensors in self.found().items():
+            values = told.setdefault(str(module), {})
+            for name, each in sensors.items():
+                is_rate = name == "angular_rate"
+                limit = math.degrees(each.limit) if is_rate else each.limit
+                values[f"{name}_samples"] = each.samples
+                if math.isfinite(limit):
+                    values["angular_rate_dps" if is_rate else "specific_force_ms2"] = round(limit, 2)
+        return told
+
+    def _row_of(self, module: int) -> int:
+        """Return the row of a module, with room for it."""
+        row = self._rows.get(module)
+        if row is None:
+            row = self._rows[module] = len(self._rows)
+            fresh = np.zeros(1, _WATCHED)
+            fresh["sequence"] = -2
+            axes = fresh["axes"]
+            axes["last"], axes["quantum"], axes["limit"] = np.nan, np.inf, np.inf
+            stated = self._ranges.get(module, SensorRanges())
+            fresh["stated"] = stated.specific_force, stated.angular_rate
+            self._watched = np.concatenate((self._watched, fresh))
+        return row
+
+
+@compiled
+def _watch(
+    samples: NDArray[np.void], rows: IntArray, watched: NDArray[np.void], clipped: NDArray[np.uint8]
+) -> bool:
+    """Write the clipped sensors of samples (n,), of modules in ``rows`` (n,); return whether there are
+    any."""
+    found = False
+    for index in range(len(samples)):
+        module, sample = watched[rows[index]], samples[index]
+        is_next = sample.sequence == module.sequence + 1
+        module.sequence = sample.sequence
+        for sensor in range(2):
+            values = sample.measured[sensor]
+            is_found = _at_end(module.axes[sensor], values, SMALLEST_RANGES[sensor], is_next)
+            if is_found or np.max(np.abs(values)) >= module.stated[sensor]:
+                clipped[index] |= FORCE_BIT if sensor == SPECIFIC_FORCE else RATE_BIT
+                module.clipped[sensor] += 1
+                found = True
+    return found
+
+
+@compiled
+def _at_end(axes: Any, values: FloatArray, smallest: float, is_next: bool) -> bool:
+    """Whether a sensor's values (3,) are at the end of its range; its axes (3,) remember them."""
+    if not is_next:
+        _forget(axes)
+    is_clipped = False
+    steps = np.abs(values - np.array((axes[0].last, axes[1].last, axes[2].last)))  # NaN: not known
+    for i in range(3):
+        axis, value = axes[i], values[i]
+        side, magnitude = int(value < 0.0), abs(value)
+        if value * axis.last > 0.0:
+            axis.largest[side] = max(axis.largest[side], min(magnitude, abs(axis.last)))
+        if axis.largest[side] > BEYOND * axis.limit[side]:
+            axis.limit[side] = np.inf  # it was none
+        _note_step(axis, steps[i], max(steps[i - 2], steps[i - 1]), value)
+        is_flat = axis.flat >= FLAT_STEPS and magnitude >= max(smallest, END**2 * axis.largest[side])
+        if is_flat and axis.entry > max(ENTRY_STEPS * axis.widest, ENTRY_QUANTA * axis.quantum):
+            axis.limit[side] = min(axis.limit[side], END * magnitude)
+        is_clipped |= magnitude >= axis.limit[side]
+        axis.last = value
+    return is_clipped
+
+
+@compiled
+def _note_step(axis: Any, step: float, of_others: float, value: float) -> None:
+    """Take one axis' step to a value into account, the largest of the other axes beside it."""
+    if not math.isfinite(step + of_others) or max(step, of_others) == 0.0:
+        return  # begun, or sent again
+    if step > CROSS_AXIS * of_others:
+        axis.flat = 0
+    else:
+        if axis.flat == 0:
+            axis.entry, axis.widest = axis.entry_next, 0.0
+        axis.flat += 1
+        axis.widest = max(axis.widest, step)
+    has_grown = abs(value) > abs(axis.last)
+    axis.entry_next = max(axis.step, step) if has_grown else 0.0
+    axis.step = step
+    if step > 0.0:
+        axis.quantum = min(axis.quantum, step)
+
+
+@compiled
+def _forget(axes: Any) -> None:
+    """Samples have been lost: no step is known."""
+    for i in range(3):
+        axes[i].last, axes[i].flat, axes[i].step, axes[i].entry_next = np.nan, 0, 0.0, 0.0
