@@ -19,7 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
-from gateway.geometry.kernel_fingerprint import fingerprint
+from gateway.geometry.kernel_fingerprint import COMPILATION, fingerprint
 from gateway.support.processor import CPU_FEATURES, CPU_NAME, target_name
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -27,9 +27,7 @@ F = TypeVar("F", bound=Callable[..., object])
 PACKAGE = Path(__file__).resolve().parents[1]
 KEPT_STATES = 5
 """Of each kernel: for going back to an older state of it, or for a process that is still on it."""
-COMPILER_OPTIONS = {"error_model": "numpy"}
-"""IEEE division (x / 0 is inf or NaN, never an exception). Reassociation of sums stays off: the same input
-gives the same bits."""
+COMPILER_OPTIONS = {"error_model": COMPILATION["error_model"]}
 
 
 def cache_directory(package: Path) -> Path:
@@ -165,6 +163,7 @@ def _compiler() -> Any:
     prune(CACHE_DIRECTORY)
     for name in (CPU_NAME, CPU_FEATURES):  # read at its import, which may have been before ours
         setattr(numba.config, name.removeprefix("NUMBA_"), os.environ.get(name))
+    numba.config.SLP_VECTORIZE = COMPILATION["slp_vectorize"]  # type: ignore[attr-defined]  # set by name
     locators = (f"{__name__}.{KernelLocator.__name__}", "UserWideCacheLocator")
     numba.config.CACHE_LOCATOR_CLASSES = ",".join(locators)  # type: ignore[attr-defined]  # set by name
     return numba

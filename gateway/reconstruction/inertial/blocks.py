@@ -7,6 +7,7 @@ small array made inside them would cost as much as the arithmetic. No output may
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
@@ -15,30 +16,62 @@ LEAST_PIVOT = 1e-14
 """A pivot below it is rounding: the block counts as having that little variance."""
 
 
+Six = tuple[float, float, float, float, float, float]
+"""A row or a column, as numbers that the compiler keeps in registers."""
+
+
+@compiled
+def along(row: Six, B: FloatArray, j: int) -> float:
+    """Return a row times column j of B (6, 6)."""
+    product: float = (
+        (row[0] * B[0, j] + row[1] * B[1, j])
+        + (row[2] * B[2, j] + row[3] * B[3, j])
+        + (row[4] * B[4, j] + row[5] * B[5, j])
+    )
+    return product
+
+
+@compiled
+def times_block(row: Six, B: FloatArray) -> Six:
+    """Return a row times B (6, 6).
+
+    No element is written before all are known: the compiler, which cannot know that no output is an input,
+    then takes several columns at a time.
+    """
+    return (
+        along(row, B, 0), along(row, B, 1), along(row, B, 2),
+        along(row, B, 3), along(row, B, 4), along(row, B, 5),
+    )  # fmt: skip
+
+
 @compiled
 def product_into(C: FloatArray, A: FloatArray, B: FloatArray) -> None:
     """C ← A B; shapes (6, 6)."""
     for i in range(6):
-        for j in range(6):
-            C[i, j] = (
-                (A[i, 0] * B[0, j] + A[i, 1] * B[1, j])
-                + (A[i, 2] * B[2, j] + A[i, 3] * B[3, j])
-                + (A[i, 4] * B[4, j] + A[i, 5] * B[5, j])
-            )
+        row = times_block((A[i, 0], A[i, 1], A[i, 2], A[i, 3], A[i, 4], A[i, 5]), B)
+        C[i, 0], C[i, 1], C[i, 2], C[i, 3], C[i, 4], C[i, 5] = row
 
 
 @compiled
 def symmetric_sum_into(C: FloatArray, D: FloatArray, sign: float, A: FloatArray, B: FloatArray) -> None:
     """C ← D + sign A Bᵀ where that is known to be symmetric; shapes (6, 6). D may be C."""
     for i in range(6):
+        a = A[i, 0], A[i, 1], A[i, 2], A[i, 3], A[i, 4], A[i, 5]
+        row = _dot(a, B, 0), _dot(a, B, 1), _dot(a, B, 2), _dot(a, B, 3), _dot(a, B, 4), _dot(a, B, 5)
         for j in range(i + 1):
-            total = (
-                (A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1])
-                + (A[i, 2] * B[j, 2] + A[i, 3] * B[j, 3])
-                + (A[i, 4] * B[j, 4] + A[i, 5] * B[j, 5])
-            )
-            C[i, j] = D[i, j] + sign * total
+            C[i, j] = D[i, j] + sign * row[j]
             C[j, i] = C[i, j]
+
+
+@compiled
+def _dot(row: Six, B: FloatArray, j: int) -> float:
+    """Return a row times row j of B (6, 6)."""
+    product: float = (
+        (row[0] * B[j, 0] + row[1] * B[j, 1])
+        + (row[2] * B[j, 2] + row[3] * B[j, 3])
+        + (row[4] * B[j, 4] + row[5] * B[j, 5])
+    )
+    return product
 
 
 @compiled
@@ -52,43 +85,39 @@ def times_vector_into(y: FloatArray, A: FloatArray, x: FloatArray) -> None:
         )
 
 
-@compiled
-def inverse_into(M: FloatArray, A: FloatArray) -> None:
-    """M ← A⁻¹ of a symmetric positive definite block, symmetric to the last bit; shapes (6, 6)."""
-    _inverse_into(M, A, 6)
+def _inverse_of(n: int) -> Callable[[FloatArray, FloatArray], None]:
+    """Return the inverse of blocks (n, n), in loops of a length that the compiler knows: twice as fast."""
+
+    @compiled
+    def into(M: FloatArray, A: FloatArray) -> None:
+        """By Cholesky. Below the diagonal M holds L (its diagonal inverted), then L⁻¹, then L⁻ᵀ L⁻¹."""
+        for i in range(n):
+            for j in range(i + 1):
+                total = A[i, j]
+                for k in range(j):
+                    total -= M[i, k] * M[j, k]
+                M[i, j] = 1.0 / math.sqrt(max(total, LEAST_PIVOT)) if i == j else total * M[j, j]
+        for i in range(n):
+            for j in range(i):
+                total = 0.0
+                for k in range(j, i):
+                    total -= M[i, k] * M[k, j]
+                M[i, j] = total * M[i, i]
+        for i in range(n):
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(i, n):
+                    total += M[k, i] * M[k, j]
+                M[i, j] = total
+                M[j, i] = total
+
+    return into
 
 
-@compiled
-def inverse_3_into(M: FloatArray, A: FloatArray) -> None:
-    """The same for (3, 3)."""
-    _inverse_into(M, A, 3)
-
-
-@compiled
-def _inverse_into(M: FloatArray, A: FloatArray, n: int) -> None:
-    """By Cholesky. Below the diagonal M holds L (its diagonal inverted), then L⁻¹, then L⁻ᵀ L⁻¹.
-
-    n is a constant of each caller, so that the loops unroll: twice as fast.
-    """
-    for i in range(n):
-        for j in range(i + 1):
-            total = A[i, j]
-            for k in range(j):
-                total -= M[i, k] * M[j, k]
-            M[i, j] = 1.0 / math.sqrt(max(total, LEAST_PIVOT)) if i == j else total * M[j, j]
-    for i in range(n):
-        for j in range(i):
-            total = 0.0
-            for k in range(j, i):
-                total -= M[i, k] * M[k, j]
-            M[i, j] = total * M[i, i]
-    for i in range(n):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(i, n):
-                total += M[k, i] * M[k, j]
-            M[i, j] = total
-            M[j, i] = total
+inverse_into = _inverse_of(6)
+"""M ← A⁻¹ of a symmetric positive definite block, symmetric to the last bit; shapes (6, 6)."""
+inverse_3_into = _inverse_of(3)
+"""The same for (3, 3)."""
 
 
 @compiled

@@ -18,6 +18,7 @@ from gateway.reconstruction.inertial.blocks import (
     inverse_into,
     product_into,
     symmetric_sum_into,
+    times_block,
     times_vector_into,
     weakened_into,
 )
@@ -191,9 +192,9 @@ def _gather(child: Segment, now: SegmentWork, above: SegmentWork, shared: Shared
         for j in range(6):
             G[i, j] = A[i, j] - X[i, j]
     for i in range(6):
+        row = times_block((G[0, i], G[1, i], G[2, i], G[3, i], G[4, i], G[5, i]), T)
         for j in range(i + 1):
-            told = (G[0, i] * T[0, j] + G[1, i] * T[1, j]) + (G[2, i] * T[2, j] + G[3, i] * T[3, j])
-            told += G[4, i] * T[4, j] + G[5, i] * T[5, j]
+            told = row[j]
             if i < 3:
                 told += B[0, i] * A[0, j] + B[1, i] * A[1, j] + B[2, i] * A[2, j]
             own_p[i, j] += told
