@@ -25,6 +25,10 @@ ANOTHER_SENDER = "another_sender"
 """Reason for which datagrams of a second device on a link are dropped."""
 GRAVITY = 9.80665
 """m/s² in the g of data sheets."""
+MAGNETIC = 1 << 9
+"""Added to the kind of inertial samples: what comes of a magnetometer by itself is counted by itself."""
+LEAST_RATE_SHARE = 0.9
+"""Of the poses' rate, below which a device is too slow for them."""
 _INTERVALS, _FEWEST_INTERVALS = 31, 8
 """Between stamps: of so many the lower quartile is the interval of the samples, once there are some."""
 

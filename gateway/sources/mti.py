@@ -25,6 +25,8 @@ from devices.vendor_protocols.mti import (
 from firmware_protocol import InertialSample
 from gateway.frames import NOT_READ, Clipped, Sample
 from gateway.sources.makers import (
+    LEAST_RATE_SHARE,
+    MAGNETIC,
     Advice,
     CommandLine,
     Decoder,
@@ -45,8 +47,6 @@ _CLIPPED = {
     CLIPPED["acceleration"]: Clipped.SPECIFIC_FORCE,
     CLIPPED["rate_of_turn"]: Clipped.ANGULAR_RATE,
 }
-_LEAST_SHARE = 0.9
-"""Of the poses' rate, below which a device is too slow for them."""
 
 _Found = TypeVar("_Found")
 
@@ -131,7 +131,7 @@ class MtiCanDevice(MtiDevice):
     ) -> int | None:
         if "acceleration" in message.values:
             return super()._number(message, stamp_us, record, modules, chunk)
-        counter = record.counter(InertialSample.KIND | 1 << 9)
+        counter = record.counter(InertialSample.KIND | MAGNETIC)
         return counter.count_unwrapped(counter.received, modules.losses(chunk.link))
 
 
@@ -195,7 +195,7 @@ class MtiCommands:
                 rate = EVERY_PACKET if isinstance(ITEMS[name].layout, str) else round(rate_hz)
                 yield Advice(f"sends no {name.replace('_', ' ')}", told.format(f"{name}={rate}"))
         for name in ("acceleration", "rate_of_turn"):
-            if 0 < settings.get(name, 0) < _LEAST_SHARE * rate_hz:
+            if 0 < settings.get(name, 0) < LEAST_RATE_SHARE * rate_hz:
                 found = (
                     f"sends {name.replace('_', ' ')} {settings[name]} times a second for {rate_hz:g} poses"
                 )

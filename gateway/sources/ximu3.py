@@ -32,6 +32,8 @@ from firmware_protocol import InertialSample
 from gateway.frames import NOT_READ, Clipped, Sample
 from gateway.sources.makers import (
     GRAVITY,
+    LEAST_RATE_SHARE,
+    MAGNETIC,
     Advice,
     Announced,
     CommandLine,
@@ -50,10 +52,6 @@ from gateway.sources.module_table import ModuleTable
 RANGE_DEG_S, RANGE_G = 1999.0, 23.99
 """At or beyond these a sensor of the device is at the end of its range."""
 _RATE_SETTING = "inertial_message_rate_divisor"
-_LEAST_SHARE = 0.9
-"""Of the poses' rate, below which a device is too slow for them."""
-_MAGNETIC = 1 << 9
-"""Added to the kind: its magnetometer runs by itself, and is counted by itself."""
 
 
 class Ximu3LinkSettings(MakersLinkSettings):
@@ -87,7 +85,7 @@ class Ximu3Device(MakersDevice):
         losses = modules.losses(chunk.link)
         if isinstance(message, Magnetic):
             number = self._magnetic.number(message.time_us)
-            record.counter(InertialSample.KIND | _MAGNETIC).count_unwrapped(number, losses)
+            record.counter(InertialSample.KIND | MAGNETIC).count_unwrapped(number, losses)
             field = scaled(message.field, self.settings.field_ut)
             return self.module, self._inertial.newest, time_ns, (NOT_READ, NOT_READ, field), 0
         number = self._inertial.number(message.time_us)
@@ -162,7 +160,7 @@ class Ximu3Commands:
         """Yield what would be better otherwise. rate_hz: of the poses."""
         divisor = settings.get(_RATE_SETTING)
         told = f"mocap-gateway modules set {module} {{}} --allow-writes"
-        if divisor is not None and (not divisor or INERTIAL_HZ / divisor < _LEAST_SHARE * rate_hz):
+        if divisor is not None and (not divisor or INERTIAL_HZ / divisor < LEAST_RATE_SHARE * rate_hz):
             sent_hz = INERTIAL_HZ / divisor if divisor else 0
             wanted = max(1, int(INERTIAL_HZ // rate_hz))
             yield Advice(

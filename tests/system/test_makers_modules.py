@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import time
 
 import numpy as np
 import pytest
+import ximu3
 import yaml
 
 from gateway.doctor import Surroundings, Verdict, examine_file
@@ -86,7 +88,7 @@ def test_plugged_in_listed_run_recorded_and_verified(
 
 
 def test_settings_are_written_where_that_is_allowed_and_by_the_running_gateway(
-    emulated, configured, command, mosquitto
+    emulated, configured, command, mosquitto, tmp_path
 ):
     links = emulated("ximu3", "udp")
     module = links[1]["module"]
@@ -97,7 +99,8 @@ def test_settings_are_written_where_that_is_allowed_and_by_the_running_gateway(
     assert "allow_device_writes" in refused.errors
     said = ended(command("modules", *wanted, "-c", config, "--allow-writes"))
     assert "inertial_message_rate_divisor 4 → 2" in said
-    gateway = command("run", "-c", configured(links, allow_device_writes=True))
+    config = configured(links, allow_device_writes=True)
+    gateway = command("record", "-c", config, "--folder", tmp_path, "--name", "asked", "--quiet")
     gateway.until_said("up")
     remote = ["--mqtt", f"127.0.0.1:{mosquitto.port}"]
     shown = yaml.safe_load(ended(command("modules", "show", module, *remote)))
@@ -108,6 +111,37 @@ def test_settings_are_written_where_that_is_allowed_and_by_the_running_gateway(
     absent = command("modules", "identify", 77, *remote)
     assert absent.wait() == 1
     assert "no device '77' answers" in absent.errors
+    gateway.terminate()
+    gateway.wait()
+    (recorded,) = tmp_path.glob("*asked.mcap")
+    sent = list(open_recording(recorded).sent())
+    assert any(b'{"inertial_message_rate_divisor":8}' in item.data for item in sent)
+    assert "identical" in ended(command("replay", recorded, "--verify"))
+
+
+def test_the_makers_own_library_speaks_with_what_is_emulated(emulated):
+    links = emulated("ximu3", "tcp")
+    connection = ximu3.Connection(
+        ximu3.TcpConnectionConfig("127.0.0.1", int(links[0]["url"].rpartition(":")[2]))
+    )
+    forces, fields, batteries, errors = [], [], [], []
+    connection.add_inertial_callback(lambda message: forces.append(message.accelerometer_z))
+    connection.add_magnetometer_callback(lambda message: fields.append(message.x))
+    connection.add_battery_callback(lambda message: batteries.append(message.percentage))
+    connection.add_receive_error_callback(errors.append)
+    connection.open()
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        while (len(forces) < 200 or not batteries) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        answered = connection.ping()
+    finally:
+        connection.close()
+    assert (answered.device_name, answered.serial_number) == ("x-IMU3", "65570001")
+    assert len(forces) >= 200
+    assert 0.1 * len(forces) < len(fields) < 0.3 * len(forces)
+    assert batteries[0] > 90
+    assert len(errors) <= 1  # what it came into the middle of
 
 
 def test_an_mti_is_told_what_to_send_and_does_not_blink(emulated, configured, command):
