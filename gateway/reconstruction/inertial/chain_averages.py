@@ -35,8 +35,9 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
     """``K`` and ``motion`` ← of each segment whose specific force counts. In place, too: the averages."""
     gain = 1.0 - math.exp(-dt / tuning.smoothing_s)
     long_gain = 1.0 - math.exp(-dt / tuning.unaided_window_s)
-    for s in range(len(state.segments)):
-        segment, now = state.segments[s], work.segments[s]
+    segments, works = state.segments, work.segments
+    for s in range(len(segments)):
+        segment, now = segments[s], works[s]
         averages = segment.averages
         if now.validity < FORCE:
             averages.seconds = 0.0

@@ -153,8 +153,7 @@ def _advance(held: Filter, inputs: Inputs, resting: FloatArray, covariance: Floa
             for s in range(n):
                 work.segments[s].validity = NOTHING
         taken = inputs.readings_end[t]
-        for s in range(n):
-            status[t, s] = _status(state.segments[s], work, wearing, s, status[t])
+        _statuses(held, status[t])
         _outputs(held, q_wb[t], rate[t], acceleration[t], sigma[t])
         mark_unaided(body, state, tuning, work, status[t])
         if len(covariance) > 0:
@@ -170,15 +169,18 @@ def _observe(work: Work, wearing: Wearing, inputs: Inputs, resting: FloatArray, 
     work.shared.sees_sun = inputs.sun.shape[1] > 0
     if work.shared.sees_sun:
         take_sun(work, wearing.module_of_segment, wearing.R_bs, inputs.sun[t])
-    for s in range(len(wearing.parents)):
-        row, now, R_bs = wearing.module_of_segment[s], work.segments[s], wearing.R_bs[s]
+    works, module_of_segment, all_R_bs = work.segments, wearing.module_of_segment, wearing.R_bs
+    forces, rates, fields = inputs.specific_force[t], inputs.angular_rate[t], inputs.magnetic_field[t]
+    status, clipped = inputs.status[t], inputs.clipped[t]
+    for s in range(len(works)):
+        row, now, R_bs = module_of_segment[s], works[s], all_R_bs[s]
         now.stance_s = resting[s]
         if row >= 0:
-            rotation_matrix.rotate_into(now.specific_force, R_bs, inputs.specific_force[t, row])
-            rotation_matrix.rotate_into(now.angular_rate, R_bs, inputs.angular_rate[t, row])
-            rotation_matrix.rotate_into(now.magnetic_field, R_bs, inputs.magnetic_field[t, row])
-            now.status = inputs.status[t, row] if is_finite(now.specific_force) else MISSING
-            now.clipped = inputs.clipped[t, row]
+            rotation_matrix.rotate_into(now.specific_force, R_bs, forces[row])
+            rotation_matrix.rotate_into(now.angular_rate, R_bs, rates[row])
+            rotation_matrix.rotate_into(now.magnetic_field, R_bs, fields[row])
+            now.status = status[row] if is_finite(now.specific_force) else MISSING
+            now.clipped = clipped[row]
 
 
 @compiled
@@ -231,17 +233,21 @@ def _take(body: Body, state: State, tuning: Tuning, work: Work, dt: float, readi
 
 
 @compiled
-def _status(segment: Segment, work: Work, wearing: Wearing, s: int, status: StatusArray) -> int:
-    """Of segment s. One without module goes with its parent; a saturated gyroscope is none; with its
-    accelerometer saturated, or off, a segment turns by its gyroscope alone. status: (n,) of those before."""
-    now, p = work.segments[s], wearing.parents[s]
-    if wearing.module_of_segment[s] < 0:
-        return PREDICTED if p >= 0 and status[p] != MISSING else MISSING
-    if segment.started == NOT_STARTED:
-        return MISSING
-    if now.validity < RATE:
-        return PREDICTED
-    return UNAIDED if now.validity == RATE else int(now.status)
+def _statuses(held: Filter, status: StatusArray) -> None:
+    """status (n,) ← a segment without module goes with its parent; a saturated gyroscope is none; with its
+    accelerometer saturated, or off, a segment turns by its gyroscope alone."""
+    segments, works = held.state.segments, held.work.segments
+    parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
+    for s in range(len(parents)):
+        now, p = works[s], parents[s]
+        if module_of_segment[s] < 0:
+            status[s] = PREDICTED if p >= 0 and status[p] != MISSING else MISSING
+        elif segments[s].started == NOT_STARTED:
+            status[s] = MISSING
+        elif now.validity < RATE:
+            status[s] = PREDICTED
+        else:
+            status[s] = UNAIDED if now.validity == RATE else now.status
 
 
 @compiled
@@ -251,15 +257,17 @@ def _outputs(
     """Segments without module go with their parent; the others as the filter has them; NaN is left where
     nothing is known. (n, 4), (n, 3), (n, 3), (n,)."""
     gravity, unknown = held.body.world.gravity, 2.0 * held.tuning.unknown_heading
-    for s in range(len(held.wearing.parents)):
-        segment, now, p = held.state.segments[s], held.work.segments[s], held.wearing.parents[s]
+    segments, works = held.state.segments, held.work.segments
+    parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
+    for s in range(len(parents)):
+        segment, now, p = segments[s], works[s], parents[s]
         if now.validity == FORCE:
             for i in range(3):
                 acceleration[s, i] = now.U[i] + gravity[i]
         if segment.started != NOT_STARTED:
             P = segment.P
             sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), unknown)
-        if held.wearing.module_of_segment[s] < 0:
+        if module_of_segment[s] < 0:
             if p >= 0:
                 for i in range(4):
                     q_wb[s, i] = q_wb[p, i]

@@ -37,8 +37,9 @@ OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
 @compiled
 def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
     """Turn every started segment over dt by the mean of its last two rates, in place."""
-    for s in range(len(body.segments)):
-        segment, now, parent = state.segments[s], work.segments[s], body.segments[s].parent
+    links, segments, works = body.segments, state.segments, work.segments
+    for s in range(len(links)):
+        segment, now, parent = segments[s], works[s], links[s].parent
         if segment.started == NOT_STARTED:
             continue
         rotation_matrix.copy_into(now.before, segment.R)
@@ -57,7 +58,7 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
             segment.P[i, i] += density * dt if segment.P[i, i] < tuning.unknown_heading**2 else 0.0
             segment.P[3 + i, 3 + i] += tuning.bias_walk**2 * dt
         if body.world.is_tree and parent >= 0:
-            propagate(segment.C, now.before, work.segments[parent].before, dt)
+            propagate(segment.C, now.before, works[parent].before, dt)
 
 
 @compiled
@@ -125,8 +126,9 @@ def judge_samples(work: Work, tuning: Tuning) -> None:
 
     A sensor is at the end of its range where its module says so, and at the largest range there is.
     """
-    for s in range(len(work.segments)):
-        now = work.segments[s]
+    works = work.segments
+    for s in range(len(works)):
+        now = works[s]
         now.validity = NOTHING
         if now.status <= 1 and is_finite(now.angular_rate):
             now.validity = RATE
@@ -140,11 +142,12 @@ def judge_samples(work: Work, tuning: Tuning) -> None:
 @compiled
 def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None:
     """Begin where a first sample has come; until then what a module says does not count."""
-    for s in range(len(body.segments)):
-        segment, now = state.segments[s], work.segments[s]
+    links, segments, works = body.segments, state.segments, work.segments
+    for s in range(len(links)):
+        segment, now = segments[s], works[s]
         if segment.started != STARTED:
             if now.validity == FORCE:
-                _start(segment, body.segments[s], now, body.world, tuning)
+                _start(segment, links[s], now, body.world, tuning)
             if segment.started != STARTED:
                 now.validity = NOTHING
 
@@ -220,8 +223,9 @@ def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray, tuning
 @compiled
 def turn_segments(body: Body, state: State, work: Work) -> None:
     """Turn segments by their ``turn``, and all remembered that turns with them, in place."""
-    for s in range(len(body.segments)):
-        now, segment = work.segments[s], state.segments[s]
+    segments, works = state.segments, work.segments
+    for s in range(len(segments)):
+        now, segment = works[s], segments[s]
         if _is_turn(now.turn):
             E, averages = now.rotation, segment.averages
             rotation_matrix.exponential_into(E, now.turn[0], now.turn[1], now.turn[2])
@@ -232,7 +236,7 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
             rotation_matrix.turn(E, averages.long_force)
     for d in range(len(body.devices)):
         mount, device = body.devices[d], state.devices[d]
-        now = work.segments[mount.segment]
+        now = works[mount.segment]
         if _is_turn(now.turn):
             if mount.kind == AIR_VELOCITY:
                 for j in range(device.n_readings):
@@ -243,11 +247,12 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
 @compiled
 def correct(state: State, work: Work) -> None:
     """``turn`` ← the errors found of orientations; those of biases are added."""
-    for s in range(len(work.segments)):
-        now = work.segments[s]
+    segments, works = state.segments, work.segments
+    for s in range(len(works)):
+        now = works[s]
         for i in range(3):
             now.turn[i] = now.x[i]
-            state.segments[s].bias[i] += now.x[3 + i]
+            segments[s].bias[i] += now.x[3 + i]
 
 
 @compiled

@@ -16,6 +16,7 @@ from gateway.geometry.vectors import dot, skew
 from gateway.reconstruction.inertial.chain_state import (
     ExpectedField,
     FieldWatch,
+    Joint,
     Link,
     Segment,
     SegmentWork,
@@ -27,14 +28,12 @@ from gateway.reconstruction.inertial.tuning import Tuning
 
 
 @compiled
-def joint_row(
-    now: SegmentWork, child: Segment, parent: Segment, is_unobserved: bool, tuning: Tuning, dt: float
-) -> None:
-    """The joint's acceleration seen from both sides, ``now.u`` and ``now.u_parent``, every dt, to
-    ``now.row_variance``.
+def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> None:
+    """The joint's acceleration seen from both sides, ``u`` and ``u_parent``, every dt, to ``row_variance``.
 
     is_unobserved: the heading of one against the other is not known.
     """
+    _, child, parent, now, _ = joint
     u, u_p, variance = now.u, now.u_parent, now.row_variance
     residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
     middle = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])

@@ -19,6 +19,8 @@ from gateway.reconstruction.inertial.tuning import Tuning, tuning
 
 N_READINGS = 12
 """Readings of a local device that a derivative is fitted to, at most."""
+PHASES = 3
+"""Of joints that are asked about their lever arms."""
 N_HISTORY = 96
 """Frames remembered of the segment that carries a local device."""
 
@@ -61,6 +63,7 @@ class Link(Record):
     beyond: Vector  # of these, what turns with this segment, own axes, m
     slack: float  # by how much the joint beyond them may be elsewhere, m
     stands: int  # 1: made to stand on the ground
+    phase: int  # joints are asked about their lever arms in turn, so that no frame has all the work
 
 
 class Mount(Record):
@@ -304,6 +307,16 @@ class SegmentWork(Record):
     offset: Six  # error where the parent has none
 
 
+class Joint(NamedTuple):
+    """A joint between two segments with modules: single records, of which no reference is counted."""
+
+    link: Link  # of the child
+    child: Segment
+    parent: Segment
+    now: SegmentWork  # of the child
+    above: SegmentWork  # of the parent
+
+
 class Learning(Record):
     """What learning lever arms works in: three rows on six constants."""
 
@@ -403,6 +416,7 @@ def chain_body(
     links, mounts, world = records(Link, skeleton.n_segments), records(Mount, len(devices)), record(World)
     links["parent"] = bridges.parents
     links["heading_observable"] = joined
+    links["phase"] = np.arange(skeleton.n_segments) % PHASES
     for device in devices:
         if device.quantity not in {Quantity.FIXED_POINT, Quantity.AIR_VELOCITY}:  # these turn with the body
             links["heading_observable"][device.segment] = 1

@@ -15,7 +15,15 @@ from gateway.reconstruction.inertial.chain_prediction import (
     start_segments,
     turn_segments,
 )
-from gateway.reconstruction.inertial.chain_state import Body, Heading, State, Validity, Work
+from gateway.reconstruction.inertial.chain_state import (
+    Body,
+    Heading,
+    Joint,
+    Learning,
+    State,
+    Validity,
+    Work,
+)
 from gateway.reconstruction.inertial.corrections import note_correction, row_inflation
 from gateway.reconstruction.inertial.device_rows import device_rows, has_spoken
 from gateway.reconstruction.inertial.heading_start import (
@@ -29,7 +37,7 @@ from gateway.reconstruction.inertial.heading_start import (
     turn_beyond,
     turn_heading_sums,
 )
-from gateway.reconstruction.inertial.lever_arms import ask_again, is_due, learn_joint_arms
+from gateway.reconstruction.inertial.lever_arms import is_due, learn_joint_arms
 from gateway.reconstruction.inertial.rest_rows import note_rolling, stance_rows
 from gateway.reconstruction.inertial.sun_rows import follow_sun
 from gateway.reconstruction.inertial.tree_filter import add_edge, clear, update_outward, update_tree
@@ -53,7 +61,7 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
     note_rolling(state, work, dt)
     predict(body, state, tuning, work, dt)
     start_segments(body, state, tuning, work)
-    lose_headings(body, state, tuning)
+    lose_headings(body.segments, state.segments, tuning)
     average(state, tuning, work, dt)
     _forget(work)
     if body.world.uses_field:
@@ -78,8 +86,9 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
 @compiled
 def _forget(work: Work) -> None:
     """What the instant before has left."""
-    for s in range(len(work.segments)):
-        now = work.segments[s]
+    segments = work.segments
+    for s in range(len(segments)):
+        now = segments[s]
         clear(now.evidence)
         now.aided = 0
         for i in range(3):
@@ -90,9 +99,10 @@ def _forget(work: Work) -> None:
 def _follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
     """A row where the heading is observed; where it is not the field leads it as a compass."""
     expected, world = work.shared.expected, body.world
+    links, segments, works = body.segments, state.segments, work.segments
     chain_rows.expect_field(expected, world, tuning, dt)
-    for s in range(len(body.segments)):
-        segment, now = state.segments[s], work.segments[s]
+    for s in range(len(links)):
+        segment, now = segments[s], works[s]
         m = now.magnetic_field
         if now.validity < RATE:
             continue  # a saturated gyroscope has lost it: the field would seem disturbed
@@ -100,32 +110,33 @@ def _follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: floa
             continue
         chain_rows.watch_field(segment, now, world, expected, tuning, dt)
         if segment.heading == OBSERVED:
-            chain_rows.field_row(segment, body.segments[s], now, expected, tuning, dt)
+            chain_rows.field_row(segment, links[s], now, expected, tuning, dt)
             continue
         now.turn[2] = compass_turn(segment, now, tuning, dt)
-    for s in range(len(body.segments)):
-        p, sums = body.segments[s].parent, state.segments[s].heading_sums
-        turn_heading_sums(sums, work.segments[s].turn[2])
+    for s in range(len(links)):
+        p, sums = links[s].parent, segments[s].heading_sums
+        turn_heading_sums(sums, works[s].turn[2])
         if p >= 0:
-            turn_heading_sums(sums, -work.segments[p].turn[2])
+            turn_heading_sums(sums, -works[p].turn[2])
 
 
 @compiled
 def mark_unaided(body: Body, state: State, tuning: Tuning, work: Work, status: StatusArray) -> None:
     """Tells in ``status`` (n,), in place, which chains have lost all their local devices."""
-    for s in range(len(body.segments)):
-        now, p = work.segments[s], body.segments[s].parent
+    links, works = body.segments, work.segments
+    for s in range(len(links)):
+        now, p = works[s], links[s].parent
         now.chain, now.sharing = s, 0  # 1: aided by nothing any more, 2: by a device
         if p >= 0:
-            now.chain = work.segments[p].chain
+            now.chain = works[p].chain
     for d in range(len(body.devices)):
         mount, device = body.devices[d], state.devices[d]
         is_starting = device.age_s == math.inf and work.shared.time_s < tuning.device_start_s
         is_aiding = mount.kind == FIXED_POINT or has_spoken(device, tuning) or is_starting
-        first = work.segments[work.segments[mount.segment].chain]
+        first = works[works[mount.segment].chain]
         first.sharing = max(first.sharing, 2 if is_aiding else 1)
-    for s in range(len(body.segments)):
-        if work.segments[work.segments[s].chain].sharing == 1 and status[s] <= INTERPOLATED:
+    for s in range(len(links)):
+        if works[works[s].chain].sharing == 1 and status[s] <= INTERPOLATED:
             status[s] = UNAIDED
 
 
@@ -136,21 +147,24 @@ def _joint_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float)
     In the joint filter a foot or a device anywhere aids its chain; outward only one on its root does.
     """
     settled_s = tuning.settled * tuning.smoothing_s
-    for s in range(len(body.segments)):
-        link, segment, now = body.segments[s], state.segments[s], work.segments[s]
+    links, segments, works = body.segments, state.segments, work.segments
+    for s in range(len(links)):
+        link, segment, now = links[s], segments[s], works[s]
         p, now.chain = link.parent, s
         felt_into(now.U, segment.averages.force, now.K, link.to_joint, segment.arms.error, 0)
-        if p < 0 or now.validity < FORCE or work.segments[p].validity < FORCE:
+        if p < 0 or now.validity < FORCE or works[p].validity < FORCE:
             continue
         if segment.joint_nis < tuning.loose_nis:  # else what aids the one does not aid the other
             # also while its row waits for the averages: after a gap nothing has changed
-            now.chain = work.segments[p].chain
+            now.chain = works[p].chain
         if body.world.is_tree:
-            first = work.segments[now.chain]
+            first = works[now.chain]
             first.aided = max(first.aided, now.aided)
-        if segment.averages.seconds < settled_s or state.segments[p].averages.seconds < settled_s:
+        if segment.averages.seconds < settled_s or segments[p].averages.seconds < settled_s:
             continue
-        _joint_row(body, state, tuning, work, s, dt)
+        joint = Joint(link, segment, segments[p], now, works[p])
+        if _joint_row(joint, work.shared.learning, tuning, dt):
+            _settle_heading(body, state, tuning, work, s)
 
 
 @compiled
@@ -160,16 +174,17 @@ def _unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: floa
     Where one is aided, its segments have a weak one of their own until their inclinations are settled.
     """
     decay = math.exp(-dt / tuning.starting_memory_s)
-    for s in range(len(work.segments)):
-        segment = state.segments[s]
-        work.segments[s].sharing = 0
+    segments, works = state.segments, work.segments
+    for s in range(len(works)):
+        segment = segments[s]
+        works[s].sharing = 0
         segment.starting_square = max(segment.starting_square * decay, LEAST_SQUARE)
-    for s in range(len(work.segments)):
-        if work.segments[s].validity == FORCE:
-            work.segments[work.segments[s].chain].sharing += 1
-    for s in range(len(work.segments)):
-        segment, now = state.segments[s], work.segments[s]
-        first = work.segments[now.chain]
+    for s in range(len(works)):
+        if works[s].validity == FORCE:
+            works[works[s].chain].sharing += 1
+    for s in range(len(works)):
+        segment, now = segments[s], works[s]
+        first = works[now.chain]
         if now.validity < FORCE:
             continue
         if first.aided:
@@ -180,13 +195,13 @@ def _unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: floa
 
 
 @compiled
-def _joint_row(body: Body, state: State, tuning: Tuning, work: Work, s: int, dt: float) -> None:
-    """Of segment s and its parent; changes ``U`` where it corrects lever arms."""
-    p = body.segments[s].parent
-    child, parent, now, above = state.segments[s], state.segments[p], work.segments[s], work.segments[p]
-    _see_joint(body, state, tuning, work, s, dt)
+def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> bool:
+    """Whether the child's heading has just been shown; then there is no row. Changes ``U`` where it corrects
+    lever arms."""
+    _, child, parent, now, above = joint
+    _see_joint(joint, tuning, dt)
     is_lost = child.heading == UNOBSERVED
-    if not is_lost and parent.heading == UNOBSERVED and is_apart(body, state, tuning, s):
+    if not is_lost and parent.heading == UNOBSERVED and is_apart(child, parent, True, tuning):
         # the parent has begun anew beside a segment that has not: this shows the parent's heading
         is_lost = True
         uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
@@ -194,28 +209,31 @@ def _joint_row(body: Body, state: State, tuning: Tuning, work: Work, s: int, dt:
     elif is_lost:
         uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
         gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, tuning, dt)
-        shown, angle = shown_heading(child, tuning)
-        if shown > 0.0:
-            child.heading = OBSERVED
-            # the heading against the parent is what it is now, to that variance
-            add_edge(now.evidence, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.0, shown)
-            turn_beyond(body, state, tuning, work, s, angle)
-            return
+        if shown_heading(child, tuning)[0] > 0.0:
+            return True
     elif now.turn[2] != 0.0 or above.turn[2] != 0.0:
-        return  # this instant's averages are those before the turn
+        return False  # this instant's averages are those before the turn
     else:
-        _learn_arms(body, state, tuning, work, s, dt)
+        _learn_arms(joint, learning, tuning, dt)
     if not is_lost:
         now.row_variance *= row_inflation(child, parent, tuning)
-    chain_rows.joint_row(now, child, parent, is_lost, tuning, dt)
+    chain_rows.joint_row(joint, is_lost, tuning, dt)
+    return False
 
 
 @compiled
-def _see_joint(body: Body, state: State, tuning: Tuning, work: Work, s: int, dt: float) -> None:
-    """``u``, ``u_parent``, ``row_variance`` ← of the joint between segment s and its parent."""
-    link = body.segments[s]
-    child, parent = state.segments[s], state.segments[link.parent]
-    now, above = work.segments[s], work.segments[link.parent]
+def _settle_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
+    """Turn segment s to what motion has shown: against its parent its heading is that, to that variance."""
+    variance, angle = shown_heading(state.segments[s], tuning)
+    state.segments[s].heading = OBSERVED
+    add_edge(work.segments[s].evidence, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.0, variance)
+    turn_beyond(body, state, tuning, work, s, angle)
+
+
+@compiled
+def _see_joint(joint: Joint, tuning: Tuning, dt: float) -> None:
+    """``u``, ``u_parent``, ``row_variance`` ← of a joint."""
+    link, child, parent, now, above = joint
     felt_into(now.u_parent, parent.averages.force, above.K, link.from_parent, child.arms.error, 3)
     moved = math.sqrt(now.motion**2 + above.motion**2)
     variance = chain_rows.row_variance(tuning, moved, dt)
@@ -227,24 +245,18 @@ def _see_joint(body: Body, state: State, tuning: Tuning, work: Work, s: int, dt:
                 now.u[i] -= now.K[i, j] * link.beyond[j]
         variance += (link.slack * moved) ** 2 * tuning.row_memory_s / dt
     variance += child.vibration.square + parent.vibration.square
-    variance += second_order_variance(child, now.u, tuning, dt) + second_order_variance(
-        parent, now.u_parent, tuning, dt
-    )
-    now.row_variance = variance
+    of_child = second_order_variance(child, now.u, tuning, dt)
+    now.row_variance = variance + (of_child + second_order_variance(parent, now.u_parent, tuning, dt))
 
 
 @compiled
-def _learn_arms(body: Body, state: State, tuning: Tuning, work: Work, s: int, dt: float) -> None:
+def _learn_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> None:
     """What the lever arms are uncertain of is added to the joint's row, and from time to time is learnt."""
-    link, child, now = body.segments[s], state.segments[s], work.segments[s]
+    child, now = joint.child, joint.now
     if is_due(child, tuning, dt):
-        learning = work.shared.learning
         learning.at_once = now.row_variance * dt / tuning.row_memory_s
-        learn_joint_arms(
-            child, state.segments[link.parent], now, work.segments[link.parent], learning, tuning
-        )
-        ask_again(child, s, dt)
-        if not link.is_bridged:
+        learn_joint_arms(joint, learning, tuning, dt)
+        if not joint.link.is_bridged:
             for i in range(3):
                 now.U[i] = now.u[i]
     now.row_variance += child.arms.row_variance * tuning.row_memory_s / dt
@@ -254,8 +266,9 @@ def _learn_arms(body: Body, state: State, tuning: Tuning, work: Work, s: int, dt
 def _rest_rows(state: State, tuning: Tuning, work: Work, dt: float) -> None:
     """Of all segments that have rested for a while."""
     gain = 1.0 - math.exp(-dt / tuning.rest_window_s)
-    for s in range(len(work.segments)):
-        segment, now = state.segments[s], work.segments[s]
+    segments, works = state.segments, work.segments
+    for s in range(len(works)):
+        segment, now = segments[s], works[s]
         if now.validity > NOTHING and watch_rest(segment.rest, now, tuning, gain, dt):
             chain_rows.rest_row(now, segment, tuning, dt)
 
@@ -263,7 +276,8 @@ def _rest_rows(state: State, tuning: Tuning, work: Work, dt: float) -> None:
 @compiled
 def _note_corrections(state: State, tuning: Tuning, work: Work, dt: float) -> None:
     """Of segments whose inclinations rows have shown."""
-    for s in range(len(work.segments)):
-        segment, now = state.segments[s], work.segments[s]
-        if now.validity == FORCE and work.segments[now.chain].aided and segment.heading == OBSERVED:
+    segments, works = state.segments, work.segments
+    for s in range(len(works)):
+        segment, now = segments[s], works[s]
+        if now.validity == FORCE and works[now.chain].aided and segment.heading == OBSERVED:
             note_correction(segment.corrections, now.x[0], now.x[1], tuning, dt)

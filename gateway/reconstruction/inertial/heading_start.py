@@ -13,11 +13,13 @@ import math
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records
 from gateway.geometry.vectors import dot
 from gateway.reconstruction.inertial.chain_state import (
     Body,
     Heading,
     HeadingSums,
+    Link,
     Segment,
     SegmentWork,
     Started,
@@ -86,41 +88,38 @@ def shown_heading(segment: Segment, tuning: Tuning) -> tuple[float, float]:
 
 
 @compiled
-def is_apart(body: Body, state: State, tuning: Tuning, s: int) -> bool:
-    """Whether the heading of segment s against its parent, of a root against the world, is lost."""
-    p, segment = body.segments[s].parent, state.segments[s]
+def is_apart(segment: Segment, parent: Segment, has_parent: bool, tuning: Tuning) -> bool:
+    """Whether the heading of a segment against its parent, of a root against the world, is lost."""
     variance = segment.P[2, 2]
-    if p >= 0:
-        variance += state.segments[p].P[2, 2] - 2.0 * segment.C[2, 2]
+    if has_parent:
+        variance += parent.P[2, 2] - 2.0 * segment.C[2, 2]
     return bool(variance > tuning.lost_heading**2)
 
 
 @compiled
-def _is_left_behind(body: Body, state: State, tuning: Tuning, s: int) -> bool:
-    """Whether the parent's heading alone is lost: it is found anew, and segment s keeps its own."""
-    p = body.segments[s].parent
-    if p < 0 or state.segments[s].P[2, 2] > tuning.lost_heading**2:
+def _is_left_behind(segment: Segment, parent: Segment, above: Link, tuning: Tuning) -> bool:
+    """Whether the parent's heading alone is lost: it is found anew, and the segment keeps its own."""
+    if segment.P[2, 2] > tuning.lost_heading**2:
         return False
-    parent = state.segments[p]
-    return bool(
-        parent.heading == UNOBSERVED
-        or (parent.started != STARTED and body.segments[p].heading_observable == 1)
-    )
+    is_silent = parent.started != STARTED and above.heading_observable == 1
+    return bool(parent.heading == UNOBSERVED or is_silent)
 
 
 @compiled
-def lose_headings(body: Body, state: State, tuning: Tuning) -> None:
+def lose_headings(links: Records[Link], segments: Records[Segment], tuning: Tuning) -> None:
     """Headings that the filter itself no longer knows (gyroscopes saturated, long unseen) are unobserved
     again.
 
     A linearised filter would not find them; the next motion does, in closed form.
     """
-    for s in range(len(body.segments)):
-        segment = state.segments[s]
-        is_observable = body.segments[s].heading_observable == 1
+    for s in range(len(links)):
+        p, segment = links[s].parent, segments[s]
+        parent, above = segments[max(p, 0)], links[max(p, 0)]
+        is_observable = links[s].heading_observable == 1
         if segment.heading == UNOBSERVED or not is_observable or segment.started != STARTED:
             continue
-        if is_apart(body, state, tuning, s) and not _is_left_behind(body, state, tuning, s):
+        is_left_behind = p >= 0 and _is_left_behind(segment, parent, above, tuning)
+        if is_apart(segment, parent, p >= 0, tuning) and not is_left_behind:
             sums = segment.heading_sums
             segment.heading, segment.compass_s = UNOBSERVED, 0.0
             sums.along, sums.across, sums.length, sums.seconds = 0.0, 0.0, 0.0, 0.0
@@ -147,11 +146,13 @@ def turn_heading_sums(sums: HeadingSums, angle: float) -> None:
 @compiled
 def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, angle: float) -> None:
     """Segment s and all beyond it, up to those that have kept their own headings while it was lost."""
-    for c in range(s, len(body.segments)):
-        now, p = work.segments[c], body.segments[c].parent
+    links, segments, works = body.segments, state.segments, work.segments
+    for c in range(s, len(links)):
+        now, p = works[c], links[c].parent
         now.is_beyond = 1 if c == s else 0
-        if p >= s and work.segments[p].is_beyond:
-            is_unobserved = state.segments[c].heading == UNOBSERVED
-            now.is_beyond = 1 if is_unobserved or not is_apart(body, state, tuning, c) else 0
+        if p >= s and works[p].is_beyond:
+            is_unobserved = segments[c].heading == UNOBSERVED
+            is_kept = not is_unobserved and is_apart(segments[c], segments[p], True, tuning)
+            now.is_beyond = 0 if is_kept else 1
         if now.is_beyond:
             now.turn[2] += angle

@@ -20,12 +20,16 @@ import numpy as np
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.inertial.blocks import times_vector_into
-from gateway.reconstruction.inertial.chain_state import Device, Learning, Segment, SegmentWork, SharedWork
+from gateway.reconstruction.inertial.chain_state import (
+    Device,
+    Joint,
+    Learning,
+    Segment,
+    SegmentWork,
+    SharedWork,
+)
 from gateway.reconstruction.inertial.tree_filter import Three
 from gateway.reconstruction.inertial.tuning import Tuning
-
-PHASES = 3
-"""Joints take turns, so that no frame has all the work."""
 
 Symmetric = tuple[float, float, float, float, float, float]
 """xx, yy, zz, yz, xz, xy of a (3, 3) matrix: numbers, for which no array has to be made."""
@@ -71,25 +75,21 @@ def is_due(child: Segment, tuning: Tuning, dt: float) -> bool:
 
 
 @compiled
-def learn_joint_arms(
-    child: Segment, parent: Segment, now: SegmentWork, above: SegmentWork, learning: Learning, tuning: Tuning
-) -> None:
-    """Correct ``child.arms`` and, in place, the sides ``now.u`` and ``now.u_parent``, where ``is_due``.
+def learn_joint_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> None:
+    """Correct the joint's ``arms`` and, in place, its sides ``u`` and ``u_parent``, where ``is_due``.
 
-    ``child.arms.row_variance`` ← what the arms' uncertainty adds to a component of a single row, whose own
-    variance is ``learning.at_once``.
+    ``arms.row_variance`` ← what the arms' uncertainty adds to a component of a single row, whose own variance
+    is ``learning.at_once``.
     """
+    link, child, parent, now, above = joint
     arms, u, u_p, K, K_p = child.arms, now.u, now.u_parent, now.K, above.K
     interval_s = min(arms.since_s, tuning.row_memory_s)
+    arms.since_s = 0.0 if math.isfinite(arms.since_s) else -dt * link.phase
     for i in range(3):
         for j in range(3):
             learning.rows[i, j], learning.rows[i, 3 + j] = -K[i, j], K_p[i, j]
-    off = spread(
-        0.5 * (u[0] + u_p[0]),
-        0.5 * (u[1] + u_p[1]),
-        0.5 * (u[2] + u_p[2]),
-        relative_covariance(child, parent),
-    )
+    x, y, z = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
+    off = spread(x, y, z, relative_covariance(child, parent))
     for i in range(3):
         learning.residual[i], learning.off[i] = u[i] - u_p[i], off[i]
     learning.variance = learning.at_once * tuning.row_memory_s / interval_s
@@ -101,13 +101,6 @@ def learn_joint_arms(
     for i in range(3):
         u[i] += K[i, 0] * change[0] + K[i, 1] * change[1] + K[i, 2] * change[2]
         u_p[i] += K_p[i, 0] * change[3] + K_p[i, 1] * change[4] + K_p[i, 2] * change[5]
-
-
-@compiled
-def ask_again(child: Segment, s: int, dt: float) -> None:
-    """Joint s has been asked; the first time joints begin at different instants."""
-    arms = child.arms
-    arms.since_s = 0.0 if math.isfinite(arms.since_s) else -dt * (s % PHASES)
 
 
 @compiled

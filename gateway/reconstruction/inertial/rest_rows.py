@@ -25,8 +25,9 @@ def note_rolling(state: State, work: Work, dt: float) -> None:
     Called before the prediction, which takes the rate over. A foot that begins to roll off is felt here at
     once; what it accelerates by always points ahead, and would tilt whoever walks straight on.
     """
-    for s in range(len(state.segments)):
-        segment, now = state.segments[s], work.segments[s]
+    segments, works = state.segments, work.segments
+    for s in range(len(segments)):
+        segment, now = segments[s], works[s]
         now.rolling = 0.0
         if now.stance_s > 0.0:
             change, square = 0.0, 0.0
@@ -43,8 +44,9 @@ def stance_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float)
     A segment that is not made to stand on may also move slowly and evenly, which its module's short window
     cannot tell from standing: its ``RestWatch`` must say so as well.
     """
-    for s in range(len(body.segments)):
-        segment, now, stands = state.segments[s], work.segments[s], body.segments[s].stands
+    links, segments, works = body.segments, state.segments, work.segments
+    for s in range(len(links)):
+        segment, now, stands = segments[s], works[s], links[s].stands
         rest = segment.rest
         is_still = stands == 1 or rest.still_s > tuning.rest_s
         if now.stance_s > 0.0 and is_still and now.validity == FORCE:

@@ -139,27 +139,27 @@ def update_tree(links: Records[Link], segments: Records[Segment], work: Work) ->
 
     The evidence is used up. Parents stand before their children; several segments may have none.
     """
-    n = len(links)
+    n, works, shared = len(links), work.segments, work.shared
     for s in range(n):
-        work.segments[s].is_known = 0
+        works[s].is_known = 0
     for s in range(n - 1, -1, -1):
-        p, now = links[s].parent, work.segments[s]
+        p, now = links[s].parent, works[s]
         if p < 0 and not now.is_known:
             inverse_into(now.known, segments[s].P)
         if p >= 0:
-            above = work.segments[p]
+            above = works[p]
             if not above.is_known:
                 inverse_into(above.known, segments[p].P)
                 above.is_known = 1
-            _gather(segments[s], now, above, work.shared)
+            _gather(segments[s], now, above, shared)
     for s in range(n):
-        p, now = links[s].parent, work.segments[s]
+        p, now = links[s].parent, works[s]
         if p < 0:
-            _add_into(work.shared.X, now.known, now.evidence.own)
-            inverse_into(segments[s].P, work.shared.X)
+            _add_into(shared.X, now.known, now.evidence.own)
+            inverse_into(segments[s].P, shared.X)
             times_vector_into(now.x, segments[s].P, now.evidence.own_vector)
         else:
-            _hand_down(segments[s], segments[p], now, work.segments[p])
+            _hand_down(segments[s], segments[p], now, works[p])
 
 
 @compiled
@@ -232,14 +232,15 @@ def update_outward(links: Records[Link], segments: Records[Segment], work: Work)
     evidence it leaves the information ``cc − cp (P_p⁻¹ + pp)⁻¹ cpᵀ`` about the child. What is then known of
     the orientation, and at rest of the bias, are blocks of three of the six states.
     """
+    works, shared = work.segments, work.shared
     for s in range(len(links)):
-        p, now, P = links[s].parent, work.segments[s], segments[s].P
+        p, now, P = links[s].parent, works[s], segments[s].P
         cc, own = now.evidence.cc, now.evidence.own
         if p >= 0 and cc[0, 0] + cc[1, 1] + cc[2, 2] > 0.0:
-            _integrate_parent_out(segments[p], now, work.segments[p], work.shared)
+            _integrate_parent_out(segments[p], now, works[p], shared)
         for first in range(0, 6, 3):
             if own[first, first] + own[first + 1, first + 1] + own[first + 2, first + 2] > 0.0:
-                _learn_three(P, own, first, work.shared)
+                _learn_three(P, own, first, shared)
         times_vector_into(now.x, P, now.evidence.own_vector)
 
 

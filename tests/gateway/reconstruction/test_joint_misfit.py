@@ -6,7 +6,7 @@ import pytest
 from gateway.emulation.fast_arm import fast_arm
 from gateway.reconstruction.inertial import chain_step
 from gateway.reconstruction.inertial.chain_rows import joint_row
-from gateway.reconstruction.inertial.chain_state import Validity, chain_body, initial_state, work_space
+from gateway.reconstruction.inertial.chain_state import Joint, Validity, chain_body, initial_state, work_space
 from gateway.reconstruction.inertial.tree_filter import clear
 from gateway.reconstruction.inertial.tuning import tuning
 
@@ -19,7 +19,9 @@ def after(seconds, off, segments=None):
     """Segments, and what the last row tells, of a joint of 10 m/s² whose sides are apart by ``off`` times
     what a single row is expected to be off by."""
     segments = initial_state(N, 1).segments if segments is None else segments
-    variance, now = 0.04, work_space(N).segments[2]
+    variance, work = 0.04, work_space(N).segments
+    now = work[2]
+    joint = Joint(BODY.segments[2], segments[2], segments[1], now, work[1])
     apart = off * np.sqrt(variance * DT / TUNING.row_memory_s) * np.array([1.0, -1.0, 1.0])
     for _ in range(round(seconds / DT)):
         clear(now.evidence)
@@ -27,7 +29,7 @@ def after(seconds, off, segments=None):
         now.u_parent[...] = 0.0, 0.0, 10.0
         now.u[...] = now.u_parent + apart
         now.row_variance = variance
-        joint_row(now, segments[2], segments[1], False, TUNING, DT)
+        joint_row(joint, False, TUNING, DT)
     return segments, now.evidence.cc[0, 0]
 
 

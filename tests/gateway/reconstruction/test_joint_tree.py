@@ -9,14 +9,16 @@ from gateway.geometry.rotation_matrix import from_rotation_vector
 from gateway.reconstruction.inertial import blocks as blocks_module
 from gateway.reconstruction.inertial import tree_filter
 from gateway.reconstruction.inertial.chain_state import (
+    PHASES,
     Evidence,
+    Joint,
     Learning,
     Link,
     SegmentWork,
     initial_state,
     work_space,
 )
-from gateway.reconstruction.inertial.lever_arms import ask_again, is_due, learn_joint_arms, learn_rows
+from gateway.reconstruction.inertial.lever_arms import is_due, learn_joint_arms, learn_rows
 from gateway.reconstruction.inertial.local_rows import derivative_weights
 from gateway.reconstruction.inertial.tuning import tuning
 
@@ -226,7 +228,8 @@ def test_joints_are_asked_about_their_arms_in_turn():
     """At 100 Hz every third frame; what their uncertainty adds to a row is told in every frame."""
     segments, learning, constants = initial_state(6, 0).segments, record(Learning), tuning()
     segments["arms"]["covariance"] = constants.lever_arm_offset**2 * np.eye(6)
-    now = records(SegmentWork, 6)
+    now, links = records(SegmentWork, 6), records(Link, 6)
+    links["phase"] = np.arange(6) % PHASES
     now["K"], learning.at_once = 20.0 * np.eye(3), 0.04
     asked = np.zeros((30, 6), bool)
     for frame in range(30):
@@ -235,8 +238,8 @@ def test_joints_are_asked_about_their_arms_in_turn():
             asked[frame, s] = is_due(segments[s], constants, 0.01)
             if asked[frame, s]:
                 before = segments[s].arms.covariance.copy()
-                learn_joint_arms(segments[s], segments[0], now[s], now[0], learning, constants)
-                ask_again(segments[s], s, 0.01)
+                joint = Joint(links[s], segments[s], segments[0], now[s], now[0])
+                learn_joint_arms(joint, learning, constants, 0.01)
                 assert (segments[s].arms.covariance != before).any()
             assert segments[s].arms.row_variance > 0.0
     assert asked[0, 1:].all()
