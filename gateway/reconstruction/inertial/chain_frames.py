@@ -70,7 +70,7 @@ class Filter(NamedTuple):
         """As ``advance`` takes it: Numba finds out the type of an array that is an argument of its own five
         times as fast as that of one in a tuple, or of a single record."""
         return (
-            self.wearing, self.body.segments, self.body.devices, array_of(self.body.world),
+            *self.wearing, self.body.segments, self.body.devices, array_of(self.body.world),
             self.state.segments, self.state.devices, array_of(self.state.clock), array_of(self.tuning),
             self.work.segments, array_of(self.work.shared),
         )  # fmt: skip
@@ -111,10 +111,25 @@ def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval
 
 @compiled
 def advance(
-    inputs: Inputs,
     resting: FloatArray,
     covariance: FloatArray,
-    wearing: Wearing,
+    time_ns: IntArray,
+    specific_force: FloatArray,
+    angular_rate: FloatArray,
+    magnetic_field: FloatArray,
+    status: StatusArray,
+    clipped: StatusArray,
+    root_position: FloatArray,
+    readings_end: IntArray,
+    readings: FloatArray,
+    sun: FloatArray,
+    module_of_segment: IntArray,
+    R_bs: FloatArray,
+    parents: IntArray,
+    offsets: FloatArray,
+    root_device: IntArray,
+    root_arm: FloatArray,
+    nominal_interval_ns: IntArray,
     links: Records[Link],
     mounts: Records[Mount],
     world: Records[World],
@@ -125,11 +140,18 @@ def advance(
     segments_work: Records[SegmentWork],
     shared: Records[SharedWork],
 ) -> Outputs:
-    """All instants in turn; after the first three arguments the parts of a ``Filter``.
+    """All instants in turn; after the first two arguments those of ``Inputs`` and the parts of a ``Filter``.
 
     resting: (T, n) for how long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that
     of the orientation errors, world axes, rad²; empty: not wanted.
     """
+    inputs = Inputs(
+        time_ns, specific_force, angular_rate, magnetic_field, status, clipped, root_position, readings_end,
+        readings, sun,
+    )  # fmt: skip
+    wearing = Wearing(
+        module_of_segment, R_bs, parents, offsets, root_device, root_arm, nominal_interval_ns
+    )  # fmt: skip
     body = Body(links, mounts, world[0])
     state, work = State(segments, devices, clock[0]), Work(segments_work, shared[0])
     return _advance(Filter(wearing, body, state, tuning[0], work), inputs, resting, covariance)

@@ -139,9 +139,9 @@ class ChainReconstructor:
         resting: (n_segments,) s for how long each has stood still, 0: not; see ``stance``.
         """
         q_wb, rate, acceleration, p_w, sigma, status = advance(
-            self._inputs_of_one(observation),
             self._never_resting if resting is None else resting[None],
             self._no_covariance,
+            *self._inputs_of_one(observation),
             *self._arrays,
         )
         return SkeletonFrame(
@@ -174,7 +174,7 @@ class ChainReconstructor:
     ) -> Poses:
         """The same in arrays. frames: the observations."""
         wanted = self._no_covariance if covariance is None else covariance
-        arrays = advance(self._inputs(observations, frames), resting, wanted, *self._arrays)
+        arrays = advance(resting, wanted, *self._inputs(observations, frames), *self._arrays)
         return Poses(
             [observation.sequence for observation in observations],
             [observation.time_ns for observation in observations],
