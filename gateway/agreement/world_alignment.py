@@ -6,6 +6,7 @@ alike, nor sit straight on it: that difference is constant, and told apart from 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,21 @@ from devices.deferred import Rotation
 from gateway.frames import FloatArray
 
 ROUNDS = 20
+_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+_PRODUCT = np.zeros((4, 4, 4))
+"""Component c of a ⊗ b is ``_PRODUCT[c, i, j] a_i b_j``."""
+for _i, _j, _c, _sign in (
+    (0, 0, 0, 1), (1, 1, 0, -1), (2, 2, 0, -1), (3, 3, 0, -1),
+    (0, 1, 1, 1), (1, 0, 1, 1), (2, 3, 1, 1), (3, 2, 1, -1),
+    (0, 2, 2, 1), (2, 0, 2, 1), (3, 1, 2, 1), (1, 3, 2, -1),
+    (0, 3, 3, 1), (3, 0, 3, 1), (1, 2, 3, 1), (2, 1, 3, -1),
+):  # fmt: skip
+    _PRODUCT[_c, _i, _j] = _sign
+_TIMES_CONJUGATE = _PRODUCT * _CONJUGATE
+"""Of a ⊗ b*."""
+_CONJUGATE_TIMES = _PRODUCT * _CONJUGATE[:, None]
+"""Of a* ⊗ b."""
 
 
 class WorldAlignment(NamedTuple):
@@ -36,19 +52,18 @@ def align_world(q: FloatArray, q_reference: FloatArray, with_mounting: bool = Tr
     n = q.shape[1]
     known = np.isfinite(q + q_reference).all(axis=2).reshape(-1, n)
     columns = [s for s in range(n) if known[:, s].any()]
-    estimates = [Rotation.from_quat(q[known[:, s], s], scalar_first=True) for s in columns]
-    wanted = [Rotation.from_quat(q_reference[known[:, s], s], scalar_first=True) for s in columns]
-    mountings = [Rotation.identity() for _ in columns]
-    heading = Rotation.identity()
+    scatters = [_scatter(q[known[:, s], s], q_reference[known[:, s], s]) for s in columns]
+    mountings = [_IDENTITY for _ in columns]
+    heading = _IDENTITY
     for _ in range(ROUNDS if with_mounting else 1):
-        off = [w * (e * m).inv() for w, e, m in zip(wanted, estimates, mountings, strict=True)]
-        heading = _mean_heading(np.concatenate([o.as_quat(scalar_first=True) for o in off]))
+        heading = _best_heading(scatters, mountings)
         if with_mounting:
-            mountings = [(e.inv() * heading.inv() * w).mean() for e, w in zip(estimates, wanted, strict=True)]
+            mountings = [_best_mounting(scatter, heading) for scatter in scatters]
     mounting = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     for s, rotation in zip(columns, mountings, strict=True):
-        mounting[s] = rotation.as_quat(scalar_first=True)
-    return WorldAlignment(float(heading.as_rotvec()[2]), mounting, np.zeros(n))
+        mounting[s] = rotation if rotation[0] >= 0.0 else -rotation
+    angle = 2.0 * math.atan2(heading[3], heading[0])
+    return WorldAlignment(math.remainder(angle, math.tau), mounting, np.zeros(n))
 
 
 def align_segments(q: FloatArray, q_reference: FloatArray, with_mounting: bool = True) -> WorldAlignment:
@@ -77,11 +92,32 @@ def aligned(q: FloatArray, alignment: WorldAlignment) -> FloatArray:
     return result
 
 
-def _mean_heading(q: FloatArray) -> Rotation:
-    """The rotation about the vertical nearest to all of (N, 4): largest eigenvector of the w–z scatter."""
-    wz = q[:, [0, 3]]
-    w, z = np.linalg.eigh(wz.T @ wz)[1][:, -1]
-    return Rotation.from_rotvec([0.0, 0.0, 2.0 * np.arctan2(z, w)])
+def _scatter(q: FloatArray, q_reference: FloatArray) -> FloatArray:
+    """(16, 16) second moments of the products of components, estimate's by reference's: all that the rounds
+    need."""
+    products = (q[:, :, None] * q_reference[:, None, :]).reshape(-1, 16)
+    result: FloatArray = products.T @ products
+    return result
+
+
+def _best_heading(scatters: list[FloatArray], mountings: list[FloatArray]) -> FloatArray:
+    """(4,) the rotation about the vertical nearest to all of ``reference ⊗ (estimate ⊗ mounting)*``: the
+    largest
+    eigenvector of the w–z scatter."""
+    total = np.zeros((2, 2))
+    for scatter, m in zip(scatters, mountings, strict=True):
+        # products of components (e, w) to w and z of w ⊗ m* ⊗ e*
+        turn = np.einsum("cwr,rje,j->cew", _PRODUCT, _TIMES_CONJUGATE, _CONJUGATE * m).reshape(4, 16)[[0, 3]]
+        total += turn @ scatter @ turn.T
+    w, z = np.linalg.eigh(total)[1][:, -1]
+    return np.array([w, 0.0, 0.0, z])
+
+
+def _best_mounting(scatter: FloatArray, heading: FloatArray) -> FloatArray:
+    """(4,) the rotation nearest to all of ``estimate* ⊗ heading* ⊗ reference``."""
+    turn = np.einsum("cer,rhw,h->cew", _CONJUGATE_TIMES, _PRODUCT, _CONJUGATE * heading).reshape(4, 16)
+    best: FloatArray = np.linalg.eigh(turn @ scatter @ turn.T)[1][:, -1]
+    return best
 
 
 def place_aligned(p: FloatArray, p_reference: FloatArray) -> FloatArray:
