@@ -14,7 +14,10 @@ import numpy as np
 from devices.deferred import Rotation
 from gateway.frames import FloatArray
 
-ROUNDS = 20
+HEADINGS = 64
+"""Tried all round before the best is looked at more closely."""
+ZOOMS = 8
+NARROWER = 8.0
 _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 _PRODUCT = np.zeros((4, 4, 4))
@@ -26,10 +29,6 @@ for _i, _j, _c, _sign in (
     (0, 3, 3, 1), (3, 0, 3, 1), (1, 2, 3, 1), (2, 1, 3, -1),
 ):  # fmt: skip
     _PRODUCT[_c, _i, _j] = _sign
-_TIMES_CONJUGATE = _PRODUCT * _CONJUGATE
-"""Of a ⊗ b*."""
-_CONJUGATE_TIMES = _PRODUCT * _CONJUGATE[:, None]
-"""Of a* ⊗ b."""
 
 
 class WorldAlignment(NamedTuple):
@@ -46,23 +45,21 @@ class WorldAlignment(NamedTuple):
 def align_world(q: FloatArray, q_reference: FloatArray, with_mounting: bool = True) -> WorldAlignment:
     """Heading, common to all segments, and mounting of each, that bring ``q`` (T, S, 4) nearest to the other.
 
-    Alternates between the two, each solved exactly. with_mounting: else all mountings are the identity.
-    Instants at which either is NaN are left out; a segment that has no other keeps the identity.
+    For every heading the best mountings are known in closed form; of the headings the best is searched for,
+    all round. with_mounting: else all mountings are the identity. Instants at which either is NaN are left
+    out; a segment that has no other keeps the identity.
     """
     n = q.shape[1]
     known = np.isfinite(q + q_reference).all(axis=2).reshape(-1, n)
     columns = [s for s in range(n) if known[:, s].any()]
     scatters = [_scatter(q[known[:, s], s], q_reference[known[:, s], s]) for s in columns]
-    mountings = [_IDENTITY for _ in columns]
-    heading = _IDENTITY
-    for _ in range(ROUNDS if with_mounting else 1):
-        heading = _best_heading(scatters, mountings)
-        if with_mounting:
-            mountings = [_best_mounting(scatter, heading) for scatter in scatters]
+    if with_mounting:
+        angle, mountings = _best_heading_and_mountings(scatters)
+    else:
+        angle, mountings = _best_heading(scatters), [_IDENTITY for _ in columns]
     mounting = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     for s, rotation in zip(columns, mountings, strict=True):
         mounting[s] = rotation if rotation[0] >= 0.0 else -rotation
-    angle = 2.0 * math.atan2(heading[3], heading[0])
     return WorldAlignment(math.remainder(angle, math.tau), mounting, np.zeros(n))
 
 
@@ -100,24 +97,43 @@ def _scatter(q: FloatArray, q_reference: FloatArray) -> FloatArray:
     return result
 
 
-def _best_heading(scatters: list[FloatArray], mountings: list[FloatArray]) -> FloatArray:
-    """(4,) the rotation about the vertical nearest to all of ``reference ⊗ (estimate ⊗ mounting)*``: the
-    largest
+def _best_heading(scatters: list[FloatArray]) -> float:
+    """rad: the rotation about the vertical nearest to all of ``reference ⊗ estimate*``, by the largest
     eigenvector of the w–z scatter."""
-    total = np.zeros((2, 2))
-    for scatter, m in zip(scatters, mountings, strict=True):
-        # products of components (e, w) to w and z of w ⊗ m* ⊗ e*
-        turn = np.einsum("cwr,rje,j->cew", _PRODUCT, _TIMES_CONJUGATE, _CONJUGATE * m).reshape(4, 16)[[0, 3]]
-        total += turn @ scatter @ turn.T
+    turn = np.einsum("cwe->cew", _PRODUCT * _CONJUGATE).reshape(4, 16)[[0, 3]]
+    total = sum((turn @ scatter @ turn.T for scatter in scatters), np.zeros((2, 2)))
     w, z = np.linalg.eigh(total)[1][:, -1]
-    return np.array([w, 0.0, 0.0, z])
+    return 2.0 * math.atan2(z, w)
 
 
-def _best_mounting(scatter: FloatArray, heading: FloatArray) -> FloatArray:
-    """(4,) the rotation nearest to all of ``estimate* ⊗ heading* ⊗ reference``."""
-    turn = np.einsum("cer,rhw,h->cew", _CONJUGATE_TIMES, _PRODUCT, _CONJUGATE * heading).reshape(4, 16)
-    best: FloatArray = np.linalg.eigh(turn @ scatter @ turn.T)[1][:, -1]
-    return best
+def _best_heading_and_mountings(scatters: list[FloatArray]) -> tuple[float, list[FloatArray]]:
+    """Return rad and (4,) each: the heading for which the mountings nearest to ``estimate* ⊗ heading* ⊗
+    reference`` are nearest in all."""
+    if not scatters:
+        return 0.0, []
+    moments = np.stack([_by_heading(scatter) for scatter in scatters])
+    best, reach = 0.0, math.pi
+    for zoom in range(ZOOMS + 1):
+        tried = best + reach * np.linspace(-1.0, 1.0, HEADINGS if zoom == 0 else 2 * int(NARROWER) + 1)
+        nearness = np.linalg.eigvalsh(_at(moments, tried))[..., -1].sum(axis=0)
+        best, reach = float(tried[np.argmax(nearness)]), 2.0 * (tried[1] - tried[0])
+    vectors = np.linalg.eigh(_at(moments, np.array([best]))[:, 0])[1][..., -1]
+    return best, list(vectors)
+
+
+def _by_heading(scatter: FloatArray) -> FloatArray:
+    """(3, 4, 4) factors of cos², cos sin and sin² of half the heading in the scatter of the mountings."""
+    turn = np.einsum("cer,rhw->hcew", _PRODUCT * _CONJUGATE[:, None], _PRODUCT * _CONJUGATE[:, None])
+    level, upright = turn[0].reshape(4, 16), turn[3].reshape(4, 16)
+    crossed = level @ scatter @ upright.T
+    return np.stack([level @ scatter @ level.T, crossed + crossed.T, upright @ scatter @ upright.T])
+
+
+def _at(moments: FloatArray, headings: FloatArray) -> FloatArray:
+    """(S, H, 4, 4) scatters of the mountings (S, 3, 4, 4) for headings (H,) rad."""
+    c, s = np.cos(0.5 * headings), np.sin(0.5 * headings)
+    result: FloatArray = np.einsum("kh,skij->shij", np.stack([c * c, c * s, s * s]), moments)
+    return result
 
 
 def place_aligned(p: FloatArray, p_reference: FloatArray) -> FloatArray:
