@@ -14,6 +14,7 @@ SUITES = (
     "gyro_free",
     "beginnings",
     "chains",
+    "never_worse",
     "speed",
     "signing",
     "latency",

@@ -17,7 +17,7 @@ MARKER_RATE_HZ = 100.0
 SLOW = 0.2
 """m/s: all markers of a foot at rest are slower."""
 SHORTEST_STANCE_S = 0.1
-_FIRST_MARKER_COLUMNS = {"left": (1, 7, 16), "right": (4, 10, 13)}  # toe, heel, ball; x of each
+FIRST_MARKER_COLUMNS = {"left": (1, 7, 16), "right": (4, 10, 13)}  # toe, heel, ball; x of each
 
 
 class FootRecording(NamedTuple):
@@ -61,7 +61,7 @@ def read_foot(folder: Path, side: str) -> FootRecording:
     markers = np.genfromtxt(folder / "mocap_sample.csv", delimiter=",", skip_header=2)
     first = 1 if side == "left" else 2
     times, marker_times = np.arange(len(imu)) / RATE_HZ, np.arange(len(markers)) / MARKER_RATE_HZ
-    places = np.stack([markers[:, c : c + 3] / 1000.0 for c in _FIRST_MARKER_COLUMNS[side]])
+    places = np.stack([markers[:, c : c + 3] / 1000.0 for c in FIRST_MARKER_COLUMNS[side]])
     speeds = np.linalg.norm(np.gradient(places, 1.0 / MARKER_RATE_HZ, axis=1), axis=2)
     middle = places.mean(axis=0)
     return FootRecording(

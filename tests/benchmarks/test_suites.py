@@ -39,6 +39,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "FLOOR_SECONDS": 5.0,
         "FLOOR_RUNS": 1,
     },
+    "never_worse": {"NAMES": ("clipped_101", "slow_arm_101")},
     "outputs": {"SECONDS": 0.5, "REPEATS": 1, "FLOOD": 200, "FROZEN_S": 1.0},
     "overload": {"MODULES": (17,), "RATES_HZ": (100,), "SECONDS": 0.5, "LONG_SECONDS": 2.0},
     "record": {"REPLAYED_S": 3.0, "REPEATS": 1},

@@ -1,0 +1,53 @@
+"""The recordings by part of the split, and the case of a name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from benchmarks.never_worse import store
+from benchmarks.never_worse.case import Case
+from benchmarks.never_worse.recordings import FAMILIES
+from benchmarks.never_worse.simulated import KINDS
+
+FILE = Path(__file__).with_name("split.yaml")
+PARTS = ("training", "validation")
+
+
+class Named(NamedTuple):
+    """A recording of the split."""
+
+    name: str
+    part: str
+    reason: str
+
+
+def table() -> dict[str, Any]:
+    """Return the split as it stands in its file."""
+    content: dict[str, Any] = yaml.safe_load(FILE.read_text(encoding="utf-8"))
+    return content
+
+
+def named(*parts: str) -> list[Named]:
+    """Return all recordings of some parts, seeds as names of their own."""
+    content, found = table(), []
+    for part in parts or PARTS:
+        found += [Named(name, part, reason) for name, reason in content[part]["recordings"].items()]
+        for kind, drawn in content[part]["simulated"].items():
+            found += [Named(f"{kind}_{seed}", part, drawn["reason"]) for seed in drawn["seeds"]]
+    return found
+
+
+def case(name: str) -> Case:
+    """Return the case of that name, kept on disk. Raises ``FileNotFoundError`` or ``ValueError`` where the
+    recording is not there."""
+    return store.kept(f"case-{name}-{store.code_digest()}", lambda: _made(name))
+
+
+def _made(name: str) -> Case:
+    kind, _, seed = name.rpartition("_")
+    if kind in KINDS:
+        return KINDS[kind](int(seed))
+    return FAMILIES[name.partition("_")[0]](name)
