@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 
 import aiomqtt
 import pytest
+import yaml
 
 from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeState, PoseMessage, describe_body
@@ -14,6 +16,7 @@ from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
 from gateway.support.credentials import AccessToken
 from gateway.viewer.gate import Door, Gate
+from tests.patience import PATIENCE_S
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
 playwright_api = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
@@ -83,3 +86,34 @@ async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitt
                 url for url in requested if url.startswith("blob:")
             }
         await publishing
+
+
+@pytest.mark.parametrize("maker", ["ximu3", "mti"])
+async def test_the_page_shows_a_body_that_modules_of_another_maker_move(
+    mosquitto, unused_port, chromium, command, tmp_path, maker
+):
+    emulate = ["emulate", "--speaks", maker, "--rig", "arm_3", "--on", "pty", "--link", tmp_path / "imu"]
+    emulated = command(*emulate, "--json")
+    links = json.loads(await emulated.until_it_says('"links"'))["links"]
+    config = tmp_path / "gateway.yaml"
+    settings = {"gateway": GATEWAY, "links": links, "rig": "arm_3", "mqtt": {"port": mosquitto.port}}
+    config.write_text(yaml.safe_dump(settings))
+    gateway = command("run", "-c", config)
+    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
+        await page.get_by_text(f"{GATEWAY}: online").wait_for()
+        seen = await picture_of(page)
+        async with asyncio.timeout(PATIENCE_S):
+            while await picture_of(page) == seen:
+                await asyncio.sleep(0.2)
+        gateway.terminate()
+        await gateway.ended()
+        await page.get_by_text("NO DATA for").or_(page.get_by_text("offline")).first.wait_for()
+        await asyncio.sleep(1.0)
+        still = await picture_of(page)
+        await asyncio.sleep(1.0)
+        assert await picture_of(page) == still  # what moved was the body
+
+
+async def picture_of(page):
+    """What the page shows left of its panel, which tells times."""
+    return await page.screenshot(clip={"x": 0, "y": 100, "width": 400, "height": 500})
