@@ -18,6 +18,7 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records, array_of
 from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.inertial.chain_state import (
+    NEVER_NS,
     Body,
     Clock,
     Device,
@@ -208,7 +209,7 @@ def _observe(work: Work, wearing: Wearing, inputs: Inputs, resting: FloatArray, 
 @compiled
 def _tick(clock: Clock, time_ns: int, nominal_interval_ns: int) -> float:
     """Seconds since the frame before; one that is not later leaves the clock as it is."""
-    if clock.first_ns < 0:
+    if clock.first_ns == NEVER_NS:
         clock.last_ns, clock.first_ns = time_ns - nominal_interval_ns, time_ns
     dt = 1e-9 * float(time_ns - clock.last_ns)
     if dt > SHORTEST_STEP_S:

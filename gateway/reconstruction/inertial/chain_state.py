@@ -240,8 +240,12 @@ class Device(Record):
     turn: Matrix  # all corrections since the first of them
 
 
+NEVER_NS = int(np.iinfo(np.int64).min)
+"""An instant before all others: times may be negative."""
+
+
 class Clock(Record):
-    """Of the filter; −1: no frame yet."""
+    """Of the filter; ``NEVER_NS``: no frame yet."""
 
     last_ns: int
     first_ns: int
@@ -384,7 +388,7 @@ class Work(NamedTuple):
 def initial_state(n: int, d: int) -> State:
     """Return that of n segments and d devices of which nothing is known."""
     state = State(records(Segment, n), records(Device, d), record(Clock))
-    state.clock.last_ns = state.clock.first_ns = -1
+    state.clock.last_ns = state.clock.first_ns = NEVER_NS
     state.segments["heading"] = Heading.UNOBSERVED
     state.segments["arms"]["since_s"] = np.inf
     state.devices["age_s"] = np.inf

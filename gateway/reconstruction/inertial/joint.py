@@ -24,7 +24,13 @@ from gateway.reconstruction.inertial.chain_frames import (
     advance,
     wearing_of,
 )
-from gateway.reconstruction.inertial.chain_state import State, chain_body, initial_state, work_space
+from gateway.reconstruction.inertial.chain_state import (
+    NEVER_NS,
+    State,
+    chain_body,
+    initial_state,
+    work_space,
+)
 from gateway.reconstruction.inertial.local_device import RootMotion, in_segment_axes
 from gateway.reconstruction.inertial.place_keeper import PlaceKeeper
 from gateway.reconstruction.inertial.sun_rows import stacked_sights
@@ -32,8 +38,8 @@ from gateway.reconstruction.inertial.time_reversal import turned_back
 from gateway.reconstruction.inertial.tuning import Tuning, tuning
 from gateway.reconstruction.stacked_frames import Poses, StackedFrames, stacked
 
-STATE_VERSION = 2
-"""Of what ``state`` returns. 1 had an array for every quantity and is not read any more."""
+STATE_VERSION = 3
+"""Of what ``state`` returns. 1 had an array for every quantity, 2 a clock that began at −1."""
 READINGS_AT_ONCE = 8
 """Of local devices, for which a live frame has room made beforehand."""
 
@@ -224,7 +230,7 @@ class ChainReconstructor:
     def _first_ns(self, observation: ImuFrame) -> int:
         """When the filter's seconds begin, if this may be its first frame."""
         first_ns = int(self._state.clock.first_ns)
-        return observation.time_ns if first_ns < 0 else first_ns
+        return observation.time_ns if first_ns == NEVER_NS else first_ns
 
     def _rows_of(self, observation: ImuFrame, first_ns: int) -> list[tuple[float, ...]]:
         """What the filter's devices say, each as a row of ``Inputs.readings``."""

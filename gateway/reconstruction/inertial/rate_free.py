@@ -91,7 +91,7 @@ class RateFreeReconstructor:
         self._logs = [empty_log(self._length) for _ in range(n)] if self._length > 1 else []
         self._held_logs = [hold(log) for log in self._logs]
         self._lag = field_lag.lag_finder(self._interval_s)
-        self._last_ns = np.full(n, -1, np.int64)
+        self._last_ns = np.full(n, np.iinfo(np.int64).min // 2)
         self._held_ns = np.full(n, np.iinfo(np.int64).min // 2)
         self._waiting: deque[SkeletonFrame] = deque()
 
@@ -112,9 +112,8 @@ class RateFreeReconstructor:
         f, m = observed.specific_force[s], observed.magnetic_field[s]
         since_s = (frame.time_ns - self._last_ns[s]) * 1e-9
         if observed.status[s] > Status.INTERPOLATED:
-            is_gone = self._last_ns[s] < 0 or since_s > self._settings.longest_gap_s
-            return Status.MISSING if is_gone else Status.PREDICTED
-        if self._last_ns[s] < 0 or since_s > self._settings.longest_gap_s:
+            return Status.MISSING if since_s > self._settings.longest_gap_s else Status.PREDICTED
+        if since_s > self._settings.longest_gap_s:
             return self._begin(s, f, m, frame.time_ns, int(observed.status[s]))
         if since_s <= 0.0:
             return int(observed.status[s])
