@@ -36,6 +36,7 @@ SUITES = (
     "overload",
     "held",
     "running",
+    "start",
     "optical",
     "video_speed",
     "camera_boards",

@@ -79,6 +79,7 @@ class Running:
     heard: Heard
     port: int
     """Of the link, where it has one."""
+    broker_port: int
 
     async def steady(self) -> None:
         """Raises ``TimeoutError`` where poses do not come at their rate at last."""
@@ -88,8 +89,10 @@ class Running:
 
 
 @contextlib.asynccontextmanager
-async def running(medium: str, environment: Mapping[str, str] | None = None) -> AsyncIterator[Running]:
-    """``run`` and ``emulate`` on a medium: pty, tcp or udp."""
+async def running(
+    medium: str, environment: Mapping[str, str] | None = None, tree: Path | None = None
+) -> AsyncIterator[Running]:
+    """``run`` and ``emulate`` on a medium: pty, tcp or udp. environment: of ``run``, tree: where that is."""
     with tempfile.TemporaryDirectory() as folder, Broker() as broker:
         config, pty, port = Path(folder) / "gateway.yaml", Path(folder) / "suit", free_port()
         url = str(pty) if medium == "pty" else f"{medium}://127.0.0.1:{port}"
@@ -108,23 +111,24 @@ async def running(medium: str, environment: Mapping[str, str] | None = None) -> 
         heard = Heard()
         listening = asyncio.create_task(_listen(broker.port, heard))
         begun_s = time.monotonic()
-        gateway = await _process("run", "-c", str(config), environment=environment)
+        gateway = await _process("run", "-c", str(config), environment=environment, tree=tree)
         try:
-            yield Running(gateway, begun_s, heard, port)
+            yield Running(gateway, begun_s, heard, port, broker.port)
         finally:
             listening.cancel()
             for process in (gateway, suit):
-                process.kill()
+                if process.returncode is None:
+                    process.kill()
                 await process.wait()
             await asyncio.gather(listening, return_exceptions=True)
 
 
 async def _process(
-    *arguments: str, environment: Mapping[str, str] | None = None
+    *arguments: str, environment: Mapping[str, str] | None = None, tree: Path | None = None
 ) -> asyncio.subprocess.Process:
     return await asyncio.create_subprocess_exec(
         sys.executable, "-m", "gateway", *arguments,
-        env=os.environ | (environment or {}),
+        env=os.environ | (environment or {}), cwd=tree,
         stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.DEVNULL,
     )  # fmt: skip
 

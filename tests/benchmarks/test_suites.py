@@ -52,11 +52,18 @@ SMALL: dict[str, dict[str, Any]] = {
         "CALM_AFTER_S": 2.0,
     },
     "sensors": {"SYNTHETIC": 3},
+    "start": {
+        "REPEATS": 1,
+        "TRIES": 1,
+        "ALTERNATIONS": 1,
+        "FRAMES": 5,
+        "SOLVE_NOTHING": (("config", "schema"),),
+    },
     "speed": {"REPEATS": 1, "GROWTH_FRAMES": 20},
 }
 """What makes a suite's constants those of a small case. Suites that are not here have none but their own."""
 ARGUMENTS: dict[str, dict[str, Any]] = {"record": {"seconds": 6.0, "kills": 1}}
-NEED_BROKER = {"faults", "held", "latency", "outputs", "record", "running"}
+NEED_BROKER = {"faults", "held", "latency", "outputs", "record", "running", "start"}
 
 
 def suite(name: str) -> ModuleType:
