@@ -1,4 +1,4 @@
-"""How long bytes of a link take to samples in gateway time, on one core, beside a floor of the same bytes."""
+"""How long bytes of a link take to samples and to frames, on one core, beside a floor of the same bytes."""
 
 from __future__ import annotations
 
@@ -21,8 +21,11 @@ from firmware_protocol import (
     relay_batch,
     wire_frame,
 )
+from gateway.body.skeleton import WornSuit
+from gateway.pipeline import Pipeline
 from gateway.sources.module_table import ClockMode
 from gateway.sources.stream import Stream
+from gateway.stages.frame_assembler import AssemblyParams
 
 REPEATS = 5
 OPENING = 0.5
@@ -30,21 +33,25 @@ OPENING = 0.5
 _LINK = "suit"
 
 
-def figures(chunks: Sequence[Chunk]) -> list[Figure]:
+def figures(chunks: Sequence[Chunk], suit: WornSuit, params: AssemblyParams) -> list[Figure]:
     """Return the time of a packet of 17 inertial modules by each way to send it. chunks: of relay batches."""
     instants = [(chunk.arrived_ns, _samples(chunk)) for chunk in chunks]
     batches = [_chunk(at_ns, encode_frame(_batch(packets))) for at_ns, packets in instants]
     frames = [(at_ns, _frame(packet)) for at_ns, packets in instants for packet in packets]
     singles = [_chunk(at_ns, encode_frame(frame)) for at_ns, frame in frames]
     on_can = [_chunk(at_ns, pack_can_records(fragment(frame))) for at_ns, frame in frames]
-    batch_us, readable_us, floor_us = _best_us(
-        lambda: _stream_s(batches), lambda: _stream_s(batches, is_compiled=False), lambda: _floor_s(batches)
+    batch_us, readable_us, frame_us, floor_us = _best_us(
+        lambda: _stream_s(batches),
+        lambda: _stream_s(batches, is_compiled=False),
+        lambda: _frames_s(batches, Pipeline(suit, params)),
+        lambda: _floor_s(batches),
     )
     single_us, can_us = _best_us(lambda: _stream_s(singles), lambda: _stream_s(on_can, Framing.CAN))
     packet = "one packet of a batch of 17: decoding, counters, its module's clock"
     alone = "every packet in a chunk of its own, to samples in gateway time"
     return [
         Figure("bytes_to_samples_us", batch_us, "µs", "<=1", packet),
+        Figure("bytes_to_frame_us", frame_us, "µs", "<=2", f"{packet}, its share of the frame of all 17"),
         Figure("bytes_to_samples_readable_us", readable_us, "µs", "", "the same the readable way"),
         Figure(
             "bytes_to_samples_floor_us",
@@ -90,6 +97,18 @@ def _stream_s(
     for chunk in chunks[first:]:
         stream.receive(chunk)
     return time.process_time() - begin, stream.readings - before
+
+
+def _frames_s(chunks: Sequence[Chunk], pipeline: Pipeline) -> tuple[float, int]:
+    """Return processor time of the way to frames of all modules, and samples, once clocks are known."""
+    pipeline.add_link(_LINK, Framing.BYTE_STREAM)
+    first = int(OPENING * len(chunks))
+    for chunk in chunks[:first]:
+        pipeline.imu_frames(chunk)
+    before, begin = pipeline.stream.readings, time.process_time()
+    for chunk in chunks[first:]:
+        pipeline.imu_frames(chunk)
+    return time.process_time() - begin, pipeline.stream.readings - before
 
 
 def _floor_s(batches: Sequence[Chunk]) -> tuple[float, int]:
