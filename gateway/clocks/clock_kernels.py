@@ -17,7 +17,7 @@ Clock = Any
 """A ``CLOCK``, whose fields are attributes in compiled code."""
 
 UNUSUAL = -(2**63)
-"""Instead of a full count."""
+"""Instead of a full count or an instant."""
 _HALF_US, _MASK = 1 << (COUNTER_BITS - 1), (1 << COUNTER_BITS) - 1
 
 
@@ -72,3 +72,10 @@ def follow_clock(clock: Clock, full_us: int, arrived_ns: int) -> int:
         return arrived_ns
     clock.clamped_us, clock.clamped_ns = elapsed_us, max(arrived_ns, clock.clamped_ns + 1)
     return int(clock.clamped_ns)
+
+
+@compiled
+def follow_usual(clocks: Clock, stamp_us: int, arrived_ns: int) -> int:
+    """Return the gateway time of a stamp, ns, or ``UNUSUAL``; then nothing is changed. clocks: (1,) CLOCK."""
+    full_us = full_count(clocks[0], stamp_us, arrived_ns)
+    return UNUSUAL if full_us == UNUSUAL else follow_clock(clocks[0], full_us, arrived_ns)

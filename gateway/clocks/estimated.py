@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.clocks.batching import LinkBatching
+from gateway.clocks.clock_kernels import UNUSUAL, follow_usual
 from gateway.clocks.clock_rows import CLOCK, ESTIMATED, MOST_PACKETS, new_clock
 from gateway.clocks.counter import Counter32
 from gateway.clocks.delay_floor import CRYSTAL, REMEMBERED, TRANSPORT, DelayFloor
@@ -53,10 +54,15 @@ class EstimatedClock(Row):
     _clamped_us, _clamped_ns = Integer(CLOCK, "clamped_us"), Integer(CLOCK, "clamped_ns")
     _block_end_us, _packets = Integer(CLOCK, "block_end_us"), Integer(CLOCK, "packets")
 
-    def __init__(self, batching: LinkBatching | None = None, memory: Memory | None = None) -> None:
-        """memory: of a ``CLOCK``, all zeros, where somebody else keeps the state."""
+    def __init__(
+        self, batching: LinkBatching | None = None, memory: Memory | None = None, *, is_compiled: bool = True
+    ) -> None:
+        """memory: of a ``CLOCK``, all zeros, where somebody else keeps the state. is_compiled: whether a
+        kernel takes the usual stamps; else all go the readable way, to the same result."""
         memory = new_clock() if memory is None else memory
         super().__init__(memory)
+        self._rows = memory.view(CLOCK)
+        self._is_compiled = is_compiled
         self._kind = ESTIMATED
         self._elapsed_us = part(memory, CLOCK, "elapsed_us").view(np.int64)
         self._delays_us = part(memory, CLOCK, "delays_us").view(np.float64)
@@ -91,6 +97,10 @@ class EstimatedClock(Row):
 
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
         """Gateway time in ns of a 32-bit stamp that arrived at ``arrived_ns``."""
+        if self._is_compiled:
+            time_ns = follow_usual(self._rows, module_time_us, arrived_ns)
+            if time_ns != UNUSUAL:
+                return time_ns
         since_ns = arrived_ns - self._start_ns
         full_us = self._counter.full_us(module_time_us, self._expected_us + since_ns // 1000, arrived_ns)
         if full_us is None:
@@ -129,14 +139,14 @@ class EstimatedClock(Row):
     def instant_ns(self, full_us: int) -> int:
         """Gateway time of a full count, by what is known now."""
         elapsed_us = full_us - self._start_us
-        return self._start_ns + elapsed_us * 1000 + int(self._published_us(elapsed_us) * 1000.0)
+        return self._start_ns + elapsed_us * 1000 + int(_published_us(self._line, elapsed_us) * 1000.0)
 
     def count_us(self, time_ns: int) -> float:
         """The full count at a gateway time, by what is known now."""
-        since_us = (time_ns - self._start_ns) * 1e-3
+        since_us, line = (time_ns - self._start_ns) * 1e-3, self._line
         # two steps: the offset changes by a small part of the change in time
-        elapsed_us = since_us - self._published_us(round(since_us))
-        elapsed_us = since_us - self._published_us(round(elapsed_us))
+        elapsed_us = since_us - _published_us(line, round(since_us))
+        elapsed_us = since_us - _published_us(line, round(elapsed_us))
         return self._start_us + elapsed_us
 
     def forget(self) -> None:
@@ -148,10 +158,9 @@ class EstimatedClock(Row):
         """The largest full count heard since the last start."""
         return self._counter.newest_us or 0
 
-    def _published_us(self, elapsed_us: int) -> float:
-        since_fit_us = elapsed_us - self._fit_us
-        fading = max(0.0, 1.0 - since_fit_us / self._fade_us)
-        return self._offset_us + self._rate * since_fit_us + self._correction_us * fading
+    @property
+    def _line(self) -> _Line:
+        return self._fit_us, self._offset_us, self._rate, self._correction_us, self._fade_us
 
     def _close_block(self, newest_us: int) -> None:
         """Take the packets since the last block into the estimate, and plan how to follow it."""
@@ -178,7 +187,7 @@ class EstimatedClock(Row):
 
     def _follow(self, newest_us: int, is_first: bool) -> None:
         """Take the new line as the one to publish; what it differs by now fades away at a bounded rate."""
-        published_us = self._published_us(newest_us)
+        published_us = _published_us(self._line, newest_us)
         moved_ppm = abs(self._back.rate_ppm - self._rate * 1e6)
         self._unrest_ppm += _UNREST_GAIN * (moved_ppm - self._unrest_ppm)
         offset_us, rate_ppm = self._back.offset_us(newest_us), self._back.rate_ppm
@@ -220,7 +229,7 @@ class EstimatedClock(Row):
         if round_trip.is_known:
             sigma_us = float(np.hypot(sigma_us, 0.5 * round_trip.sigma_us))
             bound_us = 0.5 * round_trip.offset_us(newest_us) + _BOUND_SIGMAS * sigma_us
-        published_ns = round(self._published_us(newest_us) * 1e3)
+        published_ns = round(_published_us(self._line, newest_us) * 1e3)
         return ClockFigures(
             offset_ns=self._start_ns - self._start_us * MICROSECOND_NS + published_ns,
             skew_ppm=(1.0 / (1.0 + self._rate) - 1.0) * 1e6,
@@ -230,3 +239,14 @@ class EstimatedClock(Row):
             steps=self._steps,
             rate_sigma_ppm=float(np.hypot(back.rate_sigma_ppm, _UNREST_SIGMAS * self._unrest_ppm)),
         )
+
+
+_Line = tuple[int, float, float, float, float]
+"""What is published, as the state has it: fit, offset, rate, correction, fade."""
+
+
+def _published_us(line: _Line, elapsed_us: int) -> float:
+    fit_us, offset_us, rate, correction_us, fade_us = line
+    since_fit_us = elapsed_us - fit_us
+    fading = max(0.0, 1.0 - since_fit_us / fade_us)
+    return offset_us + rate * since_fit_us + correction_us * fading

@@ -20,8 +20,10 @@ FREEZE_US = 20_000_000
 class TableClocks:
     """The clocks of all modules of one table."""
 
-    def __init__(self, table: ClockTable) -> None:
+    def __init__(self, table: ClockTable, *, is_compiled: bool = True) -> None:
+        """is_compiled: as for ``EstimatedClock``."""
         self.table = table
+        self.is_compiled = is_compiled
         self.reference: TableClock | None = None
         """Clock of the reference module, once it was heard."""
 
@@ -40,7 +42,7 @@ class TableClock:
         self._clocks = clocks
         self._module = module
         self._counter = Counter32()
-        self._estimate = EstimatedClock(batching)
+        self._estimate = EstimatedClock(batching, is_compiled=clocks.is_compiled)
         self._start_us = 0
         self._counts_per_us = 1.0
         self._ahead_us: float | None = None  # reference's corrected time minus this one's, same instant

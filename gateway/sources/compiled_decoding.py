@@ -175,12 +175,13 @@ class Follower:
         """Take the samples that are as usual; yield, in its place among them, each packet that is not."""
         table, readings, at, n = self._table, self._readings, 0, entries.n
         while at < n:
-            at, readings.n_rows, n_events = follow(
-                at, n, chunk.arrived_ns, table.losses(chunk.link).chunk, entries.rows, entries.raw,
-                table.rows, readings.rows, readings.n_rows, entries.events,
-            )  # fmt: skip
-            if n_events:
-                self._note(entries.events[:n_events], chunk.link)
+            if at not in entries.packets:
+                at, readings.n_rows, n_events = follow(
+                    at, n, chunk.arrived_ns, table.losses(chunk.link).chunk, entries.rows, entries.raw,
+                    table.rows, readings.rows, readings.n_rows, entries.events,
+                )  # fmt: skip
+                if n_events:
+                    self._note(entries.events[:n_events], chunk.link)
             if at < n:
                 yield entries.packet(at)
                 at += 1

@@ -74,8 +74,13 @@ class ModuleTable:
     """
 
     def __init__(
-        self, clock_mode: ClockMode = ClockMode.ESTIMATED, clock_table: ClockTable | None = None
+        self,
+        clock_mode: ClockMode = ClockMode.ESTIMATED,
+        clock_table: ClockTable | None = None,
+        *,
+        is_compiled: bool = True,
     ) -> None:
+        """is_compiled: whether kernels take the usual stamps; else all go the readable way."""
         self.records: dict[int, ModuleRecord] = {}
         """By module id."""
         self._losses: dict[str, LinkLosses] = {}
@@ -85,7 +90,7 @@ class ModuleTable:
         """What compiled code shares of them, by module id."""
         self.is_followed = clock_mode not in {ClockMode.TABLE, ClockMode.SYNCHRONISED}
         """Whether compiled code knows the clocks."""
-        self._new_clock = _clock_factory(clock_mode, clock_table)
+        self._new_clock = _clock_factory(clock_mode, clock_table, is_compiled)
 
     def add_link(self, name: str) -> None:
         """Announce a link, before its first chunk."""
@@ -186,7 +191,7 @@ class ModuleTable:
         return {str(module): record.summary() for module, record in self.records.items()}
 
 
-def _clock_factory(mode: ClockMode, table: ClockTable | None) -> _NewClock:
+def _clock_factory(mode: ClockMode, table: ClockTable | None, is_compiled: bool) -> _NewClock:
     if mode is ClockMode.SHARED:
         shared = SharedOffset()
         return lambda _module, _batching, memory: SharedClock(shared, memory)
@@ -195,6 +200,6 @@ def _clock_factory(mode: ClockMode, table: ClockTable | None) -> _NewClock:
         together = SynchronisedClocks()
         return lambda _module, batching, _memory: together.clock(batching)
     if mode is ClockMode.TABLE and table is not None:
-        clocks = TableClocks(table)
+        clocks = TableClocks(table, is_compiled=is_compiled)
         return lambda module, batching, _memory: clocks.clock(module, batching)
-    return lambda _module, batching, memory: EstimatedClock(batching, memory)
+    return lambda _module, batching, memory: EstimatedClock(batching, memory, is_compiled=is_compiled)

@@ -79,11 +79,12 @@ class Stream:
         sources, where there are others; then clock_mode and clock_table are its own. is_compiled: whether
         kernels take the usual samples; else all goes the readable way, to the same result."""
         self.triggers = triggers
-        self.table = table or ModuleTable(clock_mode, clock_table)
+        self.table = table or ModuleTable(clock_mode, clock_table, is_compiled=is_compiled)
         self.modules = self.table.records
         self.echoed = 0
         """Packets of a host, ours or another one's, that came back over a bus."""
-        self._is_compiled = is_compiled
+        # samples of other clocks, and answers to triggers, are all for Python
+        self._is_compiled = is_compiled and self.table.is_followed and triggers is None
         self._readings = Readings()
         self._entries = Entries()
         self._follower = Follower(self.table, self._readings)
@@ -92,8 +93,6 @@ class Stream:
         self._listeners: dict[type[Packet], list[Listener]] = {}
         self._exchanges = TimeExchanges(self.modules)
         self.listen(SyncResponse, self._exchanges.answered)
-        for kind in SHARED_KINDS:
-            self._share(kind)
 
     @classmethod
     def of(cls, context: SourceContext) -> Stream:
@@ -125,8 +124,7 @@ class Stream:
     def _share(self, kind: int) -> None:
         """Have kernels take the samples of a kind, unless somebody is to see each of them."""
         if kind in SHARED_KINDS:
-            is_seen = self.triggers is not None or bool(self._listeners.get(PACKETS[kind]))
-            self._entries.leave_samples(kind, is_seen or not self.table.is_followed)
+            self._entries.leave_samples(kind, bool(self._listeners.get(PACKETS[kind])))
 
     def receive(self, chunk: Chunk) -> list[Reading]:
         """The readings that a chunk completes, in order of arrival."""
