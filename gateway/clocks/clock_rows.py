@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.clocks.counter import COUNTER32
-from gateway.support.rows import Memory, memory_of
 
 MOST_PACKETS = 2_000
 """Of one block, so that a module with a runaway rate does not make it dearer; and of the opening."""
@@ -37,8 +36,3 @@ CLOCK = np.dtype(
     ]
 )
 """A clock; µs of the module's clock since ``start_us`` unless their name says otherwise."""
-
-
-def new_clock() -> Memory:
-    """Return the memory of a clock of its own."""
-    return memory_of(np.zeros(1, CLOCK))

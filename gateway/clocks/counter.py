@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.support.rows import Integer, Memory, Row, memory_of
+from gateway.support.rows import Memory, Row, fields_of
 
 COUNTER_BITS = 32
 _PERIOD_US = 1 << COUNTER_BITS
@@ -47,14 +47,17 @@ class Counter32(Row):
     Transport only delays: a stamp may be behind what is expected at its arrival, never ahead of it.
     """
 
-    restarts = Integer(COUNTER32, "restarts")
-    _is_running, _newest_us = Integer(COUNTER32, "is_running"), Integer(COUNTER32, "newest_us")
-    _is_late, _late_since_ns = Integer(COUNTER32, "is_late"), Integer(COUNTER32, "late_since_ns")
-    _late_by_us = Integer(COUNTER32, "late_by_us")
+    layout = COUNTER32
+    _fields_ = fields_of(COUNTER32, "restarts")
+    restarts: int
+    _is_running: int
+    _newest_us: int
+    _is_late: int
+    _late_since_ns: int
+    _late_by_us: int
 
-    def __init__(self, memory: Memory | None = None) -> None:
+    def __init__(self, *, memory: Memory | None = None) -> None:
         """memory: of a ``COUNTER32``, all zeros, where somebody else keeps the state."""
-        super().__init__(memory_of(np.zeros(1, COUNTER32)) if memory is None else memory)
 
     @property
     def newest_us(self) -> int | None:

@@ -6,12 +6,12 @@ import numpy as np
 
 from gateway.clocks.batching import LinkBatching
 from gateway.clocks.clock_kernels import UNUSUAL, follow_usual
-from gateway.clocks.clock_rows import CLOCK, ESTIMATED, MOST_PACKETS, new_clock
+from gateway.clocks.clock_rows import CLOCK, ESTIMATED, MOST_PACKETS
 from gateway.clocks.counter import Counter32
 from gateway.clocks.delay_floor import CRYSTAL, REMEMBERED, TRANSPORT, DelayFloor
 from gateway.clocks.module_clock import MICROSECOND_NS, ClockFigures
 from gateway.frames import FloatArray
-from gateway.support.rows import Integer, Memory, Real, Row, part
+from gateway.support.rows import Memory, Row, fields_of, part
 
 _FIRST_BLOCK_US = 50_000
 _BLOCK_US = 1_000_000
@@ -46,28 +46,38 @@ class EstimatedClock(Row):
     offset, and it lies in their middle where the two ways are alike.
     """
 
-    _kind = Integer(CLOCK, "kind")
-    _start_us, _start_ns = Integer(CLOCK, "start_us"), Integer(CLOCK, "start_ns")
-    _expected_us = Integer(CLOCK, "expected_us")
-    _fit_us, _offset_us, _rate = Integer(CLOCK, "fit_us"), Real(CLOCK, "offset_us"), Real(CLOCK, "rate")
-    _correction_us, _fade_us = Real(CLOCK, "correction_us"), Real(CLOCK, "fade_us")
-    _clamped_us, _clamped_ns = Integer(CLOCK, "clamped_us"), Integer(CLOCK, "clamped_ns")
-    _block_end_us, _packets = Integer(CLOCK, "block_end_us"), Integer(CLOCK, "packets")
+    layout = CLOCK
+    _fields_ = fields_of(CLOCK)
+    _kind: int
+    _start_us: int
+    _start_ns: int
+    _expected_us: int
+    _fit_us: int
+    _offset_us: float
+    _rate: float
+    _correction_us: float
+    _fade_us: float
+    _clamped_us: int
+    _clamped_ns: int
+    _block_end_us: int
+    _packets: int
 
     def __init__(
-        self, batching: LinkBatching | None = None, memory: Memory | None = None, *, is_compiled: bool = True
+        self,
+        batching: LinkBatching | None = None,
+        *,
+        memory: Memory | None = None,
+        is_compiled: bool = True,
     ) -> None:
         """memory: of a ``CLOCK``, all zeros, where somebody else keeps the state. is_compiled: whether a
         kernel takes the usual stamps; else all go the readable way, to the same result."""
-        memory = new_clock() if memory is None else memory
-        super().__init__(memory)
-        self._rows = memory.view(CLOCK)
-        self._is_compiled = is_compiled
         self._kind = ESTIMATED
-        self._elapsed_us = part(memory, CLOCK, "elapsed_us").view(np.int64)
-        self._delays_us = part(memory, CLOCK, "delays_us").view(np.float64)
+        self._rows = self.memory.view(CLOCK)
+        self._elapsed = part(self.memory, CLOCK, "elapsed_us").view(np.int64)
+        self._delays = part(self.memory, CLOCK, "delays_us").view(np.float64)
+        self._is_compiled = is_compiled
         self._batching = batching or LinkBatching()
-        self._counter = Counter32(part(memory, CLOCK, "counter"))
+        self._counter = Counter32(memory=part(self.memory, CLOCK, "counter"))
         self._back = DelayFloor(CRYSTAL)  # module to host: every packet
         self._round_trip = DelayFloor(TRANSPORT)  # exchanges only; by the clock of the way back
         self._steps = 0
@@ -107,8 +117,8 @@ class EstimatedClock(Row):
             self._begin(module_time_us, arrived_ns)
             full_us, since_ns = module_time_us, 0
         elapsed_us, packets = full_us - self._start_us, self._packets
-        self._elapsed_us[packets] = elapsed_us
-        self._delays_us[packets] = since_ns * 1e-3 - elapsed_us
+        self._elapsed[packets] = elapsed_us
+        self._delays[packets] = since_ns * 1e-3 - elapsed_us
         self._packets = packets + 1
         if elapsed_us >= self._block_end_us or packets >= MOST_PACKETS:
             self._close_block(elapsed_us)
@@ -132,7 +142,7 @@ class EstimatedClock(Row):
         self.gateway_time(replied_us, arrived_ns)
         if self.restarts == restarts:
             packets = self._packets
-            newest_us = int(self._elapsed_us[packets - 1]) if packets else self._fit_us
+            newest_us = int(self._elapsed[packets - 1]) if packets else self._fit_us
             elapsed_us = newest_us - (replied_us - received_us) % 2**32
             self._exchanges.append((elapsed_us, elapsed_us - (sent_ns - self._start_ns) * 1e-3))
 
@@ -167,11 +177,11 @@ class EstimatedClock(Row):
         newest_us = max(newest_us, self._fit_us)
         is_first = not self._back.is_known
         packets = self._packets
-        elapsed_s = (self._elapsed_us[:packets].astype(np.float64) - newest_us) * 1e-6
+        elapsed_s = (self._elapsed[:packets].astype(np.float64) - newest_us) * 1e-6
         if self._is_opening:
             self._back.take_back(forgets_delays=self._slot_is_news())
             self._round_trip.take_back()
-        self._back.update(newest_us, elapsed_s, self._delays_us[:packets], self._slot_us(elapsed_s))
+        self._back.update(newest_us, elapsed_s, self._delays[:packets], self._slot_us(elapsed_s))
         if self._exchanges:
             received = np.array(self._exchanges)  # (n, 2): module time, delay of the way there
             since_s = (received[:, 0] - newest_us) * 1e-6

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from gateway.clocks.clock_rows import CLOCK, SHARED, new_clock
+from gateway.clocks.clock_rows import CLOCK, SHARED
 from gateway.clocks.counter import Counter32
-from gateway.support.rows import Integer, Memory, Row, part
+from gateway.support.rows import Memory, Row, fields_of, part
 
 MICROSECOND_NS = 1000
 SAME_CLOCK_NS = 2_000_000_000
@@ -68,16 +68,22 @@ class SharedOffset:
 class SharedClock(Row):
     """A module that counts the same clock as its fellows: one offset for all, rate as stamped."""
 
-    _kind = Integer(CLOCK, "kind")
-    _offset_ns, _arrived_ns = Integer(CLOCK, "start_ns"), Integer(CLOCK, "heard_ns")
+    layout = CLOCK
+    _fields_ = fields_of(CLOCK)
+    _kind: int
+    _start_ns: int
+    _heard_ns: int
 
-    def __init__(self, shared: SharedOffset, memory: Memory | None = None) -> None:
+    def __init__(
+        self,
+        shared: SharedOffset,
+        *,
+        memory: Memory | None = None,
+    ) -> None:
         """memory: of a ``CLOCK``, all zeros, where somebody else keeps the state."""
-        memory = new_clock() if memory is None else memory
-        super().__init__(memory)
         self._kind = SHARED
         self._shared = shared
-        self._counter = Counter32(part(memory, CLOCK, "counter"))
+        self._counter = Counter32(memory=part(self.memory, CLOCK, "counter"))
 
     @property
     def restarts(self) -> int:
@@ -86,14 +92,14 @@ class SharedClock(Row):
     def gateway_time(self, module_time_us: int, arrived_ns: int) -> int:
         # from packet to packet: data may be played faster than they were taken, and nothing is estimated
         newest_us = self._counter.newest_us
-        expected_us = (newest_us or 0) + (arrived_ns - self._arrived_ns) // MICROSECOND_NS
+        expected_us = (newest_us or 0) + (arrived_ns - self._heard_ns) // MICROSECOND_NS
         full_us = self._counter.full_us(module_time_us, expected_us, arrived_ns)
         if full_us is None or self._counter.newest_us != newest_us:
-            self._arrived_ns = arrived_ns
+            self._heard_ns = arrived_ns
         if full_us is None:
             full_us = module_time_us
-            self._offset_ns = self._join(module_time_us * MICROSECOND_NS, arrived_ns)
-        return full_us * MICROSECOND_NS + self._offset_ns
+            self._start_ns = self._join(module_time_us * MICROSECOND_NS, arrived_ns)
+        return full_us * MICROSECOND_NS + self._start_ns
 
     def _join(self, time_ns: int, arrived_ns: int) -> int:
         """The common offset, or a new one when this module's stamps cannot belong to it."""
@@ -103,4 +109,4 @@ class SharedClock(Row):
         return shared
 
     def figures(self) -> ClockFigures:
-        return ClockFigures(self._offset_ns, 0.0)
+        return ClockFigures(self._start_ns, 0.0)

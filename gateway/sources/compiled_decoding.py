@@ -31,7 +31,7 @@ from gateway.sources.wire_layout import (
     UNKNOWN,
     treatments,
 )
-from gateway.support.rows import Integer, Row, memory_of
+from gateway.support.rows import Row, fields_of
 
 _FIRST_BYTES = 4096
 
@@ -100,12 +100,14 @@ class Entries:
 class CompiledDecoder(Row):
     """Takes a stream of bytes apart in compiled code. ``feed`` never raises; what is dropped is counted."""
 
-    _damaged, _n_left = Integer(DECODER, "damaged"), Integer(DECODER, "n_left")
+    layout = DECODER
+    _fields_ = fields_of(DECODER)
+    _damaged: int
+    _n_left: int
 
     def __init__(self, entries: Entries) -> None:
         """entries: where packets are put."""
-        self._row = np.zeros(1, DECODER)
-        super().__init__(memory_of(self._row))
+        self._row = self.memory.view(DECODER)
         self._entries = entries
         self._partial = b""
         self._others = PacketDecoder(FrameDecoder())

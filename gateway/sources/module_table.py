@@ -145,7 +145,7 @@ class ModuleTable:
             waits = self._batching if relayed_us is None else self._relays
             memory = memory_of(self.rows, module)
             clock = self._new_clock(module, waits[chunk.link], part(memory, MODULE, "clock"))
-            record = ModuleRecord(module, clock, chunk.arrived_ns, memory)
+            record = ModuleRecord(module, clock, chunk.arrived_ns, memory=memory)
             self.records[module] = record
         restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(module_time_us, chunk.arrived_ns)
@@ -194,7 +194,7 @@ class ModuleTable:
 def _clock_factory(mode: ClockMode, table: ClockTable | None, is_compiled: bool) -> _NewClock:
     if mode is ClockMode.SHARED:
         shared = SharedOffset()
-        return lambda _module, _batching, memory: SharedClock(shared, memory)
+        return lambda _module, _batching, memory: SharedClock(shared, memory=memory)
     warm_up()
     if mode is ClockMode.SYNCHRONISED:
         together = SynchronisedClocks()
@@ -202,4 +202,4 @@ def _clock_factory(mode: ClockMode, table: ClockTable | None, is_compiled: bool)
     if mode is ClockMode.TABLE and table is not None:
         clocks = TableClocks(table, is_compiled=is_compiled)
         return lambda module, batching, _memory: clocks.clock(module, batching)
-    return lambda _module, batching, memory: EstimatedClock(batching, memory, is_compiled=is_compiled)
+    return lambda _module, batching, memory: EstimatedClock(batching, memory=memory, is_compiled=is_compiled)

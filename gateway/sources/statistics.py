@@ -6,13 +6,11 @@ from bisect import bisect_right
 from collections import Counter, deque
 from dataclasses import dataclass
 
-import numpy as np
-
 from firmware_protocol import DeviceInfo, Health
 from gateway.clocks import ModuleClock, unwrap
 from gateway.sources.losses import Cause, LinkLosses
 from gateway.sources.module_rows import MODULE, SEQUENCE, SHARED_KINDS
-from gateway.support.rows import Integer, Memory, Row, memory_of, part
+from gateway.support.rows import Memory, Row, fields_of, memory_of, part
 
 SEQUENCE_BITS = 16
 MANY_RESTARTS, RESTLESS_NS = 3, 10_000_000_000
@@ -47,13 +45,17 @@ class SequenceCounter(Row):
     Numbers are untrusted: what a packet costs does not depend on how far its number jumps.
     """
 
-    received = Integer(SEQUENCE, "received")
-    _newest, _first, _shift = (Integer(SEQUENCE, name) for name in ("newest", "first", "shift"))
-    _goes_on, _heard_in = Integer(SEQUENCE, "goes_on"), Integer(SEQUENCE, "heard_in")
+    layout = SEQUENCE
+    _fields_ = fields_of(SEQUENCE, "received")
+    received: int
+    _newest: int
+    _first: int
+    _shift: int
+    _goes_on: int
+    _heard_in: int
 
-    def __init__(self, memory: Memory | None = None) -> None:
+    def __init__(self, *, memory: Memory | None = None) -> None:
         """memory: of a ``SEQUENCE``, all zeros, where somebody else keeps the state."""
-        super().__init__(memory_of(np.zeros(1, SEQUENCE)) if memory is None else memory)
         self.lost_by: Counter[Cause] = Counter()
         """Packets that have not come, by what may have befallen them."""
         self.duplicates = 0
@@ -149,14 +151,19 @@ def _order(length: int) -> int:
 class ModuleRecord(Row):
     """All that is known of a module (or local measuring device) on the air."""
 
-    last_arrival_ns = Integer(MODULE, "last_arrival_ns")
+    layout = MODULE
+    _fields_ = fields_of(MODULE, "last_arrival_ns")
+    last_arrival_ns: int
 
     def __init__(
-        self, module: int, clock: ModuleClock, first_arrival_ns: int = 0, memory: Memory | None = None
+        self,
+        module: int,
+        clock: ModuleClock,
+        first_arrival_ns: int = 0,
+        *,
+        memory: Memory | None = None,
     ) -> None:
         """memory: of a ``MODULE``, where somebody else keeps the state."""
-        memory = memory_of(np.zeros(1, MODULE)) if memory is None else memory
-        super().__init__(memory)
         self.module = module
         self.clock = clock
         self.first_arrival_ns = first_arrival_ns
@@ -166,7 +173,7 @@ class ModuleRecord(Row):
         self.health: Health | None = None
         self.restarted_ns: deque[int] = deque(maxlen=MANY_RESTARTS)
         """When its clock was found to begin anew, the last times."""
-        self._shared = part(memory, MODULE, "sequences").view(SEQUENCE)
+        self._shared = part(self.memory, MODULE, "sequences").view(SEQUENCE)
 
     def counter(self, kind: int) -> SequenceCounter:
         """The counter of a kind of packet, a new one at first."""
@@ -174,7 +181,7 @@ class ModuleRecord(Row):
         if counter is None:
             place = SHARED_KINDS.get(kind)
             memory = None if place is None else memory_of(self._shared, place)
-            counter = self.sequences[kind] = SequenceCounter(memory)
+            counter = self.sequences[kind] = SequenceCounter(memory=memory)
         return counter
 
     @property

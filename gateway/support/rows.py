@@ -7,16 +7,15 @@ as plain ``int`` and ``float``, so that neither copies anything to the other.
 
 from __future__ import annotations
 
-from typing import Any
+import ctypes
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 Memory = NDArray[np.uint8]
 """The bytes of one row, or of a part of one."""
-
-WORD = 8
-"""Bytes of a number."""
 
 
 def memory_of(rows: NDArray[Any], row: int = 0) -> Memory:
@@ -32,39 +31,37 @@ def part(memory: Memory, layout: np.dtype[Any], name: str) -> Memory:
     return memory[begin : begin + declared.itemsize]
 
 
-class Row:
-    """One row; classes that extend it name the numbers by ``Integer`` and ``Real``."""
-
-    def __init__(self, memory: Memory) -> None:
-        self.integers = memory.data.cast("q")
-        self.reals = memory.data.cast("d")
-
-
-class _Number:
-    """Place of a number in the rows of a layout."""
-
-    def __init__(self, layout: np.dtype[Any], name: str) -> None:
-        assert layout.fields is not None
-        declared, begin = layout.fields[name][:2]
-        assert declared.itemsize == WORD, f"{name} is not a number of eight bytes"
-        self.place = begin // WORD
+def fields_of(layout: np.dtype[Any], *public: str) -> list[tuple[str, Any]]:
+    """Return the ``_fields_`` of a ``Row``: the numbers of a layout by name, those not ``public`` with ``_``
+    before it. What is no number is left to ``part``."""
+    assert layout.fields is not None
+    found: list[tuple[str, Any]] = []
+    for name, (declared, *_) in layout.fields.items():
+        if declared in _NUMBERS:
+            found.append((name if name in public else f"_{name}", _NUMBERS[declared]))
+        else:
+            found.append((f"{name}_bytes", ctypes.c_uint8 * declared.itemsize))
+    return found
 
 
-class Integer(_Number):
-    """An integer of a row as an attribute; stores raise ``ValueError`` beyond 64 bits."""
-
-    def __get__(self, row: Row, _owner: type[Row] | None = None) -> int:
-        return row.integers[self.place]
-
-    def __set__(self, row: Row, value: int) -> None:
-        row.integers[self.place] = value
+_NUMBERS: Mapping[object, type] = {
+    np.dtype(np.int64): ctypes.c_int64,
+    np.dtype(np.float64): ctypes.c_double,
+}
 
 
-class Real(_Number):
-    """A floating-point number of a row as an attribute."""
+class Row(ctypes.Structure):
+    """One row. A class that extends it names its ``layout``, has ``_fields_ = fields_of(layout)`` and
+    annotates those that it uses; integers wrap at 64 bits."""
 
-    def __get__(self, row: Row, _owner: type[Row] | None = None) -> float:
-        return row.reals[self.place]
+    layout: ClassVar[np.dtype[Any]]
 
-    def __set__(self, row: Row, value: float) -> None:
-        row.reals[self.place] = value
+    def __new__(cls, *_arguments: object, memory: Memory | None = None, **_named: object) -> Self:
+        """Return a row of its own, all zeros, or the one that has this memory."""
+        kept = memory_of(np.zeros(1, cls.layout)) if memory is None else memory
+        return cls.from_buffer(kept.data)
+
+    @property
+    def memory(self) -> Memory:
+        """The bytes of the row, not a copy of them."""
+        return np.frombuffer(memoryview(self), np.uint8)
