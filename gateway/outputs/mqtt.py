@@ -457,7 +457,7 @@ class MqttOutput:
     def _encoded(self, frame: SkeletonFrame) -> list[Outgoing] | None:
         """Return the messages of a pose; None for one that cannot be encoded, which is dropped."""
         try:
-            return list(self._publications.of(frame))
+            return self._publications.of(frame)
         except Exception as error:
             self._dropped += 1
             self._complain("pose", f"a pose cannot be encoded ({error!r}): it is dropped")

@@ -1,7 +1,9 @@
 """The messages that one skeleton frame becomes.
 
-Runs for every published frame, so it goes round the models of messages: whole arrays are rounded and
-turned into lists at once, and what seldom changes (the status of the segments) is kept.
+Runs for every published frame, so it goes round the models of messages: whole arrays are rounded at once, and
+what seldom changes (the status of the segments) is kept. At 100 Hz each call finds the processor's caches
+cold, so that the number of steps counts more than what each of them does: the usual frame, all of whose
+numbers are finite, is written as text into a template.
 """
 
 from __future__ import annotations
@@ -79,10 +81,56 @@ class PoseEncoder:
         self._joint_angles = joint_angles if PoseMap.JOINT_ANGLES in include else None
         self._status_key = b""
         self._status: dict[str, str] = {}
+        self._scale = 1.0 if decimals is None else 10.0**decimals
+        self._template_key: tuple[int, bytes] | None = None
+        self._template = b""
+        self._rounded = {"q_wb": np.empty((len(segment_names), 4))}
+        for _, attribute in self._maps:
+            self._rounded[attribute] = np.empty(_shape_of(attribute, len(segment_names)))
 
     def encode(self, frame: SkeletonFrame) -> bytes:
-        """JSON bytes of a ``PoseMessage``."""
-        return as_json(self.message(frame))
+        """JSON bytes of a ``PoseMessage``. Raises ``ValueError`` for a frame of another skeleton."""
+        text = None if self._joint_angles is not None else self._usual_text(frame)
+        return as_json(self.message(frame)) if text is None else text
+
+    def _usual_text(self, frame: SkeletonFrame) -> bytes | None:
+        """Write what ``message`` says as JSON.
+
+        None for a frame of another size, or with numbers that are not finite, whose rows are null as a whole.
+        """
+        rows: list[bytes] = []
+        for attribute, rounded in self._rounded.items():
+            values: FloatArray = getattr(frame, attribute)
+            if values.shape != rounded.shape:
+                return None
+            if self._decimals is None:
+                np.copyto(rounded, values)
+            else:  # as np.round does; adding zero makes -0.0 a plain 0.0
+                np.multiply(values, self._scale, rounded)
+                np.rint(rounded, rounded)
+                np.divide(rounded, self._scale, rounded)
+                np.add(rounded, 0.0, rounded)
+            text = orjson.dumps(rounded, option=orjson.OPT_SERIALIZE_NUMPY)
+            if b"null" in text:
+                return None
+            rows += text[2:-2].split(b"],[") if rounded.ndim == 2 else text[1:-1].split(b",")
+        if len(frame.status) != len(self._names):
+            return None
+        key = (frame.root, frame.status.tobytes())
+        if key != self._template_key:
+            self._template_key, self._template = key, self._template_of(frame)
+        return self._template % (frame.time_ns, frame.sequence, *rows)
+
+    def _template_of(self, frame: SkeletonFrame) -> bytes:
+        """Return the JSON of a frame of this root and status, with places for the numbers."""
+        names = [_key_in_template(name) for name in self._names]
+        start = orjson.dumps({"frame": "ENU", "order": "wxyz", "root": self._names[frame.root]})[1:-1]
+        status = orjson.dumps(self._status_names(frame.status))
+        parts = [b'"t_ns":%d,"seq":%d', start.replace(b"%", b"%%")]
+        parts += [_places_for("segments", names, b"[%b]"), b'"status":' + status.replace(b"%", b"%%")]
+        for key, attribute in self._maps:
+            parts.append(_places_for(key, names, b"[%b]" if self._rounded[attribute].ndim == 2 else b"%b"))
+        return b"{" + b",".join(parts) + b"}"
 
     def message(self, frame: SkeletonFrame) -> Plain:
         """The fields of a ``PoseMessage``. Raises ``ValueError`` for a frame of another skeleton."""
@@ -143,6 +191,19 @@ class PoseEncoder:
         return self._status
 
 
+def _key_in_template(name: str) -> bytes:
+    """Return a name as JSON, for a template of bytes."""
+    return orjson.dumps(name).replace(b"%", b"%%")
+
+
+def _places_for(key: str, names: list[bytes], place: bytes) -> bytes:
+    return b'"%b":{' % key.encode() + b",".join(name + b":" + place for name in names) + b"}"
+
+
+def _shape_of(attribute: str, n_segments: int) -> tuple[int, ...]:
+    return (n_segments,) if attribute == "sigma" else (n_segments, 3)
+
+
 _DECIMALS = 6  # a micrometre: less than any optical system resolves
 
 
@@ -193,6 +254,14 @@ class Outgoing(NamedTuple):
     properties: Properties | None
 
 
+class _PoseTopics(NamedTuple):
+    """Spelt out once, not for every pose."""
+
+    pose: str
+    pose_msgpack: str
+    markers: str
+
+
 class PosePublications:
     """Frames of one skeleton to messages."""
 
@@ -202,8 +271,8 @@ class PosePublications:
         """markers: names of those that the body has, for poses made from them."""
         angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
         self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include, angles)
-        self._formats = settings.pose_formats
-        self._topics = topics
+        self._formats = tuple(settings.pose_formats)
+        self._topics = _PoseTopics(topics.pose, topics.pose_msgpack, topics.markers)
         self._segment_topics = {name: topics.segment(name) for name in skeleton.segment_names}
         self._segments_due = None if settings.segment_rate is None else Thinning(settings.segment_rate)
         self._markers = markers
@@ -214,24 +283,32 @@ class PosePublications:
         self._json = properties_of(protocol, JSON, expiry_s)
         self._msgpack = properties_of(protocol, MSGPACK, expiry_s)
 
-    def of(self, frame: SkeletonFrame) -> Iterator[Outgoing]:
-        """The messages of a frame. Raises ``ValueError`` for one of another skeleton."""
-        message = self._encoder.message(frame)
-        if PoseFormat.JSON in self._formats:
-            yield Outgoing(self._topics.pose, as_json(message), self._json)
-        if PoseFormat.MSGPACK in self._formats:
-            yield Outgoing(self._topics.pose_msgpack, as_msgpack(message), self._msgpack)
+    def of(self, frame: SkeletonFrame) -> list[Outgoing]:
+        """Return the messages of a frame. Raises ``ValueError`` for one of another skeleton."""
         due = self._segments_due if self.has_segments else None
-        if due is not None and due.admits(frame.time_ns):
-            for name, segment in segment_messages(message):
-                yield Outgoing(self._segment_topics[name], as_json(segment), self._json)
-        if self.has_segments:
-            yield from self._of_markers(frame)
+        has_segments = due is not None and due.admits(frame.time_ns)
+        if not has_segments and self._formats == (PoseFormat.JSON,):
+            made = [Outgoing(self._topics.pose, self._encoder.encode(frame), self._json)]
+        else:
+            made = self._of_message(self._encoder.message(frame), has_segments=has_segments)
+        if self._markers_due is not None and frame.markers is not None and self.has_segments:
+            made += self._of_markers(frame, self._markers_due)
+        return made
 
-    def _of_markers(self, frame: SkeletonFrame) -> Iterator[Outgoing]:
-        due = self._markers_due
-        if due is None or frame.markers is None or not due.admits(frame.time_ns):
-            return
-        message = markers_message(self._markers, frame)
-        if message is not None:
-            yield Outgoing(self._topics.markers, as_json(message), self._json)
+    def _of_message(self, message: Plain, *, has_segments: bool) -> list[Outgoing]:
+        """Return a pose in all formats that are wanted, and its segments."""
+        made = []
+        if PoseFormat.JSON in self._formats:
+            made.append(Outgoing(self._topics.pose, as_json(message), self._json))
+        if PoseFormat.MSGPACK in self._formats:
+            made.append(Outgoing(self._topics.pose_msgpack, as_msgpack(message), self._msgpack))
+        if has_segments:
+            made += [
+                Outgoing(self._segment_topics[name], as_json(segment), self._json)
+                for name, segment in segment_messages(message)
+            ]
+        return made
+
+    def _of_markers(self, frame: SkeletonFrame, due: Thinning) -> list[Outgoing]:
+        message = markers_message(self._markers, frame) if due.admits(frame.time_ns) else None
+        return [] if message is None else [Outgoing(self._topics.markers, as_json(message), self._json)]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from gateway.contract.messages import PoseMessage
 from gateway.frames import SkeletonFrame, Status
-from gateway.outputs.pose_encoding import PoseEncoder
+from gateway.outputs.pose_encoding import PoseEncoder, as_json
 from gateway.outputs.settings import PoseMap
 
 NAMES = ("pelvis", "left_thigh", "left_shank")
@@ -88,12 +88,48 @@ def test_whatever_is_in_a_frame_the_message_is_valid(
         status=np.array(status, dtype=np.uint8),
         root=0,
     )
-    pose = PoseMessage.model_validate_json(PoseEncoder(NAMES, decimals, EVERYTHING).encode(frame))
+    encoder = PoseEncoder(NAMES, decimals, EVERYTHING)
+    assert encoder.encode(frame) == as_json(encoder.message(frame))
+    pose = PoseMessage.model_validate_json(encoder.encode(frame))
     defined = [row is not None for row in pose.segments.values()]
     assert defined == np.isfinite(frame.q_wb).all(axis=1).tolist()
     assert pose.sigma is not None
     assert [value is not None for value in pose.sigma.values()] == np.isfinite(sigma).tolist()
     assert list(pose.status.values()) == [value.name.lower() for value in status]
+
+
+@given(
+    values=st.lists(st.floats(-1e9, 1e9), min_size=42, max_size=42),
+    small=st.sampled_from([1.0, 1e-6, 1e-9]),
+    status=st.lists(st.sampled_from(Status), min_size=3, max_size=3),
+    decimals=st.sampled_from([None, 0, 3, 6]),
+    root=st.sampled_from([0, 2]),
+    include=st.sets(st.sampled_from(sorted(EVERYTHING))),
+)
+def test_a_pose_is_written_as_its_fields_are(
+    values: list[float],
+    small: float,
+    status: list[Status],
+    decimals: int | None,
+    root: int,
+    include: set[PoseMap],
+) -> None:
+    names = ("pelvis", 'left "100 %d" thigh', "Wirbelsäule")
+    q_wb, angular_rate, acceleration, p_w, sigma = np.split(np.array(values) * small, [12, 21, 30, 39])
+    frame = SkeletonFrame(
+        sequence=2**40,
+        time_ns=-1,
+        q_wb=q_wb.reshape(3, 4),
+        angular_rate=angular_rate.reshape(3, 3),
+        joint_acceleration=acceleration.reshape(3, 3),
+        p_w=p_w.reshape(3, 3),
+        sigma=sigma,
+        status=np.array(status, dtype=np.uint8),
+        root=root,
+    )
+    encoder = PoseEncoder(names, decimals, include)
+    for _ in range(2):  # the second from what was kept
+        assert encoder.encode(frame) == as_json(encoder.message(frame))
 
 
 def test_status_follows_the_frame_although_it_is_kept_encoded() -> None:
