@@ -12,17 +12,17 @@ import asyncio
 import html
 import shutil
 import subprocess
+import sys
 import tempfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.latency import METHOD, await_online, begin, line_of, process_of, write_config
+from benchmarks.latency import METHOD, await_online, begin, environment_of, line_of, process_of, write_config
 from devices.emulators.local_broker import mosquitto
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
-from gateway.service import readiness
 
 N_MODULES, RATE_HZ = 17, 100.0
 SECONDS = 40.0
@@ -31,6 +31,8 @@ SAMPLES_HZ = 400
 WIDTH, ROW, LETTER = 1200, 17, 6.6
 """Pixels: of the graph, of a function, of a letter."""
 _NARROWEST = 0.4
+_IDLE = "_worker (concurrent/futures/thread.py"
+"""A thread that waits for work, which py-spy takes for busy."""
 
 
 @dataclass
@@ -87,7 +89,9 @@ def read_stacks(text: str) -> Function:
     root = Function("all")
     for line in text.splitlines():
         stack, _, samples = line.rpartition(" ")
-        root.add(stack.split(";"), int(samples))
+        functions = stack.split(";")
+        if not functions[-1].startswith(_IDLE):
+            root.add(functions, int(samples))
     return root
 
 
@@ -131,7 +135,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     arguments = parser.parse_args()
     tree: Path | None = arguments.tree
-    subprocess.run(readiness.command(METHOD), check=True, cwd=tree)  # else another method would run
+    prepared = [sys.executable, "-m", "gateway.service.readiness", METHOD]
+    subprocess.run(prepared, check=True, cwd=tree, env=environment_of(tree))  # else another method would run
     root, cpu_percent = asyncio.run(sampled(tree, arguments.seconds))
     title = f"gateway, {N_MODULES} × {RATE_HZ:g} Hz, {METHOD}: {cpu_percent:.1f} % of a core while sampled"
     arguments.file.write_text(drawn(root, title), encoding="utf-8")

@@ -298,7 +298,7 @@ async def process_of(*arguments: str, tree: Path | None = None) -> AsyncIterator
     """A Python process that is ended with the block. tree: a clone whose packages it takes,
     as an absolute path."""
     pipe = asyncio.subprocess.PIPE
-    environment = None if tree is None else os.environ | {"PYTHONPATH": str(tree)}
+    environment = environment_of(tree)
     process = await asyncio.create_subprocess_exec(
         sys.executable, *arguments, stdin=pipe, stdout=pipe, limit=2**24, cwd=tree, env=environment
     )
@@ -308,6 +308,11 @@ async def process_of(*arguments: str, tree: Path | None = None) -> AsyncIterator
         with contextlib.suppress(ProcessLookupError):
             process.terminate()
         await process.wait()
+
+
+def environment_of(tree: Path | None) -> dict[str, str] | None:
+    """The environment of a process that takes its packages from another clone; None: as here."""
+    return None if tree is None else os.environ | {"PYTHONPATH": str(tree)}
 
 
 async def line_of(process: asyncio.subprocess.Process) -> dict[str, Any]:
