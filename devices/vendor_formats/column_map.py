@@ -8,19 +8,18 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import FusedTrack, ModuleTrack, Recording
 from devices.vendor_formats.gaps import index_of_times, rate_of, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
-from devices.vendor_formats.xsens_text import NORTH_WEST_UP, add_tracks, turned
+from devices.vendor_formats.xsens_text import NORTH_WEST_UP_DEG, add_tracks, turned
 
 Three = Annotated[list[str], Field(min_length=3, max_length=3)]
 Four = Annotated[list[str], Field(min_length=4, max_length=4)]
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _SCALES = {"m/s²": 1.0, "m/s^2": 1.0, "g": 9.80665, "rad/s": 1.0, "deg/s": np.pi / 180}
-_WORLDS = {"enu": Rotation.identity(), "nwu": NORTH_WEST_UP}
+_WORLDS = {"enu": 0.0, "nwu": NORTH_WEST_UP_DEG}
 
 
 class _Strict(BaseModel):

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
 from devices.emulators.recordings import Recording
 from devices.vendor_formats.gaps import rate_of, spread, unwrapped
@@ -65,7 +64,7 @@ def _module(sheet: Sheet) -> tuple[FloatArray, FloatArray]:
         scale = np.pi / 180 if name.startswith("Gyr") else 1.0
         readings[:, _SENSORS.index(name)] = table[:, column] * scale
     if turn_names:
-        readings[:, 9:] = turned(table[:, -len(turn_names) :], Rotation.identity())
+        readings[:, 9:] = turned(table[:, -len(turn_names) :], 0.0)
     return spread(counter, stamps, readings, sheet.path)
 
 

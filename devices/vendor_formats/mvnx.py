@@ -16,13 +16,14 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
+from devices.deferred import Rotation
 from devices.emulators.bodies import FloatArray
 from devices.emulators.ideal_sensors import POSITION
 from devices.emulators.recordings import FusedTrack, LocalTrack, Recording
 from devices.vendor_formats.gaps import checked_rate, spread
 from devices.vendor_formats.labels import refuse_repeats
 from devices.vendor_formats.sheets import FormatError
-from devices.vendor_formats.xsens_text import NORTH_WEST_UP, turned
+from devices.vendor_formats.xsens_text import NORTH_WEST_UP_DEG, turned
 
 PATH_DEVICE = 60
 """Module id under which the path of the first segment is sent, as of a local measuring device."""
@@ -78,7 +79,7 @@ def _recording(path: Path, found: _Found, note: str | None) -> Recording:
     local: tuple[LocalTrack, ...] = ()
     if len(found.positions) == len(index):
         _, way = spread(index, times[index - index[0]], np.array(found.positions), path)
-        way = way @ NORTH_WEST_UP.as_matrix().T
+        way = way @ Rotation.from_euler("z", NORTH_WEST_UP_DEG, degrees=True).as_matrix().T
         local = (LocalTrack(PATH_DEVICE, found.labels[0], times, POSITION, way, _PATH_SIGMA_M),)
     notes = () if note is None else (note,)
     begun_ns = found.begun_ms * 10**6

@@ -21,8 +21,8 @@ from devices.vendor_formats.gaps import IntArray, checked_rate, spread, unwrappe
 from devices.vendor_formats.labels import labels_of, refuse_repeats
 from devices.vendor_formats.sheets import FormatError, Sheet, open_sheet
 
-NORTH_WEST_UP = Rotation.from_euler("z", 90, degrees=True)
-"""Takes north-west-up, the world of Xsens and x-io, to east-north-up."""
+NORTH_WEST_UP_DEG = 90.0
+"""Turn about z that takes north-west-up, the world of Xsens and x-io, to east-north-up."""
 
 COUNTERS = ("PacketCounter", "Counter")
 _COUNTER_BITS = 16
@@ -133,9 +133,10 @@ def orientation_columns(sheet: Sheet) -> list[str]:
     return next((names for names in (*_QUATERNIONS, _MATRIX) if sheet.has(*names)), [])
 
 
-def turned(values: FloatArray, world: Rotation = NORTH_WEST_UP) -> FloatArray:
+def turned(values: FloatArray, world_deg: float = NORTH_WEST_UP_DEG) -> FloatArray:
     """(n, 4) to east-north-up from quaternions (n, 4) or matrices (n, 9) to another world; NaN for what is
-    no rotation."""
+    no rotation. world_deg: turn about z that takes that world to east-north-up."""
+    world = Rotation.from_euler("z", world_deg, degrees=True)
     q = np.full((len(values), 4), np.nan)
     if values.shape[1] == 9:
         known = np.isfinite(values).all(axis=1) & (np.abs(np.linalg.det(values.reshape(-1, 3, 3)) - 1) < 0.1)

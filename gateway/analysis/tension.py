@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
@@ -67,12 +67,12 @@ class TensionSolver:
 
         self._solver = osqp.OSQP()
         self._solver.setup(
-            P=sparse.diags(square, format="csc"), q=linear, A=self._matrix(block), l=low, u=high,
+            P=scipy.sparse.diags(square, format="csc"), q=linear, A=self._matrix(block), l=low, u=high,
             verbose=False, eps_abs=TOLERANCE, eps_rel=TOLERANCE, polishing=False, max_iter=10000,
             check_termination=10,
         )  # fmt: skip
 
-    def _matrix(self, block: FloatArray) -> sparse.csc_matrix:
+    def _matrix(self, block: FloatArray) -> scipy.sparse.csc_matrix:
         """Torques over activity and what is left; below it the bounds of activity."""
         count, rows = len(self._peak), self._count
         per_muscle = np.arange(rows + 1)
@@ -80,7 +80,7 @@ class TensionSolver:
         indices[:, rows] = rows + np.arange(count)
         reserves = np.arange(rows)
         pointers = np.concatenate([np.arange(count + 1) * (rows + 1), count * (rows + 1) + 1 + reserves])
-        return sparse.csc_matrix(
+        return scipy.sparse.csc_matrix(
             (self._values(block), np.concatenate([indices.ravel(), reserves]), pointers),
             shape=(rows + count, count + rows),
         )

@@ -26,7 +26,8 @@ class Axes(StrEnum):
     """x east, y up, z south: BVH, glTF, OpenSim."""
 
 
-_TURNS = {Axes.Z_UP: Rotation.identity(), Axes.Y_UP: Rotation.from_euler("x", -90, degrees=True)}
+_TURNS_DEG = {Axes.Z_UP: 0.0, Axes.Y_UP: -90.0}
+"""About x."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,11 @@ def markers_of(take: Take) -> TakenMarkers | None:
     row = np.round((take.recorded.time_ns - take.begun_ns) * 1e-9 * take.rate_hz).astype(np.int64)
     positions, residuals = np.full((n_frames, n, 3), np.nan), np.full((n_frames, n), np.nan)
     used = np.zeros((n_frames, n), dtype=bool)
-    positions[row] = _TURNS[take.axes].apply(found.positions.reshape(-1, 3)).reshape(found.positions.shape)
+    positions[row] = (
+        Rotation.from_euler("x", _TURNS_DEG[take.axes], degrees=True)
+        .apply(found.positions.reshape(-1, 3))
+        .reshape(found.positions.shape)
+    )
     residuals[row], used[row] = found.residuals, found.used
     return TakenMarkers(found.labels, positions, residuals, used)
 
@@ -122,7 +127,7 @@ def take_of(arrays: SkeletonArrays, name: str, axes: Axes) -> Take:
     index = np.round((arrays.time_ns - arrays.time_ns[0]) * 1e-9 * rate_hz).astype(np.int64)
     grid = np.arange(index[-1] + 1)
     q_wb, filled = _filled_orientations(arrays.q_wb, index, grid)
-    turn = _TURNS[axes]
+    turn = Rotation.from_euler("x", _TURNS_DEG[axes], degrees=True)
     angles = joint_angles(arrays.skeleton, q_wb)
     world = (turn * rotation(q_wb)).as_quat(scalar_first=True).reshape(q_wb.shape)
     places = _root_path(arrays, index, grid)
