@@ -135,7 +135,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     arguments = parser.parse_args()
     tree: Path | None = arguments.tree
-    prepared = [sys.executable, "-m", "gateway.service.readiness", METHOD]
+    step = f"from gateway.service import readiness; readiness.make_ready({METHOD!r})"
+    prepared = [sys.executable, "-c", step]
     subprocess.run(prepared, check=True, cwd=tree, env=environment_of(tree))  # else another method would run
     root, cpu_percent = asyncio.run(sampled(tree, arguments.seconds))
     title = f"gateway, {N_MODULES} × {RATE_HZ:g} Hz, {METHOD}: {cpu_percent:.1f} % of a core while sampled"
