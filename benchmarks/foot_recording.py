@@ -76,8 +76,10 @@ def stances(foot: FootRecording) -> FloatArray:
     """(n,) for how long the foot has been found at rest, s."""
     state, n = initial_stance(1), len(foot.force)
     carries, measured = np.ones(1), np.zeros(1, np.uint8)
-    rested = [
+    rested = np.zeros((n, 1))
+    for k, resting in enumerate(rested):
         watch_stance(
+            resting,
             StanceSettings(),
             state,
             carries,
@@ -86,10 +88,8 @@ def stances(foot: FootRecording) -> FloatArray:
             foot.rate[k : k + 1],
             measured,
             1.0 / RATE_HZ,
-        )[0]
-        for k in range(n)
-    ]
-    return np.array(rested)
+        )
+    return rested[:, 0]
 
 
 def measure_foot(foot: FootRecording, method: str) -> FootResult:

@@ -20,7 +20,7 @@ from gateway.reconstruction.inertial.root_position import (
     PositionState,
     advance_position,
 )
-from gateway.reconstruction.inertial.stance import StanceSettings, StanceState, watch_stance_into
+from gateway.reconstruction.inertial.stance import StanceSettings, StanceState, watch_stance
 from gateway.reconstruction.joint_agreement import AgreementState, Joints, watch_joints
 from gateway.reconstruction.module_faults import RepeatState, stuck_modules
 from gateway.reconstruction.mounting import JUDGED_EVERY_S, UNKNOWN
@@ -106,7 +106,7 @@ def prepare_frames(
             observed, held.module_of_segment, held.R_bs, specific_force[t], angular_rate[t],
             magnetic_field[t], status[t], clipped[t],
         )  # fmt: skip
-        watch_stance_into(
+        watch_stance(
             resting[t], held.stance_settings, held.stance, held.carries, held.gravity[0],
             observed.specific_force, observed.angular_rate, observed.status, dt[t],
         )  # fmt: skip

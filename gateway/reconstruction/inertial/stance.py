@@ -57,27 +57,6 @@ def initial_stance(n: int) -> StanceState:
 
 @compiled
 def watch_stance(
-    settings: StanceSettings,
-    state: StanceState,
-    carries: FloatArray,
-    gravity: float,
-    force: FloatArray,
-    rate: FloatArray,
-    status: StatusArray,
-    dt: float,
-) -> FloatArray:
-    """(n,) for how long each segment has been at rest, s; 0: it is not, or its module is silent.
-
-    carries: (n,) 1 for segments that stand on the ground (feet). gravity: its size, m/s². force, rate: (n,
-    3), m/s² and rad/s. dt: since the frame before, s.
-    """
-    resting = np.zeros(len(carries))
-    watch_stance_into(resting, settings, state, carries, gravity, force, rate, status, dt)
-    return resting
-
-
-@compiled
-def watch_stance_into(
     resting: FloatArray,
     settings: StanceSettings,
     state: StanceState,
@@ -88,7 +67,11 @@ def watch_stance_into(
     status: StatusArray,
     dt: float,
 ) -> None:
-    """The same into a given array."""
+    """resting (n,) ← for how long each segment has been at rest, s; 0: it is not, or its module is silent.
+
+    carries: (n,) 1 for segments that stand on the ground (feet). gravity: its size, m/s². force, rate: (n,
+    3), m/s² and rad/s. dt: since the frame before, s.
+    """
     for s in range(len(carries)):
         resting[s] = 0.0
         # a module that is silent, or repeats itself, shows nothing

@@ -14,14 +14,13 @@ def watch(force, rate, rate_hz=100, carries=1.0, status=None):
     """(n,) seconds at rest of one segment."""
     state = initial_stance(1)
     status = np.zeros(len(force), np.uint8) if status is None else np.asarray(status, np.uint8)
-    return np.array(
-        [
-            watch_stance(
-                StanceSettings(), state, np.array([carries]), G, f[None], w[None], s[None], 1.0 / rate_hz
-            )[0]
-            for f, w, s in zip(np.asarray(force, float), np.asarray(rate, float), status, strict=True)
-        ]
-    )
+    found = np.zeros((len(force), 1))
+    inputs = zip(np.asarray(force, float), np.asarray(rate, float), status, strict=True)
+    for resting, (f, w, s) in zip(found, inputs, strict=True):
+        watch_stance(
+            resting, StanceSettings(), state, np.array([carries]), G, f[None], w[None], s[None], 1.0 / rate_hz
+        )
+    return found[:, 0]
 
 
 def still(n, direction=(0.0, 0.6, 0.8), seed=1):
