@@ -1,13 +1,18 @@
 """Ends of ranges are found where values stay flat, and nowhere else; nothing else of a sample changes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.body.rig import load_rig
 from gateway.body.skeleton import SensorRanges
-from gateway.frames import ANGULAR_RATE, INERTIAL_SAMPLE, SPECIFIC_FORCE, Clipped
+from gateway.frames import ANGULAR_RATE, INERTIAL_SAMPLE, SPECIFIC_FORCE, Clipped, InertialBatch
+from gateway.pipeline import Pipeline
 from gateway.stages.clipping import SMALLEST_RANGES, RangeWatch
+from gateway.stages.frame_assembler import AssemblyParams
 
 LIMIT = 7.0  # rad/s
 
@@ -153,3 +158,19 @@ def test_lost_samples_are_no_step():
     sent = samples(np.clip(swing(), -LIMIT, LIMIT))
     lost = sent[np.arange(len(sent)) % 4 != 3]  # never five in a row
     assert not marked(lost).any()
+
+
+@pytest.mark.parametrize("is_stated", [False, True])
+def test_frames_are_marked_only_where_the_rig_states_the_range(is_stated):
+    suit = load_rig("single_placed")
+    module = suit.module_ids[0]
+    ranges = {module: SensorRanges(angular_rate=LIMIT)} if is_stated else {}
+    params = AssemblyParams(1e7, 10**7, 10**8, 10**8)
+    stage = Pipeline(replace(suit, ranges=ranges), params).module_stage
+    sent = samples(np.clip(swing(), -LIMIT, LIMIT), module=module)
+    sent["time_ns"] = 10_000_000 * np.arange(1, len(sent) + 1)
+    frames = []
+    for k in range(len(sent)):
+        frames += stage.add([InertialBatch(sent[k : k + 1])], int(sent["time_ns"][k]))
+    assert any(frame.clipped is not None for frame in frames) == is_stated
+    assert stage.statistics()["clipped"][str(module)]["angular_rate_samples"] > 0
