@@ -52,14 +52,13 @@ class LazyGroup(TyperGroup):
 
 def load(name: str, command: LazyCommand) -> Any:
     """Imports a subcommand. Nothing of what an import makes is garbage, so none is looked for: a tenth of the
-    time, and collections later pass it over, too."""
+    time."""
     module, attribute = command.source.split(":")
     gc.disable()
     try:
         target = getattr(importlib.import_module(module), attribute)
     finally:
         gc.enable()
-        gc.freeze()
     if isinstance(target, typer.Typer):
         loaded = typer.main.get_command(target)
     else:
