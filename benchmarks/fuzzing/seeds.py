@@ -258,7 +258,7 @@ def _published() -> list[bytes]:
     health = MqttOutput(everything, suit.skeleton, info).health()
     health = health.model_copy(update={"t_ns": 1, "instance": "0", "uptime_s": 1.0})
     return [
-        next(poses.of(frame)).payload,
+        poses.of(frame)[0].payload,
         BridgeState(state="online").payload(),
         info.payload(),
         health.payload(),

@@ -104,6 +104,14 @@ def examine_file(
     yield from examine(settings, config, rate_hz or settings.assembly.rate_hz, listen_s, here)
 
 
+def _method(settings: GatewaySettings, suit: WornSuit) -> str:
+    """Return the method that would run; where the suit has no use for a link, the one that is named."""
+    try:
+        return fitting_suit(settings, suit).reconstructor
+    except SettingsError:
+        return settings.reconstructor
+
+
 def examine(
     settings: GatewaySettings,
     config: Path,
@@ -119,7 +127,7 @@ def examine(
     here = here or Surroundings()
     suit = load_rig(settings.rig, config)
     yield good("rig", f"{len(suit.module_ids)} modules on body '{suit.skeleton.name}'")
-    yield from kernels(fitting_suit(settings, suit).reconstructor)
+    yield from kernels(_method(settings, suit))
     states = asyncio.run(running.module_states(settings.mqtt, settings.gateway))
     readable = []
     for link in settings.links:

@@ -220,7 +220,6 @@ async def test_pseudo_terminal_that_comes_back_elsewhere_under_its_name(
     for word in (b"first", b"second", b"third"):
         terminal = pseudo_terminal()
         held.append(pseudo_terminal())
-        path.unlink(missing_ok=True)
         path.symlink_to(terminal.path)
         reading = asyncio.ensure_future(next_chunk(chunks))
         await until(lambda: link.state is UP)
@@ -228,6 +227,7 @@ async def test_pseudo_terminal_that_comes_back_elsewhere_under_its_name(
         assert (await reading).data == word
         await link.write(b"command")
         assert await terminal.read(7) == b"command"
+        path.unlink()  # or the next pseudo-terminal of this number, anybody's, is taken for it
         terminal.close()
         waiting = asyncio.ensure_future(anext(chunks))
         await until(lambda: link.state is not UP)

@@ -108,10 +108,11 @@ async def test_the_page_shows_a_body_that_modules_of_another_maker_move(
         gateway.terminate()
         await gateway.ended()
         await page.get_by_text("NO DATA for").or_(page.get_by_text("offline")).first.wait_for()
-        await asyncio.sleep(1.0)
-        still = await picture_of(page)
-        await asyncio.sleep(1.0)
-        assert await picture_of(page) == still  # what moved was the body
+        still = None
+        async with asyncio.timeout(PATIENCE_S):  # what moved was the body
+            while (seen := await picture_of(page)) != still:
+                still = seen
+                await asyncio.sleep(1.0)
 
 
 async def picture_of(page):
