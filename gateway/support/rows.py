@@ -55,13 +55,13 @@ class Row(ctypes.Structure):
     annotates those that it uses; integers wrap at 64 bits."""
 
     layout: ClassVar[np.dtype[Any]]
+    memory: Memory
+    """The bytes of the row, not a copy of them. Taken from the array and not from the row: a row that keeps
+    an array over itself could never be freed, since NumPy's arrays hide from the garbage collector."""
 
     def __new__(cls, *_arguments: object, memory: Memory | None = None, **_named: object) -> Self:
         """Return a row of its own, all zeros, or the one that has this memory."""
         kept = memory_of(np.zeros(1, cls.layout)) if memory is None else memory
-        return cls.from_buffer(kept.data)
-
-    @property
-    def memory(self) -> Memory:
-        """The bytes of the row, not a copy of them."""
-        return np.frombuffer(memoryview(self), np.uint8)
+        row = cls.from_buffer(kept.data)
+        row.memory = kept
+        return row

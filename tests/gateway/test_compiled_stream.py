@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import weakref
 from random import Random
 
 import numpy as np
@@ -85,6 +87,22 @@ def test_golden_vectors_one_by_one_and_all_together(framing, mode):
         for k, byte in enumerate(b"".join(data)):
             both.receive(Chunk(bytes([byte]), START_NS + 4 * 10**9 + k * 100_000, "a"))
     both.compare_accounts()
+
+
+@pytest.mark.parametrize("framing", list(Framing))
+@pytest.mark.parametrize("mode", [ClockMode.ESTIMATED, ClockMode.SHARED])
+def test_what_was_fed_is_freed(framing, mode):
+    stream = Stream(mode)
+    stream.add_link("a", framing)
+    for data in vectors_of(framing):
+        stream.receive(Chunk(data, START_NS, "a"))
+    assert stream.modules
+    parts = [stream, *stream._decoders.values(), *stream.modules.values()]
+    parts += [record.clock for record in stream.modules.values()]
+    known = [weakref.ref(part) for part in parts]
+    del stream, parts
+    gc.collect()
+    assert [ref() for ref in known] == [None] * len(known)
 
 
 @pytest.mark.parametrize("framing", list(Framing))
