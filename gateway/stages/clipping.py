@@ -1,14 +1,10 @@
 """Sensors at the end of a range that they do not tell: values that stay where they are largest.
 
 An axis that is clipped comes to the end of its range by large steps and then stays there while the others go
-on
-changing: exactly, or by the few percent of what the others change by that the makers' correction of skewed
-axes
-mixes into it. A sensor that turns evenly changes by noise, on all axes alike; a smooth peak is entered by
-steps
-hardly larger than those on it; one that sends old values again changes on no axis; one at rest gives small
-values.
-So all of these are left alone.
+on changing: exactly, or by the few percent of what the others change by that the makers' correction of skewed
+axes mixes into it. A sensor that turns evenly changes by noise, on all axes alike; a smooth peak is entered
+by steps hardly larger than those on it; one that sends old values again changes on no axis; one at rest gives
+small values. So all of these are left alone.
 """
 
 from __future__ import annotations
