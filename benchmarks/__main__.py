@@ -15,6 +15,8 @@ SUITES = (
     "beginnings",
     "chains",
     "never_worse",
+    "trackers",
+    "tracker_starts",
     "speed",
     "signing",
     "latency",

@@ -16,7 +16,8 @@ from devices.emulators import SuitSettings, SuitTraffic
 from devices.emulators.imperfections import TYPICAL
 from devices.link import Chunk, Framing
 from devices.recording_writer import RecordingWriter, session_record
-from gateway.batch import Job, Outcome, Task, jobs_in, run_jobs
+from gateway.batch.job import Job, Outcome, Task
+from gateway.batch.running import jobs_in, run_jobs
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, move
 from gateway.recording import open_recording

@@ -18,7 +18,7 @@ from gateway.calibration.body_session import BodySession
 from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, ImuFrame
 from gateway.pipeline import Pipeline
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "simulated"

@@ -15,6 +15,8 @@ from benchmarks.figures import Figure, Report, table
 from devices.link import Chunk, Framing, SentChunk
 from firmware_protocol import BROADCAST, InertialSample, SamplingTrigger, encode_frame, wire_frame
 from gateway.clocks import (
+    ArrivalClock,
+    ArrivalLine,
     ClockCalibration,
     EstimatedClock,
     LinkBatching,
@@ -34,7 +36,8 @@ from gateway.emulation.clock_simulation import (
     transport_limit_us,
 )
 from gateway.frames import FloatArray, InertialBatch
-from gateway.sources.module_table import ClockMode
+from gateway.sources.arrival_counter import ArrivalCounter
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.stream import Stream
 
 SEED = 4
@@ -45,7 +48,7 @@ RELAY_S = 900.0
 RATE_HZ = 100.0
 TABLE_RATE_HZ = 25.0
 """Of table mode, whose estimate does not depend on it; it saves time."""
-EXCHANGES_HZ = 4.0
+EXCHANGES_HZ, PINGS_HZ = 4.0, 2.0
 SWING_RAD, SWING_HZ = np.radians(60.0), 2.0
 RECEPTION_US = 10.0
 """Mean time from a broadcast's coming to the sensor's sampling (interrupt latency), exponential."""
@@ -162,6 +165,73 @@ def by_exchange(slot_us: float) -> tuple[Errors, float]:
     return Errors(np.array(errors)), float(np.mean(bounds))
 
 
+def by_pings(slot_us: float) -> tuple[Errors, float]:
+    """No stamps: the line of earliest arrivals, less half the shortest round trip of pings. Latencies differ
+    by 1 ms. Also the mean published bound, µs."""
+    errors, bounds = [], []
+    every = int(RATE_HZ / PINGS_HZ)
+    for k, module in enumerate(traffic(suit(), slot_us, spread_us=1000.0)):
+        line, rng = ArrivalLine(), np.random.default_rng([SEED, 300 + k])
+        clock = ArrivalClock(line)
+        steps = np.diff(module.counter, prepend=module.counter[0] - 1).tolist()
+        trips_ns = (2e3 * module.latency_us + rng.exponential(1e6, (len(steps), 2)).sum(axis=1)).tolist()
+        published = []
+        for n, (step, at) in enumerate(zip(steps, module.arrived_ns.tolist(), strict=True)):
+            if n % every == 0:
+                clock.add_round_trip(int(trips_ns[n]))
+            published.append(clock.gateway_time(line.instant(step, at) // 1000 % 2**32, at))
+        errors.append(errors_of(module, published))
+        bounds.append(clock.figures().bound_us or np.nan)
+    return Errors(np.array(errors)), float(np.mean(bounds))
+
+
+def by_maker(stamped_in_us: int | None, counter_bits: int | None = None, *, is_told: bool = False) -> Errors:
+    """What devices of other makers say of their samples, batched by 1 ms.
+
+    stamped_in_us: steps of their stamps; None: they send none. counter_bits: of a count in the place of
+    stamps; None: none either. is_told: whether every loss shows, as where a damaged packet is seen.
+    """
+    modules = traffic(suit(), 1000.0)
+    batching, errors, rng = find_slot(modules), [], np.random.default_rng(SEED)
+    for module in modules:
+        arrivals, counts = module.arrived_ns.tolist(), module.counter.tolist()
+        if stamped_in_us is None:
+            times = ArrivalCounter((RATE_HZ,), None if counter_bits is None else RATE_HZ, counter_bits)
+            lost = (np.diff(module.counter, prepend=module.counter[0] - 1) - 1).tolist()
+            told = [
+                times.stamp(at, None if counter_bits is None else count, n if is_told else 0)
+                for at, count, n in zip(arrivals, counts, lost, strict=True)
+            ]
+            stamps = [0 if each is None else each[1] for each in told]
+        else:
+            # at rates that steps do not divide, instants are after their stamps by anything up to a step
+            whole = module.counter * module.interval_us - rng.uniform(0.0, stamped_in_us, len(arrivals))
+            stamps = (whole.astype(np.int64) % 2**32).tolist()
+        convert = EstimatedClock(batching).gateway_time
+        first = stamps.index(next(filter(None, stamps)))
+        published = [0] * first
+        published += [convert(stamp, at) for stamp, at in zip(stamps[first:], arrivals[first:], strict=True)]
+        errors.append(errors_of(module, published))
+    return Errors(np.array(errors))
+
+
+def makers_clocks() -> tuple[list[Figure], list[list[str]]]:
+    """Figures and rows of the table, by what a maker's devices say of their samples."""
+    ways = {
+        "stamped_1us": ("stamps of 1 µs (x-IMU3, MTi on CAN)", by_maker(1)),
+        "stamped_100us": ("stamps of 100 µs (MTi)", by_maker(100)),
+        "stamped_1ms": ("stamps of 1 ms (MVN, mocopi)", by_maker(1000)),
+        "counted": ("a count of 8 bits (BNO08x)", by_maker(None, 8)),
+        "neither": ("neither, every loss seen (WitMotion)", by_maker(None, is_told=True)),
+        "neither_unseen": ("neither, no loss seen (WitMotion)", by_maker(None)),
+    }
+    figures = [
+        Figure(f"{name}_p99_us", errors.p99_us(), "µs", "", f"{what}, arrival times, 1 ms batching")
+        for name, (what, errors) in ways.items()
+    ]
+    return figures, [errors.row(what) for what, errors in ways.values()]
+
+
 def by_relay() -> Errors:
     """Two-way exchanges through a relay unit that sends every 10 ms what it has got."""
     seconds = np.arange(SETTLED_S, RELAY_S)
@@ -255,6 +325,8 @@ def run() -> Report:
     arrival_1ms, arrival_16ms = by_arrival(1000.0), by_arrival(16_000.0)
     (exchanged, bound_us), (by_the_table, minutes) = by_exchange(1000.0), by_table(1000.0)
     triggered, timer, answers = by_trigger()
+    unstamped, ping_bound_us = by_pings(1000.0)
+    of_makers, rows_of_makers = makers_clocks()
     relayed = by_relay()
     limit_1ms, limit_16ms = (transport_limit_us(slot, 1e6 / RATE_HZ, 60.0) for slot in (1000.0, 16_000.0))
     recorded, recorded_table = recorded_clocks()
@@ -267,6 +339,15 @@ def run() -> Report:
             "arrival_1ms_p99_us", arrival_1ms.p99_us(), "µs", "<=300", "arrival times alone, 1 ms batching"
         ),
         Figure("arrival_16ms_p99_us", arrival_16ms.p99_us(), "µs", "", "arrival times alone, 16 ms batching"),
+        Figure(
+            "unstamped_p99_us",
+            unstamped.p99_us(),
+            "µs",
+            "",
+            "no stamps (SlimeVR): line of the earliest arrivals, pings at 2 Hz, 1 ms batching",
+        ),
+        Figure("unstamped_bound_us", ping_bound_us, "µs", "", "bound published with it, mean of the modules"),
+        *of_makers,
         Figure("relay_p99_us", relayed.p99_us(), "µs", "", "relay unit, ticks of 10 ms, exchanges at 4 Hz"),
         Figure("trigger_p99_us", triggered.p99_us(), "µs", "", "unified control, broadcast trigger"),
         Figure(
@@ -293,6 +374,8 @@ def run() -> Report:
         arrival_16ms.row("arrival times, 16 ms batching", limit_16ms),
         arrival_1ms.row("arrival times, 1 ms batching", limit_1ms),
         exchanged.row("two-way exchanges, 1 ms batching"),
+        unstamped.row("no stamps: line of arrivals and pings, 1 ms batching"),
+        *rows_of_makers,
         relayed.row("two-way exchanges, relay unit with ticks of 10 ms"),
         triggered.row("2, unified control"),
     ]

@@ -27,7 +27,7 @@ from gateway.frames import FloatArray, SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.service.host_sender import HostSender
 from gateway.service.synchronisation import Synchroniser
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 
 RIG = "robot_arm_4"

@@ -44,6 +44,8 @@ class Report:
     figures: list[Figure] = field(default_factory=list)
     tables: list[str] = field(default_factory=list)
     """Markdown, each with its own heading."""
+    also: str = ""
+    """A page beside that of all suites whose readers want the tables: they come between its markers too."""
 
     def as_json(self) -> dict[str, object]:
         """For ``--json``."""
@@ -101,6 +103,8 @@ def write_docs(report: Report, page: Path, summary: Path) -> None:
     """
     if not _replace(page, report.suite, report.markdown()):
         raise SystemExit(f"{page}: the markers of '{report.suite}' are missing or out of order")
+    if report.also:
+        _replace(page.with_name(report.also), f"{report.suite} tables", "\n\n".join([*report.tables, ""]))
     _replace(summary, f"{report.suite} figures", f"{report.figures_table()}\n\nMachine: {machine()}.\n")
 
 

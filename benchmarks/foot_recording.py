@@ -10,7 +10,8 @@ import numpy as np
 from gateway.body.skeleton import Skeleton, WornSuit, field_vector
 from gateway.frames import FloatArray, ImuFrame
 from gateway.reconstruction import create_reconstructor
-from gateway.reconstruction.inertial.stance import StanceSettings, initial_stance, watch_stance
+from gateway.reconstruction.inertial.contacts import initial_stance, watch_stance
+from gateway.reconstruction.inertial.observations import SegmentObservations
 
 RATE_HZ = 204.8
 MARKER_RATE_HZ = 100.0
@@ -77,18 +78,10 @@ def stances(foot: FootRecording) -> FloatArray:
     state, n = initial_stance(1), len(foot.force)
     carries, measured = np.ones(1), np.zeros(1, np.uint8)
     rested = np.zeros((n, 1))
-    for k, resting in enumerate(rested):
-        watch_stance(
-            resting,
-            StanceSettings(),
-            state,
-            carries,
-            9.81,
-            foot.force[k : k + 1],
-            foot.rate[k : k + 1],
-            measured,
-            1.0 / RATE_HZ,
-        )
+    for k, stood_s in enumerate(rested):
+        force, rate = foot.force[k : k + 1], foot.rate[k : k + 1]
+        observed = SegmentObservations(force, rate, force, measured, measured)
+        watch_stance(stood_s, state, carries, 9.81, observed, 1.0 / RATE_HZ)
     return rested[:, 0]
 
 

@@ -1,4 +1,8 @@
-"""From the last byte of a tick to the app: a real pseudo-terminal, a real broker, separate processes."""
+"""From the last byte of a tick to the app: a real pseudo-terminal, a real broker, separate processes.
+
+The gateway has the last core to itself, as far as others on the machine let it; the suit, the broker and this
+measurement have the others.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,8 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +37,10 @@ FLOOR_RUNS = 2
 SETTLING_TICKS = 100
 LOADS = ((17, 100.0), (64, 100.0), (17, 500.0), (17, 1000.0), (34, 1000.0), (51, 1000.0), (64, 1000.0))
 """Modules and sampling rates tried for the highest load; poses at 100 Hz."""
-HELD_LATENCY_MS = 100.0
+RUNS_IN_A_ROW = 2
+"""Of each load, all of which it must hold."""
+HELD_LATENCY_MS = 10.0
+"""99 of 100 poses come within it, where a load is held."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,8 @@ class Run:
     """How often a thread of the process went to sleep and was woken."""
     turns_per_s: float
     """Of the event loop."""
+    rss_mb: float
+    """Memory of the process at the end."""
     last_pose: bytes
 
     @property
@@ -71,6 +80,8 @@ class Load:
     n_modules: int
     rate_hz: float
     seconds: float
+    core: int
+    """What the program runs on."""
     floor_pose: bytes | None = None
     """The floor program runs, and publishes poses like this one; None: the gateway."""
 
@@ -78,15 +89,15 @@ class Load:
 def run() -> Report:
     """17 modules at 100 Hz, then more until the gateway no longer keeps up; then beside the floor."""
     subprocess.run(readiness.command(METHOD), check=True)  # else another method would run meanwhile
-    with mosquitto() as (port, _):
-        runs = []
+    with mosquitto() as (port, broker), cores_apart(broker.pid) as core:
+        runs, best = [], 0.0
         for n_modules, rate_hz in LOADS:
-            runs.append(asyncio.run(_measure(Load(port, n_modules, rate_hz, SECONDS))))
-            if not runs[-1].is_held:
+            load = Load(port, n_modules, rate_hz, SECONDS, core)
+            runs += [asyncio.run(_measure(load)) for _ in range(RUNS_IN_A_ROW)]
+            if not all(run.is_held for run in runs[-RUNS_IN_A_ROW:]):
                 break
-        beside = _beside_floor(port, runs[0].last_pose)
-    held = [r for r in runs if r.is_held]
-    best = max((r.n_modules * r.rate_hz for r in held), default=0.0)
+            best = max(best, n_modules * rate_hz)
+        beside = _beside_floor(Load(port, 17, 100.0, FLOOR_SECONDS, core), runs[0].last_pose)
     report = Report("latency")
     report.figures = [
         Figure(
@@ -96,22 +107,46 @@ def run() -> Report:
             note="last byte written to the port → subscriber, 17 × 100 Hz",
         ),
         Figure("pty_to_mqtt_p99_ms", runs[0].percentile_ms(99), "ms", "", "the same, 99th percentile"),
-        *(figure for r in runs if r.rate_hz == 100.0 for figure in _load_figures(r)),
+        *(figure for r in runs[::RUNS_IN_A_ROW] if r.rate_hz == 100.0 for figure in _load_figures(r)),
         Figure(
-            "max_samples_per_s_one_core", best, "1/s", "", "modules × rate held without loss, poses at 100 Hz"
+            "max_samples_per_s_one_core",
+            best,
+            "1/s",
+            ">=64000",
+            f"modules × rate, poses at 100 Hz: none lost, 99 of 100 within {HELD_LATENCY_MS:g} ms, "
+            f"{RUNS_IN_A_ROW} runs in a row",
         ),
+        Figure("service_rss_mb", runs[0].rss_mb, "MB", "", "memory of the gateway, 17 × 100 Hz"),
         *_floor_figures(*beside),
     ]
     report.tables = [_table(runs), _floor_table(*beside)]
     return report
 
 
-def _beside_floor(port: int, pose: bytes) -> tuple[list[Run], list[Run]]:
-    """Runs of the gateway and of the floor, in turn, 17 × 100 Hz."""
+@contextlib.contextmanager
+def cores_apart(broker_pid: int) -> Iterator[int]:
+    """Give a core for the gateway; this process, what it starts and the broker keep to the others.
+
+    Raises ``SystemExit`` on a machine with one core.
+    """
+    cores = os.sched_getaffinity(0)
+    *others, last = sorted(cores)
+    if not others:
+        raise SystemExit("this suite needs two cores: the gateway has one to itself")
+    for pid in (0, broker_pid):
+        os.sched_setaffinity(pid, others)
+    try:
+        yield last
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def _beside_floor(load: Load, pose: bytes) -> tuple[list[Run], list[Run]]:
+    """Runs of the gateway and of the floor, in turn."""
     gateways, floors = [], []
     for _ in range(FLOOR_RUNS):
-        gateways.append(asyncio.run(_measure(Load(port, 17, 100.0, FLOOR_SECONDS))))
-        floors.append(asyncio.run(_measure(Load(port, 17, 100.0, FLOOR_SECONDS, pose))))
+        gateways.append(asyncio.run(_measure(load)))
+        floors.append(asyncio.run(_measure(replace(load, floor_pose=pose))))
     return gateways, floors
 
 
@@ -121,6 +156,7 @@ def _floor_figures(gateways: list[Run], floors: list[Run]) -> list[Figure]:
 
     cpu, floor_cpu = least(lambda r: r.cpu_percent)
     p99, floor_p99 = least(lambda r: r.percentile_ms(99))
+    _, floor_rss_mb = least(lambda r: r.rss_mb)
     wakeups, floor_wakeups = least(lambda r: r.wakeups_per_s)
     turns, floor_turns = least(lambda r: r.turns_per_s)
     return [
@@ -132,6 +168,7 @@ def _floor_figures(gateways: list[Run], floors: list[Run]) -> list[Figure]:
         Figure("wakeups_per_s_floor_17x100", floor_wakeups, "1/s", "", "the same, of the floor"),
         Figure("loop_turns_per_s_17x100", turns, "1/s", "", "turns of the gateway's event loop"),
         Figure("loop_turns_per_s_floor_17x100", floor_turns, "1/s", "", "the same, of the floor"),
+        Figure("floor_rss_mb", floor_rss_mb, "MB", "", "memory of the floor"),
     ]
 
 
@@ -149,11 +186,12 @@ def _table(runs: list[Run]) -> str:
         [
             *(str(r.n_modules), f"{r.rate_hz:g}", f"{r.cpu_percent:.0f}", f"{r.poses_per_s:.0f}"),
             *(f"{r.percentile_ms(q):.2f}" for q in (50, 99, 100)),
-            *(str(r.lost_poses), "yes" if r.is_held else "no"),
+            *(f"{r.rss_mb:.0f}", str(r.lost_poses), "yes" if r.is_held else "no"),
         ]
         for r in runs
     ]
-    heads = ["modules", "Hz", "CPU %", "messages/s", "p50 ms", "p99 ms", "max ms", "poses lost", "held"]
+    heads = ["modules", "Hz", "CPU %", "messages/s", "p50 ms", "p99 ms", "max ms"]
+    heads += ["memory MB", "poses lost", "held"]
     return f"### Load on one gateway process (reconstructor `{METHOD}`)\n\n" + table(heads, rows)
 
 
@@ -186,6 +224,7 @@ async def _measure(load: Load) -> Run:
             await line_of(suit)
             program = _program(folder, port, load)
             async with process_of("-m", "benchmarks.counted_loop", *program) as measured:
+                os.sched_setaffinity(measured.pid, {load.core})
                 return await _listen(suit, measured, load)
 
 
@@ -213,10 +252,11 @@ async def _listen(suit: asyncio.subprocess.Process, measured: asyncio.subprocess
         before = await _spent(process, measured)
         await asyncio.sleep(load.seconds - 2.0)
         spent = (await _spent(process, measured) - before) / (load.seconds - 2.0)
+        rss_mb = process.memory_info().rss / 1e6
         written_ns = np.array((await line_of(suit))["written_ns"])
         await asyncio.sleep(1.0)
         collecting.cancel()
-    return _evaluate(received, written_ns, load, spent)
+    return _evaluate(received, written_ns, load, spent, rss_mb)
 
 
 async def _spent(process: psutil.Process, measured: asyncio.subprocess.Process) -> FloatArray:
@@ -249,7 +289,9 @@ def begin(suit: asyncio.subprocess.Process, gateway: asyncio.subprocess.Process)
     return psutil.Process(gateway.pid)
 
 
-def _evaluate(received: list[ReceivedPose], written_ns: FloatArray, load: Load, spent: FloatArray) -> Run:
+def _evaluate(
+    received: list[ReceivedPose], written_ns: FloatArray, load: Load, spent: FloatArray, rss_mb: float
+) -> Run:
     """Poses belong to ticks by their instants: both count from the first. spent: a second."""
     every = round(load.rate_hz / 100.0)
     t_ns = np.array([each.pose.t_ns for each in received])
@@ -266,6 +308,7 @@ def _evaluate(received: list[ReceivedPose], written_ns: FloatArray, load: Load, 
         (len(received) - 1) / float((received_ns[-1] - received_ns[0]) * 1e-9),
         wakeups,
         turns,
+        rss_mb,
         received[-1].payload,
     )
 

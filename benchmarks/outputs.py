@@ -18,12 +18,12 @@ from benchmarks.synthetic_poses import INFO, RATE_HZ, frames_of, skeleton_of_siz
 from devices.emulators.local_broker import mosquitto
 from gateway.contract.topics import Topics
 from gateway.frames import SkeletonFrame
-from gateway.outputs import MqttSettings, PoseSubscriber
 from gateway.outputs.mqtt import MqttOutput
 from gateway.outputs.output import Output
 from gateway.outputs.pose_encoding import PosePublications
-from gateway.outputs.settings import OutputsSettings
+from gateway.outputs.settings import MqttSettings, OutputsSettings
 from gateway.outputs.side_outputs import SideOutputs
+from gateway.outputs.subscriber import PoseSubscriber
 
 SECONDS = 3.0
 REPEATS = 3

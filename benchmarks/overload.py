@@ -24,7 +24,7 @@ from gateway.outputs.settings import MqttSettings, PoseFormat, PoseMap
 from gateway.outputs.side_outputs import VmcEncoder
 from gateway.pipeline import LOAD_EVENT, Pipeline
 from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, LoadWatch
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "suit"

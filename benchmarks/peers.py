@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from gateway.body.skeleton import WornSuit
 from gateway.emulation import recordings
 from gateway.frames import ImuFrame, SkeletonFrame
-from gateway.reconstruction.inertial.joint import ChainSettings, JointReconstructor
 from gateway.reconstruction.inertial.observations import SegmentObserver
+from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings, JointReconstructor
 from gateway.reconstruction.reconstructor import update_many
 
 IMUFUSION = "imufusion"

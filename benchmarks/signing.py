@@ -11,7 +11,7 @@ from devices.link import Chunk, Framing
 from firmware_protocol import FrameDecoder, PacketDecoder
 from firmware_protocol.signing import KEY_SIZE, SignedFrames
 from gateway.emulation.simulation import LINK, relay_chunks, suit_17
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.stream import Stream
 
 REPEATS = 120

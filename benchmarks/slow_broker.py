@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import psutil
 
 from benchmarks.synthetic_poses import GATEWAY, INFO, RATE_HZ, frames_of, skeleton_of_size
-from gateway.outputs import MqttSettings, PoseSubscriber
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import PoseSubscriber
 
 BYTES_PER_S = 80_000.0
 """About half of what 17 segments at 100 Hz need."""

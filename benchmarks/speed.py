@@ -8,7 +8,7 @@ from functools import partial
 
 from vqf import VQF
 
-from benchmarks import speed_optical, speed_wire
+from benchmarks import speed_makers, speed_optical, speed_wire
 from benchmarks.figures import Figure, Report, table
 from benchmarks.speed_growth import SIZES, enlarged_frame, enlarged_suit
 from devices.link import Chunk, Framing
@@ -18,7 +18,7 @@ from gateway.emulation.simulation import LINK, relay_chunks, suit_17
 from gateway.frames import ImuFrame, InertialBatch, LocalReading
 from gateway.pipeline import FRAMES_AT_A_TIME, Pipeline
 from gateway.reconstruction import RECONSTRUCTORS, Reconstructor, update_many
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.stream import Stream
 from gateway.stages.frame_assembler import AssemblyParams, FrameAssembler
 
@@ -38,6 +38,7 @@ def run() -> Report:
     report.figures = [
         *_decode_figures(chunks, singles),
         *speed_wire.figures(chunks, suit, PARAMS),
+        *speed_makers.figures(),
         *_frame_figures(suit, frames),
         *_offline_figures(suit, chunks, frames),
     ]

@@ -23,7 +23,7 @@ from firmware_protocol import (
 )
 from gateway.body.skeleton import WornSuit
 from gateway.pipeline import Pipeline
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.stream import Stream
 from gateway.stages.frame_assembler import AssemblyParams
 

@@ -85,7 +85,11 @@ class Copy:
 
     def environment(self, kernels: str = "kernels") -> dict[str, str]:
         """Return what a process there runs with. kernels: folder of them."""
-        return {"PYTHONPATH": str(self.folder), "NUMBA_CACHE_DIR": str(self.folder / kernels)}
+        return {
+            "PYTHONPATH": str(self.folder),
+            "NUMBA_CACHE_DIR": str(self.folder / kernels),
+            "PYTHONDONTWRITEBYTECODE": "",  # else all sources are compiled again for every command
+        }
 
     def seconds(
         self, arguments: Sequence[str], more: Mapping[str, str] | None = None, is_checked: bool = True

@@ -44,6 +44,9 @@ HUB = ("pipeline.py", "service.py", "accounting.py", "observability.py")
 """Where nothing should ask for the kind of a source (in ``gateway/`` or a room of that name)."""
 NAMING = re.compile(r"[\w.:\[\], |]{1,200}")
 """A text that may name a function or a type."""
+MOST_PARAMETERS = 6
+READ_BESIDE_EQUATIONS = ("inertial", "optical", "video")
+"""Rooms of ``gateway/reconstruction/``."""
 KINDS = re.compile(r"gnss|marker|heat_map|hip|sun|light|fused|camera|trigger|optical|video", re.IGNORECASE)
 
 
@@ -112,6 +115,59 @@ def kind_tests() -> Counter[str]:
                 test = getattr(node, "test", None) if isinstance(node, ast.If | ast.IfExp) else None
                 found[path.name] += test is not None and bool(KINDS.search(ast.unparse(test)))
     return found
+
+
+class Bulk(NamedTuple):
+    """What somebody has to read who wants to know a room."""
+
+    files: int
+    lines: int
+    many_parameters: int
+    """Functions that take more than ``MOST_PARAMETERS``, ``self`` not counted."""
+    constants: int
+    """Numbers with a name at the top of a file."""
+    tuned: int
+    """Numbers in a table, with unit and origin (``gateway.geometry.records.constant``)."""
+    settings: int
+    """Fields of a class that have a number for a default."""
+
+
+def bulk(folder: Path) -> Bulk:
+    """Count what lies in a folder."""
+    found = Counter[str]()
+    for path in folder.rglob("*.py"):
+        text = path.read_text()
+        found["files"] += 1
+        found["lines"] += text.count("\n")
+        tree = ast.parse(text)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                names = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                counted = [name for name in names if name.arg not in ("self", "cls")]
+                found["many_parameters"] += len(counted) > MOST_PARAMETERS
+            elif isinstance(node, ast.ClassDef):
+                defaults = [
+                    each.value for each in node.body if isinstance(each, ast.AnnAssign) and each.value
+                ]
+                found["settings"] += sum(_is_number(value) for value in defaults)
+                found["tuned"] += sum(
+                    isinstance(value, ast.Call) and getattr(value.func, "id", "") == "constant"
+                    for value in defaults
+                )
+        for node in tree.body:
+            if isinstance(node, ast.Assign):
+                values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
+                found["constants"] += sum(_is_number(value) for value in values)
+    return Bulk(**{name: found[name] for name in Bulk._fields})
+
+
+def _is_number(value: ast.expr) -> bool:
+    """Whether it is one, with a sign, a product or a power of them too."""
+    if isinstance(value, ast.UnaryOp):
+        return _is_number(value.operand)
+    if isinstance(value, ast.BinOp):
+        return _is_number(value.left) and _is_number(value.right)
+    return isinstance(value, ast.Constant) and type(value.value) in (int, float)
 
 
 class _Definition(NamedTuple):
@@ -240,6 +296,13 @@ def main() -> None:
         print(f"{name}: {count} conditions name a kind of source")
     for found in used_by_tests_alone():
         print(f"used by tests alone: {found}")
+    for name in READ_BESIDE_EQUATIONS:
+        counts = bulk(REPOSITORY / "gateway" / "reconstruction" / name)
+        print(
+            f"reconstruction/{name}: {counts.files} files, {counts.lines} lines, {counts.many_parameters} "
+            f"functions of more than {MOST_PARAMETERS} parameters, {counts.constants} constants, "
+            f"{counts.tuned} in tables, {counts.settings} settings"
+        )
     calls, files = calls_of_a_frame()
     print(f"a frame: {calls:.0f} calls in {files} files from bytes to payload")
 

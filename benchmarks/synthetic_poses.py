@@ -9,9 +9,9 @@ import numpy as np
 from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
+from gateway.contract.messages import BridgeInfo
 from gateway.frames import SkeletonFrame
 from gateway.geometry import quaternion
-from gateway.outputs import BridgeInfo
 
 RATE_HZ = 100.0
 GATEWAY = "bench"

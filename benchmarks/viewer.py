@@ -22,8 +22,8 @@ from benchmarks.latency import process_of
 from benchmarks.synthetic_poses import GATEWAY, INFO, RATE_HZ, frames_of, skeleton_of_size
 from benchmarks.viewer_browser import browser_page
 from devices.emulators.local_broker import free_port, mosquitto
-from gateway.outputs import MqttSettings
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.settings import MqttSettings
 
 SECONDS = 8.0
 SETTLING_S = 4.0

@@ -22,7 +22,7 @@ from random import Random
 from devices.emulators.wire_damage import BLOCK_SIZE, ByteStream, CanBus
 from devices.link import Chunk, Framing
 from gateway.emulation.both_ways import BothWays, Difference
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.stream import Stream
 
 START_NS = 1_800_000_000_000_000_000

@@ -1,12 +1,32 @@
-"""What is used of SciPy and VQF, imported when it is first called.
+"""What is slow to import, imported when it is first called: ``Deferred``, and what is used of SciPy and VQF.
 
 Importing SciPy takes a third of a second, VQF a tenth; most commands, and the help of all, never call them.
 """
 
 from __future__ import annotations
 
+import functools
 import importlib
 from typing import TYPE_CHECKING, Any
+
+
+class Deferred:
+    """Stands for a function or class, whose calls and attributes it passes on."""
+
+    def __init__(self, module: str, name: str) -> None:
+        """module: imported at the first call. name: what it stands for there, ``Class.method`` too."""
+        self._module, self._name = module, name
+
+    def _found(self) -> Any:
+        return functools.reduce(getattr, self._name.split("."), importlib.import_module(self._module))
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Import it, and call it."""
+        return self._found()(*arguments, **options)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._found(), name)
+
 
 if TYPE_CHECKING:
     from scipy.interpolate import BPoly, CubicSpline, make_interp_spline
@@ -19,47 +39,32 @@ if TYPE_CHECKING:
     from scipy.stats import theilslopes
     from vqf import VQF, offlineVQF
 else:
-
-    class _Deferred:
-        """Stands for a function or class, whose calls and attributes it passes on."""
-
-        def __init__(self, module: str, name: str) -> None:
-            self._module, self._name = module, name
-
-        def _found(self) -> Any:
-            return getattr(importlib.import_module(self._module), self._name)
-
-        def __call__(self, *arguments: Any, **options: Any) -> Any:
-            return self._found()(*arguments, **options)
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(self._found(), name)
-
-    BPoly = _Deferred("scipy.interpolate", "BPoly")
-    CubicSpline = _Deferred("scipy.interpolate", "CubicSpline")
-    Rotation = _Deferred("scipy.spatial.transform", "Rotation")
-    Slerp = _Deferred("scipy.spatial.transform", "Slerp")
-    butter = _Deferred("scipy.signal", "butter")
-    correlate = _Deferred("scipy.signal", "correlate")
-    expit = _Deferred("scipy.special", "expit")
-    gaussian_filter1d = _Deferred("scipy.ndimage", "gaussian_filter1d")
-    least_squares = _Deferred("scipy.optimize", "least_squares")
-    lfilter = _Deferred("scipy.signal", "lfilter")
-    loadmat = _Deferred("scipy.io", "loadmat")
-    make_interp_spline = _Deferred("scipy.interpolate", "make_interp_spline")
-    minimize = _Deferred("scipy.optimize", "minimize")
-    nnls = _Deferred("scipy.optimize", "nnls")
-    sosfilt = _Deferred("scipy.signal", "sosfilt")
-    sosfilt_zi = _Deferred("scipy.signal", "sosfilt_zi")
-    sosfiltfilt = _Deferred("scipy.signal", "sosfiltfilt")
-    theilslopes = _Deferred("scipy.stats", "theilslopes")
-    VQF = _Deferred("vqf", "VQF")
-    offlineVQF = _Deferred("vqf", "offlineVQF")  # noqa: N816 - its own name
+    BPoly = Deferred("scipy.interpolate", "BPoly")
+    CubicSpline = Deferred("scipy.interpolate", "CubicSpline")
+    Rotation = Deferred("scipy.spatial.transform", "Rotation")
+    Slerp = Deferred("scipy.spatial.transform", "Slerp")
+    butter = Deferred("scipy.signal", "butter")
+    correlate = Deferred("scipy.signal", "correlate")
+    expit = Deferred("scipy.special", "expit")
+    gaussian_filter1d = Deferred("scipy.ndimage", "gaussian_filter1d")
+    least_squares = Deferred("scipy.optimize", "least_squares")
+    lfilter = Deferred("scipy.signal", "lfilter")
+    loadmat = Deferred("scipy.io", "loadmat")
+    make_interp_spline = Deferred("scipy.interpolate", "make_interp_spline")
+    minimize = Deferred("scipy.optimize", "minimize")
+    nnls = Deferred("scipy.optimize", "nnls")
+    sosfilt = Deferred("scipy.signal", "sosfilt")
+    sosfilt_zi = Deferred("scipy.signal", "sosfilt_zi")
+    sosfiltfilt = Deferred("scipy.signal", "sosfiltfilt")
+    theilslopes = Deferred("scipy.stats", "theilslopes")
+    VQF = Deferred("vqf", "VQF")
+    offlineVQF = Deferred("vqf", "offlineVQF")  # noqa: N816 - its own name
 
 __all__ = [
     "VQF",
     "BPoly",
     "CubicSpline",
+    "Deferred",
     "Rotation",
     "Slerp",
     "butter",

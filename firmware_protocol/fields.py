@@ -111,15 +111,12 @@ class WireField:
             return self.absent is not None
         if self.code == "s":
             return True
-        return all(self._accepts_element(x) for x in (value if self.count > 1 else (value,)))
-
-    def _accepts_element(self, x: float) -> bool:
-        return (
-            math.isfinite(x)
-            and (self.minimum is None or x >= self.minimum)
-            and (self.maximum is None or x <= self.maximum)
-            and (not self.meanings or x in self.meanings)
-        )
+        least = -math.inf if self.minimum is None else self.minimum
+        most = math.inf if self.maximum is None else self.maximum
+        for x in value if self.count > 1 else (value,):
+            if not (least <= x <= most and math.isfinite(x)) or (self.meanings and x not in self.meanings):
+                return False
+        return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

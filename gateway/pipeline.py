@@ -23,14 +23,15 @@ from gateway.body.skeleton import WornSuit, remounted
 from gateway.clocks import ClockTable, TriggerAnswers, load_clock_table
 from gateway.contract.balances import Balance, joined
 from gateway.errors import GatewayError
-from gateway.frames import ImuFrame, InertialBatch, Observation, SkeletonFrame
+from gateway.frames import FusedReading, ImuFrame, InertialBatch, Observation, SkeletonFrame
 from gateway.reconstruction import RootSettings
 from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.resets import Resets
 from gateway.settings import GatewaySettings, fitting_suit
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.despiking import Despiker
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.module_table import ClockMode, ModuleTable
+from gateway.sources.module_table import ModuleTable
 from gateway.sources.registry import carried_by, refuse_unsuited, source_kind
 from gateway.sources.source import Source, SourceContext
 from gateway.sources.stream import Stream
@@ -143,7 +144,7 @@ class Pipeline:
 
     def has_modules(self, link: str) -> bool:
         """Whether modules are at the other end of a link that was announced."""
-        return self._routes[link][0].observes is InertialBatch
+        return self._routes[link][0].observes in (InertialBatch, FusedReading)
 
     def stage_of(self, observes: type[Observation]) -> Stage[Any]:
         """Return the stage that takes a kind of observation, made when it is first asked for."""

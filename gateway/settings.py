@@ -19,8 +19,7 @@ from pydantic import (
 )
 
 from devices.link import SUIT
-from gateway.body.skeleton import WornSuit
-from gateway.contract.requests import RECORDING_NAME
+from gateway.contract.names import RECORDING_NAME
 from gateway.errors import SettingsError, nearest
 from gateway.outputs.settings import MqttSettings, OutputsSettings
 from gateway.reconstruction import (
@@ -34,10 +33,9 @@ from gateway.reconstruction import (
     refuse_unknown,
     refuse_unreadable,
 )
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.module_table import ClockMode
 from gateway.sources.registry import SOURCES, refuse_unsuited
-from gateway.stages.frame_assembler import AssemblyParams
 from gateway.support.credentials import AccessToken, token_for
 from gateway.support.log_format import LogFormat
 from gateway.support.settings_files import load_settings
@@ -63,6 +61,9 @@ def _is_carried(link: LinkSettings) -> LinkSettings:
 
 
 if TYPE_CHECKING:
+    from gateway.body.skeleton import WornSuit
+    from gateway.stages.frame_assembler import AssemblyParams
+
     AnyLinkSettings = LinkSettings
 else:
     _kinds = dict.fromkeys(source.settings for source in SOURCES.values())
@@ -143,6 +144,8 @@ class AssemblySettings(_Strict):
 
     def params(self) -> AssemblyParams:
         """In the units of the assembler."""
+        from gateway.stages.frame_assembler import AssemblyParams  # noqa: PLC0415 - needs kernels
+
         return AssemblyParams(
             frame_interval_ns=1e9 / self.rate_hz,
             max_wait_ns=round(self.max_wait_ms * 1e6),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from paho.mqtt import publish
 
-from gateway.outputs import MqttSettings
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.settings import MqttSettings
 from tests.contract_watch import ContractWatch, assert_kept
 
 

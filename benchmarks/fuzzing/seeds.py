@@ -22,7 +22,12 @@ from devices.marker_messages import encode_markers
 from devices.recording_file import RecordingFile
 from devices.recording_format import HOST
 from devices.recording_writer import RecordingWriter, session_record
+from devices.vendor_protocols import slimevr
 from devices.vendor_protocols.mti import encode_can
+from devices.vendor_protocols.mvn import JOINT_ANGLES, META, JointRotation, encode_scale, encode_text
+from devices.vendor_protocols.mvn import encode as encode_mvn
+from devices.vendor_protocols.witmotion import REGISTERS, UNLOCK, encode_write
+from devices.vendor_protocols.witmotion import encode as encode_packet
 from devices.vendor_protocols.ximu3 import Announcement, encode_announcement
 from firmware_protocol import CanFrame, pack_can_records
 from firmware_protocol.device_settings import factory_settings
@@ -74,7 +79,23 @@ def _vectors(name: str) -> list[dict[str, Any]]:
     return vectors
 
 
+_REGISTERS = [encode_packet(REGISTERS, (9, 6, 0, 0)), encode_write(*UNLOCK)]
+_TOLD_BY_MVN = [
+    encode_text(META, 1, 10, "name:A\n"),
+    encode_scale(1, 10, {"pelvis": (0.0, 0.0, 1.0)}),
+    encode_mvn(JOINT_ANGLES, 1, 10, [JointRotation(1, 2, (1.0, 2.0, 3.0))]),
+]
 _ANNOUNCED = encode_announcement(Announcement("Hand", "64F0EDBF", "10.0.0.7", 7000, 8001, 9000, 87, 70))
+
+
+_TRACKER = slimevr.Handshake(22, "0.7", "a4e57c000001")
+_SLIMEVR = [
+    slimevr.encode(slimevr.Kind.HANDSHAKE, 0, slimevr.handshake(_TRACKER)),
+    slimevr.GREETING,
+    slimevr.ping(7),
+    slimevr.set_setting(0, slimevr.MAGNETOMETER, True),
+    slimevr.acknowledge(0, 1),
+]
 
 
 def _spoken(language: str) -> list[bytes]:
@@ -92,7 +113,10 @@ def _of_the_wire() -> dict[str, list[bytes]]:
     return {
         "wire_stream": [*streams, b"".join(streams[:8])],
         "ximu3_stream": [*_spoken("ximu3"), *_spoken("ximu3_text"), _ANNOUNCED],
+        "witmotion_stream": [*_spoken("witmotion"), *_spoken("witmotion_can"), *_REGISTERS],
+        "suit_datagrams": [*_spoken("mvn"), *_spoken("mocopi"), *_spoken("bno08x_rvc"), *_TOLD_BY_MVN],
         "mti_stream": [*_spoken("mti"), encode_can({"sample_time_us": (7,), "acceleration": (0, 0, 9.75)})],
+        "slimevr_datagrams": [*_spoken("slimevr")[:9], *_SLIMEVR],
         "can_stream": [*buses, b"".join(buses[:4])],
         "slcan_text": [b"T0c400c4081100d01213000d05\rt1232ab01\rd1239" + b"00" * 12 + b"\r\x07V1013\r"],
         "can_transfers": [bytes([1, 0]) + bytes.fromhex(each["body"])[:14] for each in packets],

@@ -23,6 +23,9 @@ from devices.slcan import SlcanDecoder
 from devices.transactions import Transactions
 from devices.vendor_protocols.mti import Mid, MtiCanDecoder, MtiDecoder, read_output_configuration
 from devices.vendor_protocols.mti import encode as encode_xbus
+from devices.vendor_protocols.slimevr import Handshake, SensorInfo, SlimevrDecoder
+from devices.vendor_protocols.slimevr_tracker import TrackerSession
+from devices.vendor_protocols.witmotion import WitMotionCanDecoder, read_writes
 from devices.vendor_protocols.ximu3 import read_announcement
 from firmware_protocol import (
     MAX_FRAME_SIZE,
@@ -55,11 +58,13 @@ from firmware_protocol import (
 from firmware_protocol.flash_slots import SLOT_MAGIC, SLOT_SIZE
 from firmware_protocol.messages import ANYONE
 from gateway.emulation.both_ways import BothWays
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.gnss.sentences import GnssDecoder
-from gateway.sources.module_table import ClockMode
 from gateway.sources.stream import Stream
 
 _SCRATCH = Path(tempfile.mkdtemp(prefix="mocap-fuzz-"))
+MAX_DATAGRAM = 2048
+"""Bytes: no tracker answers with more than it was sent."""
 _PATIENCE_NS = 50_000_000
 
 
@@ -89,6 +94,35 @@ def mti_stream(data: bytes) -> None:
     MtiDecoder().feed(encode_xbus(Mid.MT_DATA_2, data))
     read_output_configuration(data)
     MtiCanDecoder().feed(data)
+
+
+def slimevr_datagrams(data: bytes) -> None:
+    """Datagrams of a tracker, each after its length; and the same from a server to a tracker."""
+    decoder, session = SlimevrDecoder(), TrackerSession(Handshake(22, "fuzz", ""), [SensorInfo(0, 1, 13, 0)])
+    session.due(0.0)
+    rest, now_s = data, 0.0
+    while rest:
+        size, rest, now_s = rest[0], rest[1:], now_s + 0.7
+        datagram, rest = rest[:size], rest[size:]
+        decoder.feed(datagram)
+        for said in (*session.hear(datagram, now_s), *session.data(session.presentations(now_s))):
+            assert len(said) <= MAX_DATAGRAM, len(said)
+        session.due(now_s)
+    SlimevrDecoder().feed(data)
+    session.hear(data, now_s)
+
+
+def witmotion_stream(data: bytes) -> None:
+    """Packets of a WitMotion device, its frames on CAN, and what a host writes."""
+    _same_messages_however_cut(data, "witmotion")
+    WitMotionCanDecoder().feed(data)
+    read_writes(data)
+
+
+def suit_datagrams(data: bytes) -> None:
+    """What MVN, mocopi and a BNO08x send."""
+    for language in ("mvn", "mocopi", "bno08x_rvc"):
+        _same_messages_however_cut(data, language)
 
 
 def _same_messages_however_cut(data: bytes, language: str) -> None:

@@ -20,7 +20,7 @@ from benchmarks.never_worse import peers, split
 from benchmarks.never_worse.case import Case, Variant
 from benchmarks.never_worse.judging import errors
 from benchmarks.never_worse.solving import OURS, live
-from gateway.reconstruction.inertial.joint import ChainSettings
+from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings
 
 
 class Score(NamedTuple):

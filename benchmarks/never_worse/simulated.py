@@ -59,12 +59,18 @@ def random_chain_case(seed: int) -> Case:
     return _case("random_chain", seed, chain.suit, chain.motion, chain.switches, chain.rate_hz)
 
 
-def ring_like_case(seed: int) -> Case:
+def ring_moving_case(seed: int) -> Case:
+    """The same, swung from the first sample on, and never on a table."""
+    return ring_like_case(seed, is_moving=True)
+
+
+def ring_like_case(seed: int, is_moving: bool = False) -> Case:
     """Five segments, two joints about all axes and three hinges, carried about by hand at 40 Hz.
 
     They lie on a metal table for five seconds; the field of the room is bent by iron that they move past, and
     wanders. One in two has modules on soft tissue.
     """
+    kind = "ring_moving" if is_moving else "ring_like"
     rng = np.random.default_rng([seed, 31])
     suit = replace(load_rig("chain_5"), magnetic_field=field_vector(50.0, 65.0))
     shape = (5, 3, 2)
@@ -74,10 +80,11 @@ def ring_like_case(seed: int) -> Case:
     angles = Waves(amplitude, rng.uniform(0.2, 0.8, shape), rng.uniform(0.0, 2.0 * np.pi, shape))
     shape = (1, 3, 2)
     path = Waves(np.full(shape, 0.1), rng.uniform(0.2, 0.7, shape), rng.uniform(0.0, 2.0 * np.pi, shape))
-    motion = BodyMotion(dress(suit), angles, path, Fade(rest_s=5.0, ramp_s=1.0))
+    fade = ALREADY_MOVING if is_moving else Fade(rest_s=5.0, ramp_s=1.0)
+    motion = BodyMotion(dress(suit), angles, path, fade)
     suit = replace(suit, module_ids=tuple(range(5)))
-    case = _case("ring_like", seed, suit, motion, Switches(has_wobble=seed % 2 == 0), RING_HZ, seconds=45.0)
-    frames = _disturbed(case.frames, suit, motion, rng, table_s=5.0)
+    case = _case(kind, seed, suit, motion, Switches(has_wobble=seed % 2 == 0), RING_HZ, seconds=45.0)
+    frames = _disturbed(case.frames, suit, motion, rng, table_s=0.0 if is_moving else 5.0)
     return replace(case, frames=frames, hinges=RING_HINGES)
 
 
@@ -155,6 +162,7 @@ KINDS: dict[str, Callable[[int], Case]] = {
     "carried_arm": carried_arm_case,
     "random_chain": random_chain_case,
     "ring_like": ring_like_case,
+    "ring_moving": ring_moving_case,
     "triple_pendulum": triple_pendulum_case,
     "slow_arm": slow_arm_case,
     "slow_soft": slow_soft_case,

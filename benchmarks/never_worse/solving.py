@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.never_worse.case import Case, Variant
 from gateway.frames import FloatArray, SkeletonFrame
-from gateway.reconstruction.inertial.joint import (
+from gateway.reconstruction.inertial.tree.reconstructor import (
     ChainReconstructor,
     ChainSettings,
     JointReconstructor,
@@ -39,9 +39,9 @@ def live(method: str, case: Case, variant: Variant, settings: ChainSettings | No
     """
     body, finder = _body(method, case, variant, settings)
     prepared = body.prepare(case.frames)
-    resting = prepared.resting
-    covariance = np.empty((*resting.shape, 3, 3))
-    found = finder.poses(prepared.observations, prepared.frames, resting, covariance)
+    stood_s = prepared.stood_s
+    covariance = np.empty((*stood_s.shape, 3, 3))
+    found = finder.poses(prepared.observations, prepared.frames, stood_s, covariance)
     frames = body.finish(found, prepared)
     return Solution(*_stacked(frames), covariance)
 

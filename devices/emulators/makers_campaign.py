@@ -20,8 +20,9 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple, Protocol
 
-from devices.emulators.wire_damage import BYTE_DAMAGES, DAMAGED_SHARE
-from devices.vendor_protocols import mti, ximu3
+from devices.emulators.wire_damage import BYTE_DAMAGES, DAMAGED_SHARE, PIECE_DAMAGES
+from devices.vendor_protocols import bno08x, mocopi, mti, mvn, slimevr, witmotion, ximu3
+from firmware_protocol import pack_can_records, unpack_can_records
 
 BLOCK = 256
 """Messages between two looks at what came out."""
@@ -39,6 +40,16 @@ _WAYS = (
     "noise before",
 )
 """What ``BYTE_DAMAGES`` do, in their order."""
+_CAN_WAYS = (
+    "frame lost",
+    "frame repeated",
+    "frames reordered",
+    "bits of data",
+    "bit of identifier",
+    "spliced",
+    "foreign between",
+)
+"""What ``PIECE_DAMAGES`` do, in their order."""
 
 
 class _Decoder(Protocol):
@@ -53,6 +64,10 @@ class Language(NamedTuple):
     decoder: Callable[[], _Decoder]
     message: Callable[[Random, int], bytes]
     """A message of a number: no two of a campaign are alike."""
+    is_datagram: bool = False
+    """Whether it comes whole, as it was sent or damaged, and never in pieces."""
+    is_can: bool = False
+    """Whether it is records of CAN frames: whole ones come, of which some are lost or wrong."""
 
 
 def _of_ximu3(rng: Random, number: int) -> bytes:
@@ -82,10 +97,90 @@ def _of_mti(rng: Random, number: int) -> bytes:
     return mti.encode(mti.Mid.MT_DATA_2, b"".join(items))
 
 
+def _of_slimevr(rng: Random, number: int) -> bytes:
+    turned = [rng.gauss(0, 1) for _ in range(4)]
+    norm = sum(part * part for part in turned) ** 0.5
+    w, x, y, z = (part / norm for part in turned)
+    linear = rng.gauss(0, 5), rng.gauss(0, 5), rng.gauss(0, 5)
+    if number % 3 == 0:
+        both = slimevr.rotation_and_acceleration(number % 2, (w, x, y, z), linear)
+        return slimevr.encode(slimevr.Kind.ROTATION_AND_ACCELERATION, 1 + number, both)
+    turn = slimevr.Kind.ROTATION_DATA, slimevr.rotation_data(0, (w, x, y, z))
+    if number % 3 == 1:
+        return slimevr.encode(turn[0], 1 + number, turn[1])
+    return slimevr.encode_bundle(
+        1 + number, [turn, (slimevr.Kind.ACCELERATION, slimevr.acceleration(0, linear))]
+    )
+
+
+def _of_mti_can(rng: Random, number: int) -> bytes:
+    values: dict[str, Sequence[float]] = {
+        "sample_time_us": [10_000 * number % 2**32],
+        "packet_counter": [number % 2**16],
+        "acceleration": [rng.gauss(0, 10) for _ in range(3)],
+        "rate_of_turn": [rng.gauss(0, 3) for _ in range(3)],
+        "magnetic_field": [rng.uniform(-1, 1) for _ in range(3)],
+    }
+    return mti.encode_can(values)
+
+
+def _witmotion_numbers(rng: Random) -> list[tuple[int, list[int]]]:
+    numbers = [[rng.randrange(-(2**15), 2**15) for _ in range(3)] for _ in range(3)]
+    kinds = witmotion.ACCELERATION, witmotion.ANGULAR_RATE, witmotion.FIELD
+    return [(kind, [*each, 2500]) for kind, each in zip(kinds, numbers, strict=True)]
+
+
+def _of_witmotion(rng: Random, number: int) -> bytes:
+    return b"".join(witmotion.encode(kind, each) for kind, each in _witmotion_numbers(rng))
+
+
+def _of_witmotion_can(rng: Random, number: int) -> bytes:
+    return b"".join(witmotion.encode_can(kind, each) for kind, each in _witmotion_numbers(rng))
+
+
+def _turned(rng: Random) -> tuple[float, float, float, float]:
+    q = [rng.gauss(0, 1) for _ in range(4)]
+    norm = sum(part * part for part in q) ** 0.5
+    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+
+
+def _vector(rng: Random, spread: float) -> tuple[float, float, float]:
+    return rng.gauss(0, spread), rng.gauss(0, spread), rng.gauss(0, spread)
+
+
+def _of_mvn(rng: Random, number: int) -> bytes:
+    segments = range(1, 4)
+    if number % 2:
+        poses = [mvn.SegmentPose(each, _vector(rng, 1.0), _turned(rng)) for each in segments]
+        return mvn.encode(mvn.QUATERNIONS, number, 10 * number, poses)
+    trackers = [
+        mvn.Tracker(each, _turned(rng), *(_vector(rng, spread) for spread in (1.0, 10.0, 3.0, 0.6)))
+        for each in segments
+    ]
+    return mvn.encode(mvn.TRACKERS, number, 10 * number, trackers)
+
+
+def _of_bno08x(rng: Random, number: int) -> bytes:
+    angles = rng.uniform(-180, 180), rng.uniform(-90, 90), rng.uniform(-180, 180)
+    return bno08x.encode(bno08x.Report(number, angles, _vector(rng, 1.0)))
+
+
+def _of_mocopi(rng: Random, number: int) -> bytes:
+    bones = tuple((bone, _turned(rng), _vector(rng, 0.3)) for bone in range(3))
+    return mocopi.encode(mocopi.Frame(number, 20 * number, bones))
+
+
 LANGUAGES: Mapping[str, Language] = {
     "ximu3": Language(ximu3.Ximu3Decoder, _of_ximu3),
     "ximu3_text": Language(ximu3.Ximu3Decoder, _of_ximu3_text),
     "mti": Language(mti.MtiDecoder, _of_mti),
+    "mti_can": Language(mti.MtiCanDecoder, _of_mti_can, is_can=True),
+    "witmotion": Language(witmotion.WitMotionDecoder, _of_witmotion),
+    "witmotion_can": Language(witmotion.WitMotionCanDecoder, _of_witmotion_can, is_can=True),
+    "mvn": Language(mvn.MvnDecoder, _of_mvn),
+    "bno08x_rvc": Language(bno08x.Bno08xDecoder, _of_bno08x),
+    "mocopi": Language(mocopi.MocopiDecoder, _of_mocopi, is_datagram=True),
+    "slimevr": Language(slimevr.SlimevrDecoder, _of_slimevr, is_datagram=True),
 }
 """By name. A maker is a line here, and how a message of it is made."""
 
@@ -117,7 +212,7 @@ class Verdict:
             f"{len(self.raised)} exceptions, {len(self.lost)} intact lost; "
             f"{100 * self.corrupt_share:.2f} % of the damaged accepted as something else"
         )
-        for way in _WAYS:
+        for way in sorted(self.damaged, key=(_WAYS + _CAN_WAYS).index):
             share = self.corrupt[way] / max(self.damaged[way], 1)
             yield f"  {way:14} {self.damaged[way]:>8} damaged, {100 * share:6.2f} % so accepted"
         yield "  dropped: " + ", ".join(f"{why} {count}" for why, count in sorted(self.dropped.items()))
@@ -140,11 +235,13 @@ def run(language: Language, n_messages: int, seed: int) -> Verdict:
             number = verdict.n_messages
             verdict.n_messages += 1
             data = language.message(rng, number)
-            content = repr(next(iter(language.decoder().feed(data)), data))
-            known[content] = number
-            sent = _damaged(rng, data, before)
+            contents = list(map(repr, language.decoder().feed(data))) or [repr(data)]
+            known.update(dict.fromkeys(contents, number))
+            sent = (_damaged_on_can if language.is_can else _damaged)(rng, data, before)
             before = data
-            found = _fed(decoder, sent.pieces, rng, verdict)
+            found = _fed(
+                decoder, sent.pieces, None if language.is_datagram or language.is_can else rng, verdict
+            )
             verdict.n_accepted += len(found)
             since_damage = 0 if sent.way else since_damage + 1
             if sent.way is not None:
@@ -154,7 +251,7 @@ def run(language: Language, n_messages: int, seed: int) -> Verdict:
             if strange:
                 verdict.corrupt[last_way] += 1
             if since_damage > _RECOVERED:
-                awaited[content] = number
+                awaited.update(dict.fromkeys(contents, number))
             for each in found:
                 awaited.pop(each, None)
         known = {content: number for content, number in known.items() if number > verdict.n_messages - BLOCK}
@@ -171,12 +268,20 @@ def _damaged(rng: Random, data: bytes, before: bytes) -> _Sent:
     return _Sent(BYTE_DAMAGES[place](rng, data, before), _WAYS[place])
 
 
-def _fed(decoder: _Decoder, pieces: list[bytes], rng: Random, verdict: Verdict) -> list[str]:
-    """Feed pieces, each cut somewhere; return what came of them."""
+def _damaged_on_can(rng: Random, data: bytes, before: bytes) -> _Sent:
+    if rng.random() >= DAMAGED_SHARE:
+        return _Sent([data], None)
+    place = rng.randrange(len(PIECE_DAMAGES))
+    pieces, others = ([pack_can_records([f]) for f in unpack_can_records(each)] for each in (data, before))
+    return _Sent([b"".join(PIECE_DAMAGES[place](rng, pieces, others))], _CAN_WAYS[place])
+
+
+def _fed(decoder: _Decoder, pieces: list[bytes], rng: Random | None, verdict: Verdict) -> list[str]:
+    """Feed pieces, each cut somewhere unless they are datagrams; return what came of them."""
     found: list[str] = []
     for piece in pieces:
-        cut = rng.randrange(len(piece) + 1)
-        for part in (piece[:cut], piece[cut:]):
+        cut = len(piece) if rng is None else rng.randrange(len(piece) + 1)
+        for part in (piece[:cut],) if rng is None else (piece[:cut], piece[cut:]):
             try:
                 found += map(repr, decoder.feed(part))
             except Exception as error:  # whatever it is, it is a finding

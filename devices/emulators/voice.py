@@ -6,8 +6,8 @@ befall its bytes like any others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable, Iterable, Mapping
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.random import Generator
@@ -17,6 +17,7 @@ from devices.emulators.emulated_device import EmulatedDevice
 from devices.link import Framing
 from firmware_protocol import (
     FrameDecoder,
+    FusedSample,
     Health,
     InertialSample,
     InertialSampleFine,
@@ -41,10 +42,24 @@ class Sensed(NamedTuple):
     field: Vector | None  # µT
 
 
+class Fused(NamedTuple):
+    """One orientation of an emulated module that fuses on board."""
+
+    time_us: int
+    sequence: int
+    orientation: tuple[float, float, float, float]  # sensor to its level reference, w first
+
+
 class Voice:
     """One module of another maker. A maker's own extends this."""
 
     framing: ClassVar[Framing] = Framing.BYTE_STREAM
+    shares_link: ClassVar[bool] = False
+    """Whether all devices send to one port, where each is known by its own ``link_settings``."""
+    is_fused: ClassVar[bool] = False
+    """Whether it sends orientations and nothing else."""
+    speaks_as_one: ClassVar[bool] = False
+    """Whether all of a body send as one, over one link."""
 
     def __init__(self, module: int, field_ut: float = 49.0) -> None:
         """module: its number; field_ut: strength of the field that it was calibrated in, µT."""
@@ -61,6 +76,10 @@ class Voice:
     def say(self, sensed: Sensed) -> bytes:
         """Return what the device sends for a sample."""
         raise NotImplementedError
+
+    def say_fused(self, fused: Fused) -> bytes:
+        """Return what it sends for an orientation; nothing unless a maker's own does."""
+        return b""
 
     def say_health(self, time_us: int, health: Health) -> bytes:
         """Return what it sends of how it fares; nothing unless a maker's own does."""
@@ -82,6 +101,8 @@ class Voice:
         time_us = self._unwrapped(frame.module_time_us)
         if isinstance(packet, Health):
             return self.say_health(time_us, packet)
+        if isinstance(packet, FusedSample):
+            return self.say_fused(Fused(time_us, frame.sequence, packet.orientation))
         if not isinstance(packet, InertialSample | InertialSampleFine):
             return b""
         if not packet.specific_force or not packet.angular_rate:
@@ -100,6 +121,43 @@ class Voice:
         ahead = (stamp_us - self._newest_us + half) % (2 * half) - half
         self._newest_us = max(self._newest_us + ahead, 0)
         return self._newest_us
+
+
+_Said = TypeVar("_Said")
+
+
+class Together(Generic[_Said]):
+    """What the modules of a body have to say of one instant, until all have said it.
+
+    They speak in turns, in their order, each of one instant or a few. When the turn begins anew nothing more
+    comes of the instants of the last one: what was lost is left out.
+    """
+
+    def __init__(self, modules: Iterable[int]) -> None:
+        self._place = {module: place for place, module in enumerate(modules)}
+        self._counts: dict[int, tuple[int, int]] = {}  # newest sequence, and samples until then
+        self._waiting: dict[int, tuple[int, dict[int, _Said]]] = {}
+        self._last = -1  # place of whoever spoke last
+
+    def add(
+        self, module: int, sequence: int, time_us: int, said: _Said
+    ) -> list[tuple[int, int, list[_Said]]]:
+        """Return number, time and content of each instant that this completes. sequence: of 16 bits."""
+        place = self._place[module]
+        done = sorted(self._waiting) if place < self._last else []
+        self._last = place
+        newest, count = self._counts.get(module, (sequence, 0))
+        count += (sequence - newest) % 2**16
+        self._counts[module] = sequence, count
+        found = [(number, *self._taken(number)) for number in done]
+        self._waiting.setdefault(count, (time_us, {}))[1][module] = said
+        if self._waiting[count][1].keys() == self._place.keys():
+            found.append((count, *self._taken(count)))
+        return found
+
+    def _taken(self, number: int) -> tuple[int, list[_Said]]:
+        time_us, parts = self._waiting.pop(number)
+        return time_us, [parts[each] for each in sorted(parts)]
 
 
 def shares(vector: Vector, unit: float) -> Vector:

@@ -4,35 +4,45 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
+from devices.emulators.bno08x_voice import Bno08xVoice
+from devices.emulators.mocopi_voice import mocopi_voices
 from devices.emulators.mti_voice import MtiCanVoice, MtiVoice
+from devices.emulators.mvn_voice import mvn_voices
+from devices.emulators.slimevr_voice import SlimevrVoice
 from devices.emulators.voice import Voice
+from devices.emulators.witmotion_voice import WitMotionCanVoice, WitMotionVoice
 from devices.emulators.ximu3_voice import Ximu3Voice
 from devices.vendor_protocols import ximu3
 
 _ANNOUNCED_EVERY_S = 1.0
 
 
-def _ximu3(place: int, module: int, field_ut: float) -> Voice:
-    return Ximu3Voice(module, field_ut, ximu3.COMMAND_PORT + place)
+_Voices = Mapping[int, Voice]
 
 
-def _mti(_place: int, module: int, field_ut: float) -> Voice:
-    return MtiVoice(module, field_ut)
+def _each(make: Callable[[int, float], Voice]) -> Callable[[Sequence[int], float], _Voices]:
+    return lambda modules, field_ut: {module: make(module, field_ut) for module in modules}
 
 
-def _mti_can(_place: int, module: int, field_ut: float) -> Voice:
-    return MtiCanVoice(module, field_ut)
+def _ximu3(modules: Sequence[int], field_ut: float) -> _Voices:
+    ports = enumerate(modules, start=ximu3.COMMAND_PORT)
+    return {module: Ximu3Voice(module, field_ut, port) for port, module in ports}
 
 
-VOICES: Mapping[str, Callable[[int, int, float], Voice]] = {
+VOICES: Mapping[str, Callable[[Sequence[int], float], Mapping[int, Voice]]] = {
     "ximu3": _ximu3,
-    "mti": _mti,
-    "mti_can": _mti_can,
+    "mti": _each(MtiVoice),
+    "mti_can": _each(MtiCanVoice),
+    "witmotion": _each(WitMotionVoice),
+    "witmotion_can": _each(WitMotionCanVoice),
+    "slimevr": _each(SlimevrVoice),
+    "mvn": mvn_voices,
+    "bno08x_rvc": _each(Bno08xVoice),
+    "mocopi": mocopi_voices,
 }
-"""By what a link carries: makes the voice of a device from its place among the devices, its number and the
-strength of the field, µT."""
+"""By what a link carries: makes voices from the numbers of devices and the strength of the field, µT."""
 
 
 async def announce(voices: Iterable[tuple[Voice, int]], host: str) -> None:

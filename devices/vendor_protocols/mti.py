@@ -289,11 +289,14 @@ class MtiCanDecoder:
 
     def __init__(self) -> None:
         self.dropped: Counter[str] = Counter()
-        """bad_length, incomplete, and what is beyond a sensor: rate, force, field."""
+        """bad_length, incomplete, without_head, and what is beyond a sensor: rate, force, field."""
         self.unused = 0
         """Frames of identifiers that nothing is made from."""
         self._head: dict[str, tuple[float, ...]] = {}
         self._values: dict[str, tuple[float, ...]] = {}
+        self._taken: set[str] = set()  # of the instant that the head is of
+        self._expected: set[str] = set()
+        """What heads have held: the device sends it with every instant."""
 
     def feed(self, data: bytes) -> list[Measurement]:
         """Return the measurements that CAN records complete, in order.
@@ -320,6 +323,14 @@ class MtiCanDecoder:
         if frame.identifier in _BEGINS or name == "status_word":
             self._begin(frame.identifier, name, values)
             return None
+        return self._measured(name, values)
+
+    def _measured(self, name: str, values: tuple[float, ...]) -> Measurement | None:
+        """Return what a quantity of the present instant completes."""
+        if name in self._taken or not self._expected <= self._head.keys():
+            self.dropped["without_head"] += 1  # time or count of its instant have not come
+            return None
+        self._taken.add(name)
         self._values[name] = values
         if name == "magnetic_field":
             return Measurement({**self._head, name: self._values.pop(name)})
@@ -332,8 +343,10 @@ class MtiCanDecoder:
         """Begin another instant; with the time stamp, or with the counter where there is none."""
         if identifier == CAN_TIME or (identifier == CAN_COUNTER and "sample_time_us" not in self._head):
             self.dropped["incomplete"] += bool(self._values.keys() & _COMPLETE)
-            self._head, self._values = {}, {}
+            self._head, self._values, self._taken = {}, {}, set()
         self._head[name] = values
+        if identifier in _BEGINS:
+            self._expected.add(name)
         self.dropped += Counter()
 
 

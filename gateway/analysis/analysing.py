@@ -22,7 +22,8 @@ from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.recording import SkeletonArrays
-from gateway.recording.exporters import Axes, take_of
+from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.take import take_of
 
 Tell = Callable[[str], Callable[[int, int], None]]
 """What is begun, to what is then told how far it is."""

@@ -12,17 +12,15 @@ from pathlib import Path
 
 import gateway
 from devices.link import LinkError
+from gateway.batch.kinds import REPORT, SOLVED
 from gateway.errors import GatewayError
 from gateway.recording import Recording, open_recording
-from gateway.recording.exporters import FORMATS, Axes, take_of
+from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.take import take_of
 from gateway.recording.snapshot import decode_suit
 from gateway.recording.solving import Source, recorded_source, write_solved
 from gateway.report import gather, write_report
-
-REPORT = "report"
-SOLVED = "mcap"
-KINDS = (*FORMATS, REPORT, SOLVED)
-"""What can be made of a recording: exports, the page, and the recording solved anew."""
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, IntArray, Status, StatusArray
+from gateway.frames import FloatArray, Status, StatusArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Record, Records, records
 
 PREDICTED, WARMING_UP = Status.PREDICTED.value, Status.WARMING_UP.value
 
@@ -22,18 +22,19 @@ FOLLOWING_SIGMA = 0.35
 """rad: of a segment that follows its parent, such as a hand or the toes: their joints turn freely."""
 
 
-class FollowingRules(NamedTuple):
-    """By segment without module, parents first."""
+class FollowingRule(Record):
+    """Of a segment without module."""
 
-    segments: IntArray  # (k,)
-    first: IntArray  # (k,) the parent where there is no rule
-    second: IntArray  # (k,)
-    fraction: FloatArray  # (k,) 0 where there is no rule
-    has_rule: IntArray  # (k,)
+    segment: int
+    first: int  # the parent where there is no rule
+    second: int
+    fraction: float  # 0 where there is no rule
+    has_rule: int
 
 
-def following_rules(suit: WornSuit) -> FollowingRules:
-    """Rules of the body for the segments on which this suit has no module. A root without module has none."""
+def following_rules(suit: WornSuit) -> Records[FollowingRule]:
+    """Return the body's rules for segments on which this suit has no module, parents first. A root without
+    module has none."""
     by_segment = {rule.segment: rule for rule in suit.skeleton.interpolations}
     rows = []
     for s in np.flatnonzero(suit.module_of_segment < 0):
@@ -43,22 +44,27 @@ def following_rules(suit: WornSuit) -> FollowingRules:
             rows.append((int(s), rule.first, rule.second, rule.fraction, 1))
         elif parent >= 0:
             rows.append((int(s), parent, parent, 0.0, 0))
-    columns = list(zip(*rows, strict=True)) or [()] * 5
-    ints = [np.array(columns[i], np.int64) for i in (0, 1, 2, 4)]
-    return FollowingRules(ints[0], ints[1], ints[2], np.array(columns[3], np.float64), ints[3])
+    rules = records(FollowingRule, len(rows))
+    for k, row in enumerate(rows):
+        rules[k] = row
+    return rules
 
 
 @compiled
 def follow(
-    rules: FollowingRules, q_wb: FloatArray, rate: FloatArray, sigma: FloatArray, status: StatusArray
+    rules: Records[FollowingRule],
+    q_wb: FloatArray,
+    rate: FloatArray,
+    sigma: FloatArray,
+    status: StatusArray,
 ) -> None:
     """Orientations (n, 4), rates (n, 3), sigma (n,) and status (n,) of segments without module, in place.
 
     A rule whose one end is not defined follows the other. status: PREDICTED, or the end's if that is worse.
     """
-    for k in range(len(rules.segments)):
-        s, a, b = rules.segments[k], rules.first[k], rules.second[k]
-        fraction = rules.fraction[k]
+    for k in range(len(rules)):
+        rule = rules[k]
+        s, a, b, fraction = rule.segment, rule.first, rule.second, rule.fraction
         if math.isnan(q_wb[a, 0]):
             a = b
         elif math.isnan(q_wb[b, 0]):
@@ -74,5 +80,5 @@ def follow(
         mixed = in_a + fraction * (in_b - in_a)
         rate[s] = rate[a] if a == b else quaternion.rotate_inverse(q_wb[s], mixed)
         ends = ((1.0 - fraction) * sigma[a]) ** 2 + (fraction * sigma[b]) ** 2
-        own = BETWEEN_SIGMA + BEND_SHARE * bend if rules.has_rule[k] and a != b else FOLLOWING_SIGMA
+        own = BETWEEN_SIGMA + BEND_SHARE * bend if rule.has_rule and a != b else FOLLOWING_SIGMA
         sigma[s] = math.sqrt(ends + own**2)

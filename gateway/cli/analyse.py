@@ -7,33 +7,25 @@ import tempfile
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
-from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
-from devices.marker_files import read_markers
-from devices.marker_files.force_plates import read_force_plates
-from gateway.analysis.analysing import Analysis, MeasuredForces, analyse
-from gateway.analysis.body_model import require_biomech
-from gateway.analysis.film import write_film
 from gateway.analysis.inertia import BodyInertia, body_inertia
-from gateway.analysis.inertia_file import load_inertia
-from gateway.analysis.muscle_paths import MusclePaths
-from gateway.analysis.muscle_settings import MuscleCosts, load_costs
-from gateway.analysis.muscles import MuscleResult, find_muscles, has_muscles
-from gateway.analysis.page import write_page
 from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ
-from gateway.analysis.tables import write_tables
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
-from gateway.recording import SkeletonArrays, open_recording
-from gateway.recording.optical import write_solved_trial
-from gateway.report.elements import require_matplotlib
 from gateway.support.whole_files import writing
+
+if TYPE_CHECKING:
+    from gateway.analysis.analysing import Analysis, MeasuredForces
+    from gateway.analysis.muscle_paths import MusclePaths
+    from gateway.analysis.muscle_settings import MuscleCosts
+    from gateway.analysis.muscles import MuscleResult
+    from gateway.recording import SkeletonArrays
+
 
 MASS_PARAMETERS = ("BODYMASS", "WEIGHT")
 _NO_MASS = "{file} does not tell what the person weighs: tell it with --mass KG"
@@ -90,6 +82,11 @@ def analyse_file(
     Floor forces are those of the trial's force plates, or estimated where there are none. Needs the extras
     `biomech` and `plot`.
     """
+    from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
+    from gateway.analysis.analysing import analyse
+    from gateway.analysis.body_model import require_biomech
+    from gateway.report.elements import require_matplotlib
+
     require_biomech()
     require_matplotlib()
     if file.is_dir():
@@ -120,6 +117,10 @@ def _write(
     as_json: bool,
 ) -> list[Path]:  # fmt: skip
     """Everything into the folder. slower: of the film; None: without."""
+    from gateway.analysis.film import write_film
+    from gateway.analysis.page import write_page
+    from gateway.analysis.tables import write_tables
+
     page, moving = folder / "report.html", folder / "film.webm"
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -133,6 +134,9 @@ def _write(
 
 def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) -> MuscleResult | None:
     """Those asked for; None where none were, or none were asked for and the body has no legs."""
+    from gateway.analysis.muscle_settings import load_costs
+    from gateway.analysis.muscles import find_muscles, has_muscles
+
     if muscles == "none" or (muscles == "auto" and not has_muscles(found.skeleton)):
         return None
     if muscles == "auto":
@@ -151,6 +155,12 @@ def _motion(
     file: Path, subject: str | None, tell: Callable[[int, int], None]
 ) -> tuple[SkeletonArrays, WornSuit, float | None]:
     """The poses, who made them, and the mass that the file tells, kg."""
+    from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
+    from devices.marker_files import read_markers
+    from gateway.body.rig import load_rig
+    from gateway.recording import open_recording
+    from gateway.recording.optical import write_solved_trial
+
     if file.suffix.lower() not in MARKER_SUFFIXES:
         if subject is not None:
             raise GatewayError(f"--subject goes with trials of markers (C3D, TRC); {file} is none")
@@ -172,6 +182,8 @@ def _motion(
 def _inertia(
     skeleton: Skeleton, kg: float | None, sex: Sex | None, table: Path | None, file: Path
 ) -> BodyInertia:
+    from gateway.analysis.inertia_file import load_inertia
+
     if table is not None:
         return load_inertia(table, skeleton)
     if kg is None:
@@ -181,6 +193,9 @@ def _inertia(
 
 def _measured(file: Path, forces: str, suit: WornSuit) -> MeasuredForces | None:
     """The plates asked for; None where there are none and none were asked for."""
+    from devices.marker_files.force_plates import read_force_plates
+    from gateway.analysis.analysing import MeasuredForces
+
     source = file if forces == "auto" else Path(forces)
     if forces == "none" or (forces == "auto" and file.suffix.lower() != ".c3d"):
         return None

@@ -20,7 +20,6 @@ from gateway.body.joints import WORLD, Joint
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 from gateway.body.urdf import import_urdf
-from gateway.contract.messages import describe_body
 from gateway.errors import GatewayError
 from gateway.support.settings_files import find_file, load_yaml, shipped_folder
 from gateway.support.whole_files import writing
@@ -182,6 +181,8 @@ def _angles(joint: Joint) -> str:
 
 
 def _as_json(skeleton: Skeleton, masses: np.ndarray | None) -> dict[str, Any]:
+    from gateway.contract.messages import describe_body
+
     described = describe_body(skeleton).model_dump(mode="json")
     described["stature_m"] = skeleton.stature_m
     if masses is not None:

@@ -14,13 +14,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from devices.endpoints import link_from_url
 from devices.link import SUIT, Chunk, Link, gateway_time_ns
 from devices.link_decoder import LinkDecoder
 from devices.reconnect import ReconnectingLink
 from devices.replay_link import ReplayLink, framings_of
 from gateway.body.camera import Camera
-from gateway.body.rig import load_rig
 from gateway.calibration.cameras_file import AXES, axis_of, cameras_text, load_cameras
 from gateway.cli.calibrate_body import body, put_back, versions
 from gateway.cli.calibrate_sensors import sensors
@@ -111,8 +109,8 @@ def _calibrated(
 ) -> CamerasResult:
     """boards: of the lens pictures and of the scene, as the command line has them; without a scene, the
     lens pictures are of common instants."""
-    from gateway.calibration.boards import board_of  # noqa: PLC0415 - OpenCV is an extra
-    from gateway.calibration.cameras_session import calibrate_cameras  # noqa: PLC0415
+    from gateway.calibration.boards import board_of
+    from gateway.calibration.cameras_session import calibrate_cameras
 
     board, scene_board = map(board_of, boards)
     lens_pictures = _looked_for(board, lenses, every, "lenses", is_shown=is_shown)
@@ -123,8 +121,8 @@ def _calibrated(
 
 
 def _draw_boards(board: str, result: CamerasResult, folder: Path) -> int:
-    from gateway.calibration.boards import board_of  # noqa: PLC0415 - OpenCV is an extra
-    from gateway.calibration.cameras_session import write_board_pictures  # noqa: PLC0415
+    from gateway.calibration.boards import board_of
+    from gateway.calibration.cameras_session import write_board_pictures
 
     with writing(folder):
         return write_board_pictures(board_of(board), result, folder)
@@ -133,7 +131,7 @@ def _draw_boards(board: str, result: CamerasResult, folder: Path) -> int:
 def _looked_for(
     board: Board, texts: Sequence[str], every: int, what: str, *, is_shown: bool
 ) -> dict[str, list[BoardPicture]]:
-    from gateway.calibration.cameras_session import board_pictures  # noqa: PLC0415 - OpenCV is an extra
+    from gateway.calibration.cameras_session import board_pictures
 
     found = {}
     for text in texts:
@@ -214,6 +212,8 @@ def clocks(
     Switch all modules of the rig on, let them lie as warm as they will be worn, and wait. The table is then
     used by `clock: {mode: table, table: <file>}`.
     """
+    from gateway.body.rig import load_rig
+
     settings = load_gateway_settings(config)
     suit = load_rig(settings.rig, config)
     target = output or config.parent / f"{Path(settings.rig).stem}.clocks.yaml"
@@ -232,7 +232,14 @@ def clocks(
 
 async def _measure_clocks(settings: GatewaySettings, calibration: ClockCalibration) -> None:
     """Listen on all links until the calibration has had its time, or until every link has come to its end."""
+    from devices.endpoints import link_from_url
+
     links = [link_from_url(link.url, name=link.name) for link in settings.links if link.carries == SUIT]
+    if not links:
+        raise GatewayError(
+            "no link carries modules of our own, which alone have clock tables: rates of others "
+            "are estimated while the gateway runs"
+        )
     tasks = [
         asyncio.create_task(
             _listen(link if isinstance(link, ReplayLink) else ReconnectingLink(link), calibration)

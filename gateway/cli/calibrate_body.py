@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -19,23 +19,22 @@ from rich.table import Table
 from rich.text import Text
 
 from devices.calibration_script import PERIOD_S, begin_of_script, timetable
-from devices.endpoints import link_from_url
 from devices.link import Link, gateway_time_ns
 from devices.reconnect import ReconnectingLink
 from devices.replay_link import ReplayLink, contents_of
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.calibration.body_result import BodyResult
-from gateway.calibration.body_session import BodySession, Liveliness
-from gateway.calibration.control import STILL
-from gateway.calibration.mounting import history, restore, worn_rig, write_mounted_rig
 from gateway.calibration.procedure import Kind, Step
 from gateway.cli.preparing import stand_in
 from gateway.errors import GatewayError
-from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings, load_gateway_settings
 from gateway.sources.link_settings import LinkSettings
 from gateway.support.settings_files import find_file
+
+if TYPE_CHECKING:
+    from gateway.calibration.body_result import BodyResult
+    from gateway.calibration.body_session import BodySession, Liveliness
+    from gateway.pipeline import Pipeline
+
 
 _COLOURS = {"good": "green", "fair": "yellow", "poor": "red"}
 _BAR = 20
@@ -44,6 +43,8 @@ _FULL_BAR = np.radians(120.0)
 
 def live_table(session: BodySession, step: Step | None, live: Sequence[Liveliness]) -> Table:
     """A bar for every module: how fast it turns, and whether that is wanted now."""
+    from gateway.calibration.control import STILL
+
     wants_rest = step is None or step.kind is Kind.POSE
     table = Table("module", "segment", "turning", "")
     for (module, segment), one in zip(modules_of(session), live, strict=True):
@@ -132,6 +133,10 @@ def body(
     The wearer may face any direction, and modules may be strapped on anyhow. What was not good enough can be
     done again, for all modules or for one. The earlier rig file is kept: see `calibrate history`.
     """
+    from gateway.body.rig import load_rig
+    from gateway.calibration.body_session import BodySession
+    from gateway.calibration.mounting import worn_rig, write_mounted_rig
+
     settings = _settings(config, link, rig)
     source = find_file(settings.rig, "rigs", config)
     suit = load_rig(settings.rig, config)
@@ -155,6 +160,8 @@ def body(
 
 def versions(rig: Annotated[Path, typer.Argument(help="Rig file that `calibrate body` wrote.")]) -> None:
     """Earlier versions of a rig file, the newest first."""
+    from gateway.calibration.mounting import history
+
     for path in history(rig):
         typer.echo(path.stem)
 
@@ -164,6 +171,8 @@ def put_back(
     version: Annotated[str | None, typer.Option(help="As `calibrate history` lists it [the newest]")] = None,
 ) -> None:
     """Put an earlier version of a rig file back; what is there now is kept as well."""
+    from gateway.calibration.mounting import restore
+
     typer.echo(f"{rig} is again as of {restore(rig, version).stem}")
 
 
@@ -180,6 +189,9 @@ async def _calibrate(
     settings: GatewaySettings, suit: WornSuit, guide: _Guide, console: Console
 ) -> BodyResult:
     """Listen on all links while the wearer is guided."""
+    from devices.endpoints import link_from_url
+    from gateway.pipeline import Pipeline
+
     patient = settings.assembly.model_copy(update=_PATIENCE)
     needing_little = stand_in(settings, partial(console.print, style="dim"))  # poses are not looked at
     pipeline = Pipeline.from_settings(needing_little.model_copy(update={"assembly": patient}), suit)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import signal
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -21,19 +22,19 @@ from rich.text import Text
 from devices.calibration import SensorCalibration
 from devices.link import Chunk, gateway_time_ns
 from firmware_protocol import InertialSample, InertialSampleFine, ReceivedPacket
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit, field_dip_deg
-from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_session import REST_S, SENSORS, Progress, Result, SensorSession, combined
 from gateway.calibration.sensors import ENOUGH_COVERAGE, EllipsoidResult, GyrometerResult
 from gateway.cli.modules_suit import SuitChoice, with_suit
 from gateway.errors import GatewayError, nearest
-from gateway.modules.journal import Journal, default_journal_path
-from gateway.modules.operations import ModuleOperations
-from gateway.modules.session import suit_session
 from gateway.settings import load_gateway_settings
 from gateway.sources.link_settings import LinkSettings
 from gateway.support.settings_files import find_file
+
+if TYPE_CHECKING:
+    from gateway.frames import Sample
+    from gateway.modules.operations import ModuleOperations
+
 
 _COLOURS = {"good": "green", "fair": "yellow", "poor": "red"}
 _BAR = 16
@@ -194,6 +195,9 @@ def sensors(
     accelerometers' scales, turning in all directions the magnetometers' hard and soft iron, away from iron.
     The order does not matter; it ends when every module has shown enough. Ctrl-C takes what there is.
     """
+    from gateway.body.rig import load_rig
+    from gateway.calibration.rig_file import write_calibrated_rig
+
     rig, links = _rig_and_links(suit)
     source = find_file(rig, "rigs", suit.config)
     target = _target(source, suit, output, force, flash)
@@ -251,6 +255,9 @@ async def _calibrate(
     is_quiet: bool,
 ) -> dict[int, dict[str, Result | str]]:
     """Listen until it is enough; write to the modules where that is wanted."""
+    from gateway.modules.journal import Journal, default_journal_path
+    from gateway.modules.session import suit_session
+
     journal = Journal(default_journal_path())
     async with suit_session(links, worn, allow_writes=suit.allow_writes, journal=journal) as operations:
         await _listen(operations, session, seconds, is_quiet)
@@ -276,12 +283,18 @@ async def _listen(
             sample.magnetic_field,
         )
 
+    def take_others(samples: Sequence[Sample], chunk: Chunk) -> None:
+        for module, _, _, measured, _ in samples:
+            force, rate, field = (None if math.isnan(each[0]) else each for each in measured)
+            session.add(module, chunk.arrived_ns, force, rate, field)
+
     for packet_class in (InertialSample, InertialSampleFine):
         operations.stream.listen(packet_class, take)
     stop = asyncio.Event()
     asyncio.get_running_loop().add_signal_handler(signal.SIGINT, stop.set)
     try:
-        await _show_until_done(session, seconds, stop, is_quiet)
+        with operations.makers.watched(take_others):
+            await _show_until_done(session, seconds, stop, is_quiet)
     finally:
         asyncio.get_running_loop().remove_signal_handler(signal.SIGINT)
         for packet_class in (InertialSample, InertialSampleFine):
@@ -313,6 +326,11 @@ async def _show_until_done(
 async def _write(operations: ModuleOperations, module: int, results: dict[str, Result | str]) -> None:
     """To the module's flash, on top of what it corrects already."""
     read: dict[str, Any] = await operations.perform("read", {"device": str(module)})
+    if "calibration" not in read["settings"]:
+        raise GatewayError(
+            f"module {module} is another maker's and keeps no calibration of ours: leave --flash out, "
+            "and it is written to a rig file"
+        )
     before = SensorCalibration.from_setting(read["settings"]["calibration"])
     after = replace(combined(results).after(before), temperature_c=before.temperature_c)
     await operations.perform(

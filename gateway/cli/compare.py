@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import orjson
@@ -16,20 +16,21 @@ from rich.live import Live as LiveTable
 from rich.table import Table
 from rich.text import Text
 
-from gateway.agreement import Agreement, Tracks, agreement, tracks_of
-from gateway.agreement.live import PoseWindow, comparison_message
-from gateway.agreement.time_alignment import SHORTEST_OVERLAP_S
 from gateway.cli.options import BrokerChoice, seconds_of, with_broker
 from gateway.cli.terminal import progress_bar, wide_console
-from gateway.contract.messages import ComparisonMessage
 from gateway.contract.topics import Topics
 from gateway.errors import GatewayError
-from gateway.outputs.connection import broker_connection, explain, unique_identifier
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
-from gateway.recording import SkeletonArrays, open_recording
-from gateway.recording.difference import Difference, difference
-from gateway.report.angle_page import AnglePage, save_page
+
+if TYPE_CHECKING:
+    from gateway.agreement import Agreement, Tracks
+    from gateway.agreement.live import PoseWindow
+    from gateway.contract.messages import ComparisonMessage
+    from gateway.outputs.subscriber import PoseSubscriber
+    from gateway.recording import SkeletonArrays
+    from gateway.recording.difference import Difference
+    from gateway.report.angle_page import AnglePage
+
 
 _HEADS = (
     "segment", "frames", "as defined RMS °", "axes apart °", "RMS °", "inclination °", "heading °", "95 % °",
@@ -60,6 +61,8 @@ class Alignment:
 
     def compare(self, first: Tracks, second: Tracks) -> Agreement:
         """Raises ``GatewayError`` as ``agreement`` does."""
+        from gateway.agreement import agreement
+
         return agreement(
             first, second, self.renamed, self.largest_lag_s, self.span_s, own_headings=self.own_headings
         )
@@ -134,12 +137,16 @@ def _refuse(option: str, given: Mapping[str, object]) -> None:
 
 def _recorded(path: Path, is_shown: bool) -> SkeletonArrays:
     """The poses of a recording, with a progress bar if wanted. Raises ``GatewayError``."""
+    from gateway.recording import open_recording
+
     with progress_bar(f"reading {path.name}", is_shown=is_shown) as tell:
         return open_recording(path).skeleton_arrays(tell)
 
 
 def _compare_results(files: Files, plot: Path | None, as_json: bool) -> None:
     """Two results of one session, as they stand."""
+    from gateway.recording.difference import difference
+
     first, second = (_recorded(path, not as_json) for path in files)
     found = difference(first, second)
     plain = {
@@ -166,6 +173,8 @@ def _title(files: Files) -> str:
 
 def _show(page: AnglePage, plain: Mapping[str, Any], files: Files, plot: Path | None, as_json: bool) -> None:
     """Save the page, and print it as a table or all figures as JSON; what is not known is null."""
+    from gateway.report.angle_page import save_page
+
     if plot is not None:
         save_page(page, plot)
     if as_json:
@@ -201,6 +210,8 @@ def _renamed(pairs: list[str]) -> dict[str, str]:
 
 
 def _tracks_of_files(files: Files, is_shown: bool) -> tuple[Tracks, Tracks]:
+    from gateway.agreement import tracks_of
+
     first, second = (_recorded(path, is_shown) for path in files)
     origin_ns = int(first.time_ns[0]) if len(first.time_ns) else 0
     return tracks_of(first, origin_ns, str(files[0])), tracks_of(second, origin_ns, str(files[1]))
@@ -272,6 +283,8 @@ def _plain(found: Agreement) -> dict[str, Any]:
 
 
 def _agreement_page(found: Agreement, title: str) -> AnglePage:
+    from gateway.report.angle_page import AnglePage
+
     return AnglePage(
         title, tuple(_notes(found)), found.time_s, found.angle_deg, found.segment_names, _HEADS, _rows(found)
     )
@@ -279,6 +292,8 @@ def _agreement_page(found: Agreement, title: str) -> AnglePage:
 
 def difference_page(found: Difference, title: str) -> AnglePage:
     """The difference of two results of one session, to be shown or saved."""
+    from gateway.report.angle_page import AnglePage
+
     rows = [
         (
             figures.segment,
@@ -314,6 +329,8 @@ class Live:
 
 def run_live(settings: MqttSettings, wanted: Live) -> int:
     """The exit code: 0 on Ctrl-C or when all is done, 1 with one line when the broker cannot be used."""
+    from gateway.outputs.subscriber import BrokerUnreachableError
+
     try:
         topics = [Topics(settings.base_topic, name) for name in (wanted.first, wanted.second)]
         asyncio.run(_compare_live(settings, wanted, topics[0]))
@@ -326,6 +343,9 @@ def run_live(settings: MqttSettings, wanted: Live) -> int:
 
 
 async def _compare_live(settings: MqttSettings, wanted: Live, topics: Topics) -> None:
+    from gateway.agreement.live import PoseWindow
+    from gateway.outputs.subscriber import PoseSubscriber
+
     windows = {name: PoseWindow(wanted.window_s) for name in (wanted.first, wanted.second)}
     async with PoseSubscriber(settings) as poses:
         collecting = asyncio.create_task(_collect(poses, windows))
@@ -348,6 +368,8 @@ async def _say(
     poses: PoseSubscriber,
     windows: Mapping[str, PoseWindow],
 ) -> None:
+    from gateway.agreement.live import comparison_message
+
     said, console = 0, Console()
     with LiveTable(console=console, auto_refresh=False, screen=False) as table:
         while wanted.count is None or said < wanted.count:
@@ -373,6 +395,8 @@ async def _say(
 
 async def _found(wanted: Live, poses: PoseSubscriber, windows: Mapping[str, PoseWindow]) -> Agreement | str:
     """The agreement over the window, or why there is none."""
+    from gateway.agreement.time_alignment import SHORTEST_OVERLAP_S
+
     for name, window in windows.items():
         if name not in poses.bodies or window.duration_s < SHORTEST_OVERLAP_S:
             return f"waiting for poses of gateway '{name}' ({poses.states.get(name, 'not heard of')})"
@@ -386,6 +410,8 @@ async def _found(wanted: Live, poses: PoseSubscriber, windows: Mapping[str, Pose
 
 async def _publish(settings: MqttSettings, topics: Topics, message: ComparisonMessage) -> list[str]:
     """What went wrong, if anything: a broker that refuses does not end the comparison."""
+    from gateway.outputs.connection import broker_connection, explain, unique_identifier
+
     try:
         async with broker_connection(settings, settings.port, unique_identifier("compare")) as client:
             await client.publish(topics.comparison, message.payload())

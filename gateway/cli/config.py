@@ -13,10 +13,7 @@ from rich.console import Console
 from devices.signed_link import write_key
 from firmware_protocol import MAX_MODULE, RELAY
 from firmware_protocol.dbc import ALL_SENSORS, render
-from gateway.body.rig import load_rig
-from gateway.cameras.broker_link import link_of
 from gateway.errors import GatewayError, nearest
-from gateway.reconstruction.inertial.heading_observability import FACINGS, unobserved_headings
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
 from gateway.support.whole_files import write_whole
 
@@ -29,6 +26,10 @@ config_app = typer.Typer(
 @config_app.command(epilog="Example: mocap-gateway config check config/gateway.yaml")
 def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configuration file.")) -> None:
     """Check a configuration, the rig and the body it names. Opens nothing."""
+    from gateway.body.rig import load_rig
+    from gateway.cameras.broker_link import link_of
+    from gateway.reconstruction.inertial.articulated import unobserved_headings
+
     settings = load_gateway_settings(file)
     suit = load_rig(settings.rig, file)
     fitting_suit(settings, suit)
@@ -61,6 +62,8 @@ def _tell_unobserved(headings: Mapping[str, tuple[int, ...]]) -> None:
 
 def _ranges(facings: Sequence[int]) -> str:
     """Return ways to face, of ``FACINGS``, as ranges clockwise."""
+    from gateway.reconstruction.inertial.articulated import FACINGS
+
     if len(facings) == len(FACINGS):
         return "any way"
     step = FACINGS[1]

@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import AsyncIterator, Callable, Iterator
 from functools import partial
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -21,26 +21,24 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from devices.emulators.imperfections import PRESETS
 from devices.extras import how_to_add
 from devices.link import gateway_time_ns
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli.preparing import stand_in, told_when_compiling
-from gateway.emulation.rig import dress, move_about
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry.comparison import orientation_error, rmse_deg
 from gateway.outputs.settings import MqttSettings, PoseMap
-from gateway.outputs.subscriber import PoseSubscriber, ReceivedPose
 from gateway.reconstruction import FUSED
-from gateway.service import readiness
-from gateway.service.service import Service
 from gateway.settings import ClockSettings, GatewaySettings
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.module_table import ClockMode
-from gateway.sources.stream import Stream
-from gateway.viewer.pose_table import PoseView
+
+if TYPE_CHECKING:
+    from gateway.outputs.subscriber import ReceivedPose
+    from gateway.service.service import Service
+    from gateway.sources.stream import Stream
+
 
 SETTLING_S = 3.0
 """Left out of the error: filters start anywhere."""
@@ -54,6 +52,8 @@ class Truth:
     """The emulated body's motion, and what was received of it."""
 
     def __init__(self, suit: WornSuit) -> None:
+        from gateway.emulation.rig import dress, move_about
+
         self.segment_names = suit.skeleton.segment_names
         self.start_ns = 0
         self._motion = move_about(dress(suit), suit.skeleton.name, SEED)
@@ -129,6 +129,10 @@ def demo(
     broker, subscribes like an app would, and prints orientations and their error against the
     emulator's truth.
     """
+    from devices.emulators.imperfections import PRESETS
+    from gateway.body.rig import load_rig
+    from gateway.service.service import Service
+
     # However it is ended, also in the background of a script, the emulated suit and the page end with it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
@@ -171,6 +175,8 @@ def demo(
 
 def _startable(settings: GatewaySettings, tell: Callable[[str], object]) -> GatewaySettings:
     """The settings; where their reconstructor is not compiled yet, with another, and it is for next time."""
+    from gateway.service import readiness
+
     usual = settings.reconstructor
     if readiness.is_ready(usual):
         return settings
@@ -260,6 +266,8 @@ def _sampling_mode(settings: GatewaySettings) -> str:
 
 async def _watch(service: Service, settings: GatewaySettings, truth: Truth, seconds: float | None) -> None:
     """Subscribe as an app would; show what comes until the time is over."""
+    from gateway.outputs.subscriber import PoseSubscriber
+
     while not service.mqtt.is_connected:  # noqa: ASYNC110 - polled for a second, once
         await asyncio.sleep(0.05)
     console = Console()
@@ -281,6 +289,8 @@ class _Screen:
     LINE_INTERVAL_NS = 1_000_000_000
 
     def __init__(self, console: Console, live: Live | None) -> None:
+        from gateway.viewer.pose_table import PoseView
+
         self._console = console
         self._live = live
         self._view = PoseView(GATEWAY)

@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from gateway.doctor import Finding, Verdict, examine_file
+from gateway.doctor.findings import Verdict
 from gateway.errors import SettingsError
+
+if TYPE_CHECKING:
+    from gateway.doctor.findings import Finding
+
 
 _COLOURS = {Verdict.GOOD: "green", Verdict.WARNING: "yellow", Verdict.BAD: "red"}
 
@@ -38,6 +42,8 @@ def doctor(
 
     Example: mocap-gateway doctor -c my.yaml --module-rate 200
     """
+    from gateway.doctor.examination import examine_file
+
     if not config.is_file():
         raise SettingsError(f"no configuration file {config}: name yours with -c")
     console = Console(stderr=as_json)

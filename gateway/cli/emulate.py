@@ -355,6 +355,12 @@ def _worn(wanted: Emulation) -> Conversation:
     if wanted.gnss is not None:
         suit = without_position_devices(suit)
     imperfections = PRESETS[wanted.imperfections]
+    if wanted.speaks is not None and voices_of(wanted.speaks, suit)(suit.module_ids[0]).speaks_as_one:
+        # one program says what all measured at one instant
+        imperfections = replace(
+            imperfections, clock_skew_ppm=0.0, has_random_clock_start=False, has_random_phase=False,
+            has_random_heading=False,
+        )  # fmt: skip
     traffic = SuitTraffic(_motion(wanted, suit), _suit_settings(wanted, suit), imperfections, wanted.seed)
     return traffic if wanted.faults is None else faulty(traffic, wanted.faults)
 
@@ -364,13 +370,15 @@ def _suit_settings(wanted: Emulation, suit: WornSuit) -> SuitSettings:
     can_relay = encoding.framing is Framing.BYTE_STREAM and wanted.speaks is None
     relays = wanted.on is not Medium.UDP
     ids = suit.module_ids
+    voice = None if wanted.speaks is None else voices_of(wanted.speaks, suit)
+    fuses = voice is not None and voice(ids[0]).is_fused
     return SuitSettings(
         sampling_rate_hz=wanted.rate,
-        mode=_MODES[wanted.mode],
+        mode=FUSED if fuses else _MODES[wanted.mode],
         is_fine=wanted.fine,
         has_relay=can_relay and (relays if wanted.relay is None else wanted.relay),
         encoding=encoding,
-        voice=None if wanted.speaks is None else voices_of(wanted.speaks, suit),
+        voice=voice,
         gravity=suit.gravity,
         magnetic_field=suit.magnetic_field,
         sunlight=sunlight(suit, gateway_time_ns()),
@@ -420,13 +428,18 @@ def _transport(wanted: Emulation) -> Transport:
 
 def _transport_of_each(wanted: Emulation, spoken: SpokenSuit) -> LinkPerDevice:
     """A link a module: ports one after the other, links to pseudo-terminals named for the modules."""
+    if all(voice.speaks_as_one for voice in spoken.voices.values()):
+        return LinkPerDevice(dict.fromkeys(spoken.voices, _transport(wanted)))
     single = len(spoken.voices) == 1
     links: dict[int, Transport] = {}
     for place, (module, voice) in enumerate(spoken.voices.items()):
         link = wanted.link
         if link is not None and not single:
             link = link.with_name(f"{link.name}-{module}")
-        one = replace(wanted, port=wanted.port and wanted.port + place, link=link)
+        beside = 0 if voice.shares_link else place
+        one = replace(wanted, port=wanted.port and wanted.port + beside, link=link)
+        if voice.shares_link and wanted.on is not Medium.UDP:
+            raise GatewayError(f"--speaks {wanted.speaks} --on {wanted.on}: these speak over udp: --on udp")
         if wanted.on is Medium.UDP:
             links[module] = UdpTransport(one.port, one.host, voice.from_port)
         else:

@@ -15,6 +15,7 @@ from devices.emulators.suit_traffic import SuitTraffic
 from devices.emulators.voice import Voice
 from devices.emulators.voices import VOICES
 from gateway.body.skeleton import WornSuit
+from gateway.errors import GatewayError
 
 
 @dataclass(frozen=True)
@@ -36,15 +37,20 @@ def spoken_by(traffic: SuitTraffic | None, speaks: str | None) -> SpokenSuit | N
 
 
 def voices_of(speaks: str, suit: WornSuit) -> Callable[[int], Voice]:
-    """Return what makes the voices of a suit's modules, by number."""
+    """Return the voices of a suit's modules, by number. Raises ``GatewayError`` for numbers that no device
+    of the maker has."""
+    from gateway.modules.summary import segments_of
+
     field_ut = float(np.linalg.norm(suit.magnetic_field))
-    places = {module: place for place, module in enumerate(suit.module_ids)}
-    return lambda module: VOICES[speaks](places[module], module, field_ut)
+    try:
+        return VOICES[speaks](list(segments_of(suit).values()), field_ut).__getitem__
+    except ValueError as error:
+        raise GatewayError(f"--speaks {speaks}: {error}") from None
 
 
 def say_links(urls: Mapping[int, str], suit: EmulatedSuit, spoken: SpokenSuit, as_json: bool) -> None:
     """Say where each module speaks, as the lines that the configuration of a gateway needs."""
-    links = [_link(module, url, spoken) for module, url in urls.items()]
+    links = _links(urls, spoken)
     if as_json:
         typer.echo(json.dumps({"links": links, "start_ns": suit.start_ns}))
         return
@@ -56,7 +62,21 @@ def say_links(urls: Mapping[int, str], suit: EmulatedSuit, spoken: SpokenSuit, a
         )
 
 
+def _links(urls: Mapping[int, str], spoken: SpokenSuit) -> list[dict[str, object]]:
+    """Return a link a device; of those that share one, one with what tells them apart."""
+    if not any(voice.shares_link for voice in spoken.voices.values()):
+        return [_link(module, url, spoken) for module, url in urls.items()]
+    told: dict[str, dict[str, object]] = {}
+    for voice in spoken.voices.values():
+        for key, names in voice.link_settings.items():
+            assert isinstance(names, Mapping)
+            told.setdefault(key, {}).update(names)
+    return [{"name": spoken.carries, "url": next(iter(urls.values())), "carries": spoken.carries, **told}]
+
+
 def _link(module: int, url: str, spoken: SpokenSuit) -> dict[str, object]:
     name = spoken.segments.get(module, str(module))
     usual = {"name": name, "url": url, "carries": spoken.carries, "module": module}
+    if spoken.voices[module].speaks_as_one:
+        usual |= {"name": spoken.carries, "module": 0}
     return {**usual, **spoken.voices[module].link_settings}

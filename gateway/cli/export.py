@@ -6,25 +6,24 @@ import contextlib
 import json
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from gateway.batch import Job, Manifest, Outcome, Task, jobs_in, run_jobs
-from gateway.batch.job import KINDS, REPORT
-from gateway.body.rig import load_rig
+from gateway.batch.kinds import KINDS, REPORT
 from gateway.cli.options import refuse_existing
 from gateway.cli.terminal import progress_bar
-from gateway.recording import open_recording
-from gateway.recording.exporters import FORMATS, Axes, Take, take_of
-from gateway.recording.snapshot import encode_suit
-from gateway.recording.solving import smoothed_arrays
-from gateway.report import gather, write_report
-from gateway.report.elements import require_matplotlib
+from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.formats import FORMATS
 from gateway.settings import MAX_DELAY_MS, check_method
+
+if TYPE_CHECKING:
+    from gateway.batch.job import Job, Outcome
+    from gateway.recording.exporters.take import Take
+
 
 FormatName = StrEnum("FormatName", {name: name for name in FORMATS})  # type: ignore[misc]  # from the list
 
@@ -67,6 +66,10 @@ def export(
     Instants that were not recorded, and orientations that were not known, are interpolated; how many is
     told. C3D, Parquet and glTF need the extra `export`.
     """
+    from gateway.recording import open_recording
+    from gateway.recording.exporters.take import take_of
+    from gateway.recording.solving import smoothed_arrays
+
     files = {name: _target(file, name, output, len(to) > 1, force) for name in to}
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell:
         recording = open_recording(file)
@@ -151,6 +154,10 @@ def report(
 
     The page loads nothing from elsewhere and prints well. Needs the extra `plot`.
     """
+    from gateway.recording import open_recording
+    from gateway.report import gather, write_report
+    from gateway.report.elements import require_matplotlib
+
     require_matplotlib()
     target = output or file.with_suffix(".html")
     refuse_existing(target, force)
@@ -202,6 +209,13 @@ def batch(
     that fails stops no other: failures are listed, and the exit code is then 3. Workers of a cluster need
     this program and the same paths. `--to report` needs the extra `plot`, `--dask` the extra `dask`.
     """
+    from gateway.batch.job import Task
+    from gateway.batch.manifest import Manifest
+    from gateway.batch.running import jobs_in, run_jobs
+    from gateway.body.rig import load_rig
+    from gateway.recording.snapshot import encode_suit
+    from gateway.report.elements import require_matplotlib
+
     if reconstructor is not None:
         check_method(reconstructor)
     if REPORT in to:

@@ -6,31 +6,22 @@ import json
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from devices.emulators.recordings import Recording
-from gateway.body.rig import load_body, load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli.options import seconds_of, with_options
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
-from gateway.imports import (
-    FORMATS,
-    ReadOptions,
-    Worn,
-    detected,
-    dressed,
-    mapped_segments,
-    read,
-    write_imported,
-)
-from gateway.imports.segment_names import read_maps
-from gateway.imports.suits import BODY, aligned
-from gateway.imports.writing import is_fused, settings_of, solved
+from gateway.imports.formats import FORMATS
+from gateway.imports.segment_names import BODY
 from gateway.settings import GatewaySettings, check_method
 from gateway.support.whole_files import writing
+
+if TYPE_CHECKING:
+    from devices.emulators.recordings import Recording
+
 
 FormatName = StrEnum("FormatName", {name: name for name in ("auto", *FORMATS)})  # type: ignore[misc]  # from the list
 _AUTO = FormatName("auto")
@@ -90,6 +81,9 @@ def import_files(
     The samples become packets of our own modules, so all that works with a recording works with it: replay,
     re-solving, export, report. docs/imports.md has every format.
     """
+    from gateway.imports.formats import ReadOptions, detected, read
+    from gateway.imports.writing import is_fused, settings_of, write_imported
+
     options = ReadOptions(wanted.rate, wanted.align, wanted.partial, wanted.columns)
     name = detected(files, options) if wanted.format_name == _AUTO else str(wanted.format_name)
     target = wanted.output or Path(f"{files[0].stem}.mcap")
@@ -118,6 +112,10 @@ def import_files(
 
 def _suit(recording: Recording, name: str, wanted: Import) -> tuple[WornSuit, list[str]]:
     """The suit, and what the user should know of it."""
+    from gateway.body.rig import load_body, load_rig
+    from gateway.imports.segment_names import mapped_segments, read_maps
+    from gateway.imports.suits import Worn, dressed
+
     maps = read_maps(wanted.maps or [])
     if wanted.rig is not None:
         return load_rig(wanted.rig), []
@@ -138,6 +136,9 @@ def _suit(recording: Recording, name: str, wanted: Import) -> tuple[WornSuit, li
 def _aligned(
     recording: Recording, suit: WornSuit, settings: GatewaySettings, neutral: str, forward: str | None
 ) -> WornSuit:
+    from gateway.imports.suits import aligned
+    from gateway.imports.writing import solved
+
     span = seconds_of("--neutral", neutral)
     seen = solved(recording, suit, settings)
     if seen is None:

@@ -223,8 +223,8 @@ def main() -> None:
 
 def _user_errors() -> tuple[type[Exception], ...]:
     """Errors that the user can put right. Imported when one comes: ``--help`` needs no devices."""
-    from devices.device_errors import DeviceError  # noqa: PLC0415 - see above
-    from devices.link import LinkError  # noqa: PLC0415
+    from devices.device_errors import DeviceError
+    from devices.link import LinkError
 
     return GatewayError, DeviceError, LinkError
 

@@ -22,9 +22,7 @@ from gateway.cli.modules_suit import WIDEST, Operations, SuitChoice, modules_scr
 from gateway.cli.terminal import TypedLines, wide_console
 from gateway.errors import GatewayError, nearest
 from gateway.modules.assignment import Proposal, Wardrobe
-from gateway.modules.discovery import EVERYWHERE, discovered, link_line
-from gateway.modules.motion import AmbiguousMotionError
-from gateway.modules.operations import RequestError
+from gateway.modules.discovery import EVERYWHERE, by_link, discovered, link_line
 from gateway.support.settings_files import load_yaml
 from gateway.support.whole_files import writing
 
@@ -73,11 +71,12 @@ def discover_modules(
             err=True,
         )
         raise typer.Exit(1)
-    for each in found:
-        battery = "" if each.battery_percent is None else f", battery {each.battery_percent} %"
-        signal = "" if each.rssi_percent is None else f", signal {each.rssi_percent} %"
-        typer.echo(f"# {each.carries} {each.unique_id}{battery}{signal}")
-        typer.echo(link_line(each))
+    for together in by_link(found):
+        for each in together:
+            battery = "" if each.battery_percent is None else f", battery {each.battery_percent} %"
+            signal = "" if each.rssi_percent is None else f", signal {each.rssi_percent} %"
+            typer.echo(f"# {each.carries} {each.unique_id}{battery}{signal}")
+        typer.echo(link_line(*together))
 
 
 @with_suit
@@ -336,6 +335,11 @@ class _Fitting:
                 "assigning changes modules, which is not allowed: pass --allow-writes, or set "
                 "'allow_device_writes: true' in the configuration (with --mqtt: of the gateway)"
             )
+        if not listed["assigns"]:
+            raise GatewayError(
+                "there are modules of other makers alone, which keep no number: write 'module: NUMBER' at "
+                "the link of each in the configuration"
+            )
         if listed["conflicts"]:
             await self._separate(listed)
             listed = await self._perform("list", {"listen_s": _LISTED_S})
@@ -356,6 +360,9 @@ class _Fitting:
 
     async def assign_all(self) -> int:
         """Ask for one segment after another. Exit code: 0, or 1 when some were skipped."""
+        from gateway.modules.motion import AmbiguousMotionError
+        from gateway.modules.operations import RequestError
+
         self._console.print(f"{_KEYS}\nhold still ...")
         with contextlib.suppress(RequestError, AmbiguousMotionError):  # what moves here is what usually moves
             await self._perform("motion", {"seconds": _STILL_S})
@@ -380,6 +387,9 @@ class _Fitting:
 
     async def _fit(self, segment: str, count: str) -> str:
         """Until the segment has its module: ``done``; or the key that leaves it."""
+        from gateway.modules.motion import AmbiguousMotionError
+        from gateway.modules.operations import RequestError
+
         spoken = segment.replace("_", " ")
         while True:
             self._console.print(Text(f"{count} shake or tap the module on the {spoken}", "bold"))

@@ -16,13 +16,9 @@ from rich.table import Table
 from rich.text import Text
 
 from firmware_protocol import RELAY
-from gateway.body.rig import load_rig
 from gateway.cli.options import with_options
 from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
-from gateway.modules.journal import Journal, default_journal_path
-from gateway.modules.remote import remote_suit
-from gateway.modules.session import suit_session
 from gateway.outputs.settings import MqttSettings, TlsSettings
 from gateway.settings import load_gateway_settings
 from gateway.sources.link_settings import LinkSettings
@@ -88,6 +84,11 @@ with_suit = with_options(SuitChoice)
 @contextlib.asynccontextmanager
 async def operations_of(choice: SuitChoice) -> AsyncIterator[Operations]:
     """The suit, opened. Raises ``GatewayError`` or ``LinkError``."""
+    from gateway.body.rig import load_rig
+    from gateway.modules.journal import Journal, default_journal_path
+    from gateway.modules.remote import remote_suit
+    from gateway.modules.session import suit_session
+
     if choice.mqtt is not None:
         async with remote_suit(_broker(choice), choice.gateway) as remote:
             yield remote

@@ -8,20 +8,16 @@ import math
 import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from devices.emulators.qtm_stand_in import QtmStandIn
-from devices.marker_file_link import MarkerFileLink
-from devices.marker_files import MarkerTrial, read_markers
+from devices.deferred import Deferred
 from devices.qtm_link import DEFAULT_PORT
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.body.subject_file import subject_content, write_subject
 from gateway.cli.export import export
 from gateway.cli.options import refuse_existing, seconds_of
 from gateway.cli.preparing import make_ready
@@ -30,23 +26,16 @@ from gateway.cli.replay import play as play_link
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError
 from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
-from gateway.reconstruction.optical.fitting import Fit, FitOptions, fit_body
-from gateway.reconstruction.optical.landmarks import MOST_ANGLE
-from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
-from gateway.reconstruction.optical.worn_markers import fitting_set
-from gateway.recording.exporters import FORMATS
-from gateway.recording.optical import (
-    SolvedTrial,
-    optical_settings,
-    write_both_ways_trial,
-    write_published_trial,
-    write_solved_trial,
-)
-from gateway.recording.snapshot import body_of
-from gateway.service.service import Service
+from gateway.recording.exporters.formats import FORMATS
 from gateway.settings import load_gateway_settings
 from gateway.support.whole_files import writing
+
+if TYPE_CHECKING:
+    from devices.marker_files import MarkerTrial
+    from gateway.reconstruction.optical.fitting import Fit
+    from gateway.recording.optical import SolvedTrial
+
 
 MOST_UNEVEN = 1.15
 """Longer over shorter, of the two segments of one name: beyond it a marker may sit elsewhere."""
@@ -103,6 +92,10 @@ def fit(
     Joint centres come from the marker set's rules (published regressions) and, as far as the trials move the
     joints, from the motion.
     """
+    from gateway.reconstruction.optical.fitting import FitOptions, fit_body
+    from gateway.reconstruction.optical.marker_set import load_marker_set
+    from gateway.reconstruction.optical.worn_markers import fitting_set
+
     target = output or files[0].with_suffix(".yaml")
     refuse_existing(target, force)
     if functional and rules_only:
@@ -129,6 +122,8 @@ def fit(
 
 
 def _read_trials(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
+    from devices.marker_files import read_markers
+
     with progress_bar("reading", is_shown=is_shown) as tell:
         trials = []
         for done, file in enumerate(files):
@@ -138,6 +133,9 @@ def _read_trials(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
 
 
 def _write_fit(found: Fit, outcome: dict[str, object], target: Path) -> None:
+    from gateway.body.subject_file import subject_content, write_subject
+    from gateway.recording.snapshot import body_of
+
     content = subject_content(
         target.stem, found.marker_set, body_of(found.skeleton), found.skeleton, found.markers,
         {key: outcome[key] for key in ("trials", "frames", "rmse_mm")}, found.lengths, found.angles,
@@ -164,6 +162,8 @@ def _measurement(text: str) -> tuple[str, float]:
 
 
 def _angle(text: str) -> tuple[str, float]:
+    from gateway.reconstruction.optical.landmarks import MOST_ANGLE
+
     name, _, value = text.partition("=")
     try:
         angle = math.radians(float(value))
@@ -250,9 +250,9 @@ def _print_fit(found: Fit, outcome: dict[str, object]) -> None:
 
 Subject = Annotated[str, typer.Option("--subject", "-s", help="Subject file of `optical fit`.")]
 WRITERS = {
-    "default": write_solved_trial,
-    BOTH_WAYS: write_both_ways_trial,
-    PUBLISHED: write_published_trial,
+    "default": Deferred("gateway.recording.optical", "write_solved_trial"),
+    BOTH_WAYS: Deferred("gateway.recording.optical", "write_both_ways_trial"),
+    PUBLISHED: Deferred("gateway.recording.optical", "write_published_trial"),
 }
 Method = Annotated[
     str,
@@ -282,17 +282,19 @@ def solve(
 ) -> None:
     """Solve a trial for a fitted subject, into a recording that replays, exports and reports like any
     other."""
+    from devices.marker_files import read_markers
+
     write = _writer_of(method)
     suit = _subject(subject)
     for name in to or []:
         if name not in FORMATS:
             raise GatewayError(f"--to {name}: one of {', '.join(FORMATS)} is wanted")
-    suffix = "" if write is write_solved_trial else f"_{method}"
+    suffix = "" if method == "default" else f"_{method}"
     target = output or file.with_name(f"{file.stem}{suffix}.mcap")
     refuse_existing(target, force)
     trial = read_markers(file)
     target.unlink(missing_ok=True)
-    if write is write_solved_trial:
+    if method == "default":
         make_ready(OPTICAL)
     with progress_bar("solving", is_shown=not as_json) as tell, writing(target):
         done = write(trial, file, suit, subject, target, tell)
@@ -318,6 +320,11 @@ def play(
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
     """Play a trial over MQTT like a live optical system: `watch`, `view` and all else see a suit."""
+    from devices.marker_file_link import MarkerFileLink
+    from devices.marker_files import read_markers
+    from gateway.recording.optical import optical_settings
+    from gateway.service.service import Service
+
     _writer_of(method)
     if method in OFFLINE:
         raise GatewayError(
@@ -359,6 +366,8 @@ def _writer_of(method: str) -> Callable[..., SolvedTrial]:
 
 
 def _subject(name: str) -> WornSuit:
+    from gateway.body.rig import load_rig
+
     suit = load_rig(name)
     if suit.markers is None:
         raise GatewayError(f"{name} is a rig without markers: --subject wants a file of `optical fit`")
@@ -417,6 +426,8 @@ def serve(
 
     Whoever connects sees it from the beginning on. Written from the published protocol; no QTM was at hand.
     """
+    from devices.marker_files import read_markers
+
     if up not in {"x", "y", "z"}:
         raise GatewayError(f"--up {up}: x, y or z is wanted")
     asyncio.run(_serve(read_markers(file), file, port, host, up, speed, once))
@@ -425,6 +436,8 @@ def serve(
 async def _serve(
     trial: MarkerTrial, file: Path, port: int, host: str, up: str, speed: float, once: bool
 ) -> None:
+    from devices.emulators.qtm_stand_in import QtmStandIn
+
     ended = asyncio.Event()
     stand_in = QtmStandIn(
         trial, host=host, port=port, up=f"+{up.upper()}", speed=speed, repeats=not once, on_end=ended.set

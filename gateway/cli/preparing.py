@@ -15,7 +15,6 @@ import typer
 
 from gateway.reconstruction import OPTICAL, RootMode
 from gateway.reconstruction.optical.warm_up import warm_up
-from gateway.service import readiness
 from gateway.settings import GatewaySettings, RootMotionSettings
 
 _USUAL = "compiling the reconstruction once, for up to a minute; later starts find it made"
@@ -27,7 +26,7 @@ def told_when_compiling(tell: Callable[[str], object], line: str = _USUAL) -> It
 
     Nothing is said when all of them come from the cache. Numba is imported: for where it is needed anyway.
     """
-    from numba.core import event  # noqa: PLC0415 - takes a second
+    from numba.core import event
 
     class Watch(event.Listener):  # type: ignore[misc, no-any-unimported, unused-ignore]  # numba is untyped
         begun_s: float | None = None
@@ -79,6 +78,8 @@ _FIRST = "first start: compiling what the first poses need, once; about ten seco
 
 def make_ready(reconstructor: str) -> None:
     """Compile a method that is not yet, and tell why that takes its time."""
+    from gateway.service import readiness
+
     if reconstructor == OPTICAL:
         with told_when_compiling(partial(typer.echo, err=True)):
             warm_up()
@@ -91,6 +92,8 @@ def make_ready(reconstructor: str) -> None:
 
 def stand_in(settings: GatewaySettings, tell: Callable[[str], object]) -> GatewaySettings:
     """Return the settings that run while the method of these is compiled; what they need is compiled here."""
+    from gateway.service import readiness
+
     if not readiness.is_ready(readiness.FIRST):
         begun_s = time.monotonic()
         tell(_FIRST)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -17,12 +17,13 @@ from rich.text import Text
 from devices.recording_file import RecordingError
 from gateway.cli.terminal import progress_bar, wide_console
 from gateway.errors import GatewayError
-from gateway.recording import RecordingMeta, open_recording
-from gateway.recording.recovery import recover as recover_file
-from gateway.recording.recovery import recover_in_place
-from gateway.recording.summary import RecordingSummary, recordings_in, summarise
 from gateway.support.whole_files import writing
 from gateway.viewer.printable import printable
+
+if TYPE_CHECKING:
+    from gateway.recording import RecordingMeta
+    from gateway.recording.summary import RecordingSummary
+
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for a script.")]
 
@@ -32,6 +33,8 @@ def recordings(
     as_json: AsJson = False,
 ) -> None:
     """List the recordings of a folder: when, how long, how large, modules, loss."""
+    from gateway.recording.summary import recordings_in, summarise
+
     found = list(recordings_in(folder))
     summaries = [summarise(each) for each in found if not isinstance(each, RecordingError)]
     problems = [str(each) for each in found if isinstance(each, RecordingError)]
@@ -59,6 +62,9 @@ def info(
     as_json: AsJson = False,
 ) -> None:
     """Show what is in a recording: settings, suit, software, channels, losses, events."""
+    from gateway.recording import open_recording
+    from gateway.recording.summary import summarise
+
     recording = open_recording(file)
     summary = summarise(recording)
     if extract is not None:
@@ -90,6 +96,9 @@ def recover(
     `replay`, `info` and the rest read such files as they are; other MCAP tools want the index that this
     writes.
     """
+    from gateway.recording.recovery import recover as recover_file
+    from gateway.recording.recovery import recover_in_place
+
     if in_place and output is not None:
         raise GatewayError("--in-place or --output: not both")
     with progress_bar("recovering") as tell:

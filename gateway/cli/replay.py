@@ -7,22 +7,24 @@ import contextlib
 import json
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from devices.marker_file_link import MarkerFileLink
 from devices.replay_link import ReplayLink
-from gateway.body.rig import load_rig
 from gateway.cli.preparing import make_ready
 from gateway.cli.run import until_signal
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError, SettingsError
-from gateway.recording import Recording, open_recording
-from gateway.recording.solving import Source, solve, verify, with_recorded_table, write_solved
-from gateway.service.service import Service
 from gateway.settings import MAX_DELAY_MS, load_gateway_settings
 from gateway.support.processor import NATIVE
+
+if TYPE_CHECKING:
+    from devices.marker_file_link import MarkerFileLink
+    from gateway.recording import Recording
+    from gateway.recording.solving import Source
+    from gateway.service.service import Service
+
 
 QUEUE = 512
 """Poses that may wait for the broker; reading goes on while no more than half of them do."""
@@ -34,6 +36,9 @@ def replay_live(
     recording: Recording, source: Source, speed: float | None, *, embedded: bool, as_json: bool
 ) -> None:
     """Play until the end or Ctrl-C. Waits for the broker first; at full speed for its subscribers too."""
+    from gateway.recording.solving import with_recorded_table
+    from gateway.service.service import Service
+
     mqtt = source.settings.mqtt
     changes: dict[str, object] = {"queue_length": max(mqtt.queue_length, QUEUE)}
     if embedded:
@@ -131,6 +136,8 @@ def replay(
     With --verify it ends with 1 unless every recorded pose comes out again, bit for bit: it does with the
     same version, configuration and libraries, for recordings that began with the gateway.
     """
+    from gateway.recording import open_recording
+
     recording = open_recording(file)
     source = _source(recording, with_rig, reconstructor, config, smooth, delay_ms)
     make_ready(source.settings.reconstructor)
@@ -175,6 +182,9 @@ def _source(
     delay_ms: float | None = None,
 ) -> Source:
     """What to solve with: as recorded, but for what was asked otherwise."""
+    from gateway.body.rig import load_rig
+    from gateway.recording.solving import Source
+
     given = None if config is None else load_gateway_settings(config)
     meta = recording.meta
     if not meta.has_suit and given is None:
@@ -215,6 +225,8 @@ def speed_of(text: str) -> float | None:
 
 
 def _verify(recording: Recording, as_json: bool) -> None:
+    from gateway.recording.solving import verify
+
     with progress_bar("verifying", is_shown=not as_json) as tell:
         found = verify(recording, tell)
     if as_json:
@@ -237,7 +249,7 @@ def _verify(recording: Recording, as_json: bool) -> None:
 
 def _reasons(recording: Recording) -> list[str]:
     """What may have made the difference."""
-    from gateway.recording.snapshot import host  # noqa: PLC0415 - needed only here
+    from gateway.recording.snapshot import host
 
     reasons = []
     if not recording.meta.from_start:
@@ -253,6 +265,8 @@ def _reasons(recording: Recording) -> list[str]:
 
 
 def _solve(recording: Recording, source: Source, target: Path | None, as_json: bool) -> None:
+    from gateway.recording.solving import solve, write_solved
+
     first_ns = last_ns = frames = 0
     begun = 0.0
     with progress_bar("solving", is_shown=not as_json) as bar:

@@ -8,22 +8,23 @@ import logging
 import signal
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.cli.preparing import make_ready, stand_in, told_when_compiling
 from gateway.errors import GatewayError
-from gateway.service import readiness
-from gateway.service.service import Service
 from gateway.service.systemd import feed_watchdog, notify
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
 from gateway.support.log_format import set_up_logging
+
+if TYPE_CHECKING:
+    from gateway.service.service import Service
+
 
 log = logging.getLogger(__name__)
 
@@ -41,6 +42,9 @@ def run(
     A link that is absent is waited for; a broker that is away is tried again and again. A changed
     configuration that is wrong is reported, and the service goes on with the one it has.
     """
+    from gateway.body.rig import load_rig
+    from gateway.service import readiness
+
     configured = load_gateway_settings(config)
     suit = load_rig(configured.rig, config)
     wanted = fitting_suit(configured, suit).reconstructor
@@ -56,6 +60,9 @@ def run(
 def _load(config: Path, awaited: str | None = None) -> Service:
     """The service that a configuration describes, or what stands in for it while its method ``awaited`` is
     compiled. Raises ``GatewayError`` with what is wrong in it."""
+    from gateway.body.rig import load_rig
+    from gateway.service.service import Service
+
     settings = load_gateway_settings(config)
     suit = load_rig(settings.rig, config)
     if awaited is not None:
@@ -104,6 +111,8 @@ class _Supervisor:
 
     async def _compile(self) -> None:
         """In a process of its own; then the service starts anew with the method that is configured."""
+        from gateway.service import readiness
+
         name = self._to_compile
         if name is None:
             return
@@ -125,6 +134,8 @@ class _Supervisor:
 
     async def _run_once(self) -> bool:
         """One service to its end; True if another one follows."""
+        from gateway.service.service import Service
+
         service = self._service
         service.own_requests.on_reload = self._read_anew
         self._task = asyncio.ensure_future(service.run())
@@ -234,6 +245,9 @@ def record(
     Reads the suit and publishes as `run` does. Ends with a whole file on Ctrl-C or SIGTERM; with 1 when the
     recording had to end before that.
     """
+    from gateway.body.rig import load_rig
+    from gateway.service.service import Service
+
     settings = load_gateway_settings(config)
     changes = {"name": name, "folder": None if folder is None else str(folder)}
     wanted = {key: value for key, value in changes.items() if value is not None}

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,17 +17,17 @@ from devices.cameras.pictures import open_pictures
 from gateway.body.camera import Camera
 from gateway.calibration.cameras_file import AXES, axis_of, load_cameras
 from gateway.calibration.picture_size import SizeChange, fitted
-from gateway.cameras.broker_outlet import BrokerOutlet
 from gateway.cameras.camera_process import MOST_PEOPLE, CameraTask
-from gateway.cameras.film import drawn_instants, write_film
-from gateway.cameras.serving import Outlet, Sink, listening, serve
 from gateway.cli.options import CaFile, PasswordFile, Protocol, Username, broker_settings, refuse_existing
 from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import CAMERA
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.weights import DETECTOR, weights_of
-from gateway.recording.reading import open_recording
 from gateway.support.video_extra import require_video_extra
+
+if TYPE_CHECKING:
+    from gateway.cameras.serving import Sink
+
 
 Places = Annotated[
     list[str],
@@ -192,6 +192,9 @@ def overlay(
     force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
 ) -> None:
     """Draw skeleton and heat maps on the pictures of all cameras, side by side: a film or pictures."""
+    from gateway.cameras.film import drawn_instants, write_film
+    from gateway.recording.reading import open_recording
+
     require_video_extra()
     opened = open_recording(recording)
     video = opened.meta.suit.video
@@ -255,6 +258,9 @@ def serve_camera(
     cameras keep together when all begin --at the same time. Of a recording the heat maps are served as they
     are, without pictures or network.
     """
+    from gateway.cameras.broker_outlet import BrokerOutlet
+    from gateway.cameras.serving import Outlet, listening
+
     require_video_extra()
     begin_s = None if at is None else moment(at, time.time())
     task = CameraTask(name, place, network, rate)
@@ -278,6 +284,8 @@ def serve_camera(
 
 
 def _serve(task: CameraTask, sink: Sink, speed: float, begin_s: float | None) -> None:
+    from gateway.cameras.serving import serve
+
     serve(task, sink, speed, begin_s)
     done = sink.served
     typer.echo(f"{done.messages} pictures, {done.sent} messages sent, {done.skipped} left out")

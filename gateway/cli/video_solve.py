@@ -6,7 +6,7 @@ import itertools
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -14,29 +14,23 @@ from rich.console import Console
 from rich.table import Table
 
 from gateway.body.camera import Camera
-from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
-from gateway.body.subject_file import write_subject
 from gateway.cameras.camera_process import CameraTask
-from gateway.cameras.consistency import Consistency, consistency_of
-from gateway.cameras.rig_of_cameras import CameraRig, RigOptions
 from gateway.cli.export import export
 from gateway.cli.options import refuse_existing, with_options
 from gateway.cli.terminal import progress_bar
 from gateway.cli.video import Cameras, Join, People, Pictures, Places, joined_of, matched, people_of
 from gateway.errors import GatewayError
-from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.weights import weights_of
-from gateway.recording.exporters import FORMATS
-from gateway.recording.video import (
-    SolvedVideo,
-    video_subject,
-    video_suit,
-    write_offline_video,
-    write_solved_video,
-)
+from gateway.recording.exporters.formats import FORMATS
 from gateway.support.video_extra import require_video_extra
 from gateway.support.whole_files import writing
+
+if TYPE_CHECKING:
+    from gateway.cameras.consistency import Consistency
+    from gateway.cameras.rig_of_cameras import RigOptions
+    from gateway.recording.video import SolvedVideo
+
 
 Instants = list[list[bytes]]
 """Messages of one person: of every instant, one a camera."""
@@ -81,6 +75,11 @@ def solve(
 ) -> None:
     """Solve synchronised videos of calibrated cameras, into a recording that replays, exports and reports
     like any other."""
+    from gateway.body.rig import load_rig
+    from gateway.cameras.consistency import consistency_of
+    from gateway.cameras.rig_of_cameras import RigOptions
+    from gateway.recording.video import video_suit
+
     require_video_extra()
     wanted = people_of(people)
     if subject is not None and wanted != 1:
@@ -116,6 +115,8 @@ def solve(
 
 def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[Instants]:
     """Those whose rays meet; the first one in any case. Two cameras may each have seen something else."""
+    from gateway.cameras.consistency import consistency_of
+
     real = [messages for messages in captured[1:] if consistency_of(cameras, messages).is_one_person]
     if left := len(captured) - 1 - len(real):
         typer.echo(f"note: {left} in the first pictures seen by too few cameras, and left out", err=True)
@@ -162,6 +163,8 @@ def _written(
     is_shown: bool,
 ) -> SolvedVideo:
     """The recording, in the place of an older one."""
+    from gateway.recording.video import write_offline_video, write_solved_video
+
     target.unlink(missing_ok=True)
     write = write_offline_video if offline else write_solved_video
     with progress_bar("solving", is_shown=is_shown) as tell, writing(target):
@@ -169,6 +172,9 @@ def _written(
 
 
 def _write_subject(path: Path, suit: WornSuit, *, force: bool) -> None:
+    from gateway.body.subject_file import write_subject
+    from gateway.recording.video import video_subject
+
     refuse_existing(path, force, "--fit-subject")
     with writing(path):
         write_subject(path, video_subject(path.stem, suit))
@@ -183,6 +189,9 @@ def looked_at(
     is_shown: bool = True,
 ) -> tuple[list[Instants], float]:
     """By person, the heat maps of every instant, a message a camera; and the rate in Hz."""
+    from gateway.cameras.rig_of_cameras import CameraRig
+    from gateway.reconstruction.video.keypoint_set import load_keypoint_set
+
     keypoints = load_keypoint_set(weights_of(tasks[0].network).keypoint_set)
     with (
         progress_bar("looking at pictures", is_shown=is_shown) as tell,

@@ -24,13 +24,14 @@ from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
-from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
 from gateway.support.credentials import AccessToken, token_for
-from gateway.viewer.pose_table import PoseView, joint_table
 from gateway.viewer.printable import printable
 
 if TYPE_CHECKING:
     import viser
+
+    from gateway.outputs.subscriber import PoseSubscriber
+    from gateway.viewer.pose_table import PoseView
 
 _REFRESH_S = 0.1
 
@@ -55,6 +56,8 @@ async def watch_poses(settings: MqttSettings, wanted: Watch, console: Console) -
 
     Raises ``BrokerUnreachableError``.
     """
+    from gateway.outputs.subscriber import PoseSubscriber
+
     async with PoseSubscriber(settings, wanted.gateway) as poses:
         try:
             if wanted.count is None and not wanted.as_json:
@@ -75,6 +78,8 @@ async def watch_poses(settings: MqttSettings, wanted: Watch, console: Console) -
 
 
 async def _print_poses(poses: PoseSubscriber, wanted: Watch, console: Console) -> None:
+    from gateway.viewer.pose_table import PoseView
+
     views: dict[str, PoseView] = {}
     arriving = aiter(poses)
     shown = 0
@@ -94,6 +99,8 @@ async def _print_poses(poses: PoseSubscriber, wanted: Watch, console: Console) -
 
 
 async def _show_live(poses: PoseSubscriber, wanted: Watch, console: Console) -> None:
+    from gateway.viewer.pose_table import PoseView
+
     views: dict[str, PoseView] = {}
 
     async def collect() -> None:
@@ -109,6 +116,8 @@ async def _show_live(poses: PoseSubscriber, wanted: Watch, console: Console) -> 
 
 
 def _screen(poses: PoseSubscriber, views: dict[str, PoseView], wanted: Watch) -> RenderableType:
+    from gateway.viewer.pose_table import PoseView
+
     for gateway in poses.states:
         views.setdefault(gateway, PoseView(gateway))
     now_ns = gateway_time_ns()
@@ -125,6 +134,8 @@ def _screen(poses: PoseSubscriber, views: dict[str, PoseView], wanted: Watch) ->
 
 def _shown(view: PoseView, now_ns: int, state: str, wanted: Watch) -> RenderableType:
     """One gateway as the user wants to see it."""
+    from gateway.viewer.pose_table import joint_table
+
     if not wanted.with_joints or view.last is None:
         return view.table(now_ns, state, wanted.with_quaternions)
     joints: RenderableType | None = joint_table(view.last.pose)
@@ -135,6 +146,8 @@ def _shown(view: PoseView, now_ns: int, state: str, wanted: Watch) -> Renderable
 
 def run_watch(settings: MqttSettings, wanted: Watch) -> int:
     """``watch_poses`` as a program: quiet on Ctrl-C and on a closed pipe, one line on errors."""
+    from gateway.outputs.subscriber import BrokerUnreachableError
+
     try:
         return asyncio.run(watch_poses(settings, wanted, Console()))
     except KeyboardInterrupt:
@@ -240,10 +253,10 @@ class _Place(NamedTuple):
 async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
     """A page behind its gate, while it is wanted. Raises ``GatewayError`` without the extra."""
     try:
-        import viser  # noqa: PLC0415 - an extra, and slow to import
+        import viser
     except ImportError:
         raise GatewayError(f"the page needs the extra 'viewer': {how_to_add('viewer')}") from None
-    from gateway.viewer.gate import Door, Gate  # noqa: PLC0415 - beside the extra
+    from gateway.viewer.gate import Door, Gate
 
     with contextlib.redirect_stdout(io.StringIO()):  # it would name the port behind the gate
         server = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
@@ -261,20 +274,20 @@ async def _serve_live(
     settings: MqttSettings, gateway: str, place: _Place, waits: bool, muscles_kg: float | None
 ) -> None:
     async with _page(place) as server:
-        from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
+        from gateway.viewer.live import LiveViewer
 
         await LiveViewer(server, settings, gateway, muscles_kg).run(waits)
 
 
 async def _serve_recording(recording: Path, place: _Place, muscles_kg: float | None) -> None:
-    from gateway.recording import open_recording  # noqa: PLC0415 - what is live needs no files
+    from gateway.recording import open_recording
 
     with progress_bar(f"reading {recording.name}") as tell:
         opened = open_recording(recording)
         arrays = opened.skeleton_arrays(tell)
     async with _page(place) as server:
-        from gateway.viewer.marker_points import recorded_markers  # noqa: PLC0415 - needs the extra
-        from gateway.viewer.playback import Playback  # noqa: PLC0415 - needs the extra
+        from gateway.viewer.marker_points import recorded_markers
+        from gateway.viewer.playback import Playback
 
         markers = recorded_markers(opened, arrays)
         await Playback(server, arrays, recording.stem, markers, muscles_kg).run()

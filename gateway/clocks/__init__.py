@@ -3,14 +3,15 @@
 Every module counts its own crystal. Reading order: ``counter`` (32 bits, restarts) → ``module_clock`` (what a
 clock is; modules that share one) → ``batching``, ``floor_filter``, ``delay_floor``, ``estimated`` (rate and
 offset while capturing, from arrival times alone) → ``synchronised`` (modules that keep their clocks together
-by themselves) → ``sync_exchange`` (two-way exchanges) → ``table``, ``table_calibration``, ``table_clock``,
-``reference_instants`` (mode 1, distributed compensation: a table measured beforehand) → ``trigger``,
-``trigger_answers`` (mode 2, unified control: the gateway says when to sample) → ``utc_anchor`` (gateway time
-against UTC).
+by themselves) → ``arrival_line`` (samples without stamps) → ``sync_exchange`` (two-way exchanges) →
+``table``, ``table_calibration``, ``table_clock``, ``reference_instants`` (mode 1, distributed compensation: a
+table measured beforehand) → ``trigger``, ``trigger_answers`` (mode 2, unified control: the gateway says when
+to sample) → ``utc_anchor`` (gateway time against UTC).
 
 Sans-I/O and deterministic: arrival times are arguments, and gateway time is the host's monotonic clock.
 """
 
+from gateway.clocks.arrival_line import ArrivalClock, ArrivalLine
 from gateway.clocks.batching import LinkBatching, RelayBatching
 from gateway.clocks.counter import unwrap
 from gateway.clocks.delay_floor import warm_up
@@ -30,6 +31,8 @@ __all__ = [
     "AnchorReading",
     "AnchorWatch",
     "Answer",
+    "ArrivalClock",
+    "ArrivalLine",
     "ClockCalibration",
     "ClockFigures",
     "ClockTable",

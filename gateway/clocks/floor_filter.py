@@ -69,6 +69,14 @@ def _packet(u: float, m: float, slot: float, corner: float) -> tuple[float, floa
 
 
 @compiled
+def _log_packet(u: float, m: float, slot: float, corner: float) -> float:
+    """Return log P(u) alone, as ``_packet`` gives it."""
+    beyond = min(u + _FAR * corner, 0.0)
+    a, b = _softplus(u - beyond, corner)[0], _softplus(u - beyond - slot, corner)[0]
+    return -b / m + math.log(-math.expm1(-(a - b) / m)) + beyond / corner
+
+
+@compiled
 def _log_posterior(
     c: float, r: float, x: FloatArray, A: FloatArray, t: FloatArray, d: FloatArray, weight: FloatArray,
     m: float, slot: float, corner: float,
@@ -77,7 +85,7 @@ def _log_posterior(
     total: float = -0.5 * (A[0, 0] * dc * dc + 2.0 * A[0, 1] * dc * dr + A[1, 1] * dr * dr)
     for k in range(len(t)):
         u = d[k] - c - r * t[k]
-        total += weight[k] * _packet(u, m, slot, corner)[0]
+        total += weight[k] * _log_packet(u, m, slot, corner)
     return total
 
 

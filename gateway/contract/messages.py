@@ -147,7 +147,7 @@ class BridgeHealth(Message):
         default=None, description="Instance of another gateway of this name that was heard lately."
     )
     outputs: dict[str, OutputCounters] = Field(
-        default_factory=dict, description="Poses sent by other outputs: vmc, udp_json, lsl."
+        default_factory=dict, description="Poses sent by other outputs: vmc, udp_json, slimevr, mvn, lsl."
     )
     utc: UtcAnchor | None = Field(default=None, description="Gateway time against UTC, as read last.")
     accounting: dict[str, AccountBalance] = Field(

@@ -8,9 +8,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from firmware_protocol import MAX_MODULE
-
-RECORDING_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
-"""Nothing that could mean another folder."""
+from gateway.contract.names import RECORDING_NAME
 
 
 class Request(BaseModel):

@@ -147,13 +147,15 @@ def examine(
     if states is not None:
         yield from running.judge(settings.gateway, states)
     else:
-        yield from _listen(readable, suit, listen_s, rate_hz)
+        yield from _listen(readable, suit, listen_s, rate_hz, _method(settings, suit))
     yield disk(settings.recording, here)
     yield from metrics_port(settings.metrics, gateway_runs=states is not None)
 
 
-def _listen(links: list[LinkSettings], suit: WornSuit, seconds: float, rate_hz: float) -> list[Finding]:
-    return asyncio.run(listen(links, suit, seconds, rate_hz)) if links and seconds else []
+def _listen(
+    links: list[LinkSettings], suit: WornSuit, seconds: float, rate_hz: float, method: str
+) -> list[Finding]:
+    return asyncio.run(listen(links, suit, seconds, rate_hz, method)) if links and seconds else []
 
 
 def _has_modules(link: LinkSettings) -> bool:

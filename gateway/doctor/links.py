@@ -25,6 +25,7 @@ from gateway.modules.makers import MakersModules
 from gateway.modules.operations import ModuleOperations
 from gateway.modules.session import suit_session
 from gateway.modules.summary import ModuleList, ModuleSummary
+from gateway.reconstruction import FUSED
 from gateway.sources.link_settings import LinkSettings
 from gateway.sources.makers import ANOTHER_SENDER, Advice
 
@@ -229,19 +230,23 @@ _GARBLED = (Defect.OVERLONG, Defect.BAD_STUFFING, Defect.TOO_SHORT, Defect.BAD_C
 
 
 async def listen(
-    links: Sequence[LinkSettings], suit: WornSuit, seconds: float, rate_hz: float
+    links: Sequence[LinkSettings], suit: WornSuit, seconds: float, rate_hz: float, method: str
 ) -> list[Finding]:
-    """Read the links, and ask modules who they are; changes nothing in them. rate_hz: of the poses."""
+    """Read the links, and ask modules who they are; changes nothing in them. rate_hz: of the poses, which
+    the method makes."""
     journal = Journal(default_journal_path())
     try:
         async with suit_session(links, suit, allow_writes=False, journal=journal) as operations:
             listed = await operations.perform("list", {"listen_s": max(seconds, SHORTEST_S)})
-            found = ModuleList.model_validate({k: v for k, v in listed.items() if k != "allows_writes"})
+            found = ModuleList.model_validate(
+                {k: v for k, v in listed.items() if k in ModuleList.model_fields}
+            )
             others = [link for link in links if link.carries != SUIT]
             own = [link for link in links if link.carries == SUIT]
             return [
                 *_readability(own, operations),
                 *_others_readability(others, operations.makers),
+                *_usable(others, operations.makers, method),
                 *_others_settings(await operations.makers.advice(rate_hz)),
                 *_presence(found, suit),
             ]
@@ -270,6 +275,26 @@ def _others_readability(links: Sequence[LinkSettings], makers: MakersModules) ->
         if strangers := heard.dropped.get(ANOTHER_SENDER):
             found = f"{strangers:,} datagrams came from a second device"
             yield bad(f"{link.name}: senders", found, "let every device send to a port and a link of its own")
+
+
+def _usable(links: Sequence[LinkSettings], makers: MakersModules, method: str) -> Iterator[Finding]:
+    """Whether what other makers' modules send is what the method takes."""
+    for link in links:
+        heard, subject = makers.heard(link.name), f"{link.name}: method"
+        if heard.orientations and not heard.samples and method not in FUSED:
+            yield bad(
+                subject,
+                f"it sends orientations fused on board, and no raw samples: '{method}' makes nothing of them",
+                "write reconstructor: fused_neutral (or fused, where all references face alike)",
+            )
+        elif heard.samples and not heard.orientations and method in FUSED:
+            yield bad(
+                subject,
+                f"it sends raw samples, and no orientations: '{method}' makes nothing of them",
+                "write reconstructor: joint",
+            )
+        elif heard.samples or heard.orientations:
+            yield good(subject, f"'{method}' takes what it sends")
 
 
 def _others_settings(advice: Sequence[tuple[str, Advice]]) -> Iterator[Finding]:

@@ -28,7 +28,7 @@ from gateway.pipeline import Pipeline
 from gateway.reconstruction import create_reconstructor
 from gateway.reconstruction.reconstructor import update_many
 from gateway.reconstruction.smoothing import Smoother
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "recording"

@@ -22,7 +22,7 @@ from gateway.emulation.rig import dress, move
 from gateway.frames import FloatArray, ImuFrame, IntArray, SkeletonFrame
 from gateway.geometry.comparison import coverage_percent, orientation_error, rmse_deg
 from gateway.pipeline import Pipeline
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 
 LINK = "suit"

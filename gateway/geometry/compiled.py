@@ -210,6 +210,21 @@ class Kernel:
         return self.dispatcher(*arguments)
 
 
+def for_types_of(kernel: F, *arguments: Any) -> F:
+    """Return a kernel's machine code for arguments of the types of these, compiled now and not called.
+
+    A call of it looks at no types, which of a structured array takes longer than many a kernel. So each must
+    be of the same type, number of dimensions and layout as here: that is for the caller to see to.
+    What is no kernel, in the place of one, stays as it is.
+    """
+    if not isinstance(kernel, Kernel):
+        return kernel
+    dispatcher = kernel.dispatcher
+    types = tuple(map(dispatcher.typeof_pyval, arguments))
+    dispatcher.compile(types)
+    return cast(F, dispatcher.get_overload(types))
+
+
 def compiled(function: F) -> F:
     """The function as a kernel; see ``Kernel``."""
     return cast(F, Kernel(function))

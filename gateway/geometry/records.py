@@ -1,13 +1,24 @@
 """Named values in one block of memory: NumPy's structured types, declared as classes.
 
 A class that extends ``Record`` names the fields and says what they are; ``records`` makes an array of them.
-In Python as in a kernel ``segments[s].rest.rate[i]`` is then a number in that memory, nothing is copied and a
-kernel is handed a record as one address. All fields are multiples of eight bytes, so that none is padded.
+In Python as in a kernel ``segments[s].zero_rate.rate[i]`` is then a number in that memory, nothing is copied
+and a kernel is handed a record as one address. All fields are multiples of eight bytes: none is padded.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Protocol, TypeVar, cast, get_args, get_origin, get_type_hints, overload
+from typing import (
+    Annotated,
+    Any,
+    NamedTuple,
+    Protocol,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,3 +97,34 @@ def record(kind: type[R]) -> R:
 def array_of(one: R) -> Records[R]:
     """Return the array that a record made by ``record`` is all of."""
     return cast(Records[R], cast(np.record, one).base)
+
+
+class Constant(NamedTuple):
+    """A row of a table of constants."""
+
+    default: float
+    unit: str
+    meaning: str
+    origin: str
+
+
+def constant(default: float, unit: str, meaning: str, origin: str) -> Any:
+    """Return a row; in the eyes of type checkers the number that a record has in its place."""
+    return Constant(default, unit, meaning, origin)
+
+
+def constants_of(table: type[Record]) -> dict[str, Constant]:
+    """Return the rows of a table by name: a class of which every field is a ``constant``."""
+    return {name: row for name, row in vars(table).items() if isinstance(row, Constant)}
+
+
+def table_of(table: type[R], **changes: float) -> R:
+    """Return a record of the defaults, some of them changed. Raises ``TypeError`` for a name not in there."""
+    rows = constants_of(table)
+    unknown = changes.keys() - rows.keys()
+    if unknown:
+        raise TypeError(f"no such constant: {', '.join(sorted(unknown))}")
+    made = record(table)
+    for name, row in rows.items():
+        setattr(made, name, changes.get(name, row.default))
+    return made

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from devices.emulators.recordings import Recording
-from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv
-from devices.vendor_formats.movella_dot import read_movella_dot
-from devices.vendor_formats.mvnx import read_mvnx
+from devices.deferred import Deferred
 from devices.vendor_formats.sheets import FormatError
-from devices.vendor_formats.ximu3 import folders_of, read_ximu3
-from devices.vendor_formats.xsens_text import read_xsens_text
 from gateway.errors import GatewayError
 from gateway.support.settings_files import load_settings
+
+if TYPE_CHECKING:
+    from devices.emulators.recordings import Recording
+
+_read_movella_dot = Deferred("devices.vendor_formats.movella_dot", "read_movella_dot")
+_read_ximu3 = Deferred("devices.vendor_formats.ximu3", "read_ximu3")
+_read_xsens_text = Deferred("devices.vendor_formats.xsens_text", "read_xsens_text")
 
 _HEAD_BYTES = 8192
 
@@ -39,12 +42,16 @@ class Format:
 
 
 def _read_mvnx(paths: Sequence[Path], options: ReadOptions) -> Recording:
+    from devices.vendor_formats.mvnx import read_mvnx  # noqa: PLC0415 - as all readers: the list needs none
+
     if len(paths) > 1:
         raise GatewayError(f"an MVNX file holds a whole body: import {len(paths)} files one by one")
     return read_mvnx(paths[0], partial=options.partial)
 
 
 def _read_csv(paths: Sequence[Path], options: ReadOptions) -> Recording:
+    from devices.vendor_formats.column_map import ColumnMap, read_mapped_csv  # noqa: PLC0415
+
     if options.columns is None:
         raise GatewayError(
             "a CSV file of no known maker: name its columns with --columns MAP.yaml (see docs/imports.md)"
@@ -58,16 +65,16 @@ def _read_csv(paths: Sequence[Path], options: ReadOptions) -> Recording:
 FORMATS: dict[str, Format] = {
     "xsens": Format(
         "MT Manager and MTw text, also for OpenSense: one .txt or .csv a module",
-        lambda paths, o: read_xsens_text(_files_in(paths), o.rate_hz, partial=o.partial),
+        lambda paths, o: _read_xsens_text(_files_in(paths), o.rate_hz, partial=o.partial),
     ),
     "mvnx": Format("Xsens MVN: orientations and path of a whole body", _read_mvnx),
     "ximu3": Format(
         "x-IMU3: a folder a module, or the folder of all",
-        lambda paths, o: read_ximu3(paths, align=o.align, partial=o.partial),
+        lambda paths, o: _read_ximu3(paths, align=o.align, partial=o.partial),
     ),
     "movella-dot": Format(
         "Movella DOT: one .csv a module",
-        lambda paths, o: read_movella_dot(_files_in(paths), align=o.align, partial=o.partial),
+        lambda paths, o: _read_movella_dot(_files_in(paths), align=o.align, partial=o.partial),
     ),
     "csv": Format("any CSV, with a map of its columns", _read_csv),
 }
@@ -85,6 +92,8 @@ def detected(paths: Sequence[Path], options: ReadOptions) -> str:
         return "csv"
     path = paths[0]
     if path.is_dir():
+        from devices.vendor_formats.ximu3 import folders_of  # noqa: PLC0415
+
         if folders_of(path):
             return "ximu3"
         path = _files_in(paths)[0]

@@ -14,6 +14,9 @@ from defusedxml.ElementTree import parse
 from gateway.errors import GatewayError, nearest
 from gateway.support.settings_files import load_yaml
 
+BODY = "human_17"
+"""What is worn of where no body is named."""
+
 _PARTS: dict[str, tuple[str, ...]] = {
     "pelvis": ("pelvis", "hips", "sacrum"),
     "thorax": ("thorax", "torso", "trunk", "chest", "sternum", "t8"),

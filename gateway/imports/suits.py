@@ -15,9 +15,9 @@ from gateway.body.skeleton import LocalDevice, WornSuit, field_vector
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, Quantity
 from gateway.geometry import quaternion
+from gateway.imports.segment_names import BODY
 from gateway.recording import SkeletonArrays
 
-BODY = "human_17"
 _GRAVITY = 9.80665
 _DIP_DEG = 65.0
 _FIELD_UT = 50.0

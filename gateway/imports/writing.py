@@ -22,8 +22,8 @@ from gateway.recording.pose_encoding import encode_skeleton_frame
 from gateway.recording.reading import Progress
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.module_table import ClockMode
 
 LINK = "imported"
 _FIRST_NS = 10**9

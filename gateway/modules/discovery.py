@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+from collections.abc import Sequence
 
 from devices.udp_link import UdpLink
 from gateway.sources.makers import Announced, Discovery
@@ -33,8 +34,25 @@ async def discovered(seconds: float, host: str = EVERYWHERE) -> list[Announced]:
     return sorted(found.values(), key=lambda each: (each.carries, each.name, each.unique_id))
 
 
-def link_line(announced: Announced, module: int | str = "NUMBER") -> str:
-    """Return the line of a configuration's ``links`` for a device. module: its number in the rig."""
+def by_link(found: Sequence[Announced]) -> list[list[Announced]]:
+    """Return devices together that share a link, each other one alone."""
+    links: dict[tuple[str, ...], list[Announced]] = {}
+    for each in found:
+        alone = () if each.entry is not None else (each.unique_id,)
+        links.setdefault((each.carries, each.url, *alone), []).append(each)
+    return list(links.values())
+
+
+def link_line(announced: Announced, *others: Announced, module: int | str = "NUMBER") -> str:
+    """Return the line of a configuration's ``links`` for a device, or for those that share a link.
+
+    module: number in the rig.
+    """
+    if announced.entry is not None:
+        told = [each.entry[1] for each in (announced, *others) if each.entry is not None]
+        listed = ", ".join(f'"{name}": {module}' for name in told)
+        head = f'name: {announced.name}, url: "{announced.url}", carries: {announced.carries}'
+        return f"- {{{head}, {announced.entry[0]}: {{{listed}}}}}"
     name = re.sub(r"[^\w .-]", "", announced.name).strip() or announced.unique_id
     more = "".join(f", {key}: {value}" for key, value in announced.more.items())
     return (

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 from devices.device_errors import DeviceError, NoAnswerError
 from devices.link import Link, LinkError, SentChunk, gateway_time_ns
-from gateway.sources.makers import Advice, Description, MakersCommands, MakersSource
+from gateway.frames import FusedReading, InertialBatch
+from gateway.sources.makers import (
+    TALK_S,
+    Advice,
+    Description,
+    MakersCommands,
+    MakersDevice,
+    MakersSource,
+    SampleWatcher,
+)
 from gateway.sources.registry import source_kind
 from gateway.sources.source import Source
 
 _ATTEMPTS = 3
 _ANSWER_S = 0.5
 _WRITE_S = 1.0
+_IDLE_S = 1.0
 
 _Found = TypeVar("_Found")
 
@@ -47,24 +57,32 @@ class Heard(NamedTuple):
     """Packets of the module, by now on any link."""
     dropped: Mapping[str, int]
     """Messages that could not be read, by reason."""
+    samples: int
+    """Raw, of all modules on the link."""
+    orientations: int
+    """Fused on board, likewise."""
 
 
 class MakersLine:
     """The way to the device on one link, and back."""
 
-    def __init__(self, link: Link, source: MakersSource, on_sent: Callable[[SentChunk], None]) -> None:
+    def __init__(
+        self, link: Link, source: MakersSource, module: int, on_sent: Callable[[SentChunk], None]
+    ) -> None:
+        self.module = module
+        """Number of the device in the rig."""
         self._link, self._source, self._on_sent = link, source, on_sent
+
+    @property
+    def device(self) -> MakersDevice:
+        """What is known of the device, and of those that share its link."""
+        return self._source.devices[self._link.name]
 
     async def tell(self, data: bytes) -> None:
         """Write to the device. Raises ``LinkError``."""
-        to = self._source.devices[self._link.name].command_address()
-        sent = SentChunk(data, gateway_time_ns(), self._link.name)
-        try:
-            async with asyncio.timeout(_WRITE_S):
-                await self._link.write(data, [to] if to else [])
-        except TimeoutError:
-            raise LinkError(f"{self._link.name} takes nothing: is the device there?") from None
-        self._on_sent(sent)
+        device = self.device
+        to = device.command_address(self.module)
+        self._on_sent(await _written(self._link, device.framed(data), to))
 
     async def ask(self, data: bytes, meant: Callable[[Any], _Found | None], what: str) -> _Found:
         """Write until a message comes for which ``meant`` returns something, and return that.
@@ -78,7 +96,7 @@ class MakersLine:
             if found is not None and not answered.done():
                 answered.set_result(found)
 
-        self._source.listen(self._link.name, take)
+        self._source.listen(self._link.name, self.module, take)
         try:
             for _ in range(_ATTEMPTS):
                 await self.tell(data)
@@ -86,7 +104,7 @@ class MakersLine:
                     async with asyncio.timeout(_ANSWER_S):
                         return await asyncio.shield(answered)
         finally:
-            self._source.stop_listening(self._link.name, take)
+            self._source.stop_listening(self._link.name, self.module, take)
         raise NoAnswerError(
             f"the device on link '{self._link.name}' does not answer '{what}' (asked {_ATTEMPTS} times): is "
             "it switched on, and does it take commands there?"
@@ -100,17 +118,40 @@ class MakersModules:
         """on_sent: told of everything that was written to a link."""
         self._on_sent = on_sent
         self._sources: dict[str, MakersSource] = {}
-        self._lines: dict[str, tuple[MakersSource, MakersCommands, MakersLine]] = {}
-        self._known: dict[str, MakersModule] = {}
+        self._links: dict[str, Link] = {}
+        self._lines: dict[tuple[str, int], tuple[MakersCommands, MakersLine]] = {}
+        self._known: dict[tuple[str, int], MakersModule] = {}
 
     def add_link(self, link: Link, source: Source) -> None:
         """Announce a link, and the source that reads it; one that takes no commands is passed over."""
         if isinstance(source, MakersSource):
-            self._sources[link.name] = source
+            self._sources[link.name], self._links[link.name] = source, link
             commands = source_kind(source.carries).commands
             if commands is not None:
-                line = MakersLine(link, source, self._on_sent)
-                self._lines[link.name] = source, commands, line
+                for module in source.devices[link.name].modules:
+                    line = MakersLine(link, source, module, self._on_sent)
+                    self._lines[link.name, module] = commands, line
+
+    async def talk(self) -> None:
+        """Say for ever what those on the links await: greetings, heartbeats, pings."""
+        while True:
+            await asyncio.sleep(TALK_S if self._sources else _IDLE_S)
+            for name, source in self._sources.items():
+                for data, to in source.devices[name].due(gateway_time_ns()):
+                    with contextlib.suppress(LinkError):
+                        self._on_sent(await _written(self._links[name], data, to))
+
+    @contextlib.contextmanager
+    def watched(self, watch: SampleWatcher) -> Iterator[None]:
+        """Have somebody told of all samples meanwhile."""
+        sources = list(dict.fromkeys(self._sources.values()))
+        for source in sources:
+            source.watchers.append(watch)
+        try:
+            yield
+        finally:
+            for source in sources:
+                source.watchers.remove(watch)
 
     @property
     def has_links(self) -> bool:
@@ -120,7 +161,7 @@ class MakersModules:
     async def discover(self) -> list[MakersModule]:
         """Return those that say who they are, by module id."""
         found = await asyncio.gather(*map(self._describe, self._lines))
-        self._known = {module.link: module for module in found if module is not None}
+        self._known = {(module.link, module.module): module for module in found if module is not None}
         return sorted(self._known.values(), key=lambda module: module.module)
 
     async def find(self, name: str) -> MakersModule | None:
@@ -129,37 +170,53 @@ class MakersModules:
         Raises ``DeviceError`` where several are meant, or the one that is does not answer.
         """
         found = _meant(self._known.values(), name)
-        for link, (source, *_) in self._lines.items():
-            if found is None and name.strip() == str(source.devices[link].module):
-                found = await self._asked(link)
+        for link, module in self._lines:
+            if found is None and name.strip() == str(module):
+                found = await self._asked((link, module))
         return found or _meant(await self.discover(), name)
 
     def heard(self, link: str) -> Heard:
         """Return what came over a link."""
         source, device = self._sources[link], self._sources[link].devices[link]
-        record = source.modules.records.get(device.module)
-        return Heard(0 if record is None else record.received, device.dropped)
+        records = (source.modules.records.get(module) for module in device.modules)
+        received = sum(record.received for record in records if record is not None)
+        return Heard(received, device.dropped, device.made[InertialBatch], device.made[FusedReading])
 
     async def advice(self, rate_hz: float) -> list[tuple[str, Advice]]:
         """Return what would be better otherwise in the devices' settings, with the link of each; of those
         that answer. rate_hz: of the poses."""
-        found = []
+        found = [
+            (link, each)
+            for link, source in self._sources.items()
+            for each in source.devices[link].findings(rate_hz)
+        ]
         for module in await self.discover():
             settings = await module.commands.read(module.line)
             told = module.commands.advice(module.module, settings, rate_hz)
             found += [(module.link, each) for each in told]
         return found
 
-    async def _describe(self, link: str) -> MakersModule | None:
+    async def _describe(self, which: tuple[str, int]) -> MakersModule | None:
         try:
-            return await self._asked(link)
+            return await self._asked(which)
         except (DeviceError, LinkError):
             return None
 
-    async def _asked(self, link: str) -> MakersModule:
-        source, commands, line = self._lines[link]
-        description = await commands.describe(line)
-        return MakersModule(source.devices[link].module, link, description, line, commands)
+    async def _asked(self, which: tuple[str, int]) -> MakersModule:
+        commands, line = self._lines[which]
+        link, module = which
+        return MakersModule(module, link, await commands.describe(line), line, commands)
+
+
+async def _written(link: Link, data: bytes, to: str) -> SentChunk:
+    """Write to somebody on a link, the only one there if no address is given. Raises ``LinkError``."""
+    sent = SentChunk(data, gateway_time_ns(), link.name)
+    try:
+        async with asyncio.timeout(_WRITE_S):
+            await link.write(data, [to] if to else [])
+    except TimeoutError:
+        raise LinkError(f"{link.name} takes nothing: is the device there?") from None
+    return sent
 
 
 def _meant(modules: Iterable[MakersModule], name: str) -> MakersModule | None:

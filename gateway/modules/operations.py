@@ -132,7 +132,11 @@ class ModuleOperations:
         await self._hear_descriptions({device.module for device in roster.devices} | makers.keys())
         after = count_samples(self._stream, gateway_time_ns())
         listed = summarise(roster, self._stream, self._suit, before, after, makers)
-        return {**listed.model_dump(mode="json"), "allows_writes": self._client.allow_writes}
+        return {
+            **listed.model_dump(mode="json"),
+            "allows_writes": self._client.allow_writes,
+            "assigns": self._has_own,
+        }
 
     async def _hear_descriptions(self, known: Collection[int]) -> None:
         """Wait, as long as one may take, for what those that answer no commands say of themselves."""
@@ -172,10 +176,12 @@ class ModuleOperations:
         return _named(device) | {"before": dict(written.before), "after": dict(written.after)}
 
     async def _assign(self, request: requests.AssignRequest) -> Plain:
+        self._refuse_others("giving numbers")
         changes = await self._assign_ids({bytes.fromhex(uid): module for uid, module in request.ids.items()})
         return {"changes": list(map(_change, changes))}
 
     async def _separate(self, _request: requests.SeparateRequest) -> Plain:
+        self._refuse_others("giving numbers")
         roster = await self._discover()
         ids: dict[bytes, int] = {}
         for conflict in roster.conflicts:
@@ -187,6 +193,7 @@ class ModuleOperations:
         return {"changes": list(map(_change, await self._assign_ids(ids) if ids else []))}
 
     async def _undo(self, _request: requests.UndoRequest) -> Plain:
+        self._refuse_others("taking changes back")
         entry = await asyncio.to_thread(self._journal.last)
         if entry is None:
             raise RequestError("there is no change to undo")
@@ -197,6 +204,7 @@ class ModuleOperations:
         return _restored(restored)
 
     async def _await_motion(self, request: requests.MotionRequest) -> Plain:
+        self._refuse_others("waiting to see which one moves")
         motion = await self._motion.next(request.seconds, request.continues)
         if motion is None:
             return {"module": None}
@@ -210,9 +218,11 @@ class ModuleOperations:
         return _named(found[0]) | {"sign": motion.sign}
 
     async def _backup(self, _request: requests.BackupRequest) -> Plain:
+        self._refuse_others("saving settings")
         return {"modules": await read_backup(self.configurator, await self._discover())}
 
     async def _restore(self, request: requests.RestoreRequest) -> Plain:
+        self._refuse_others("restoring settings")
         self._refuse_unless_allowed("restoring settings")
         wanted = {bytes.fromhex(text): settings for text, settings in request.modules.items()}
         present = await self.configurator.present_ids(wanted)
@@ -254,6 +264,14 @@ class ModuleOperations:
         """Ids that the rig gives, also to what is switched off."""
         local = {each.device for each in self._suit.local_devices if each.device is not None}
         return {*segments_of(self._suit).values(), *local}
+
+    def _refuse_others(self, action: str) -> None:
+        """Raise ``RequestError`` where there are modules of other makers alone."""
+        if not self._has_own:
+            raise RequestError(
+                f"{action} is for modules of our own; modules of other makers are numbered by 'module' at "
+                "their links, and `modules show` and `modules set` tell and change their settings"
+            )
 
     async def _assign_ids(self, ids: dict[bytes, int]) -> list[Change]:
         self._refuse_unless_allowed("changing module ids")

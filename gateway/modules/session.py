@@ -9,19 +9,22 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 
 from devices.command_client import LISTENS_TO, CommandClient
 from devices.endpoints import link_from_url
-from devices.link import SUIT, Chunk, Link, LinkError
+from devices.link import SUIT, Chunk, Link, LinkError, SentChunk, gateway_time_ns
 from devices.reconnect import ReconnectingLink
 from devices.replay_link import contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
 from gateway.modules.makers import MakersModules
 from gateway.modules.operations import ModuleOperations
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.module_table import ClockMode, ModuleTable
+from gateway.sources.makers import OthersLinkSettings
+from gateway.sources.module_table import ModuleTable
 from gateway.sources.registry import carried_by, source_kind
 from gateway.sources.source import Source, SourceContext
 from gateway.sources.stream import Stream
 
+_LOOK_S = 0.1
 _LISTENED_S = 1.2
 """On UDP only those who were heard can be asked; modules that do not sample tell their health each second."""
 
@@ -54,7 +57,7 @@ async def suit_session(
         [opened[link.name] for link in asked if link.carries == SUIT], allow_writes=allow_writes
     )
     connect_client(client, sources.stream)
-    makers = MakersModules()
+    makers = MakersModules(sources.sent)
     async with contextlib.AsyncExitStack() as stack:
         readers = []
         for each in asked:
@@ -66,9 +69,9 @@ async def suit_session(
                 if name == link.name:
                     makers.add_link(link, source)
             readers.append(asyncio.create_task(_read(link, routes), name=f"link {link.name}"))
+        readers.append(asyncio.create_task(makers.talk(), name="talk"))
         stack.push_async_callback(_end, readers)
-        if any(link.url.startswith("udp:") for link in asked):
-            await asyncio.sleep(_LISTENED_S)
+        await sources.heard(asked)
         yield ModuleOperations(sources.stream, client, suit, journal, makers)
 
 
@@ -79,7 +82,28 @@ class _Sources:
         self._context = context
         self.stream = Stream(table=context.modules, is_compiled=False)
         """Readable: done before kernels would be compiled."""
+        self._routes: dict[str, Source] = {}
         self._sources: dict[str, Source] = {SUIT: self.stream}
+
+    def sent(self, sent: SentChunk) -> None:
+        """Take note of what was said to modules of others."""
+        self._routes[sent.link].sent(sent)
+
+    async def heard(self, links: Sequence[LinkSettings]) -> None:
+        """Wait for those that speak to whoever listens, or are to be greeted first."""
+        awaited = {
+            module
+            for link in links
+            if isinstance(link, OthersLinkSettings) and source_kind(link.carries).greeted_in_s
+            for module in link.modules
+        }
+        begun_ns = gateway_time_ns()
+        if any(link.url.startswith("udp:") for link in links):
+            await asyncio.sleep(_LISTENED_S)
+        most_s = max((source_kind(link.carries).greeted_in_s for link in links), default=0.0)
+        end_ns = begun_ns + round(most_s * 1e9)
+        while awaited - self.stream.modules.keys() and gateway_time_ns() < end_ns:  # noqa: ASYNC110 - polled
+            await asyncio.sleep(_LOOK_S)
 
     def add(self, link: ReconnectingLink, carries: str) -> dict[str, Source]:
         """Announce an open link; return what reads it, by the names that its chunks bear."""
@@ -91,6 +115,7 @@ class _Sources:
                     self._sources[carried] = source_kind(carried).make(self._context)
                 routes[name] = self._sources[carried]
                 routes[name].add_link(name, content)
+        self._routes |= routes
         return routes
 
 

@@ -265,6 +265,22 @@ class UdpJsonSettings(_Datagrams):
     )
 
 
+class SlimevrSettings(_Datagrams):
+    """Segments as trackers of a SlimeVR server, for SteamVR and VR apps."""
+
+    port: int = Field(default=6969, ge=1, le=65535, description="UDP port of the server")
+    segments: tuple[str, ...] | None = Field(
+        default=None,
+        description="segments that are sent; none: all of the body that a server has a place for",
+    )
+
+
+class MvnSettings(_Datagrams):
+    """Datagrams of the MVN network streamer, for game engines and robots: bodies of people only."""
+
+    port: int = Field(default=9763, ge=1, le=65535, description="UDP port of the app")
+
+
 class LslSettings(_Output):
     """A stream of the Lab Streaming Layer (extra ``lsl``). LSL itself announces it in the whole network."""
 
@@ -278,4 +294,10 @@ class OutputsSettings(BaseModel):
 
     vmc: VmcSettings | None = Field(default=None, description="avatars, by the VMC protocol; {}: defaults")
     udp_json: UdpJsonSettings | None = Field(default=None, description="poses as JSON over UDP")
+    slimevr: SlimevrSettings | None = Field(
+        default=None, description="trackers of a SlimeVR server; {}: defaults"
+    )
+    mvn: MvnSettings | None = Field(
+        default=None, description="what Xsens MVN streams (MXTP02, 12, 13, 20, 25); {}: defaults"
+    )
     lsl: LslSettings | None = Field(default=None, description="orientations as an LSL stream")

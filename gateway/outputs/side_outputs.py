@@ -1,4 +1,4 @@
-"""All outputs beside MQTT, as configured: UDP, VMC, LSL. They send the newest pose and never wait.
+"""All outputs beside MQTT, as configured: UDP, VMC, SlimeVR, LSL. They send the newest pose and never wait.
 
 LSL: channels ``<segment>_w, _x, _y, _z``, segment to world (ENU), NaN where not known. Time stamps are the
 instants of the poses on LSL's own clock, so recorders line them up with other devices. VMC (OSC over UDP)
@@ -13,7 +13,7 @@ import importlib
 import logging
 import socket
 import struct
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any, Protocol
 
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
@@ -26,9 +26,11 @@ from gateway.body.skeleton import Skeleton
 from gateway.contract.messages import OutputCounters
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
+from gateway.outputs.mvn import MvnEncoder
 from gateway.outputs.output import Thinning
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import OutputsSettings, PoseMap, UdpJsonSettings
+from gateway.outputs.slimevr import SlimevrSink
 from gateway.outputs.unity import AvatarPoses
 
 _log = logging.getLogger(__name__)
@@ -278,15 +280,27 @@ class SideOutputs:
     """One ``Output`` in front of all of them. ``OutputError``: a body that one cannot show."""
 
     def __init__(
-        self, settings: OutputsSettings, skeleton: Skeleton, gateway: str, frame_rate: float
+        self,
+        settings: OutputsSettings,
+        skeleton: Skeleton,
+        gateway: str,
+        frame_rate: float,
+        battery: Callable[[], float | None] = lambda: None,
     ) -> None:
-        """frame_rate: poses reconstructed a second, Hz."""
+        """frame_rate: poses reconstructed a second, Hz. battery: asked for the least charge of all modules, 0
+        to 1; None: not known."""
         self._outputs: list[LatestOutput] = []
         if (vmc := settings.vmc) is not None:
             self._add("vmc", DatagramSink("vmc", vmc.host, vmc.port, VmcEncoder(skeleton)), vmc.rate)
         if (udp := settings.udp_json) is not None:
             sink = DatagramSink("udp_json", udp.host, udp.port, _JsonDatagrams(udp, skeleton))
             self._add("udp_json", sink, udp.rate)
+        if (slimevr := settings.slimevr) is not None:
+            sink_of_slimevr = SlimevrSink(slimevr, skeleton, gateway, battery)
+            self._add("slimevr", sink_of_slimevr, slimevr.rate)
+        if (mvn := settings.mvn) is not None:
+            datagrams = DatagramSink("mvn", mvn.host, mvn.port, MvnEncoder(skeleton, gateway))
+            self._add("mvn", datagrams, mvn.rate)
         if (lsl := settings.lsl) is not None:
             rate = min(lsl.rate, frame_rate)
             sink_of_lsl = LslSink(lsl.name, f"mocap-{gateway}", skeleton.segment_names, rate)

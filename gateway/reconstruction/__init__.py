@@ -1,26 +1,24 @@
-"""Reconstructors by name: observations in time order to skeleton frames."""
+"""Reconstructors by name: observations in time order to skeleton frames.
+
+What needs the names alone (the configuration, the command line) imports no method: each is imported when one
+of it is made.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
-from gateway.body.skeleton import WornSuit
+from devices.deferred import Deferred
 from gateway.errors import SettingsError, nearest
 from gateway.frames import Quantity
-from gateway.reconstruction.fused import FusedReconstructor
-from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
-from gateway.reconstruction.inertial.independent import IndependentReconstructor
-from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
-from gateway.reconstruction.inertial.rate_free import RateFreeReconstructor
 from gateway.reconstruction.reconstructor import Reconstructor, update_many
-from gateway.reconstruction.whole_body import (
-    NO_CONTACTS,
-    OrientationFinder,
-    RootMode,
-    RootSettings,
-    WholeBodyReconstructor,
-)
+from gateway.reconstruction.root_settings import NO_CONTACTS, RootMode, RootSettings
+
+if TYPE_CHECKING:
+    from gateway.body.skeleton import WornSuit
+    from gateway.reconstruction.whole_body import OrientationFinder
 
 __all__ = [
     "BOTH_WAYS",
@@ -35,7 +33,6 @@ __all__ = [
     "Reconstructor",
     "RootMode",
     "RootSettings",
-    "WholeBodyReconstructor",
     "create_reconstructor",
     "refuse_delay",
     "refuse_unknown",
@@ -43,14 +40,16 @@ __all__ = [
     "update_many",
 ]
 
+_FUSED = Deferred("gateway.reconstruction.fused", "FusedReconstructor")
+
 RECONSTRUCTORS: dict[str, Callable[..., OrientationFinder]] = {
-    "articulated": ArticulatedReconstructor,
-    "fused": FusedReconstructor,
-    "fused_neutral": partial(FusedReconstructor, starts_neutral=True),
-    "gyro_free": RateFreeReconstructor,
-    "independent": IndependentReconstructor,
-    "joint": JointReconstructor,
-    "outward": OutwardReconstructor,
+    "articulated": Deferred("gateway.reconstruction.inertial.articulated", "ArticulatedReconstructor"),
+    "fused": _FUSED,
+    "fused_neutral": partial(_FUSED, starts_neutral=True),
+    "gyro_free": Deferred("gateway.reconstruction.inertial.rate_free", "RateFreeReconstructor"),
+    "independent": Deferred("gateway.reconstruction.inertial.independent", "IndependentReconstructor"),
+    "joint": Deferred("gateway.reconstruction.inertial.tree.reconstructor", "JointReconstructor"),
+    "outward": Deferred("gateway.reconstruction.inertial.tree.reconstructor", "OutwardReconstructor"),
 }
 """Name to constructor; its arguments: the suit, and the nominal interval of the frames in s. Those of
 ``DELAYABLE`` take a third, ``delay_s``."""
@@ -139,4 +138,8 @@ def create_reconstructor(
     refuse_delay(name, delay_s)
     delay = {"delay_s": delay_s} if delay_s else {}
     finder = RECONSTRUCTORS[name](suit, nominal_interval_s, **delay)
-    return finder if name in FUSED else WholeBodyReconstructor(suit, finder, root)
+    if name in FUSED:
+        return finder
+    from gateway.reconstruction.whole_body import WholeBodyReconstructor  # noqa: PLC0415 - see above
+
+    return WholeBodyReconstructor(suit, finder, root)

@@ -48,7 +48,7 @@ class FusedReconstructor:
         self._before = np.full((n, 4), np.nan)  # orientations that rest on samples
         self._time_ns = 0
 
-    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
+    def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
         """One instant."""
         skeleton, rows = self._suit.skeleton, self._suit.module_of_segment
         n = skeleton.n_segments

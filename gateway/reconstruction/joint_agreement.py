@@ -10,14 +10,15 @@ those that the rig says, and those of a module that is turned or has changed pla
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
-from gateway.frames import FloatArray, IntArray, StatusArray
+from gateway.frames import FloatArray, StatusArray
 from gateway.geometry import quaternion
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Matrix, Record, Records, Vector, records
 from gateway.geometry.vectors import is_finite
 
 BLOCK_S = 0.05
@@ -34,32 +35,51 @@ SOUND = 1
 """Largest status of a segment that is taken: interpolated."""
 
 
-class Joints(NamedTuple):
-    """Constant, by segment."""
+class Side(Record):
+    """A segment and its joint to the parent; constant."""
 
-    parents: IntArray  # (n,) −1 where one side has no module
-    is_worn: StatusArray  # (n,)
-    from_child: FloatArray  # (n, 3) child's module to the joint, child's axes, m
-    from_parent: FloatArray  # (n, 3) parent's module to the joint, parent's axes, m
+    parent: int  # −1 where one side has no module
+    is_worn: int
+    from_child: Vector  # child's module to the joint, child's axes, m
+    from_parent: Vector  # parent's module to the joint, parent's axes, m
+
+
+class Joints(NamedTuple):
+    """Constant."""
+
+    sides: Records[Side]
     gravity: FloatArray  # (3,)
+
+
+class Felt(Record):
+    """Of a segment, in a block."""
+
+    is_whole: int  # since the block began
+    is_known: int  # at the frame before
+    force: Vector  # R f at the frame before
+    forces: Vector  # its integral over the block
+    swing: Matrix  # R [ω]× when the block began, by columns
+
+
+class Products(Record):
+    """Of two segments' (a, G), summed over the last seconds."""
+
+    sums: Annotated[FloatArray, 3, 4, 4]  # level, level across, upright
+    weight: float  # s
+
+
+class Block(Record):
+    """What all segments share."""
+
+    lasted_s: float
 
 
 class AgreementState(NamedTuple):
     """Changed in place."""
 
-    block_s: FloatArray  # (1,) so far
-    is_whole: StatusArray  # (n,) since the block began
-    is_known: StatusArray  # (n,) at the frame before
-    force: FloatArray  # (n, 3) R f at the frame before
-    forces: FloatArray  # (n, 3) its integral over the block
-    swings: FloatArray  # (n, 3, 3) R [ω]× when the block began
-    sums: FloatArray  # (n, n, 3, 4, 4) first segment >= second; (a, G) of both: level, level across, upright
-    weights: FloatArray  # (n, n) s
-
-
-def by_pair(state: AgreementState) -> AgreementState:
-    """Return the same memory as ``watch_joints`` takes it: sums (n², 3, 4, 4), weights (n²,)."""
-    return state._replace(sums=state.sums.reshape(-1, 3, 4, 4), weights=state.weights.reshape(-1))
+    block: Records[Block]  # one
+    segments: Records[Felt]
+    pairs: Records[Products]  # (n²,) of s and o at s n + o, s >= o
 
 
 def joints_of(suit: WornSuit) -> Joints:
@@ -67,84 +87,81 @@ def joints_of(suit: WornSuit) -> Joints:
     parents, arms = suit.skeleton.parents.astype(np.int64), np.asarray(suit.lever_arms, np.float64)
     has_module = suit.module_of_segment >= 0
     joined = (parents >= 0) & has_module & has_module[parents]
-    from_parent = np.where(joined[:, None], suit.skeleton.offsets - arms[parents], 0.0)
-    return Joints(
-        np.where(joined, parents, -1),
-        has_module.astype(np.uint8),
-        -arms,
-        from_parent,
-        np.array(suit.gravity, np.float64),
-    )
+    sides = records(Side, len(parents))
+    sides["parent"], sides["is_worn"] = np.where(joined, parents, -1), has_module
+    sides["from_child"] = -arms
+    sides["from_parent"] = np.where(joined[:, None], suit.skeleton.offsets - arms[parents], 0.0)
+    return Joints(sides, np.array(suit.gravity, np.float64))
 
 
 def initial_agreement(n: int) -> AgreementState:
     """Of n segments."""
-    none = np.zeros(n, np.uint8)
-    return AgreementState(
-        np.zeros(1), none.copy(), none.copy(), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3)),
-        np.zeros((n, n, 3, 4, 4)), np.zeros((n, n)),
-    )  # fmt: skip
+    return AgreementState(records(Block, 1), records(Felt, n), records(Products, n * n))
+
+
+class Pose(NamedTuple):
+    """Of one frame."""
+
+    q_wb: FloatArray  # (n, 4)
+    force: FloatArray  # (n, 3) segment axes, m/s²; NaN where a module is silent
+    rate: FloatArray  # (n, 3) segment axes, rad/s
+    status: StatusArray  # (n,)
 
 
 @compiled
-def watch_joints(
-    joints: Joints,
-    state: AgreementState,
-    q_wb: FloatArray,
-    force: FloatArray,
-    rate: FloatArray,
-    status: StatusArray,
-    dt: float,
-) -> None:
-    """One frame. q_wb (n, 4); force, rate (n, 3) segment axes, NaN where a module is silent.
-
-    state: with ``by_pair``."""
-    for s in range(len(joints.parents)):
-        if not joints.is_worn[s]:
+def watch_joints(joints: Joints, state: AgreementState, pose: Pose, dt: float) -> None:
+    """One frame, dt (s) after the one before."""
+    q_wb, force, rate, block = pose.q_wb, pose.force, pose.rate, state.block[0]
+    for s in range(len(joints.sides)):
+        if not joints.sides[s].is_worn:
             continue
-        is_known = status[s] <= SOUND and is_finite(q_wb[s]) and is_finite(force[s]) and is_finite(rate[s])
-        state.is_whole[s] &= is_known and state.is_known[s]
+        segment, is_known = state.segments[s], pose.status[s] <= SOUND
+        is_known = is_known and is_finite(q_wb[s]) and is_finite(force[s]) and is_finite(rate[s])
+        if not (is_known and segment.is_known):
+            segment.is_whole = 0
         if is_known:
-            x, y, z = state.force[s, 0], state.force[s, 1], state.force[s, 2]
-            quaternion.rotate_into(state.force[s], q_wb[s], force[s])
-            state.forces[s, 0] += 0.5 * dt * (x + state.force[s, 0])
-            state.forces[s, 1] += 0.5 * dt * (y + state.force[s, 1])
-            state.forces[s, 2] += 0.5 * dt * (z + state.force[s, 2])
-        state.is_known[s] = is_known
-    state.block_s[0] += dt
-    if state.block_s[0] >= BLOCK_S - 0.5 * dt:
+            x, y, z = segment.force[0], segment.force[1], segment.force[2]
+            quaternion.rotate_into(segment.force, q_wb[s], force[s])
+            segment.forces[0] += 0.5 * dt * (x + segment.force[0])
+            segment.forces[1] += 0.5 * dt * (y + segment.force[1])
+            segment.forces[2] += 0.5 * dt * (z + segment.force[2])
+        segment.is_known = int(is_known)
+    block.lasted_s += dt
+    if block.lasted_s >= BLOCK_S - 0.5 * dt:
         _end_block(joints, state, q_wb, rate)
 
 
 @compiled
 def _end_block(joints: Joints, state: AgreementState, q_wb: FloatArray, rate: FloatArray) -> None:
-    n, lasted_s = len(joints.parents), state.block_s[0]
+    sides, segments, block = joints.sides, state.segments, state.block[0]
+    n, lasted_s = len(sides), block.lasted_s
     felt = np.empty((n, 3, 4))  # a, G
     across, swing = np.empty((3, 3)), np.empty(3)
     for s in range(n):
-        if not state.is_known[s]:
+        segment = segments[s]
+        if not segment.is_known:
             continue
         for k in range(3):
-            felt[s, k, 0] = joints.gravity[k] + state.forces[s, k] / lasted_s
+            felt[s, k, 0] = joints.gravity[k] + segment.forces[k] / lasted_s
         _columns_into(across, rate[s])
         for i in range(3):
             quaternion.rotate_into(swing, q_wb[s], across[i])
             for k in range(3):
-                felt[s, k, 1 + i] = (swing[k] - state.swings[s, k, i]) / lasted_s
-                state.swings[s, k, i] = swing[k]
+                felt[s, k, 1 + i] = (swing[k] - segment.swing[k, i]) / lasted_s
+                segment.swing[k, i] = swing[k]
     forget = math.exp(-lasted_s / MEMORY_S)
     for s in range(n):
         for o in range(s + 1):
-            if joints.is_worn[s] and joints.is_worn[o]:
-                is_whole = state.is_whole[s] and state.is_whole[o] and lasted_s < LONGEST_BLOCK_S
-                weight, both = lasted_s if is_whole else 0.0, s * n + o
-                state.weights[both] = forget * state.weights[both] + weight
-                _add_products(state.sums[both], felt[s], felt[o], forget, weight)
-    state.block_s[0] = 0.0
+            if sides[s].is_worn and sides[o].is_worn:
+                is_whole = segments[s].is_whole and segments[o].is_whole and lasted_s < LONGEST_BLOCK_S
+                weight, both = lasted_s if is_whole else 0.0, state.pairs[s * n + o]
+                both.weight = forget * both.weight + weight
+                _add_products(both.sums, felt[s], felt[o], forget, weight)
+    block.lasted_s = 0.0
     for s in range(n):
-        state.is_whole[s] = state.is_known[s]
+        segments[s].is_whole = segments[s].is_known
         for k in range(3):
-            state.forces[s, k] = 0.0
+            segments[s].forces[k] = 0.0
 
 
 @compiled
@@ -182,21 +199,26 @@ class Pair(NamedTuple):
 
 
 @compiled
-def pair(sums: FloatArray, weights: FloatArray, s: int, arm: FloatArray, p: int, arm_p: FloatArray) -> Pair:
+def pair(pairs: Records[Products], s: int, arm: FloatArray, p: int, arm_p: FloatArray) -> Pair:
     """The modules of segments s and p about a joint that is ``arm`` (3,) from one, ``arm_p`` from the
     other."""
-    level, across, upright = _products(sums, weights, s, arm, p, arm_p)
-    own, swing = _square(sums[s, s], weights[s, s], arm)
-    other, swing_p = _square(sums[p, p], weights[p, p], arm_p)
-    both = own + other - 2.0 * upright
-    turned = both - 2.0 * math.sqrt(level * level + across * across)
-    return Pair(max(both - 2.0 * level, 0.0), max(turned, 0.0), 0.5 * (own + other), swing + swing_p)
+    n = round(math.sqrt(len(pairs)))
+    both = pairs[max(s, p) * n + min(s, p)]
+    if s < p:
+        level, across, upright = _mean_products(both, arm_p, arm)
+    else:
+        level, across, upright = _mean_products(both, arm, arm_p)
+    own, swing = _square(pairs[s * n + s], arm)
+    other, swing_p = _square(pairs[p * n + p], arm_p)
+    square = own + other - 2.0 * upright
+    turned = square - 2.0 * math.sqrt(level * level + across * across)
+    return Pair(max(square - 2.0 * level, 0.0), max(turned, 0.0), 0.5 * (own + other), swing + swing_p)
 
 
 @compiled
-def _square(sums: FloatArray, weight: float, arm: FloatArray) -> tuple[float, float]:
+def _square(products: Products, arm: FloatArray) -> tuple[float, float]:
     """Return the mean square of a joint's acceleration as one module has it, and that of its swing."""
-    total, swing = 0.0, 0.0
+    sums, total, swing = products.sums, 0.0, 0.0
     for i in range(4):
         left = 1.0 if i == 0 else arm[i - 1]
         for k in range(4):
@@ -204,48 +226,45 @@ def _square(sums: FloatArray, weight: float, arm: FloatArray) -> tuple[float, fl
             total += left * right * (sums[0, i, k] + sums[2, i, k])
         if i > 0:
             swing += sums[0, i, i] + sums[2, i, i]
-    return total / weight, swing / weight
+    return total / products.weight, swing / products.weight
 
 
 @compiled
-def _products(
-    sums: FloatArray, weights: FloatArray, s: int, arm: FloatArray, p: int, arm_p: FloatArray
-) -> tuple[float, float, float]:
+def _mean_products(products: Products, arm: FloatArray, arm_p: FloatArray) -> tuple[float, float, float]:
     """Return mean products of both accelerations: level, level across (but for its sign), upright."""
-    if s < p:
-        s, p, arm, arm_p = p, s, arm_p, arm
-    products, weight = sums[s, p], weights[s, p]
+    sums, weight = products.sums, products.weight
     level, across, upright = 0.0, 0.0, 0.0
     for i in range(4):
         left = 1.0 if i == 0 else arm[i - 1]
         for k in range(4):
             both = left if k == 0 else left * arm_p[k - 1]
-            level += both * products[0, i, k]
-            across += both * products[1, i, k]
-            upright += both * products[2, i, k]
+            level += both * sums[0, i, k]
+            across += both * sums[1, i, k]
+            upright += both * sums[2, i, k]
     return level / weight, across / weight, upright / weight
 
 
 @compiled
-def is_common(weights: FloatArray, s: int, p: int) -> bool:
+def is_common(pairs: Records[Products], s: int, p: int) -> bool:
     """Whether two modules were heard together for long enough, and hardly ever one of them alone."""
-    weight = weights[max(s, p), min(s, p)]
+    n = round(math.sqrt(len(pairs)))
+    weight = pairs[max(s, p) * n + min(s, p)].weight
     return bool(
         weight > LEAST_WEIGHT_S
-        and weight > LEAST_COMMON * weights[s, s]
-        and weight > LEAST_COMMON * weights[p, p]
+        and weight > LEAST_COMMON * pairs[s * n + s].weight
+        and weight > LEAST_COMMON * pairs[p * n + p].weight
     )
 
 
 @compiled
-def pairs(joints: Joints, state: AgreementState) -> FloatArray:
+def pairs_of(sides: Records[Side], pairs: Records[Products]) -> FloatArray:
     """(n, 4) ``Pair`` of each segment and its parent, with the arms that the rig says; NaN where there is no
     joint, or too little was heard of one of them."""
-    found = np.full((len(joints.parents), 4), np.nan)
-    for s in range(len(joints.parents)):
-        p = joints.parents[s]
-        if p >= 0 and is_common(state.weights, s, p):
-            found[s] = pair(state.sums, state.weights, s, joints.from_child[s], p, joints.from_parent[s])
+    found = np.full((len(sides), 4), np.nan)
+    for s in range(len(sides)):
+        p = sides[s].parent
+        if p >= 0 and is_common(pairs, s, p):
+            found[s] = pair(pairs, s, sides[s].from_child, p, sides[s].from_parent)
     return found
 
 
@@ -253,7 +272,7 @@ def joint_scores(joints: Joints, state: AgreementState) -> FloatArray:
     """(n,) of the joint to the parent: the rms difference over the rms acceleration of both; 0 when they
     agree, about 1 when they have nothing to do with each other. NaN where there is no joint, or not enough
     motion."""
-    difference, _, power, _ = pairs(joints, state).T
+    difference, _, power, _ = pairs_of(joints.sides, state.pairs).T
     moved = power > LEAST_ACCELERATION**2
     return np.where(moved, np.sqrt(difference / np.where(moved, power, 1.0)), np.nan)
 
@@ -261,7 +280,7 @@ def joint_scores(joints: Joints, state: AgreementState) -> FloatArray:
 def segment_scores(joints: Joints, scores: FloatArray) -> FloatArray:
     """(n,) the best of each segment's joints: a module worn wrong agrees with none of its neighbours."""
     result = np.full(len(scores), np.nan)
-    for s, p in enumerate(joints.parents):
+    for s, p in enumerate(joints.sides["parent"]):
         if p >= 0:
             for end in (s, p):
                 result[end] = np.fmin(result[end], scores[s])

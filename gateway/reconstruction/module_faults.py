@@ -14,6 +14,7 @@ import numpy as np
 
 from gateway.frames import FloatArray, StatusArray
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Record, Records, Vector, records
 from gateway.geometry.vectors import norm
 
 STUCK_S = 0.5
@@ -28,56 +29,63 @@ SWINGING = 1.0
 """m/s²: change of specific force over that time that no rest has."""
 
 
-class RepeatState(NamedTuple):
-    """By module, changed in place."""
+class Repeats(Record):
+    """Of a module."""
 
-    last: FloatArray  # (m, 6) specific force and rate
-    unchanged_s: FloatArray  # (m,) all of it
-    rate_unchanged_s: FloatArray  # (m,)
-    force_unchanged_s: FloatArray  # (m,)
-    force_before: FloatArray  # (m, 3) when the rate changed last
+    force: Vector  # last
+    rate: Vector
+    unchanged_s: float  # all of it
+    rate_unchanged_s: float
+    force_unchanged_s: float
+    force_before: Vector  # when the rate changed last
+    is_stuck: int  # 1 in the newest frame
+
+
+class RepeatState(NamedTuple):
+    """Changed in place."""
+
+    modules: Records[Repeats]
 
 
 def initial_repeats(m: int) -> RepeatState:
     """Of m modules."""
-    return RepeatState(np.full((m, 6), np.nan), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((m, 3)))
+    modules = records(Repeats, m)
+    modules["force"], modules["rate"] = np.nan, np.nan
+    return RepeatState(modules)
 
 
 @compiled
-def stuck_modules(
-    state: RepeatState,
-    force: FloatArray,
-    rate: FloatArray,
-    status: StatusArray,
-    dt: float,
-    stuck: StatusArray,
+def watch_repeats(
+    modules: Records[Repeats], force: FloatArray, rate: FloatArray, status: StatusArray, dt: float
 ) -> None:
-    """stuck (m,) ← 1 for modules that are. force, rate: (m, 3) as sent; dt: since the frame before, s."""
+    """``is_stuck`` ← of each module. force, rate: (m, 3) as sent; dt: since the frame before, s."""
     m = len(status)
     lively, lively_rates = 0, 0
     for i in range(m):
-        stuck[i] = 0
+        module = modules[i]
+        module.is_stuck = 0
         if status[i] > 1:  # held by the gateway, or missing: the assembler's matter
             continue
         force_changed, rate_changed = False, False
         for k in range(3):
             # NaN differs from itself: a sensor that is not there repeats nothing
-            force_changed = force_changed or _differs(force[i, k], state.last[i, k])
+            force_changed = force_changed or _differs(force[i, k], module.force[k])
             is_there = rate[i, k] == rate[i, k]
-            rate_changed = rate_changed or (is_there and _differs(rate[i, k], state.last[i, 3 + k]))
-            state.last[i, k], state.last[i, 3 + k] = force[i, k], rate[i, k]
-        state.unchanged_s[i] = 0.0 if force_changed or rate_changed else state.unchanged_s[i] + dt
-        state.force_unchanged_s[i] = 0.0 if force_changed else state.force_unchanged_s[i] + dt
-        state.rate_unchanged_s[i] = 0.0 if rate_changed else state.rate_unchanged_s[i] + dt
+            rate_changed = rate_changed or (is_there and _differs(rate[i, k], module.rate[k]))
+            module.force[k], module.rate[k] = force[i, k], rate[i, k]
+        module.unchanged_s = 0.0 if force_changed or rate_changed else module.unchanged_s + dt
+        module.force_unchanged_s = 0.0 if force_changed else module.force_unchanged_s + dt
+        module.rate_unchanged_s = 0.0 if rate_changed else module.rate_unchanged_s + dt
         if rate_changed:
             for k in range(3):
-                state.force_before[i, k] = force[i, k]
-        lively_rates += state.rate_unchanged_s[i] < LIVELY_S
-        lively += state.unchanged_s[i] < LIVELY_S
+                module.force_before[k] = force[i, k]
+        lively_rates += module.rate_unchanged_s < LIVELY_S
+        lively += module.unchanged_s < LIVELY_S
     for i in range(m):
         if status[i] <= 1:
-            stuck[i] = lively > 0 and state.unchanged_s[i] >= STUCK_S
-            stuck[i] |= lively_rates > 0 and _has_stuck_rate(state, i, force[i], rate[i])
+            is_stuck = lively > 0 and modules[i].unchanged_s >= STUCK_S
+            is_stuck |= lively_rates > 0 and _has_stuck_rate(modules[i], force[i], rate[i])
+            modules[i].is_stuck = int(is_stuck)
 
 
 @compiled
@@ -87,10 +95,10 @@ def _differs(value: float, before: float) -> bool:
 
 
 @compiled
-def _has_stuck_rate(state: RepeatState, i: int, force: FloatArray, rate: FloatArray) -> bool:
-    """Whether module i's gyrometers, if it has any, repeat themselves while it turns, or swings."""
-    if state.force_unchanged_s[i] != 0.0 or state.rate_unchanged_s[i] < STUCK_IN_MOTION_S:
+def _has_stuck_rate(module: Repeats, force: FloatArray, rate: FloatArray) -> bool:
+    """Whether a module's gyrometers, if it has any, repeat themselves while it turns, or swings."""
+    if module.force_unchanged_s != 0.0 or module.rate_unchanged_s < STUCK_IN_MOTION_S:
         return False
     if not norm(rate) >= 0.0:  # NaN: it has none
         return False
-    return bool(norm(rate) > TURNING or norm(force - state.force_before[i]) > SWINGING)
+    return bool(norm(rate) > TURNING or norm(force - module.force_before) > SWINGING)

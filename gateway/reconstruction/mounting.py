@@ -26,14 +26,17 @@ import numpy as np
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, IntArray, StatusArray
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
 from gateway.reconstruction.joint_agreement import (
     LEAST_ACCELERATION,
     AgreementState,
     Joints,
+    Products,
+    Side,
     is_common,
     pair,
-    pairs,
+    pairs_of,
 )
 
 JUDGED_EVERY_S = 1.0
@@ -125,10 +128,17 @@ class Asked(NamedTuple):
     floor: FloatArray  # (n,) what of it is no wonder
 
 
+class Heard(NamedTuple):
+    """Of all joints."""
+
+    sides: Records[Side]
+    pairs: Records[Products]
+
+
 def judge_mounting(joints: Joints, agreement: AgreementState, worn: Worn, state: MountingState) -> None:
     """Judge anew how all modules are worn, ``JUDGED_EVERY_S`` after the last time."""
     state.since_s[0] = 0.0
-    n = len(joints.parents)
+    n = len(joints.sides)
     now, asked = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1))), _told(joints, agreement, worn)
     explained: set[int] = set()
     for i in np.flatnonzero(state.is_doubtful):  # what still holds is not looked for again: that costs most
@@ -170,8 +180,9 @@ def _kept(
 
 def _told(joints: Joints, agreement: AgreementState, worn: Worn) -> Asked:
     """How the joints agree with what the rig says."""
-    _, turned, power, swing = pairs(joints, agreement).T
-    can_tell = (power >= LEAST_ACCELERATION**2) & (worn.is_told > 0) & (worn.is_told[joints.parents] > 0)
+    _, turned, power, swing = pairs_of(joints.sides, agreement.pairs).T
+    is_told = (worn.is_told > 0) & (worn.is_told[joints.sides["parent"]] > 0)
+    can_tell = (power >= LEAST_ACCELERATION**2) & is_told
     floor = ARM_OFF**2 * swing + TILT_OFF**2 * power + NOISE**2
     return Asked(np.where(can_tell, turned, np.nan), np.where(can_tell, floor, np.nan))
 
@@ -195,7 +206,7 @@ def _settle(
     explained: set[int],
 ) -> None:
     """Take explanations over; keep earlier ones until their joints agree without them."""
-    for s in range(len(joints.parents)):
+    for s in range(len(joints.sides)):
         if s in explained:
             state.judged[s] += 1
             state.is_doubtful[s] |= state.judged[s] >= CONFIRMED_BY
@@ -225,7 +236,7 @@ def _is_over(
 
 def _concerned(joints: Joints, asked: Asked, s: int, o: int) -> IntArray:
     """Joints that can be asked and that segment s or o has a part in."""
-    has_part = np.isin(joints.parents, (s, o))
+    has_part = np.isin(joints.sides["parent"], (s, o))
     has_part[[s, o]] = True
     return np.flatnonzero(has_part & np.isfinite(asked.floor))
 
@@ -243,22 +254,66 @@ def _best(
     largest = np.nan_to_num(0.5 * np.log1p(asked.difference / asked.floor))  # nepers, by joint
     if largest.sum() < GAIN:
         return best  # as in every suit that is worn right
-    free = [int(s) for s in np.flatnonzero(worn.is_told) if s not in explained]
-    for s, o in itertools.combinations_with_replacement(free, 2):
-        if largest[_concerned(joints, asked, s, o)].sum() < max(GAIN, best.gain):
-            continue
-        if s == o:
-            turn = np.repeat(now.turn[None], len(worn.turns), axis=0)
-            turn[:, s] = worn.turns
-            gains = _gains(joints, agreement, Arrangement(now.place, turn), asked, s, s)
-        else:
-            other = Arrangement(now.place.copy(), now.turn.copy())
-            _apply(worn, other, Found(0.0, s, o, 0))
-            gains = _gains(joints, agreement, other, asked, s, o)
-        k = int(np.argmax(gains))
-        if gains[k] > best.gain:
-            best = Found(float(gains[k]), s, o, k)
-    return best
+    is_free = worn.is_told > 0
+    is_free[list(explained)] = False
+    at_work = Arrangement(now.place.copy(), now.turn.copy())
+    heard = Heard(joints.sides, agreement.pairs)
+    return Found(*_search(heard, at_work, worn, asked, largest, np.flatnonzero(is_free)))
+
+
+@compiled
+def _search(
+    heard: Heard, now: Arrangement, worn: Worn, asked: Asked, largest: FloatArray, free: IntArray
+) -> tuple[float, int, int, int]:
+    """Try all explanations of the segments ``free``; return the parts of a ``Found``.
+
+    now: is worked on. largest: (n,) what a joint can gain at most, nepers.
+    """
+    gain, first, second, best_turn = 0.0, NOBODY, NOBODY, 0
+    sides, place, turn = heard.sides, now.place, now.turn
+    for a in range(len(free)):
+        for b in range(a, len(free)):
+            s, o, reach = free[a], free[b], 0.0
+            for j in range(len(sides)):
+                if _has_part(sides, asked.floor, j, s, o):
+                    reach += largest[j]
+            if reach < max(GAIN, gain):
+                continue
+            turn_s, turn_o = turn[s].copy(), turn[o].copy()
+            place[s], place[o] = place[o], place[s]
+            for h in range(len(worn.turns) if s == o else 1):
+                if s == o:
+                    turn[s] = worn.turns[h]
+                else:
+                    _exchange(turn, worn.R_bs, s, o)
+                total = 0.0
+                for j in range(len(sides)):
+                    if _has_part(sides, asked.floor, j, s, o):
+                        after, floor = _difference(heard, place, turn, j), asked.floor[j]
+                        gained = 0.5 * math.log((asked.difference[j] + floor) / (after + floor))
+                        total += 0.0 if math.isnan(gained) else gained
+                if total > gain:
+                    gain, first, second, best_turn = total, s, o, h
+            place[s], place[o] = place[o], place[s]
+            turn[s], turn[o] = turn_s, turn_o
+    return gain, first, second, best_turn
+
+
+@compiled
+def _has_part(sides: Records[Side], floor: FloatArray, j: int, s: int, o: int) -> bool:
+    """Whether a joint can be asked and segment s or o has a part in it."""
+    return math.isfinite(floor[j]) and (j in (s, o) or sides[j].parent in (s, o))
+
+
+@compiled
+def _exchange(turn: FloatArray, R_bs: FloatArray, s: int, o: int) -> None:
+    """Turn two segments (n, 3, 3) as if their modules had changed places."""
+    for i in range(3):
+        for k in range(3):
+            turn[s, i, k] = turn[o, i, k] = 0.0
+            for m in range(3):
+                turn[s, i, k] += R_bs[o, i, m] * R_bs[s, k, m]
+                turn[o, i, k] += R_bs[s, i, m] * R_bs[o, k, m]
 
 
 def _apply(worn: Worn, to: Arrangement, found: Found) -> None:
@@ -289,35 +344,28 @@ def _differences(
 ) -> FloatArray:
     """(H, k) ``Pair.turned`` of joints (k,); NaN where the two modules were not heard together."""
     turn = now.turn.reshape(-1, *now.turn.shape[-3:])
-    return _arranged(
-        joints.parents, joints.from_child, joints.from_parent, agreement.sums, agreement.weights, now.place,
-        turn, concerned,
-    )  # fmt: skip
+    return _arranged(Heard(joints.sides, agreement.pairs), now.place, turn, concerned)
 
 
 @compiled
-def _arranged(
-    parents: IntArray,
-    from_child: FloatArray,
-    from_parent: FloatArray,
-    sums: FloatArray,
-    weights: FloatArray,
-    place: IntArray,
-    turn: FloatArray,
-    concerned: IntArray,
-) -> FloatArray:
-    found = np.full((len(turn), len(concerned)), np.nan)
-    arm, arm_p = np.zeros(3), np.zeros(3)
-    for c in range(len(concerned)):
-        j = concerned[c]
-        p = parents[j]
-        if not is_common(weights, place[j], place[p]):
-            continue
-        for h in range(len(turn)):
-            for row in range(3):
-                arm[row], arm_p[row] = 0.0, 0.0
-                for m in range(3):
-                    arm[row] += turn[h, j, row, m] * from_child[j, m]
-                    arm_p[row] += turn[h, p, row, m] * from_parent[j, m]
-            found[h, c] = pair(sums, weights, place[j], arm, place[p], arm_p).turned
+def _arranged(heard: Heard, place: IntArray, turn: FloatArray, concerned: IntArray) -> FloatArray:
+    found = np.empty((len(turn), len(concerned)))
+    for h in range(len(turn)):
+        for c in range(len(concerned)):
+            found[h, c] = _difference(heard, place, turn[h], concerned[c])
     return found
+
+
+@compiled
+def _difference(heard: Heard, place: IntArray, turn: FloatArray, j: int) -> float:
+    """Return ``Pair.turned`` of a joint; NaN where the two modules were not heard together."""
+    side, p = heard.sides[j], heard.sides[j].parent
+    if not is_common(heard.pairs, place[j], place[p]):
+        return math.nan
+    arm, arm_p = np.zeros(3), np.zeros(3)
+    for row in range(3):
+        for m in range(3):
+            arm[row] += turn[j, row, m] * side.from_child[m]
+            arm_p[row] += turn[p, row, m] * side.from_parent[m]
+    turned: float = pair(heard.pairs, place[j], arm, place[p], arm_p).turned
+    return turned

@@ -1,7 +1,7 @@
 """A whole recording at once: every orientation from what was felt before it and after it.
 
-Forward through the frames with the filter of ``inertial.joint``, backward with the same (``two_ways``), and
-forward once more for what stands around the filter (segments without module, the place in the world). In
+Forward through the frames with the filter of ``inertial.tree``, backward with the same (``tree.smoothing``),
+and forward once more for what stands around the filter (segments without module, the place in the world). In
 between, blocks of frames lie in files of a temporary folder: memory does not grow with the recording.
 """
 
@@ -24,10 +24,9 @@ from gateway.frames import (
     Status,
     StatusArray,
 )
-from gateway.reconstruction.inertial.joint import ChainReconstructor
-from gateway.reconstruction.inertial.sun_rows import sight_of, stacked_sights
-from gateway.reconstruction.inertial.time_reversal import seen_backward
-from gateway.reconstruction.inertial.two_ways import put_together
+from gateway.reconstruction.inertial.tree.headings import sight_of, stacked_sights
+from gateway.reconstruction.inertial.tree.reconstructor import ChainReconstructor
+from gateway.reconstruction.inertial.tree.smoothing import put_together, seen_backward
 from gateway.reconstruction.reconstructor import Reconstructor
 from gateway.reconstruction.stacked_frames import POSE_ARRAYS, Poses
 from gateway.reconstruction.whole_body import WholeBodyReconstructor
@@ -52,7 +51,7 @@ class _Block:
     observed_status: StatusArray  # (T, m)
     clipped: StatusArray  # (T, m)
     sights: FloatArray  # (T, m + 1, 4) see ``stacked_sights``
-    resting: FloatArray  # (T, n)
+    stood_s: FloatArray  # (T, n)
     step_s: FloatArray  # (T,)
     reading_of: IntArray  # (k, 4) frame, device, time ns, quantity
     readings: FloatArray  # (k, 2, 3) value and standard deviation
@@ -130,9 +129,9 @@ class Smoother:
 
     def _go_forward(self, frames: Sequence[ImuFrame]) -> None:
         prepared = self._body.prepare(frames)
-        clean, seen, resting = prepared.observations, prepared.frames, prepared.resting
-        covariance = np.empty((*resting.shape, 3, 3))
-        found = self._forward.poses(clean, seen, resting, covariance)
+        clean, seen, stood_s = prepared.observations, prepared.frames, prepared.stood_s
+        covariance = np.empty((*stood_s.shape, 3, 3))
+        found = self._forward.poses(clean, seen, stood_s, covariance)
         readings = [(t, reading) for t, frame in enumerate(clean) for reading in frame.local]
         block = _Block(
             sequence=np.array([frame.sequence for frame in clean], np.int64),
@@ -143,7 +142,7 @@ class Smoother:
             observed_status=seen.status,
             clipped=seen.clipped,
             sights=stacked_sights(clean),
-            resting=resting,
+            stood_s=stood_s,
             step_s=prepared.dt,
             reading_of=np.array(
                 [(t, r.device, r.time_ns, int(r.quantity)) for t, r in readings], np.int64
@@ -162,7 +161,7 @@ class Smoother:
         block = self._read(k)
         frames, earlier = seen_backward(block.frames(), self._end_ns, later)
         covariance = np.empty_like(block.covariance)
-        found = backward.update_many(frames, np.ascontiguousarray(block.resting[::-1]), covariance)[::-1]
+        found = backward.update_many(frames, np.ascontiguousarray(block.stood_s[::-1]), covariance)[::-1]
         q_back = np.stack([frame.q_wb for frame in found])
         known_later = np.isnan(block.q_wb[..., 0]) & np.isfinite(q_back[..., 0])
         put_together(block.q_wb, block.covariance, q_back, covariance[::-1].copy(), block.sigma)
@@ -176,7 +175,7 @@ class Smoother:
 
     def _finished(self, k: int) -> Iterator[SkeletonFrame]:
         block = self._read(k)
-        prepared = self._body.prepared_again(block.frames(), block.resting, block.step_s)
+        prepared = self._body.prepared_again(block.frames(), block.stood_s, block.step_s)
         yield from self._body.finish(block.found(), prepared)
 
     def _path(self, k: int) -> Path:

@@ -30,9 +30,9 @@ def stacked(frames: Sequence[ImuFrame]) -> StackedFrames:
     """Return copies of what frames hold, in arrays that a kernel may change."""
     n_modules = len(frames[0].status)
     clipped = np.zeros((len(frames), n_modules), np.uint8)
-    for row, frame in zip(clipped, frames, strict=True):
+    for t, frame in enumerate(frames):
         if frame.clipped is not None:
-            row[:] = frame.clipped
+            clipped[t] = frame.clipped
     return StackedFrames(
         np.array([frame.time_ns for frame in frames], np.int64),
         _stacked([frame.specific_force for frame in frames], np.float64),

@@ -7,9 +7,8 @@ ImuFrame → stuck modules left out → (rest of each segment) → orientations 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from enum import StrEnum
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,18 +17,19 @@ from numpy.typing import NDArray
 from gateway.body.interpolation import following_rules
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame, IntArray, Quantity, SkeletonFrame, Status, StatusArray
-from gateway.reconstruction.inertial.held_arguments import hold
-from gateway.reconstruction.inertial.observations import no_observations, sensor_to_segment_matrices
-from gateway.reconstruction.inertial.root_position import (
-    Contacts,
-    PositionSettings,
+from gateway.geometry.compiled import for_types_of
+from gateway.geometry.records import Records, records
+from gateway.reconstruction.inertial.contacts import (
+    ContactPlace,
     PositionState,
+    StanceState,
+    Walk,
     initial_position,
+    initial_stance,
 )
-from gateway.reconstruction.inertial.stance import StanceSettings, StanceState, initial_stance
+from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
 from gateway.reconstruction.joint_agreement import (
     AgreementState,
-    by_pair,
     initial_agreement,
     joint_scores,
     joints_of,
@@ -43,6 +43,7 @@ from gateway.reconstruction.mounting import (
     judge_mounting,
     worn_of,
 )
+from gateway.reconstruction.root_settings import NO_CONTACTS, RootMode, RootSettings
 from gateway.reconstruction.stacked_frames import (
     POSE_ARRAYS,
     Poses,
@@ -60,33 +61,11 @@ from gateway.reconstruction.whole_body_frames import (
     prepare_frames,
 )
 
-NO_CONTACTS = "body '{}' has no contacts to walk on: give its feet 'contacts', or set 'auto' or 'fixed'"
-
-
-class RootMode(StrEnum):
-    """What the skeleton's root does."""
-
-    AUTO = "auto"
-    """Walks if the body has contacts (feet) and no device measures where it is; else fixed."""
-    FIXED = "fixed"
-    """Stays at the origin, or where a local device measures it."""
-    WALKING = "walking"
-    """Stands on resting contacts and flies between them."""
-
-
-class RootSettings(NamedTuple):
-    """How the body moves through the world."""
-
-    mode: RootMode = RootMode.AUTO
-    has_floor: bool = True
-    floor: float = 0.0
-    """m: height of a level floor."""
-
 
 class OrientationFinder(Protocol):
     """What this wraps: any reconstructor."""
 
-    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame: ...
+    def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame: ...
 
     def reset(self) -> None: ...
 
@@ -102,7 +81,7 @@ class Prepared(NamedTuple):
     """(T, n, 3) by segment, segment axes, m/s²."""
     clipped: StatusArray
     """(T, n) by segment, ``Clipped`` sensors."""
-    resting: FloatArray
+    stood_s: FloatArray
     """(T, n) for how long each segment stands still, s; 0: it does not."""
     dt: FloatArray
     """(T,) s since the frame before."""
@@ -135,7 +114,9 @@ class WholeBodyReconstructor:
         self.finder = finder
         self._array_finder = finder if isinstance(finder, _ArrayFinder) else None
         self._joints, self._worn = joints_of(suit), worn_of(suit)
-        self._contacts = _contacts(suit, root or RootSettings())
+        self._places, self._walks = _ground(suit, root or RootSettings())
+        self._prepare_frames: Callable[..., bool] = prepare_frames
+        self._finish_one: Callable[..., int] = finish_frames
         self.reset()
         self._compile()
         self.reset()
@@ -146,15 +127,16 @@ class WholeBodyReconstructor:
         n = self._suit.skeleton.n_segments
         self._last = no_pose(n)
         self._clock = np.full(1, NEVER_NS, np.int64)
-        n_contacts = len(self._contacts.segments) if self._contacts else 0
         self._memory = _Memory(
             initial_stance(n),
-            initial_position(n_contacts),
+            initial_position(len(self._places)),
             initial_repeats(len(self._suit.module_ids)),
             initial_agreement(n),
             initial_mounting(n),
         )
-        self._before, self._after = hold(self._before_finder()), hold(self._after_finder())
+        self._before = self._before_finder()
+        self._arrays_before: Any = self._before.arrays()
+        self._arrays_after: Any = self._after_finder().arrays()
 
     def _before_finder(self) -> Before:
         suit, n = self._suit, self._suit.skeleton.n_segments
@@ -165,31 +147,24 @@ class WholeBodyReconstructor:
             sensor_to_segment_matrices(suit),
             carries,
             np.array([np.linalg.norm(suit.gravity)], np.float64),
-            no_observations(n),
-            np.zeros(len(suit.module_ids), np.uint8),
             self._clock,
             self._memory.repeats,
-            StanceSettings(),
             self._memory.stance,
         )
 
     def _after_finder(self) -> After:
         skeleton, memory = self._suit.skeleton, self._memory
-        walks = self._contacts is not None
         return After(
-            self._joints,
-            by_pair(memory.agreement),
             memory.mounting.since_s,
             memory.mounting.is_doubtful,
+            self._joints,
+            memory.agreement,
             following_rules(self._suit),
-            walks,
-            self._contacts or _no_contacts(),
-            PositionSettings(),
-            memory.position,
             skeleton.parents.astype(np.int64),
             np.array(skeleton.offsets, np.float64),
-            np.zeros((skeleton.n_segments, 3)),
-            np.zeros(3),
+            self._places,
+            self._walks,
+            memory.position,
         )
 
     def update(self, observation: ImuFrame) -> SkeletonFrame:
@@ -223,38 +198,43 @@ class WholeBodyReconstructor:
     def prepare(self, observations: Sequence[ImuFrame]) -> Prepared:
         """What is done before the finder, to instants in time order, at least one."""
         frames, n = stacked(observations), self._suit.skeleton.n_segments
-        force, clipped, resting, dt = _room(len(observations), n)
-        if prepare_frames(self._before, *frames, force, clipped, resting, dt):
+        force, clipped, stood_s, dt = _room(len(observations), n)
+        if self._prepare_frames(*frames, force, clipped, stood_s, dt, *self._arrays_before):
             observations = unstacked(observations, frames)
-        return Prepared(observations, frames, force, clipped, resting, dt)
+        return Prepared(observations, frames, force, clipped, stood_s, dt)
 
     def prepared_again(
-        self, observations: Sequence[ImuFrame], resting: FloatArray, dt: FloatArray
+        self, observations: Sequence[ImuFrame], stood_s: FloatArray, dt: FloatArray
     ) -> Prepared:
         """Return what ``prepare`` made of instants once, from its own ``observations`` and arrays."""
         frames = stacked(observations)
         force, clipped, *_ = _room(len(observations), self._suit.skeleton.n_segments)
-        observe_frames(self._before, *frames[1:], force, clipped)
-        return Prepared(observations, frames, force, clipped, resting, dt)
+        before = self._before
+        observe_frames(
+            before.module_of_segment, before.R_bs, frames.specific_force, frames.status, frames.clipped,
+            force, clipped,
+        )  # fmt: skip
+        return Prepared(observations, frames, force, clipped, stood_s, dt)
 
     def _found(self, prepared: Prepared) -> Poses:
-        finder, resting = self.finder, prepared.resting
+        finder, stood_s = self.finder, prepared.stood_s
         if self._array_finder is not None:
-            return self._array_finder.poses(prepared.observations, prepared.frames, resting)
+            return self._array_finder.poses(prepared.observations, prepared.frames, stood_s)
         found = [
             finder.update(observation, rest)
-            for observation, rest in zip(prepared.observations, resting, strict=True)
+            for observation, rest in zip(prepared.observations, stood_s, strict=True)
         ]
         return stacked_poses(found)
 
     def finish(self, poses: Poses, prepared: Prepared) -> list[SkeletonFrame]:
         """What is done after the finder, to instants in time order; ``poses`` are changed in place."""
         first, is_judged, n_frames = 0, False, len(poses.root)
+        finish = self._finish_one if n_frames == 1 else finish_frames  # many may be a part, or backward
         while True:
-            first = finish_frames(
-                self._after, first, is_judged, poses.q_wb, poses.angular_rate, poses.p_w, poses.sigma,
-                poses.status, poses.root, prepared.specific_force, prepared.clipped, prepared.resting,
-                prepared.dt,
+            first = finish(
+                first, is_judged, poses.q_wb, poses.angular_rate, poses.p_w, poses.sigma, poses.status,
+                poses.root, prepared.specific_force, prepared.clipped, prepared.stood_s, prepared.dt,
+                *self._arrays_after,
             )  # fmt: skip
             if first == n_frames:
                 return poses.frames()
@@ -290,8 +270,8 @@ class WholeBodyReconstructor:
                 f"check that module {module} is on the {_spoken(names[s])} and module {other} on the "
                 f"{_spoken(place)}, or exchange them with 'modules assign'"
             )
-        near = [int(p) for p in (self._joints.parents[s],) if p >= 0]
-        near += [int(c) for c in np.flatnonzero(self._joints.parents == s)]
+        near = [int(p) for p in (self._joints.sides[s].parent,) if p >= 0]
+        near += [int(c) for c in np.flatnonzero(self._joints.sides["parent"] == s)]
         around = " and ".join(_spoken(names[k]) for k in near)
         degrees = math.degrees(math.acos(min(max((np.trace(mounting.turn[s]) - 1.0) / 2.0, -1.0), 1.0)))
         either = (
@@ -336,7 +316,14 @@ class WholeBodyReconstructor:
         m = len(self._suit.module_ids)
         ones, none = np.ones((m, 3)), np.zeros(m, np.int64)
         for k in range(2):
-            self.update(ImuFrame(k, k * 10_000_000, ones, 0.1 * ones, ones, none.astype(np.uint8), none))
+            frame = ImuFrame(k, k * 10_000_000, ones, 0.1 * ones, ones, none.astype(np.uint8), none)
+            self.update(frame)
+        room, pose = _room(1, self._suit.skeleton.n_segments), stacked_poses((self._last,))
+        self._prepare_frames = for_types_of(prepare_frames, *stacked((frame,)), *room, *self._arrays_before)
+        self._finish_one = for_types_of(
+            finish_frames, 0, False, pose.q_wb, pose.angular_rate, pose.p_w, pose.sigma, pose.status,
+            pose.root, *room, *self._arrays_after,
+        )  # fmt: skip
 
 
 def no_pose(n: int) -> SkeletonFrame:
@@ -356,7 +343,7 @@ class _ArrayFinder(Protocol):
     """A finder that takes many frames in one call, in arrays."""
 
     def poses(
-        self, observations: Sequence[ImuFrame], frames: StackedFrames, resting: FloatArray
+        self, observations: Sequence[ImuFrame], frames: StackedFrames, stood_s: FloatArray
     ) -> Poses: ...
 
 
@@ -379,34 +366,24 @@ def _room(n_frames: int, n: int) -> tuple[FloatArray, StatusArray, FloatArray, F
     return np.empty((n_frames, n, 3)), clipped, np.empty((n_frames, n)), np.empty(n_frames)
 
 
-def _contacts(suit: WornSuit, root: RootSettings) -> Contacts | None:
-    """None where the root does not walk."""
+def _ground(suit: WornSuit, root: RootSettings) -> tuple[Records[ContactPlace], Records[Walk]]:
+    """Return what the body stands on and how it walks; none of either where the root does not walk."""
     skeleton = suit.skeleton
     is_placed = any(device.quantity is Quantity.POSITION for device in suit.local_devices)
     walks = root.mode is RootMode.WALKING or (
         root.mode is RootMode.AUTO and bool(skeleton.contacts) and not is_placed
     )
     if not walks:
-        return None
+        return records(ContactPlace, 0), records(Walk, 0)
     if not skeleton.contacts:
         raise ValueError(NO_CONTACTS.format(skeleton.name))
     with_module = np.flatnonzero(suit.module_of_segment >= 0)
     own_root = int(np.flatnonzero(skeleton.parents < 0)[0])
-    reference = own_root if own_root in with_module else int(with_module[0])
-    return Contacts(
-        parents=skeleton.parents.astype(np.int64),
-        offsets=np.array(skeleton.offsets, np.float64),
-        segments=np.array([segment for segment, _ in skeleton.contacts], np.int64),
-        points=np.array([point for _, point in skeleton.contacts], np.float64),
-        reference=reference,
-        arm=np.array(suit.lever_arms[reference], np.float64),
-        gravity=np.array(suit.gravity, np.float64),
-        has_floor=root.has_floor,
-        floor=float(root.floor),  # of a whole number, the kernel is compiled once more
-    )
-
-
-def _no_contacts() -> Contacts:
-    """In the place of those of a root that does not walk."""
-    places, numbers = np.zeros((0, 3)), np.zeros(0, np.int64)
-    return Contacts(numbers, places, numbers, places, 0, np.zeros(3), np.zeros(3), False, 0.0)
+    places, all_walks = records(ContactPlace, len(skeleton.contacts)), records(Walk, 1)
+    for place, (segment, point) in zip(np.asarray(places), skeleton.contacts, strict=True):
+        place["segment"], place["point"] = segment, point
+    walk = all_walks[0]
+    walk.reference = own_root if own_root in with_module else int(with_module[0])
+    walk.arm[:], walk.gravity[:] = suit.lever_arms[walk.reference], suit.gravity
+    walk.has_floor, walk.floor = int(root.has_floor), root.floor
+    return places, all_walks

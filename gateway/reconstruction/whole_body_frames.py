@@ -5,24 +5,39 @@ A live frame and a whole recording go through the same functions, so they agree 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from gateway.body.interpolation import FollowingRules, follow
+from gateway.body.interpolation import FollowingRule, follow
 from gateway.body.kinematics import joint_positions_into
 from gateway.frames import Clipped, FloatArray, IntArray, Status, StatusArray
 from gateway.geometry.compiled import compiled
-from gateway.reconstruction.inertial.observations import SegmentObservations, by_segment_into
-from gateway.reconstruction.inertial.root_position import (
-    Contacts,
-    PositionSettings,
+from gateway.geometry.records import Records
+from gateway.reconstruction.inertial.contacts import (
+    Contact,
+    ContactPlace,
+    Position,
     PositionState,
+    Stance,
+    StanceState,
+    Walk,
+    Walker,
     advance_position,
+    watch_stance,
 )
-from gateway.reconstruction.inertial.stance import StanceSettings, StanceState, watch_stance
-from gateway.reconstruction.joint_agreement import AgreementState, Joints, watch_joints
-from gateway.reconstruction.module_faults import RepeatState, stuck_modules
+from gateway.reconstruction.inertial.observations import SegmentObservations, by_segment_into
+from gateway.reconstruction.joint_agreement import (
+    AgreementState,
+    Block,
+    Felt,
+    Joints,
+    Pose,
+    Products,
+    Side,
+    watch_joints,
+)
+from gateway.reconstruction.module_faults import Repeats, RepeatState, watch_repeats
 from gateway.reconstruction.mounting import JUDGED_EVERY_S, UNKNOWN
 
 SHORTEST_STEP_S = 1e-5
@@ -42,37 +57,37 @@ class Before(NamedTuple):
     R_bs: FloatArray  # (n, 3, 3) sensor to segment
     carries: FloatArray  # (n,) 1 for segments that stand on the ground
     gravity: FloatArray  # (1,) its size, m/s²
-    observed: SegmentObservations
-    """Of the newest frame."""
-    stuck: StatusArray  # (m,) 1 for modules that are stuck in the newest frame
     clock: IntArray  # (1,) when the newest frame was, ns
     repeats: RepeatState
-    stance_settings: StanceSettings
     stance: StanceState
+
+    def arrays(self) -> tuple[Any, ...]:
+        """As ``prepare_frames`` takes it: kernels know the type of an array that is an argument of its own at
+        once, and look long at one within a tuple."""
+        return (*self[:5], *self.repeats, *self.stance)
 
 
 class After(NamedTuple):
     """Constants and state of what is done after it."""
 
-    joints: Joints
-    agreement: AgreementState
     judged: FloatArray  # (1,) s since it was last judged how modules are worn
     is_doubtful: StatusArray  # (n,)
-    rules: FollowingRules
-    walks: bool
-    contacts: Contacts
-    """Of no meaning where the root does not walk."""
-    position_settings: PositionSettings
-    position: PositionState
+    joints: Joints
+    agreement: AgreementState
+    rules: Records[FollowingRule]
     parents: IntArray  # (n,)
     offsets: FloatArray  # (n, 3)
-    rate: FloatArray  # (n, 3) of one frame, numbers throughout
-    root: FloatArray  # (3,) where the root's joint is in one frame
+    places: Records[ContactPlace]
+    walks: Records[Walk]  # one; none where the root does not walk
+    position: PositionState
+
+    def arrays(self) -> tuple[Any, ...]:
+        """As ``finish_frames`` takes it."""
+        return (*self[:2], *self.joints, *self.agreement, *self[4:9], *self.position)
 
 
 @compiled
 def prepare_frames(
-    held: Before,
     time_ns: IntArray,
     specific_force: FloatArray,
     angular_rate: FloatArray,
@@ -81,57 +96,67 @@ def prepare_frames(
     clipped: StatusArray,
     force_of_segment: FloatArray,
     clipped_of_segment: StatusArray,
-    resting: FloatArray,
+    stood_s: FloatArray,
     dt: FloatArray,
+    module_of_segment: IntArray,
+    R_bs: FloatArray,
+    carries: FloatArray,
+    gravity: FloatArray,
+    clock: IntArray,
+    repeats: Records[Repeats],
+    stances: Records[Stance],
 ) -> bool:
     """Instants in time order; values of modules that are stuck are taken out in place.
 
     time_ns (T,), then (T, m, 3) and (T, m) by module. Written are, by segment and in its axes, specific force
     (T, n, 3), clipped sensors (T, n) and for how long each stands still (T, n), s; dt (T,) since the frame
-    before, s. Returns whether any module is stuck.
+    before, s; then the arrays of a ``Before``. Returns whether any module is stuck.
     """
+    observed = _nothing_observed(len(module_of_segment))
+    stance = StanceState(stances)
     any_stuck = False
     for t in range(len(time_ns)):
-        dt[t] = _step(held.clock, time_ns[t])
-        stuck_modules(held.repeats, specific_force[t], angular_rate[t], status[t], dt[t], held.stuck)
-        for m in range(len(held.stuck)):
-            if held.stuck[m]:
+        dt[t] = _step(clock, time_ns[t])
+        watch_repeats(repeats, specific_force[t], angular_rate[t], status[t], dt[t])
+        for m in range(len(repeats)):
+            if repeats[m].is_stuck:
                 any_stuck = True
                 status[t, m] = MISSING
                 for i in range(3):
                     specific_force[t, m, i], angular_rate[t, m, i] = np.nan, np.nan
                     magnetic_field[t, m, i] = np.nan
-        observed = held.observed
         by_segment_into(
-            observed, held.module_of_segment, held.R_bs, specific_force[t], angular_rate[t],
+            observed, module_of_segment, R_bs, specific_force[t], angular_rate[t],
             magnetic_field[t], status[t], clipped[t],
         )  # fmt: skip
-        watch_stance(
-            resting[t], held.stance_settings, held.stance, held.carries, held.gravity[0],
-            observed.specific_force, observed.angular_rate, observed.status, dt[t],
-        )  # fmt: skip
+        watch_stance(stood_s[t], stance, carries, gravity[0], observed, dt[t])
         _copy(observed, force_of_segment[t], clipped_of_segment[t])
     return any_stuck
 
 
 @compiled
 def observe_frames(
-    held: Before,
+    module_of_segment: IntArray,
+    R_bs: FloatArray,
     specific_force: FloatArray,
-    angular_rate: FloatArray,
-    magnetic_field: FloatArray,
     status: StatusArray,
     clipped: StatusArray,
     force_of_segment: FloatArray,
     clipped_of_segment: StatusArray,
 ) -> None:
     """Only the specific forces (T, n, 3) and clipped sensors (T, n) by segment, of the same."""
+    observed = _nothing_observed(len(module_of_segment))
     for t in range(len(status)):
-        by_segment_into(
-            held.observed, held.module_of_segment, held.R_bs, specific_force[t], angular_rate[t],
-            magnetic_field[t], status[t], clipped[t],
-        )  # fmt: skip
-        _copy(held.observed, force_of_segment[t], clipped_of_segment[t])
+        force = specific_force[t]
+        by_segment_into(observed, module_of_segment, R_bs, force, force, force, status[t], clipped[t])
+        _copy(observed, force_of_segment[t], clipped_of_segment[t])
+
+
+@compiled
+def _nothing_observed(n: int) -> SegmentObservations:
+    """Of n segments."""
+    force, rate, field = np.full((n, 3), np.nan), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+    return SegmentObservations(force, rate, field, np.full(n, MISSING, np.uint8), np.zeros(n, np.uint8))
 
 
 @compiled
@@ -152,7 +177,6 @@ def _step(clock: IntArray, time_ns: int) -> float:
 
 @compiled
 def finish_frames(
-    held: After,
     first: int,
     is_judged: bool,
     q_wb: FloatArray,
@@ -163,53 +187,55 @@ def finish_frames(
     root: IntArray,
     force: FloatArray,
     clipped: StatusArray,
-    resting: FloatArray,
+    stood_s: FloatArray,
     dt: FloatArray,
+    judged: FloatArray,
+    is_doubtful: StatusArray,
+    sides: Records[Side],
+    gravity: FloatArray,
+    block: Records[Block],
+    felt: Records[Felt],
+    pairs: Records[Products],
+    rules: Records[FollowingRule],
+    parents: IntArray,
+    offsets: FloatArray,
+    places: Records[ContactPlace],
+    walks: Records[Walk],
+    bodies: Records[Position],
+    contacts: Records[Contact],
 ) -> int:
     """Poses in time order from ``first`` on, changed in place: (T, n, 4), (T, n, 3), (T, n) and root (T,).
 
-    force, clipped, resting, dt: as ``prepare_frames`` has written them. Returns the frame after which it is
-    to be judged how modules are worn; called again with it and ``is_judged``, it goes on. T: all is done.
+    force, clipped, stood_s, dt: as ``prepare_frames`` has written them; then the arrays of an ``After``.
+    Returns the frame after which it is to be judged how modules are worn; called again with it and
+    ``is_judged``, it goes on. T: all is done.
     """
+    joints, agreement = Joints(sides, gravity), AgreementState(block, felt, pairs)
+    finite_rate, origin = np.empty((len(parents), 3)), np.empty(3)
     for t in range(first, len(root)):
         if t > first or not is_judged:
             _tell_clipped(status[t], clipped[t])
-            watch_joints(held.joints, held.agreement, q_wb[t], force[t], rate[t], status[t], dt[t])
-            held.judged[0] += dt[t]
-            if held.judged[0] >= JUDGED_EVERY_S:
+            watch_joints(joints, agreement, Pose(q_wb[t], force[t], rate[t], status[t]), dt[t])
+            judged[0] += dt[t]
+            if judged[0] >= JUDGED_EVERY_S:
                 return t
-        tell_doubtful(status[t], sigma[t], held.is_doubtful)
-        follow(held.rules, q_wb[t], rate[t], sigma[t], status[t])
-        if held.walks:
-            _walk(held, q_wb[t], rate[t], force[t], resting[t], dt[t], p_w[t], root[t : t + 1])
-        elif len(held.rules.segments) > 0:
+        tell_doubtful(status[t], sigma[t], is_doubtful)
+        follow(rules, q_wb[t], rate[t], sigma[t], status[t])
+        if len(walks) > 0:
+            for s in range(len(finite_rate)):
+                for i in range(3):
+                    w = rate[t, s, i]
+                    finite_rate[s, i] = 0.0 if np.isnan(w) else min(max(w, -LARGEST), LARGEST)
+            walker = Walker(parents, offsets, places, walks[0], bodies[0], contacts)
+            place, stands_on = advance_position(walker, q_wb[t], finite_rate, force[t], stood_s[t], dt[t])
+            joint_positions_into(p_w[t], parents, offsets, q_wb[t], place)
+            if stands_on >= 0:
+                root[t] = stands_on
+        elif len(rules) > 0:
             for i in range(3):
-                held.root[i] = p_w[t, 0, i]
-            joint_positions_into(p_w[t], held.parents, held.offsets, q_wb[t], held.root)
+                origin[i] = p_w[t, 0, i]
+            joint_positions_into(p_w[t], parents, offsets, q_wb[t], origin)
     return len(root)
-
-
-@compiled
-def _walk(
-    held: After,
-    q_wb: FloatArray,
-    rate: FloatArray,
-    force: FloatArray,
-    resting: FloatArray,
-    dt: float,
-    p_w: FloatArray,
-    root: IntArray,
-) -> None:
-    """One frame: p_w (n, 3) and root (1,), the segment that the body stands on, in place."""
-    for s in range(len(rate)):
-        for i in range(3):
-            held.rate[s, i] = 0.0 if np.isnan(rate[s, i]) else min(max(rate[s, i], -LARGEST), LARGEST)
-    place, stands_on = advance_position(
-        held.contacts, held.position_settings, held.position, q_wb, held.rate, force, resting, dt
-    )
-    joint_positions_into(p_w, held.parents, held.offsets, q_wb, place)
-    if stands_on >= 0:
-        root[0] = stands_on
 
 
 @compiled

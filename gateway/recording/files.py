@@ -18,7 +18,7 @@ from devices import recording_format as fmt
 from devices.link import gateway_time_ns
 from devices.recording_file import RecordingError, part_path
 from devices.recording_writer import RecordingWriter, session_record
-from gateway.contract.requests import RECORDING_NAME
+from gateway.contract.names import RECORDING_NAME
 from gateway.settings import RecordingSettings
 
 log = logging.getLogger(__name__)

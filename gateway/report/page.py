@@ -27,7 +27,7 @@ from gateway.report.elements import (
     warning,
 )
 from gateway.report.gathering import Findings, ModuleFindings
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.support.whole_files import writing
 
 _STATUS_COLOURS = {

@@ -4,9 +4,10 @@ What is compiled lies on the disk (``geometry.compiled``); beside it a note for 
 it calls, from the bytes of a suit to the pose. A method is ready when all of these are on the disk as they
 are now.
 
-``make_ready`` compiles in processes side by side: numba holds the interpreter while it does, and nothing else
-would run well. They compile ``PARTS``; then one process a method lets bytes through the whole pipeline, which
-compiles whatever no part has, and writes the note. So nothing here names a kernel.
+``make_ready`` compiles in processes side by side (``compiling``): numba holds the interpreter while it does,
+and nothing else would run well. They compile ``PARTS``; then one process a method lets bytes through the
+whole pipeline, which compiles whatever no part has, and writes the note. So nothing names a kernel, and
+nothing here imports what calls one.
 
 Until a method is ready ``FALLBACK`` serves, with a root that stays where it is: it wants the fewest kernels.
 """
@@ -20,37 +21,16 @@ import os
 import queue
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from devices.link import SUIT, Chunk, Framing
-from firmware_protocol import (
-    InertialSample,
-    InertialSampleFine,
-    WireFrame,
-    encode_frame,
-    fragment,
-    pack_can_records,
-    relay_batch,
-    wire_frame,
-)
-from gateway.body.rig import load_rig
-from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError
-from gateway.frames import FloatArray, ImuFrame, SkeletonFrame
 from gateway.geometry import compiled
-from gateway.pipeline import Pipeline
-from gateway.reconstruction import DELAYABLE, FUSED, RECONSTRUCTORS, whole_body
-from gateway.reconstruction.whole_body import RootMode, RootSettings, WholeBodyReconstructor
-from gateway.sources.module_table import ClockMode, ModuleTable
-from gateway.sources.registry import SOURCES
-from gateway.sources.source import SourceContext
-from gateway.stages import frame_assembler
-from gateway.support.whole_files import write_whole
+from gateway.reconstruction import FUSED, RECONSTRUCTORS
 
 FALLBACK = "independent"
 """What it needs with a root that stays in its place compiles in seconds, and serves until then."""
@@ -59,15 +39,8 @@ FIRST = "first"
 USUAL = ("joint", FALLBACK)
 """What is compiled with an installation."""
 LONG_COMPILED = frozenset(RECONSTRUCTORS) - FUSED
-_RIG = "suit_17"
-_DELAY_S = 0.05
-"""Of methods that can have one: what goes back over past frames is compiled with the rest."""
-_INTERVAL_US = 10_000
-_INSTANTS = 12
-"""That many samples of each module go through the pipeline."""
-_PARAMS = frame_assembler.AssemblyParams(
-    frame_interval_ns=10_000_000, max_wait_ns=20_000_000, max_gap_ns=50_000_000, hold_ns=100_000_000
-)
+PARTS = (*sorted(LONG_COMPILED - {FALLBACK}), "walking", "standing", FALLBACK, "stream")
+"""What is compiled side by side, in this order: what takes longest begins first."""
 
 
 class Readiness(NamedTuple):
@@ -87,7 +60,7 @@ def readiness(name: str) -> Readiness:
     """Return how many of a method's kernels are on the disk, as they are now."""
     for folder in (compiled.CACHE_DIRECTORY, compiled.SHIPPED):
         with contextlib.suppress(OSError, ValueError, TypeError):
-            noted = [compiled.KernelState(*each) for each in json.loads(_note(name, folder).read_text())]
+            noted = [compiled.KernelState(*each) for each in json.loads(note_of(name, folder).read_text())]
             if noted and all(state.is_current for state in noted):
                 return Readiness(sum(state.is_kept for state in noted), len(noted))
     return Readiness(0, 0)
@@ -163,7 +136,7 @@ def _run_through(name: str, there: Mapping[str, str]) -> None:
 
 
 def _step(step: str) -> list[str]:
-    return [sys.executable, "-m", "gateway.service.readiness", step]
+    return [sys.executable, "-m", "gateway.service.compiling", step]
 
 
 def command(name: str) -> list[str]:
@@ -175,117 +148,6 @@ def _parts_of(name: str) -> tuple[str, ...]:
     return (FALLBACK, "standing", "stream") if name == FIRST else (name, "walking", "standing", "stream")
 
 
-def _method(name: str) -> None:
-    """Compile a method by itself."""
-    RECONSTRUCTORS[name](load_rig(_RIG), 0.01, **_delay(name))
-
-
-def _whole_body(mode: RootMode) -> None:
-    """Compile what stands around every method."""
-    suit = load_rig(_RIG)
-    WholeBodyReconstructor(suit, _NothingFound(suit.skeleton.n_segments), RootSettings(mode))
-
-
-def _stream() -> None:
-    """Compile what makes frames of bytes."""
-    suit = load_rig(_RIG)
-    frame_assembler.FrameAssembler(suit.module_ids, _PARAMS)
-    source = SOURCES[SUIT].make(SourceContext(suit, ModuleTable(ClockMode.ESTIMATED)))
-    for framing in Framing:
-        source.add_link(framing, framing)
-        for chunk in _chunks(suit, framing):
-            source.receive(chunk)
-
-
-PARTS: dict[str, Callable[[], None]] = {
-    **{name: partial(_method, name) for name in sorted(LONG_COMPILED - {FALLBACK})},
-    "walking": partial(_whole_body, RootMode.WALKING),
-    "standing": partial(_whole_body, RootMode.FIXED),
-    FALLBACK: partial(_method, FALLBACK),
-    "stream": _stream,
-}
-"""What is compiled side by side, in this order: what takes longest begins first."""
-
-
-def _let_through(name: str) -> None:
-    """Have bytes of all framings make poses by a method, and note which kernels that called."""
-    suit = load_rig(_RIG)
-    method = FALLBACK if name == FIRST else name
-    root = RootSettings(RootMode.FIXED if name == FIRST else RootMode.AUTO)
-    pipeline = Pipeline(suit, _PARAMS, method, root=root, delay_s=_delay(method).get("delay_s", 0.0))
-    for framing in Framing:
-        pipeline.add_link(framing, framing)
-        for chunk in _chunks(suit, framing):
-            pipeline.feed(chunk)
-    with contextlib.suppress(OSError):  # then it is looked up again, which does no harm
-        note = _note(name, compiled.CACHE_DIRECTORY)
-        note.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(note, json.dumps(compiled.called(), indent=0).encode())
-
-
-def _delay(name: str) -> dict[str, float]:
-    return {"delay_s": _DELAY_S} if name in DELAYABLE else {}
-
-
-def _chunks(suit: WornSuit, framing: Framing) -> Iterator[Chunk]:
-    """Yield what modules at rest send: both samples, one by one and, in a byte stream, relayed too."""
-    offset_us = list(Framing).index(framing) * _INSTANTS * _INTERVAL_US
-    for k in range(_INSTANTS):
-        time_us = offset_us + (k + 1) * _INTERVAL_US
-        kind = (InertialSample, InertialSampleFine)[k % 2]
-        sample = kind(
-            specific_force=(0.0, 0.0, 9.81), angular_rate=(0.0, 0.1, 0.0), magnetic_field=(20.0, 0.0, -40.0)
-        )
-        sequence = time_us // _INTERVAL_US
-        frames = [wire_frame(sample, module, sequence, time_us) for module in suit.module_ids]
-        if framing is Framing.BYTE_STREAM and k % 4 >= 2:
-            frames = [
-                relay_batch(frames[first : first + 4], sequence, time_us)
-                for first in range(0, len(frames), 4)
-            ]
-        yield Chunk(_framed(frames, framing), time_us * 1_000, framing)
-
-
-def _framed(frames: Sequence[WireFrame], framing: Framing) -> bytes:
-    if framing is Framing.BYTE_STREAM:
-        return b"".join(map(encode_frame, frames))
-    return pack_can_records(piece for frame in frames for piece in fragment(frame))
-
-
-class _NothingFound:
-    """In the place of a method: a body that nothing is known of."""
-
-    def __init__(self, n_segments: int) -> None:
-        self._n = n_segments
-
-    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
-        """Every segment is missing."""
-        return whole_body.no_pose(self._n)
-
-    def reset(self) -> None:
-        """Nothing is remembered."""
-
-
-def _note(name: str, folder: Path) -> Path:
+def note_of(name: str, folder: Path) -> Path:
+    """Return where the note on a method's kernels lies. folder: of what is compiled."""
     return compiled.kept(folder) / f"ready-{name}-numba-{version('numba')}.json"
-
-
-def main(step: str) -> None:
-    """Do in this process what another one asks for: see ``_step``."""
-    kind, _, name = step.partition(":")
-    if kind == "parts":
-        for part in map(str.strip, sys.stdin):
-            PARTS[part]()
-            print(part, flush=True)  # noqa: T201 - to the other process
-    elif name not in (*RECONSTRUCTORS, FIRST):
-        sys.exit(f"no method is called '{name}'")
-    elif kind == "through":
-        _let_through(name)
-    else:
-        with contextlib.suppress(OSError):
-            os.nice(19)  # whoever waits for it runs meanwhile
-        make_ready(name)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])

@@ -52,8 +52,8 @@ from gateway.service.own_requests import OwnRequests
 from gateway.service.synchronisation import Synchroniser
 from gateway.service.triggering import Triggerer
 from gateway.settings import GatewaySettings, fitting_suit
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.losses import Cause
-from gateway.sources.module_table import ClockMode
 from gateway.sources.registry import source_kind
 from gateway.sources.stream import Stream
 from gateway.support.memory import bound_memory, give_back
@@ -98,7 +98,13 @@ class Service:
         )
         self._records_at_start = settings.recording.at_start
         info = _describe(settings, suit, awaited)
-        self.side = SideOutputs(settings.outputs, suit.skeleton, settings.gateway, settings.assembly.rate_hz)
+        self.side = SideOutputs(
+            settings.outputs,
+            suit.skeleton,
+            settings.gateway,
+            settings.assembly.rate_hz,
+            self._least_charge,
+        )
         self.mqtt = MqttOutput(
             settings.mqtt,
             suit.skeleton,
@@ -228,6 +234,7 @@ class Service:
                 asyncio.create_task(kept_running("the report", self._report), name="report"),
                 asyncio.create_task(kept_running("the load", self._watch_load), name="load"),
                 asyncio.create_task(kept_running("giving memory back", give_back), name="memory"),
+                asyncio.create_task(kept_running("the talk with modules", self._makers.talk), name="talk"),
             ]
             companions += [
                 asyncio.create_task(kept_running(f"the {asker.name}", asker.run), name=asker.name)
@@ -245,6 +252,15 @@ class Service:
         async with asyncio.TaskGroup() as group:
             for link in self.links:
                 self._ingesting.append(group.create_task(self._ingest(link), name=f"link {link.name}"))
+
+    def _least_charge(self) -> float | None:
+        """Return the least charge of all modules, 0 to 1; None: none has told."""
+        told = [
+            record.health.battery_percent
+            for record in self.pipeline.modules.records.values()
+            if record.health
+        ]
+        return min((percent / 100 for percent in told if percent is not None), default=None)
 
     def _contents_of(self, link: Link) -> Mapping[str, str]:
         """Return what a link carries, by the names that its chunks bear."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from devices.link import Chunk, Framing
 from firmware_protocol import Defect, FrameDecoder, PacketDecoder, ReceivedPacket
 from firmware_protocol.can_framing import MAX_PARTIAL_FRAMES
+from gateway.geometry.compiled import for_types_of
 from gateway.sources.can_kernels import decode_records
 from gateway.sources.module_rows import SHARED_KINDS
 from gateway.sources.module_table import ModuleTable
@@ -109,6 +111,7 @@ class CompiledDecoder(Row):
         """entries: where packets are put."""
         self._row = self.memory.view(DECODER)
         self._entries = entries
+        self._kernel: Callable[..., Any] = self._compile()
         self._partial = b""
         self._others = PacketDecoder(FrameDecoder())
 
@@ -131,12 +134,17 @@ class CompiledDecoder(Row):
         entries.begin(self._decode(data), self._n_left, self._others)
         return entries
 
-    def _decode(self, data: bytes) -> int:
-        """Have a kernel take bytes apart; return the number of entries."""
+    def _compile(self) -> Callable[..., Any]:
+        """Return the kernel that takes bytes apart, compiled now and not when the first packets wait."""
         to = self._entries
-        used, n = decode_stream(data, to.treatments, self._row, to.rows, to.left, to.raw, 0, 0, 0)
+        return for_types_of(decode_stream, b"", to.treatments, self._row, to.rows, to.left, to.raw, 0, 0, 0)
+
+    def _decode(self, data: bytes) -> int:
+        """Have the kernel take bytes apart; return the number of entries."""
+        to = self._entries
+        used, n = self._kernel(data, to.treatments, self._row, to.rows, to.left, to.raw, 0, 0, 0)
         self._partial = data[used:]
-        return n
+        return int(n)
 
 
 class CompiledCanDecoder(CompiledDecoder):
@@ -144,13 +152,19 @@ class CompiledCanDecoder(CompiledDecoder):
 
     def __init__(self, entries: Entries) -> None:
         """entries: where packets are put."""
-        super().__init__(entries)
         self._frames = np.zeros(MAX_PARTIAL_FRAMES, PARTIAL)
         self._places = np.zeros(N_STREAMS, np.int64)
+        super().__init__(entries)
+
+    def _compile(self) -> Callable[..., Any]:
+        to, partial = self._entries, (self._frames, self._places)
+        return for_types_of(
+            decode_records, b"", to.treatments, self._row, *partial, to.rows, to.left, to.raw, 0, 0, 0
+        )
 
     def _decode(self, data: bytes) -> int:
         to, partial = self._entries, (self._frames, self._places)
-        return decode_records(data, to.treatments, self._row, *partial, to.rows, to.left, to.raw, 0, 0, 0)
+        return int(self._kernel(data, to.treatments, self._row, *partial, to.rows, to.left, to.raw, 0, 0, 0))
 
 
 DECODERS: Mapping[Framing, type[CompiledDecoder]] = {
@@ -166,11 +180,13 @@ class Follower:
         """table: of the modules; readings: where samples are put."""
         self._table = table
         self._readings = readings
+        self._follow = follow
 
     def warm_up(self, entries: Entries) -> None:
         """Compile the kernel now, not when the first packets wait."""
-        follow(
-            0, 0, 0, 0, entries.rows, entries.raw, self._table.rows, self._readings.rows, 0, entries.events
+        self._follow = for_types_of(
+            follow, 0, 0, 0, 0, entries.rows, entries.raw, self._table.rows, self._readings.rows, 0,
+            entries.events,
         )  # fmt: skip
 
     def others(self, entries: Entries, chunk: Chunk) -> Iterator[ReceivedPacket]:
@@ -178,7 +194,7 @@ class Follower:
         table, readings, at, n = self._table, self._readings, 0, entries.n
         while at < n:
             if at not in entries.packets:
-                at, readings.n_rows, n_events = follow(
+                at, readings.n_rows, n_events = self._follow(
                     at, n, chunk.arrived_ns, table.losses(chunk.link).chunk, entries.rows, entries.raw,
                     table.rows, readings.rows, readings.n_rows, entries.events,
                 )  # fmt: skip

@@ -14,10 +14,6 @@ from gateway.contract.balances import Balance
 from gateway.frames import CameraHeatMaps, HeatMapFrame
 from gateway.sources.source import ListeningSource
 
-NO_CAMERAS = (
-    "the rig has no cameras: 'rig' must name a subject that `mocap-gateway video solve` wrote, or a rig with "
-    "'cameras'"
-)
 PATIENCE = 3
 PATIENCE_NS = 250_000_000
 """An instant waits for a camera that lags behind: so many instants and so long, at the least."""

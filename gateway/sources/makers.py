@@ -8,18 +8,20 @@ losses, balances and strangers on the link are dealt with here, for all of them.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, TypeVar
 
 from pydantic import Field
 
-from devices.link import Chunk
+from devices.link import Chunk, SentChunk
 from firmware_protocol import DeviceInfo, Health
 from gateway.contract.balances import Balance
-from gateway.frames import InertialBatch, Sample, Vector3
+from gateway.frames import FusedReading, InertialBatch, Sample, Vector3
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.module_table import ModuleTable
 from gateway.sources.source import ListeningSource, SourceContext
+
+if TYPE_CHECKING:
+    from gateway.sources.module_table import ModuleTable
 
 ANOTHER_SENDER = "another_sender"
 """Reason for which datagrams of a second device on a link are dropped."""
@@ -27,6 +29,8 @@ GRAVITY = 9.80665
 """m/s² in the g of data sheets."""
 MAGNETIC = 1 << 9
 """Added to the kind of inertial samples: what comes of a magnetometer by itself is counted by itself."""
+TALK_S = 0.05
+"""How often those that await being spoken to are asked what is due."""
 LEAST_RATE_SHARE = 0.9
 """Of the poses' rate, below which a device is too slow for them."""
 _INTERVALS, _FEWEST_INTERVALS = 31, 8
@@ -35,7 +39,21 @@ _INTERVALS, _FEWEST_INTERVALS = 31, 8
 _Found = TypeVar("_Found")
 
 
-class MakersLinkSettings(LinkSettings):
+class OthersLinkSettings(LinkSettings):
+    """Modules of another maker: one, or several that share a link."""
+
+    @property
+    def modules(self) -> tuple[int, ...]:
+        """Numbers under which the rig knows those on the link."""
+        raise NotImplementedError
+
+    @classmethod
+    def unknown(cls, name: str, content: str) -> Self:
+        """Return what is said of a link of a recording whose configuration says nothing of it."""
+        raise NotImplementedError
+
+
+class MakersLinkSettings(OthersLinkSettings):
     """One device of another maker."""
 
     module: int = Field(
@@ -48,6 +66,16 @@ class MakersLinkSettings(LinkSettings):
         description="for magnetometers that send shares of the field they were calibrated in: its strength, "
         "µT; of the earth where that was done",
     )
+
+    @property
+    def modules(self) -> tuple[int, ...]:
+        """Its number, alone."""
+        return (self.module,)
+
+    @classmethod
+    def unknown(cls, name: str, content: str) -> Self:
+        """Return the settings of a device that nobody has given a number."""
+        return cls(name=name, url="recording:", carries=content, module=0)
 
 
 class Decoder(Protocol):
@@ -62,7 +90,7 @@ class Decoder(Protocol):
 
 
 class MakersDevice:
-    """What is known of the device on one link. A maker's own extends this."""
+    """What is known of the device on one link, or of all that share it. A maker's own extends this."""
 
     new_decoder: ClassVar[Callable[[], Decoder]]
 
@@ -76,6 +104,8 @@ class MakersDevice:
         """Something of the last chunk could not be read."""
         self.sender: str | None = None
         """Address of the device, on a link with several senders; None before it was heard."""
+        self.made: Counter[type[InertialBatch | FusedReading]] = Counter()
+        """Samples and orientations that its messages gave."""
         self._strange: Counter[str] = Counter()
 
     @property
@@ -83,6 +113,16 @@ class MakersDevice:
         """Number under which the rig knows it."""
         module: int = self.settings.module
         return module
+
+    @property
+    def modules(self) -> tuple[int, ...]:
+        """Numbers of all on the link."""
+        numbers: tuple[int, ...] = self.settings.modules
+        return numbers
+
+    def module_of(self, message: Any, chunk: Chunk) -> int | None:
+        """Return the number of the device that a message is from; None: of none that the rig knows."""
+        return self.module
 
     @property
     def dropped(self) -> Counter[str]:
@@ -93,9 +133,37 @@ class MakersDevice:
         """Return the sample that a message is; None where it is none, or one that came before."""
         raise NotImplementedError
 
-    def command_address(self) -> str:
-        """Return where it takes commands, on a link with several senders."""
+    def readings(self, message: Any, modules: ModuleTable, chunk: Chunk) -> Iterable[Sample | FusedReading]:
+        """Return all that a message gives, for makers whose messages are more than one sample."""
+        sample = self.sample(message, modules, chunk)
+        return () if sample is None else (sample,)
+
+    def framed(self, command: bytes) -> bytes:
+        """Return a command as it is written to the link."""
+        return command
+
+    @property
+    def unused(self) -> int:
+        """Messages that nothing is made from."""
+        return self.decoder.unused
+
+    def command_address(self, module: int) -> str:
+        """Return where a device takes commands, on a link with several senders."""
         return self.sender or ""
+
+    def due(self, now_ns: int) -> Sequence[tuple[bytes, str]]:
+        """Return what is to be sent by now, each with its addressee, where somebody awaits being spoken to.
+
+        Asked every ``TALK_S``; what the readings depend on changes in ``receive`` and ``sent`` alone.
+        """
+        return ()
+
+    def sent(self, chunk: SentChunk) -> None:
+        """Take note of what was put on the link."""
+
+    def findings(self, rate_hz: float) -> Iterator[Advice]:
+        """Yield what would be better otherwise, as far as listening tells. rate_hz: of the poses."""
+        yield from ()
 
     def feed(self, chunk: Chunk) -> Sequence[Any]:
         """Return the messages of the device; those of another sender are counted, since it has the number."""
@@ -110,8 +178,10 @@ class MakersDevice:
         return messages
 
 
+SampleWatcher = Callable[[Sequence[Sample], Chunk], None]
+"""Told of the samples that a chunk gave. Must neither wait nor raise."""
 Listener = Callable[[Any], None]
-"""Told of every message of a link. Must neither wait nor raise."""
+"""Told of every message of a module. Must neither wait nor raise."""
 
 
 class MakersSource(ListeningSource):
@@ -120,7 +190,7 @@ class MakersSource(ListeningSource):
     observes = InertialBatch
     carries: ClassVar[str]
     """The configuration's word for it."""
-    settings: ClassVar[type[MakersLinkSettings]]
+    settings: ClassVar[type[OthersLinkSettings]]
     device: ClassVar[type[MakersDevice]]
 
     def __init__(self, context: SourceContext) -> None:
@@ -129,39 +199,55 @@ class MakersSource(ListeningSource):
         self.devices: dict[str, MakersDevice] = {}
         """By link."""
         self._links = context.links
-        self._listeners: dict[str, list[Listener]] = {}
+        self._listeners: dict[tuple[str, int | None], list[Listener]] = {}
+        self.watchers: list[SampleWatcher] = []
+        """Told of all samples, beside whoever takes them."""
         self._accepted = 0
 
     def add_link(self, name: str, content: str) -> None:
         """Announce a device."""
         told = self._links.get(name)
         if not isinstance(told, self.settings):
-            told = self.settings(name=name, url="recording:", carries=content, module=0)
+            told = self.settings.unknown(name, content)
         self.devices[name] = self.device(told)
         self.modules.add_link(name)
 
-    def receive(self, chunk: Chunk) -> list[InertialBatch]:
-        """Return the samples that a chunk completes."""
+    def receive(self, chunk: Chunk) -> list[InertialBatch | FusedReading]:
+        """Return the samples that a chunk completes, and orientations fused on board."""
         device = self.devices[chunk.link]
         messages = device.feed(chunk)
         self.modules.begin_chunk(chunk, is_damaged=device.is_damaged)
-        rows = []
+        rows: list[Sample] = []
+        found: list[InertialBatch | FusedReading] = []
         for message in messages:
-            row = device.sample(message, self.modules, chunk)
-            if row is not None:
-                rows.append(row)
-            for listener in self._listeners.get(chunk.link, ()):
-                listener(message)
-        self._accepted += len(rows)
-        return [InertialBatch.of(rows)] if rows else []
+            for reading in device.readings(message, self.modules, chunk):
+                if isinstance(reading, FusedReading):
+                    found.append(reading)
+                else:
+                    rows.append(reading)
+            if self._listeners:
+                for listener in self._listeners.get((chunk.link, device.module_of(message, chunk)), ()):
+                    listener(message)
+        for watch in self.watchers if rows else ():
+            watch(rows, chunk)
+        device.made[FusedReading] += len(found)
+        device.made[InertialBatch] += len(rows)
+        self._accepted += len(rows) + len(found)
+        return [*found, InertialBatch.of(rows)] if rows else found
 
-    def listen(self, link: str, listener: Listener) -> None:
-        """Have somebody told of every message of a link, until ``stop_listening``."""
-        self._listeners.setdefault(link, []).append(listener)
+    def sent(self, chunk: SentChunk) -> None:
+        """Take note of what the gateway put on one of the links."""
+        self.devices[chunk.link].sent(chunk)
 
-    def stop_listening(self, link: str, listener: Listener) -> None:
+    def listen(self, link: str, module: int, listener: Listener) -> None:
+        """Have somebody told of every message of a module on a link, until ``stop_listening``."""
+        self._listeners.setdefault((link, module), []).append(listener)
+
+    def stop_listening(self, link: str, module: int, listener: Listener) -> None:
         """End what ``listen`` began."""
-        self._listeners[link].remove(listener)
+        self._listeners[link, module].remove(listener)
+        if not self._listeners[link, module]:
+            del self._listeners[link, module]
 
     def dropped(self) -> Mapping[str, Mapping[str, int]]:
         """Return what could not be read, by link and reason."""
@@ -169,9 +255,7 @@ class MakersSource(ListeningSource):
 
     def statistics(self) -> Mapping[str, object]:
         """Return how many messages nothing is made from, by link."""
-        return {
-            self.carries: {name: {"unused": device.decoder.unused} for name, device in self.devices.items()}
-        }
+        return {self.carries: {name: {"unused": device.unused} for name, device in self.devices.items()}}
 
     def balances(self) -> Iterator[Balance]:
         """Yield the messages read, each of which is a sample."""
@@ -245,6 +329,16 @@ class Advice(NamedTuple):
 class CommandLine(Protocol):
     """The way to one device, and back."""
 
+    @property
+    def module(self) -> int:
+        """Its number in the rig."""
+        ...
+
+    @property
+    def device(self) -> MakersDevice:
+        """What is known of it, and of those that share its link."""
+        ...
+
     async def tell(self, data: bytes) -> None:
         """Write to the device. Raises ``LinkError``."""
         ...
@@ -291,6 +385,8 @@ class Announced(NamedTuple):
     """What the configuration of that link must say besides."""
     battery_percent: int | None = None
     rssi_percent: int | None = None
+    entry: tuple[str, str] | None = None
+    """On a link that several share: the setting that lists them, and what it is called there."""
 
 
 class Discovery(NamedTuple):

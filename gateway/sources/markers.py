@@ -15,8 +15,6 @@ from gateway.frames import FloatArray, MarkerFrame
 from gateway.reconstruction.optical.landmarks import to_world
 from gateway.sources.source import ListeningSource, SourceContext
 
-NO_MARKERS = "the rig has no markers: 'rig' must name a subject that `mocap-gateway optical fit` wrote"
-
 
 class MarkerFrames:
     """The chunks of one link. Markers that the body does not have are left out, and counted by name."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from enum import StrEnum
+from collections.abc import Callable, Iterable, Iterator
 
 from devices.link import Chunk
 from firmware_protocol import (
@@ -27,6 +26,7 @@ from gateway.clocks import (
     warm_up,
 )
 from gateway.contract.balances import Balance
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.losses import Cause, LinkLosses
 from gateway.sources.module_rows import MODULE, module_rows
 from gateway.sources.statistics import ModuleRecord
@@ -49,23 +49,6 @@ SAMPLE_KINDS = frozenset(
 """Of packets that readings are made from."""
 
 
-class ClockMode(StrEnum):
-    """Where gateway time comes from."""
-
-    ESTIMATED = "estimated"
-    """Every module has its own crystal: rate and offset are estimated from arrival times."""
-    SHARED = "shared"
-    """All modules count one clock already (wired suit, one controller): one offset for all."""
-    SYNCHRONISED = "synchronised"
-    """Modules keep their clocks together by themselves (x-IMU3 in one network): one rate and one offset for
-    all that agree, estimated from the arrivals of all."""
-    TABLE = "table"
-    """Rates come from a table measured beforehand (`calibrate clocks`), offsets from arrival times."""
-    TRIGGER = "trigger"
-    """The gateway says when to sample: a sample's instant is that at which its trigger left. What modules
-    send on their own timers has an estimated clock."""
-
-
 class ModuleTable:
     """One record a module, made when it is first heard. Sans-I/O and deterministic.
 
@@ -83,6 +66,8 @@ class ModuleTable:
         """is_compiled: whether kernels take the usual stamps; else all go the readable way."""
         self.records: dict[int, ModuleRecord] = {}
         """By module id."""
+        self._restarted: set[int] = set()
+        """Modules whose clocks have begun anew, ever."""
         self._losses: dict[str, LinkLosses] = {}
         self._batching: dict[str, LinkBatching] = {}
         self._relays: dict[str, RelayBatching] = {}
@@ -131,12 +116,17 @@ class ModuleTable:
         counter.open_gap(first, full, self._losses[link].cause_since(heard_in))
 
     def timed(
-        self, module: int, module_time_us: int, chunk: Chunk, relayed_us: int | None = None
+        self,
+        module: int,
+        module_time_us: int,
+        chunk: Chunk,
+        relayed_us: int | None = None,
+        clock: ModuleClock | None = None,
     ) -> tuple[ModuleRecord, int]:
         """Return the module's record, and an instant of its clock in gateway time, ns.
 
         module_time_us: µs, counted by the module; relayed_us: when the relay sent it on, by the relay's
-        clock.
+        clock. clock: of a module that brings one of its own, in any mode.
         """
         if relayed_us is not None:
             self.relayed(chunk.link, relayed_us)
@@ -144,17 +134,43 @@ class ModuleTable:
         if record is None:
             waits = self._batching if relayed_us is None else self._relays
             memory = memory_of(self.rows, module)
-            clock = self._new_clock(module, waits[chunk.link], part(memory, MODULE, "clock"))
+            clock = clock or self._new_clock(module, waits[chunk.link], part(memory, MODULE, "clock"))
             record = ModuleRecord(module, clock, chunk.arrived_ns, memory=memory)
             self.records[module] = record
         restarts = record.clock.restarts
         time_ns = record.clock.gateway_time(module_time_us, chunk.arrived_ns)
         if record.clock.restarts != restarts:
             record.restarted_ns.append(chunk.arrived_ns)
+            self._restarted.add(module)
             for restarted in record.sequences.values():
                 restarted.restart()
         record.last_arrival_ns = chunk.arrived_ns
         return record, time_ns
+
+    def timed_together(
+        self, modules: Iterable[int], leader: int, stamp_us: int, chunk: Chunk
+    ) -> tuple[list[ModuleRecord], int]:
+        """Return the records of modules that share one clock, and an instant of it in gateway time, ns.
+
+        leader: the module whose clock it is, heard in this chunk or before; stamp_us: see ``timed``.
+        """
+        known = self.records.get(leader)
+        restarts = 0 if known is None else known.clock.restarts
+        led, time_ns = self.timed(leader, stamp_us, chunk)
+        found = []
+        for module in modules:
+            record = self.records.get(module)
+            if record is None:
+                record = ModuleRecord(
+                    module, led.clock, chunk.arrived_ns, memory=memory_of(self.rows, module)
+                )
+                self.records[module] = record
+            elif module != leader and led.clock.restarts != restarts:
+                for restarted in record.sequences.values():
+                    restarted.restart()
+            record.last_arrival_ns = chunk.arrived_ns
+            found.append(record)
+        return found, time_ns
 
     def restarts(self) -> dict[int, int]:
         """Return how often each module was found to count from anew."""
@@ -162,7 +178,7 @@ class ModuleTable:
 
     def restless(self) -> dict[int, str]:
         """Return what to say of modules whose clocks begin anew again and again, by id."""
-        found = ((module, record.restlessness) for module, record in self.records.items())
+        found = ((module, self.records[module].restlessness) for module in sorted(self._restarted))
         return {module: why for module, why in found if why is not None}
 
     def balances(self) -> Iterator[Balance]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 from devices.device_errors import DeviceError
 from devices.link import Chunk
@@ -38,8 +38,10 @@ from gateway.sources.makers import (
     identity,
     scaled,
 )
-from gateway.sources.module_table import ModuleTable
-from gateway.sources.statistics import ModuleRecord
+
+if TYPE_CHECKING:
+    from gateway.sources.module_table import ModuleTable
+    from gateway.sources.statistics import ModuleRecord
 
 _USED = frozenset({"acceleration", "rate_of_turn", "magnetic_field"})
 _WANTED = ("packet_counter", "sample_time_fine", "acceleration", "rate_of_turn")

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from devices.link import Chunk, SentChunk
-from gateway.body.skeleton import WornSuit
-from gateway.clocks import TriggerAnswers
-from gateway.contract.balances import Balance
-from gateway.frames import Observation
-from gateway.sources.link_settings import LinkSettings
-from gateway.sources.module_table import ModuleTable
+if TYPE_CHECKING:
+    from devices.link import Chunk, SentChunk
+    from gateway.body.skeleton import WornSuit
+    from gateway.clocks import TriggerAnswers
+    from gateway.contract.balances import Balance
+    from gateway.frames import Observation
+    from gateway.sources.link_settings import LinkSettings
+    from gateway.sources.module_table import ModuleTable
 
 
 @dataclass(frozen=True)

@@ -44,10 +44,11 @@ from gateway.frames import (
     Sample,
 )
 from gateway.sources.air_velocity import air_velocity
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.compiled_decoding import DECODERS, Entries, Follower
 from gateway.sources.exchanges import TimeExchanges
 from gateway.sources.module_rows import SHARED_KINDS
-from gateway.sources.module_table import ClockMode, ModuleTable
+from gateway.sources.module_table import ModuleTable
 from gateway.sources.readings import Readings
 from gateway.sources.source import SourceContext
 from gateway.sources.statistics import ModuleRecord

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
@@ -47,7 +47,9 @@ from gateway.sources.makers import (
     identity,
     scaled,
 )
-from gateway.sources.module_table import ModuleTable
+
+if TYPE_CHECKING:
+    from gateway.sources.module_table import ModuleTable
 
 RANGE_DEG_S, RANGE_G = 1999.0, 23.99
 """At or beyond these a sensor of the device is at the end of its range."""
@@ -93,7 +95,7 @@ class Ximu3Device(MakersDevice):
         force, rate = scaled(message.specific_force, GRAVITY), scaled(message.angular_rate, math.pi / 180.0)
         return self.module, number, time_ns, (force, rate, NOT_READ), _clipped(message)
 
-    def command_address(self) -> str:
+    def command_address(self, module: int) -> str:
         """Return host and port on which it takes commands; empty where there is one other end."""
         host, colon, _ = (self.sender or "").rpartition(":")
         return f"{host}{colon}{self.settings.command_port}" if host else ""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gateway.body.skeleton import SensorRanges
 from gateway.frames import ANGULAR_RATE, INERTIAL_SAMPLE, SPECIFIC_FORCE, Clipped, FloatArray, IntArray
-from gateway.geometry.compiled import compiled
+from gateway.geometry.compiled import compiled, for_types_of
 
 FORCE_BIT, RATE_BIT = Clipped.SPECIFIC_FORCE.value, Clipped.ANGULAR_RATE.value
 FLAT_STEPS = 7
@@ -37,6 +37,10 @@ BEYOND = 1.06
 SMALLEST_RANGES = (15.0, 2.0)
 """m/s², rad/s: below the smallest ranges of sensors, ± 2 g and ± 125 °/s; nothing smaller is taken for an
 end."""
+
+MOST_MODULES = 256
+"""An id has one byte."""
+_UNHEARD = -1
 
 _AXIS = np.dtype(
     [
@@ -81,16 +85,20 @@ class RangeWatch:
     def __init__(self, ranges: Mapping[int, SensorRanges]) -> None:
         """ranges: by module id, as the rig states them."""
         self._ranges = ranges
-        self._rows: dict[int, int] = {}  # of modules that have been heard
+        self._rows = np.full(MOST_MODULES, _UNHEARD, np.int64)  # of ``_watched``, by module id
         self._watched = np.zeros(0, _WATCHED)
-        self.add(np.zeros(0, INERTIAL_SAMPLE))  # compile now, not when the first sample waits
+        nothing = np.zeros(0, INERTIAL_SAMPLE), self._rows, self._watched, np.zeros(0, np.uint8)
+        self._watch = for_types_of(_watch, *nothing)
 
     def add(self, samples: NDArray[np.void]) -> NDArray[np.void]:
         """Return samples (n,) ``INERTIAL_SAMPLE`` as sent, sensor axes: the same array where nothing is
         clipped."""
-        rows = np.array([self._row_of(module) for module in samples["module"].tolist()], np.int64)
         clipped = np.zeros(len(samples), np.uint8)
-        if not _watch(samples, rows, self._watched, clipped):
+        if not samples.flags.carray:
+            samples = samples.copy()
+        while (found := self._watch(samples, self._rows, self._watched, clipped)) < 0:
+            self._begin(-1 - found)
+        if not found:
             return samples
         marked = samples.copy()
         marked["clipped"] |= clipped
@@ -99,7 +107,8 @@ class RangeWatch:
     def found(self) -> dict[int, dict[str, FoundRange]]:
         """Return where sensors have been clipped, by module and sensor."""
         result: dict[int, dict[str, FoundRange]] = {}
-        for module, row in sorted(self._rows.items()):
+        for module in np.flatnonzero(self._rows != _UNHEARD).tolist():
+            row = self._rows[module]
             for sensor, name in ((SPECIFIC_FORCE, "specific_force"), (ANGULAR_RATE, "angular_rate")):
                 count = int(self._watched["clipped"][row, sensor])
                 if count:
@@ -121,30 +130,32 @@ class RangeWatch:
                     values["angular_rate_dps" if is_rate else "specific_force_ms2"] = round(limit, 2)
         return told
 
-    def _row_of(self, module: int) -> int:
-        """Return the row of a module, with room for it."""
-        row = self._rows.get(module)
-        if row is None:
-            row = self._rows[module] = len(self._rows)
-            fresh = np.zeros(1, _WATCHED)
-            fresh["sequence"] = -2
-            axes = fresh["axes"]
-            axes["last"], axes["quantum"], axes["limit"] = np.nan, np.inf, np.inf
-            stated = self._ranges.get(module, SensorRanges())
-            fresh["stated"] = stated.specific_force, stated.angular_rate
-            self._watched = np.concatenate((self._watched, fresh))
-        return row
+    def _begin(self, module: int) -> None:
+        """Make room for a module that has not been heard before."""
+        self._rows[module] = len(self._watched)
+        fresh = np.zeros(1, _WATCHED)
+        fresh["sequence"] = -2
+        axes = fresh["axes"]
+        axes["last"], axes["quantum"], axes["limit"] = np.nan, np.inf, np.inf
+        stated = self._ranges.get(module, SensorRanges())
+        fresh["stated"] = stated.specific_force, stated.angular_rate
+        self._watched = np.concatenate((self._watched, fresh))
 
 
 @compiled
 def _watch(
     samples: NDArray[np.void], rows: IntArray, watched: NDArray[np.void], clipped: NDArray[np.uint8]
-) -> bool:
-    """Write the clipped sensors of samples (n,), of modules in ``rows`` (n,); return whether there are
-    any."""
-    found = False
+) -> int:
+    """Write the clipped sensors of samples (n,); rows: (MOST_MODULES,) of ``watched``, by module.
+
+    Return how many samples have some; of a module without a row −1 − its id, and nothing is changed."""
     for index in range(len(samples)):
-        module, sample = watched[rows[index]], samples[index]
+        if rows[samples[index].module] == _UNHEARD:
+            return -1 - int(samples[index].module)
+    found = 0
+    for index in range(len(samples)):
+        sample = samples[index]
+        module, is_clipped = watched[rows[sample.module]], False
         is_next = sample.sequence == module.sequence + 1
         module.sequence = sample.sequence
         for sensor in range(2):
@@ -153,7 +164,8 @@ def _watch(
             if is_found or np.max(np.abs(values)) >= module.stated[sensor]:
                 clipped[index] |= FORCE_BIT if sensor == SPECIFIC_FORCE else RATE_BIT
                 module.clipped[sensor] += 1
-                found = True
+                is_clipped = True
+        found += is_clipped
     return found
 
 

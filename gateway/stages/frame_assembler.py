@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.frames import INERTIAL_SAMPLE, ImuFrame, LightReading, LocalReading
+from gateway.geometry.compiled import for_types_of
 from gateway.stages.frame_grid import GRID, MODULE, PASSED, new_block, new_rings, take
 
 _BLOCK = 64
@@ -79,7 +80,8 @@ class FrameAssembler:
         self._sequence = 0
         self._local: deque[LocalReading] = deque()
         self._light: deque[LightReading] = deque()
-        self.add(np.zeros(0, INERTIAL_SAMPLE), 0)  # compile now, not when the first reading waits
+        state = self._grid, self._modules, self._rings, self._passed
+        self._take = for_types_of(take, *state, np.zeros(0, INERTIAL_SAMPLE), 0, 0, 0, *self._block)
 
     @property
     def frames(self) -> int:
@@ -120,7 +122,7 @@ class FrameAssembler:
         index = 0
         while True:
             begin = self._used
-            index, self._used, taken, lost = take(
+            index, self._used, taken, lost = self._take(
                 self._grid, self._modules, self._rings, self._passed, samples, index, arrived_ns, begin,
                 *self._block,
             )  # fmt: skip
@@ -195,8 +197,8 @@ def _new_modules(module_ids: tuple[int, ...]) -> NDArray[np.void]:
 
 def _take_due(waiting: deque[_Dated], instant_ns: int) -> tuple[_Dated, ...]:
     """Take out those up to an instant, in time order."""
-    if not waiting:
-        return ()
+    if len(waiting) == 1:
+        return (waiting.pop(),) if waiting[0].time_ns <= instant_ns else ()
     due = sorted((r for r in waiting if r.time_ns <= instant_ns), key=attrgetter("time_ns"))
     later = [reading for reading in waiting if reading.time_ns > instant_ns]
     waiting.clear()

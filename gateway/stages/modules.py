@@ -34,14 +34,14 @@ from gateway.reconstruction import (
     OPTICAL,
     RootMode,
     RootSettings,
-    WholeBodyReconstructor,
     create_reconstructor,
     update_many,
 )
 from gateway.reconstruction.reconstructor import Reconstructor
+from gateway.reconstruction.whole_body import WholeBodyReconstructor
 from gateway.reconstruction.whole_body_frames import tell_doubtful
 from gateway.sources.light import SunCompass
-from gateway.sources.markers import NO_MARKERS
+from gateway.sources.registry import NO_MARKERS
 from gateway.stages.clipping import RangeWatch
 from gateway.stages.frame_assembler import FrameAssembler, Lost
 from gateway.stages.fused_assembler import FusedAssembler

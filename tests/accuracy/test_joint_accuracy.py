@@ -29,7 +29,7 @@ from gateway.emulation.simulation import errors_deg
 from gateway.frames import Status
 from gateway.geometry.comparison import orientation_error
 from gateway.reconstruction import update_many
-from gateway.reconstruction.inertial.joint import ChainSettings, JointReconstructor
+from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings, JointReconstructor
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 RING = DATA / "ring_chain5" / "trial1"

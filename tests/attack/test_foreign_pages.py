@@ -11,9 +11,10 @@ import aiomqtt
 import pytest
 import websockets
 
-from gateway.outputs import BrokerProcess, MqttSettings
+from gateway.outputs.broker_process import BrokerProcess
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.embedded_broker import admits
+from gateway.outputs.settings import MqttSettings
 from gateway.support.credentials import AccessToken
 from tests.patience import PATIENCE_S
 

@@ -188,7 +188,7 @@ async def test_the_doctor_names_what_was_dropped(stranger, key_file, port):
         async with running(suit):
             url = f"udp://127.0.0.1:{port}?key_file={key_file}"
             forging = asyncio.create_task(forge(stranger, port))
-            findings = await listen([LinkSettings(name="wifi", url=url)], load_rig(RIG), 1.0, 100.0)
+            findings = await listen([LinkSettings(name="wifi", url=url)], load_rig(RIG), 1.0, 100.0, "joint")
             forging.cancel()
     found = {finding.subject: finding for finding in findings}
     assert "(UNSIGNED)" in found["wifi: signatures"].found

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import wire_both_ways
 from gateway.sources import can_kernels, compiled_decoding, wire_layout
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 
 
 @pytest.mark.parametrize("mode", [ClockMode.SHARED, ClockMode.ESTIMATED])

@@ -21,10 +21,10 @@ import pytest
 
 from devices.emulators.local_broker import free_port
 from gateway.body.rig import load_rig
+from gateway.contract.messages import BridgeInfo
 from gateway.frames import SkeletonFrame
-from gateway.outputs import BridgeInfo, MqttSettings
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.settings import OutputsSettings
+from gateway.outputs.settings import MqttSettings, OutputsSettings
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.outputs.unity import AvatarPoses, t_pose
 from tests.patience import PATIENCE_S

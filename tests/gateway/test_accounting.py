@@ -18,8 +18,8 @@ from gateway.contract.balances import unaccounted
 from gateway.contract.messages import OutputCounters
 from gateway.pipeline import Pipeline
 from gateway.service.accounting import balances_of
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.despiking import Despiker
-from gateway.sources.module_table import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 
 N_MODULES, STEP_S, LINK = 3, 0.02, "suit"

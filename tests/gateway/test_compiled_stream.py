@@ -40,8 +40,8 @@ from gateway.clocks.clock_rows import MOST_PACKETS
 from gateway.emulation.both_ways import BothWays, Difference
 from gateway.sources import compiled_decoding
 from gateway.sources import stream as readable_way
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.losses import Cause
-from gateway.sources.module_table import ClockMode
 from gateway.sources.stream import Stream
 
 START_NS = 1_800_000_000_000_000_000

@@ -3,7 +3,9 @@
 import pytest
 
 from devices.line_rate import CanRate, UartRate, line_rate
-from gateway.doctor import Verdict, capacity, examine
+from gateway.doctor.examination import examine
+from gateway.doctor.findings import Verdict
+from gateway.doctor.links import capacity
 from gateway.settings import GatewaySettings
 
 

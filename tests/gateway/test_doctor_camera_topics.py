@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from devices.cameras.heat_map_messages import HeatMapMessage, encode_heat_maps
-from gateway.doctor import Verdict, examine
 from gateway.doctor.broker import camera_topic
+from gateway.doctor.examination import examine
+from gateway.doctor.findings import Verdict
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.settings import MqttSettings
 from gateway.settings import GatewaySettings

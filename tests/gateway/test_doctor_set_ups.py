@@ -14,8 +14,8 @@ import pytest
 import yaml
 
 from gateway.contract.messages import ModuleClockState, ModuleState
-from gateway.doctor import Surroundings, Verdict, examine_file
-from gateway.doctor.examination import disk, metrics_port
+from gateway.doctor.examination import disk, examine_file, metrics_port
+from gateway.doctor.findings import Surroundings, Verdict
 from gateway.doctor.running import judge, module_states
 from gateway.outputs.settings import MqttSettings
 from gateway.settings import LinkSettings, MetricsSettings, RecordingSettings

@@ -26,8 +26,8 @@ from gateway.body.skeleton import WornSuit
 from gateway.emulation.rig import dress
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import Pipeline
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.despiking import Despiker
-from gateway.sources.module_table import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 from tests.invariance import (
     FADE,

@@ -17,7 +17,7 @@ from gateway.errors import GatewayError
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import CALIBRATED_EVENT, RESET_EVENT, Pipeline
 from gateway.reconstruction.resets import FADE_S, Resets
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 
 STEP_NS = 10_000_000

@@ -12,11 +12,15 @@ SLOW_PACKAGES = (
     *("numba", "scipy", "numpy", "pydantic", "aiomqtt", "amqtt", "asyncio", "importlib.metadata"),
     *("scipy.optimize", "scipy.spatial", "scipy.signal", "devices.emulators", "gateway.settings"),
     *("llvmlite", "vqf", "matplotlib", "cv2", "pyarrow", "viser", "mujoco"),
+    *("gateway.pipeline", "gateway.service.service", "gateway.sources.stream", "gateway.outputs.connection"),
+    *("gateway.reconstruction.whole_body", "gateway.reconstruction.inertial", "gateway.recording.solving"),
 )
 SOLVERS = {"numba", "llvmlite", "scipy.spatial", "scipy.optimize", "scipy.signal", "vqf"}
 """What only solving calls: modules take it from ``devices.deferred``, kernels import it when called."""
 DRAWERS = {"matplotlib", "cv2", "pyarrow", "viser", "mujoco"}
 """What is imported where something is drawn, read or written with it."""
+WORKERS = {name for name in SLOW_PACKAGES if name.startswith("gateway.")} - {"gateway.settings"}
+"""What does the work of commands: imported in them, not beside them."""
 
 
 def imported_by(arguments):
@@ -47,8 +51,16 @@ def test_help_lists_every_command():
 
 
 @pytest.mark.parametrize("command", _Commands.lazy)
-def test_help_of_a_command_imports_nothing_that_solves_or_draws(command):
-    assert not (SOLVERS | DRAWERS) & set(imported_by([command, "--help"])[1])
+def test_help_of_a_command_imports_nothing_that_solves_draws_or_works(command):
+    assert not (SOLVERS | DRAWERS | WORKERS) & set(imported_by([command, "--help"])[1])
+
+
+def test_the_settings_know_methods_and_sources_by_name_alone():
+    code = (
+        f"import sys, gateway.settings\nprint(*[name for name in {SLOW_PACKAGES!r} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) <= {"numpy", "pydantic", "importlib.metadata", "gateway.settings"}
 
 
 @pytest.mark.parametrize(

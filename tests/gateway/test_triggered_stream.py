@@ -15,7 +15,7 @@ from firmware_protocol import (
     wire_frame,
 )
 from gateway.clocks import TriggerAnswers
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.stream import Stream
 
 MS = 1_000_000

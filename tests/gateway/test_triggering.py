@@ -15,7 +15,7 @@ from firmware_protocol import (
 from gateway.clocks import TriggerAnswers
 from gateway.service.host_sender import HostSender
 from gateway.service.triggering import Triggerer
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.stream import Stream
 from gateway.support.precise_alarm import PreciseAlarm
 from tests.patience import PATIENCE_S

@@ -30,10 +30,15 @@ from devices.emulators import (
     SuitTraffic,
     Transmission,
 )
+from devices.emulators.bno08x_voice import Bno08xVoice
 from devices.emulators.gnss_receiver import GnssEmulation, gnss_traffic
 from devices.emulators.light_sampler import Shade
+from devices.emulators.mocopi_voice import mocopi_voices
 from devices.emulators.mti_voice import MtiCanVoice, MtiVoice
+from devices.emulators.mvn_voice import mvn_voices
+from devices.emulators.slimevr_voice import SlimevrVoice
 from devices.emulators.voice import OneSpeaksOtherwise, Voice
+from devices.emulators.witmotion_voice import WitMotionCanVoice, WitMotionVoice
 from devices.emulators.ximu3_voice import Ximu3Voice
 from devices.link import Chunk, Framing, InputEvent, SentChunk
 from devices.marker_messages import encode_markers
@@ -51,10 +56,16 @@ from gateway.recording.snapshot import encode_suit
 from gateway.recording.video import video_settings, video_suit
 from gateway.service.synchronisation import question
 from gateway.settings import AssemblySettings, ClockSettings, GatewaySettings
+from gateway.sources.bno08x import Bno08xLinkSettings
+from gateway.sources.clock_mode import ClockMode
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.module_table import ClockMode
+from gateway.sources.mocopi import MocopiLinkSettings
+from gateway.sources.module_table import ModuleTable
 from gateway.sources.mti import MtiCanLinkSettings, MtiLinkSettings
+from gateway.sources.mvn import MvnLinkSettings
 from gateway.sources.registry import SOURCES
+from gateway.sources.slimevr import SlimevrDevice, SlimevrLinkSettings
+from gateway.sources.witmotion import WitMotionCanLinkSettings, WitMotionLinkSettings
 from gateway.sources.ximu3 import Ximu3LinkSettings
 from tests.seen_walk import CAMERAS, seen_walk
 
@@ -66,6 +77,8 @@ FROM_S = 2.0
 """The gateway starts when the body sets off."""
 SECONDS = 3.0
 FRAME_HZ = 40.0
+SLIMEVR_TALK_S = 0.05
+"""So often trackers that are to be spoken to are."""
 READ_S = 0.004
 """Bytes of a link are read so often."""
 SEED = 20
@@ -408,9 +421,69 @@ def makers(seconds: float) -> Capture:
     return Capture(suit, _settings(_link("suit"), *links), framings, items)
 
 
-def _partly_of_others(suit: WornSuit, until_s: float, others: Mapping[str, Voice]) -> list[Item]:
+def unstamped(seconds: float) -> Capture:
+    """An arm with a module of our own, a WitMotion on a serial line and another on a CAN bus: no stamps."""
+    suit, until_s = load_rig("arm_3"), FROM_S + seconds
+    _, arm, hand = suit.module_ids
+    others = {"arm": WitMotionVoice(arm, FIELD_UT), "hand": WitMotionCanVoice(hand, FIELD_UT)}
+    links = [
+        WitMotionLinkSettings(name="arm", url="/dev/null", module=arm),
+        WitMotionCanLinkSettings(name="hand", url="/dev/null", module=hand),
+    ]
+    items = _partly_of_others(suit, until_s, others)
+    framings = {"suit": Framing.BYTE_STREAM, **{link.name: link.carries for link in links}}
+    return Capture(suit, _settings(_link("suit"), *links), framings, items)
+
+
+def fused_elsewhere(seconds: float) -> Capture:
+    """An arm of a BNO08x, a segment of MVN and a bone of mocopi."""
+    suit, until_s = load_rig("arm_3"), FROM_S + seconds
+    trunk, arm, hand = suit.module_ids
+    others = {
+        "trunk": Bno08xVoice(trunk, FIELD_UT),
+        "arm": mvn_voices([arm], FIELD_UT)[arm],
+        "hand": mocopi_voices([hand], FIELD_UT)[hand],
+    }
+    links = [
+        Bno08xLinkSettings(name="trunk", url="/dev/null", module=trunk),
+        MvnLinkSettings(name="arm", url="udp://0.0.0.0:9763"),
+        MocopiLinkSettings(name="hand", url="udp://0.0.0.0:12351"),
+    ]
+    fused_on_board = _worn_settings(suit, mode=1, sampling_rate_hz=100.0)
+    items = _partly_of_others(suit, until_s, others, fused_on_board)
+    chosen = _settings(*links, reconstructor="fused")
+    return Capture(suit, chosen, {link.name: link.carries for link in links}, items)
+
+
+def slimevr(seconds: float) -> Capture:
+    """An arm of three SlimeVR trackers, greeted and pinged by the gateway."""
+    suit, until_s = load_rig("arm_3"), FROM_S + seconds
+    voices = {module: SlimevrVoice(module, FIELD_UT) for module in suit.module_ids}
+    worn = replace(_worn_settings(suit), voice=voices.__getitem__)
+    traffic = SuitTraffic(_moving(suit), worn, TYPICAL, SEED)
+    trackers = {voice.mac: module for module, voice in voices.items()}
+    link = SlimevrLinkSettings(name="trackers", url="udp://0.0.0.0:6969", trackers=trackers)
+    device, modules = SlimevrDevice(link), ModuleTable()
+    modules.add_link(link.name)
+    items: list[Item] = []
+    for step in range(1, round(until_s / SLIMEVR_TALK_S) + 1):
+        at_s = step * SLIMEVR_TALK_S
+        for sent in traffic.advance(at_s):
+            sender = f"10.0.0.{sent.device}:4210"
+            items.append(Chunk(sent.data, _instant_ns(sent.time_s), link.name, sender))
+            for message in device.feed(items[-1]):
+                device.sample(message, modules, items[-1])
+        for data, to in device.due(_instant_ns(at_s)):
+            items.append(SentChunk(data, _instant_ns(at_s), link.name))
+            traffic.receive(data, at_s, int(to.partition(":")[0].rpartition(".")[2]))
+    return Capture(suit, _settings(link), {link.name: "slimevr"}, items)
+
+
+def _partly_of_others(
+    suit: WornSuit, until_s: float, others: Mapping[str, Voice], worn: SuitSettings | None = None
+) -> list[Item]:
     """What a suit sends of which some modules speak as other makers' do, by the names of their links."""
-    traffic = SuitTraffic(_moving(suit), _worn_settings(suit), TYPICAL, SEED)
+    traffic = SuitTraffic(_moving(suit), worn or _worn_settings(suit), TYPICAL, SEED)
     spoken = {link: OneSpeaksOtherwise(voice) for link, voice in others.items()}
     items: list[Item] = []
     for chunk in _reads(traffic.transmissions(until_s), "suit"):
@@ -490,7 +563,7 @@ RECIPES: dict[str, Callable[[float], Capture]] = {
     for recipe in (
         serial, can, relay, trigger, devices, walking, fused,
         gnss_nmea, gnss_ubx, light, light_and_field, hips, ximu3, synchronised, makers,
-        markers, few_markers, heat_maps,
+        unstamped, fused_elsewhere, slimevr, markers, few_markers, heat_maps,
     )
 }  # fmt: skip
 """By the name of the recording; the argument: how long it lasts, s."""

@@ -14,7 +14,7 @@ from firmware_protocol import RELAY, FrameDecoder, PacketDecoder, encode_frame, 
 from firmware_protocol.commands import Verb
 from gateway.body.rig import load_rig
 from gateway.pipeline import Pipeline
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 
 pytestmark = pytest.mark.system

@@ -10,7 +10,10 @@ import pytest
 import ximu3
 import yaml
 
-from gateway.doctor import Surroundings, Verdict, examine_file
+from gateway.body.rig import load_rig
+from gateway.doctor.examination import examine_file
+from gateway.doctor.findings import Surroundings, Verdict
+from gateway.frames import Status
 from gateway.recording import open_recording
 from tests.patience import PATIENCE_S
 
@@ -28,9 +31,9 @@ def _state_of_its_own(tmp_path, monkeypatch):
 def emulated(command, tmp_path, unused_port):
     """``emulated(maker, medium, …)``: the links of emulated modules, for a configuration."""
 
-    def start(maker, medium, *more):
+    def start(maker, medium, *more, rig=RIG):
         where = ["--link", tmp_path / "imu"] if medium in ("pty", "slcan") else ["--port", unused_port]
-        process = command("emulate", "--speaks", maker, "--rig", RIG, "--on", medium, *where, *more, "--json")
+        process = command("emulate", "--speaks", maker, "--rig", rig, "--on", medium, *where, *more, "--json")
         return json.loads(process.until_said('"links"'))["links"]
 
     return start
@@ -39,9 +42,9 @@ def emulated(command, tmp_path, unused_port):
 @pytest.fixture
 def configured(tmp_path, mosquitto):
     def write(links, **more):
-        settings = {"gateway": "lab", "links": links, "rig": RIG, "mqtt": {"port": mosquitto.port}}
+        settings = {"gateway": "lab", "rig": RIG, "mqtt": {"port": mosquitto.port}, **more, "links": links}
         path = tmp_path / "gateway.yaml"
-        path.write_text(yaml.safe_dump({**settings, "recording": {"folder": str(tmp_path)}, **more}))
+        path.write_text(yaml.safe_dump({**settings, "recording": {"folder": str(tmp_path)}}))
         return path
 
     return write
@@ -53,7 +56,24 @@ def ended(process):
     return process.output
 
 
-WAYS = [("ximu3", "pty"), ("ximu3", "tcp"), ("ximu3", "udp"), ("mti", "pty"), ("mti_can", "slcan")]
+WAYS = [
+    ("ximu3", "pty"),
+    ("ximu3", "tcp"),
+    ("ximu3", "udp"),
+    ("mti", "pty"),
+    ("mti_can", "slcan"),
+    ("slimevr", "udp"),
+    ("witmotion", "pty"),
+    ("witmotion", "tcp"),
+    ("witmotion_can", "slcan"),
+]
+SUITS = [
+    ("mvn", "tcp", "mvn_17", "joint", []),
+    ("mvn", "udp", "mvn_fused_23", "fused", ["--mode", "fused"]),
+    ("bno08x_rvc", "pty", "arm_3", "fused_neutral", []),
+    ("mocopi", "udp", "mocopi_23", "fused", []),
+]
+"""Maker, medium, rig, method, and what the emulator must be told: several modules a link, or fused ones."""
 
 
 @pytest.mark.parametrize(("maker", "medium"), WAYS)
@@ -61,7 +81,7 @@ def test_plugged_in_listed_run_recorded_and_verified(
     emulated, configured, command, mosquitto, maker, medium, tmp_path
 ):
     links = emulated(maker, medium)
-    assert len({link["url"] for link in links}) == 3
+    assert len({link["url"] for link in links}) == (1 if maker == "slimevr" else 3)
     config = configured(links)
     assert "is good" in ended(command("config", "check", config))
     listed = json.loads(ended(command("modules", "list", "-c", config, "--json")))
@@ -69,8 +89,10 @@ def test_plugged_in_listed_run_recorded_and_verified(
         assert module["rate_hz"] > 60
         if maker != "mti_can":
             assert module["answers"], module
-            assert len(module["unique_id"]) == 8
-        if maker == "ximu3":
+            assert len(module["unique_id"]) == {"slimevr": 12, "witmotion": 24}.get(
+                maker.removesuffix("_can"), 8
+            )
+        if maker in ("ximu3", "slimevr"):
             assert module["battery_percent"] > 90
     gateway = command("record", "-c", config, "--folder", tmp_path, "--name", "walk", "--quiet")
     watched = command(
@@ -85,6 +107,73 @@ def test_plugged_in_listed_run_recorded_and_verified(
     (recorded,) = tmp_path.glob("*walk.mcap")
     assert set(open_recording(recorded).meta.links.values()) == {maker}
     assert "identical" in ended(command("replay", recorded, "--verify"))
+
+
+@pytest.mark.parametrize(("maker", "medium", "rig", "method", "more"), SUITS)
+def test_suits_and_fused_modules_are_listed_run_recorded_and_verified(
+    emulated, configured, command, tmp_path, maker, medium, rig, method, more
+):
+    links = emulated(maker, medium, *more, rig=rig)
+    config = configured(links, rig=rig, reconstructor=method)
+    assert "is good" in ended(command("config", "check", config))
+    worn = len(load_rig(rig).module_ids)
+    listed = json.loads(ended(command("modules", "list", "-c", config, "--json")))
+    assert sum(module["segment"] is not None for module in listed["modules"]) == worn
+    found = examine_file(config, None, 1.0, Surroundings(usual_broker_ports=()))
+    assert {f.verdict for f in found if ": data" in f.subject or ": method" in f.subject} == {Verdict.GOOD}
+    ended(command("record", "-c", config, "--folder", tmp_path, "--name", "walk", "--seconds", 6, "--quiet"))
+    (recorded,) = tmp_path.glob("*walk.mcap")
+    assert set(open_recording(recorded).meta.links.values()) == {maker}
+    assert "identical" in ended(command("replay", recorded, "--verify"))
+    poses = list(open_recording(recorded).skeleton_frames())[100:]
+    assert len(poses) > 100
+    assert np.isfinite([pose.q_wb for pose in poses]).all()
+    assert np.abs(np.diff([pose.q_wb[-1] for pose in poses], axis=0)).max() > 1e-3  # it moves
+    assert {Status(each) for pose in poses for each in pose.status} <= set(Status) - {Status.MISSING}
+
+
+def test_a_method_that_cannot_use_what_comes_is_told(emulated, configured):
+    links = emulated("bno08x_rvc", "pty")
+    config = configured(links, reconstructor="joint")
+    found = examine_file(config, None, 1.0, Surroundings(usual_broker_ports=()))
+    (told,) = {(f.found, f.remedy) for f in found if f.subject.endswith(": method")}
+    assert "orientations fused on board, and no raw samples" in told[0]
+    assert "reconstructor: fused_neutral" in told[1]
+
+
+def test_a_witmotion_device_is_told_what_to_send_and_loses_nothing_by_it(emulated, configured, command):
+    links = emulated("witmotion", "pty")
+    module, config = links[0]["module"], configured(links)
+    wanted = ["rate=50", "content=acceleration,angular_rate"]
+    said = ended(command("modules", "set", module, *wanted, "-c", config, "--allow-writes"))
+    assert "rate 100 → 50" in said
+    shown = yaml.safe_load(ended(command("modules", "show", module, "-c", config)))
+    assert (shown["rate"], shown["content"], shown["baud"]) == (50, ["acceleration", "angular_rate"], 115200)
+    found = examine_file(config, None, 1.0, Surroundings(usual_broker_ports=()))
+    warned = {f.found for f in found if f.subject == f"{links[0]['name']}: settings"}
+    assert warned == {"sends no field", "sends 50 samples a second for 100 poses"}
+    refused = command("modules", "set", module, "rate=77", "-c", config, "--allow-writes")
+    assert refused.wait() == 1
+    assert "rate=77: can be 0.2, 0.5," in refused.errors
+
+
+@pytest.mark.parametrize(
+    "asked", [["backup", "-"], ["undo", "--allow-writes"], ["assign", "--yes", "--allow-writes"]]
+)
+def test_what_is_for_modules_of_our_own_alone_says_so(emulated, configured, command, asked):
+    config = configured(emulated("witmotion", "pty"))
+    refused = command("modules", *asked, "-c", config)
+    assert refused.wait() == 1
+    assert "modules of other makers" in refused.errors
+
+
+def test_sensors_of_other_makers_are_calibrated_into_a_rig_file(emulated, configured, command, tmp_path):
+    config = configured(emulated("witmotion", "pty", "--tumbling"))
+    wanted = ["--only", "gyrometer", "--seconds", 20, "--poor", "-o", tmp_path / "rig.yaml", "--json"]
+    found = json.loads(ended(command("calibrate", "sensors", "-c", config, *wanted)))
+    assert len(found) == 3
+    assert all(np.isfinite(each["gyrometer"]["bias"]).all() for each in found.values())
+    assert load_rig(str(tmp_path / "rig.yaml")).calibrations.keys() == set(map(int, found))
 
 
 def test_settings_are_written_where_that_is_allowed_and_by_the_running_gateway(

@@ -17,10 +17,12 @@ import psutil
 import pytest
 from amqtt.adapters import StreamReaderAdapter, StreamWriterAdapter
 
-from gateway.outputs import BrokerProcess, EmbeddedBrokerError, MqttSettings, PoseSubscriber
+from gateway.outputs.broker_process import BrokerProcess, EmbeddedBrokerError
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.embedded_broker import _Broker, broker_config
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import PoseSubscriber
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ pytestmark = pytest.mark.system
 
 PARENT_WITH_A_BROKER = """
 import asyncio, json
-from gateway.outputs import BrokerProcess
+from gateway.outputs.broker_process import BrokerProcess
 
 async def main():
     broker = BrokerProcess(0)

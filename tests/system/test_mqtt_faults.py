@@ -12,9 +12,10 @@ import aiomqtt
 import numpy as np
 import pytest
 
-from gateway.outputs import MqttSettings, PoseSubscriber, connection, mqtt
+from gateway.outputs import connection, mqtt
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.subscriber import BrokerUnreachableError
+from gateway.outputs.settings import MqttSettings
+from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -30,7 +31,8 @@ GATEWAY_THAT_PUBLISHES = """
 import asyncio, sys
 import numpy as np
 from gateway.body.skeleton import Skeleton
-from gateway.outputs import BridgeInfo, MqttSettings
+from gateway.contract.messages import BridgeInfo
+from gateway.outputs.settings import MqttSettings
 from gateway.outputs.mqtt import MqttOutput
 
 async def main():

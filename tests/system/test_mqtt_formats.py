@@ -9,10 +9,10 @@ import orjson
 import ormsgpack
 import pytest
 
-from gateway.outputs import BridgeInfo, ModuleInfo, MqttSettings
+from gateway.contract.messages import BridgeInfo, ModuleInfo
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.settings import PoseFormat
+from gateway.outputs.settings import MqttSettings, PoseFormat
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system

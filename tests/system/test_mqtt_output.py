@@ -21,10 +21,10 @@ from devices.link import gateway_time_ns
 from gateway.contract import topics
 from gateway.contract.messages import PUBLICATIONS, ModuleAvailability, ModuleState
 from gateway.contract.properties import MSGPACK
-from gateway.outputs import BrokerUnreachableError, MqttSettings, PoseMap, PoseSubscriber, TlsSettings
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.settings import PASSWORD_VARIABLE, PoseFormat
+from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings, PoseFormat, PoseMap, TlsSettings
+from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:

@@ -11,9 +11,10 @@ import pytest
 
 from gateway.body.rig import load_rig
 from gateway.errors import OutputError
-from gateway.outputs import MqttSettings, PoseSubscriber, own_topics
+from gateway.outputs import own_topics
 from gateway.outputs.mqtt import MqttOutput
-from gateway.outputs.settings import PASSWORD_VARIABLE
+from gateway.outputs.settings import PASSWORD_VARIABLE, MqttSettings
+from gateway.outputs.subscriber import PoseSubscriber
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings
 

@@ -23,8 +23,8 @@ from rich.console import Console
 
 from gateway.cli.watch import Watch, watch_poses
 from gateway.contract.messages import PoseMessage
-from gateway.outputs import MqttSettings
 from gateway.outputs.mqtt import MqttOutput
+from gateway.outputs.settings import MqttSettings
 from tests.patience import PATIENCE_S
 
 if TYPE_CHECKING:

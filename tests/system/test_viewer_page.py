@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import socket
 
 import aiomqtt
 import pytest
@@ -88,12 +89,15 @@ async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitt
         await publishing
 
 
-@pytest.mark.parametrize("maker", ["ximu3", "mti"])
+@pytest.mark.parametrize("maker", ["ximu3", "mti", "slimevr"])
 async def test_the_page_shows_a_body_that_modules_of_another_maker_move(
     mosquitto, unused_port, chromium, command, tmp_path, maker
 ):
-    emulate = ["emulate", "--speaks", maker, "--rig", "arm_3", "--on", "pty", "--link", tmp_path / "imu"]
-    emulated = command(*emulate, "--json")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    where = ["udp", "--port", port] if maker == "slimevr" else ["pty", "--link", tmp_path / "imu"]
+    emulated = command("emulate", "--speaks", maker, "--rig", "arm_3", "--on", *where, "--json")
     links = json.loads(await emulated.until_it_says('"links"'))["links"]
     config = tmp_path / "gateway.yaml"
     settings = {"gateway": GATEWAY, "links": links, "rig": "arm_3", "mqtt": {"port": mosquitto.port}}

@@ -15,6 +15,8 @@ class LinkPerDevice:
         """links: by number of the device, all of one framing."""
         self.links = links
         self.framing = next(iter(links.values())).framing
+        self._each = list(dict.fromkeys(links.values()))
+        """Devices may share one."""
 
     @property
     def url(self) -> str:
@@ -24,16 +26,17 @@ class LinkPerDevice:
     @property
     def urls(self) -> dict[int, str]:
         """The same by device, as far as they are open."""
-        return {device: link.url for device, link in self.links.items() if link.url}
+        first = {link: device for device, link in reversed(list(self.links.items()))}
+        return {first[link]: link.url for link in self._each if link.url}
 
     async def open(self) -> None:
         """Open all. Raises ``OSError``."""
-        for link in self.links.values():
+        for link in self._each:
             await link.open()
 
     def offer(self, data: bytes) -> bool:
         """Give to all: what no device sends is on every line."""
-        taken = [link.offer(data) for link in self.links.values()]
+        taken = [link.offer(data) for link in self._each]
         return all(taken)
 
     def offer_from(self, device: int | None, data: bytes) -> bool:
@@ -46,10 +49,11 @@ class LinkPerDevice:
         def hand_on(device: int, data: bytes, _device: int | None = None, /) -> None:
             on_receive(data, device)
 
-        for device, link in self.links.items():
+        first = {link: device for device, link in reversed(list(self.links.items()))}
+        for link, device in first.items():
             link.listen(partial(hand_on, device))
 
     async def close(self) -> None:
         """Close all."""
-        for link in self.links.values():
+        for link in self._each:
             await link.close()

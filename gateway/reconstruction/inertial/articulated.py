@@ -1,6 +1,6 @@
 """The literal articulated reconstructor: the reference that estimators are measured against.
 
-Equations: ``operators`` (JP4989660B2), ``gyro_free`` (the general case without gyrometers).
+Equations: ``operators`` (JP4989660B2).
 
 When a segment of rank n (root: 1) is first defined, counting samples from 1:
 - ``U = 0``, no gyrometers: sample 2n − 1 (two more orientations of rank n − 1 are needed each time);
@@ -25,22 +25,31 @@ rank 4 of an arm of 0.35, 0.30, 0.25 m has a floor of 5e-7° at 100 Hz, 2e-5° a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame, SkeletonFrame, Status
-from gateway.geometry import quaternion
-from gateway.reconstruction.inertial.gyro_free import Weights
-from gateway.reconstruction.inertial.local_device import RootMotion
+from gateway.geometry import quaternion, rotation_matrix
+from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial.local_devices import RootMotion
 from gateway.reconstruction.inertial.observations import (
     SegmentObservations,
     SegmentObserver,
     with_sun_as_field,
 )
-from gateway.reconstruction.inertial.operators import Chain, advance, initial_state
-from gateway.reconstruction.inertial.static_start import StaticStart
+from gateway.reconstruction.inertial.operators import (
+    Chain,
+    Instant,
+    Rotation,
+    Told,
+    Weights,
+    advance,
+    initial_state,
+    next_rotation,
+)
 from gateway.reconstruction.inertial.travel import travel_from
 
 ON_JOINT = 1e-6
@@ -125,7 +134,7 @@ class ArticulatedReconstructor:
         self._static_start.reset()
         self._needs_pose = self._starting_pose is not None
 
-    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
+    def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``."""
         time_ns = observation.time_ns
         sun = observation.sun
@@ -141,10 +150,7 @@ class ArticulatedReconstructor:
             self._state,
             self._weights,
             self._settings.longest_gap_s,
-            time_ns,
-            self._root_motion.acceleration(time_ns),
-            root_position,
-            observed,
+            Instant(time_ns, self._root_motion.acceleration(time_ns), root_position, observed),
         )
         return SkeletonFrame(
             sequence=observation.sequence,
@@ -216,3 +222,130 @@ def travelled_chain(suit: WornSuit) -> Chain:
         gravity=np.array(suit.gravity, np.float64),
         field=np.array(suit.magnetic_field, np.float64),
     )
+
+
+class StaticStart:
+    """Watches for rest of the whole body; gives all orientations once it has lasted long enough.
+
+    n_frames: how many successive frames rest must last.
+    norm_tolerance: how far the mean specific force may be from |g|, m/s².
+    deviation: largest standard deviation of an axis of the specific force, m/s².
+    """
+
+    def __init__(
+        self, gravity: FloatArray, field: FloatArray, n_frames: int, norm_tolerance: float, deviation: float
+    ) -> None:
+        self._gravity, self._field = gravity, field
+        self._n_frames, self._norm_tolerance, self._deviation = n_frames, norm_tolerance, deviation
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin to watch anew."""
+        self._history: list[SegmentObservations] = []
+
+    def add(self, observations: SegmentObservations) -> FloatArray | None:
+        """Orientations (n_segments, 3, 3) when the body has rested, NaN without module; else None."""
+        self._history = [*self._history[1 - self._n_frames :], observations]
+        if len(self._history) < self._n_frames:
+            return None
+        force = np.array([o.specific_force for o in self._history])  # (n_frames, n_segments, 3)
+        observed = np.isfinite(force).all(axis=(0, 2))
+        if not observed.any() or not self._is_static(force[:, observed]):
+            return None
+        magnetic = np.array([o.magnetic_field for o in self._history]).mean(axis=0)
+        mean = force.mean(axis=0)
+        up = -self._gravity
+        vectors = zip(mean, magnetic, strict=True)
+        vectors = zip(mean, magnetic, strict=True)
+        return np.stack([rotation_matrix.from_two_vectors(f, x, up, self._field) for f, x in vectors])
+
+    def _is_static(self, force: FloatArray) -> bool:
+        norms = np.linalg.norm(force.mean(axis=0), axis=-1)
+        off_norm = np.abs(norms - np.linalg.norm(self._gravity))
+        return bool(off_norm.max() < self._norm_tolerance and force.std(axis=0).max() < self._deviation)
+
+
+# Which headings cannot be told
+#
+# Find for which placements ``articulated`` loses the heading where modules have no gyrometers.
+#
+# At rest a module off its joint tells nothing of a turn about the field but by the acceleration that such a
+# turn would cause (``next_rotation``): where the arm from the joint lies in the plane of vertical and field,
+# only the pendulum equation is left, and that is stable for a module that hangs below the joint. So it is
+# tried, with these equations themselves: from a start that is wrong by a degree, a body at rest in the
+# neutral posture gives exact readings, and the error has to shrink. It depends on the way the body faces.
+
+
+FACINGS = tuple(range(0, 360, 15))
+"""Ways to face, degrees clockwise from north. Placements are lost within 10° or more to either side."""
+_NEUTRAL_FACING = 90
+_START_ERROR = math.radians(1.0)
+_N_FRAMES, _INTERVAL_S = 200, 0.005
+"""What hangs below its joint has lost a quarter of the error by then, what stands above it is off by 5°."""
+
+
+def unobserved_headings(suit: WornSuit) -> dict[str, tuple[int, ...]]:
+    """Return, by segment, those of ``FACINGS`` in which its heading is not observed; none: not in the result.
+
+    Of ``articulated`` without gyrometers, at rest in the neutral posture. Segments without a module, or with
+    one on their joint, have no such ways.
+    """
+    settings = ArticulatedSettings()
+    weights = Weights(
+        settings.specific_force_sigma, settings.direction_sigma, settings.second_difference_sigma
+    )
+    sigma = np.repeat([settings.start_orientation_sigma, settings.start_rate_sigma], 3)
+    U = travelled_chain(suit).U
+    neutral = quaternion.to_matrix(quaternion.normalise(suit.skeleton.neutral))
+    found: dict[str, tuple[int, ...]] = {}
+    for s in np.flatnonzero((suit.module_of_segment >= 0) & (np.linalg.norm(U, axis=1) >= ON_JOINT)):
+        lost = tuple(
+            facing
+            for facing in FACINGS
+            if _largest_error_at_rest(
+                _turned(neutral, facing),
+                -suit.gravity,
+                suit.magnetic_field,
+                U[s],
+                weights,
+                np.diag(sigma**2),
+            )
+            > _START_ERROR
+        )
+        if lost:
+            found[suit.skeleton.segment_names[s]] = lost
+    return found
+
+
+def _turned(neutral: FloatArray, facing: int) -> FloatArray:
+    """Return the orientation (3, 3) of segments whose body faces that way."""
+    angle = math.radians(_NEUTRAL_FACING - facing)  # counter-clockwise from above
+    turn = rotation_matrix.from_rotation_vector(np.array([0.0, 0.0, angle]))
+    return np.asarray(turn @ neutral)
+
+
+@compiled
+def _largest_error_at_rest(
+    truth: FloatArray,
+    up: FloatArray,
+    field: FloatArray,
+    U: FloatArray,
+    weights: Weights,
+    covariance: FloatArray,
+) -> float:
+    """Return the angle, rad, that the orientation is off after a second at rest, having begun a degree off.
+
+    truth: (3, 3) segment to world; up: (3,) a − g, m/s²; field: (3,) µT, both in the world.
+    The degree is about the field, one way and the other; the larger outcome counts.
+    """
+    f, x = rotation_matrix.rotate_inverse(truth, up), rotation_matrix.rotate_inverse(truth, field)
+    largest = 0.0
+    for sign in (-1.0, 1.0):
+        turn = field * (sign * _START_ERROR / math.sqrt((field * field).sum()))
+        R = rotation_matrix.multiply(rotation_matrix.from_rotation_vector(turn), truth)
+        now = Rotation(R, np.zeros(3), np.zeros(3), covariance)
+        for _ in range(_N_FRAMES):
+            now = next_rotation(now, _INTERVAL_S, _INTERVAL_S, Told(f, x, up, field), U, weights)
+        off = now.R - truth  # the sum of its squares is 8 sin²(angle / 2)
+        largest = max(largest, 2.0 * math.asin(min(1.0, math.sqrt((off * off).sum() / 8.0))))
+    return largest

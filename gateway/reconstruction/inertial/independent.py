@@ -19,13 +19,18 @@ from gateway.frames import Clipped, FloatArray, ImuFrame, IntArray, SkeletonFram
 from gateway.geometry import derivatives, quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import norm
-from gateway.reconstruction.inertial.habits import clear, no_habits, note
-from gateway.reconstruction.inertial.module_filter import ModuleFilter, Sample
+from gateway.reconstruction.inertial.module_filter import ModuleFilter, Sample, clear, no_habits, note
 from gateway.reconstruction.inertial.observations import SegmentObserver, clipped_of, with_sun_as_field
-from gateway.reconstruction.inertial.tuning import tuning
+from gateway.reconstruction.inertial.tree.tuning import tuning
 
-HELD, PREDICTED, MISSING = Status.HELD.value, Status.PREDICTED.value, Status.MISSING.value
-UNAIDED = Status.UNAIDED.value
+HELD, MISSING, PREDICTED, UNAIDED = (
+    Status.HELD.value,
+    Status.MISSING.value,
+    Status.PREDICTED.value,
+    Status.UNAIDED.value,
+)
+
+
 RANGES = tuning()
 """Where sensors are saturated that do not say so themselves, the same as for ``joint``."""
 
@@ -82,7 +87,7 @@ class IndependentReconstructor:
         self._rate = np.full((n, 3), np.nan)
         self._time_ns = 0
 
-    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
+    def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
         """One instant."""
         sun = observation.sun
         if sun is not None:

@@ -1,10 +1,10 @@
-"""One module's filter: VQF, and what VQF has no answer to, gaps.
+"""One module's filter: VQF, and what VQF has no answer to, gaps. Compiled but for VQF's part.
 
 VQF (Laidig & Seel, Information Fusion 91, 2023) takes every sample for the next one. After a gap it either
 goes on from where it was, tens of degrees off and for tens of seconds, or begins anew from one specific force
 that is no plumb line. Here a short gap is bridged by samples interpolated between its ends; after a longer
-one the module settles for three seconds (``settling``), while VQF goes on integrating and keeps what it knows
-of the gyrometers' bias and the field; then VQF is put where the module was found.
+one the module settles for three seconds (``settle``), while VQF goes on integrating and keeps what it knows
+of the gyroscope's bias and the field; then VQF is put where the module was found.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from devices.deferred import VQF
-from gateway.frames import FloatArray
+from gateway.frames import FloatArray, IntArray
 from gateway.geometry import quaternion
-from gateway.reconstruction.inertial import settling
-from gateway.reconstruction.inertial.habits import Habits, after_gap
-from gateway.reconstruction.inertial.settling import Before, Since, settle
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import dot, is_finite, norm, vector
 
 LONGEST_BRIDGE_S = 0.1
 """As long as the assembler bridges by default. What the module did is known then; nothing has to settle."""
@@ -37,6 +37,8 @@ _AVERAGES = (
     "restAccLpState",
     "magNormDipLpState",
 )
+
+
 _NONE = np.full(3, np.nan)
 
 
@@ -83,7 +85,7 @@ class ModuleFilter:
         """While it settles."""
         self._pause_s = 0.0
         """Until motion may tell the bias again, after that."""
-        self._since = settling.nothing_since()
+        self._since = nothing_since()
         self._q_wi, self._sigma = np.array([1.0, 0.0, 0.0, 0.0]), 0.0
         self._kept: _Kept | None = None
 
@@ -144,7 +146,7 @@ class ModuleFilter:
         q_is = self._vqf.getQuat3D()
         f, x = _NONE if f is None else f, _NONE if x is None else x
         self._q_wi, self._sigma = settle(self._before, self._since, q_is, f, x, self._interval_s)
-        if self._since.seconds[0] >= settling.SETTLED_S:
+        if self._since.seconds[0] >= SETTLED_S:
             self._hand_over()
 
     def _pass_pause(self) -> None:
@@ -182,7 +184,7 @@ class ModuleFilter:
         q_wi = quaternion.multiply(q_expected, quaternion.conjugate(self._vqf.getQuat3D()))
         q_wi, swing = quaternion.normalise(q_wi), math.sqrt(self._habits.swing[self._segment])
         self._before = Before(q_wi, float(sigma), swing, field_norm, dip, self._gravity)
-        self._since = settling.nothing_since()
+        self._since = nothing_since()
 
     def _forget_averages(self, state: dict[str, object], gap_s: float) -> None:
         """Of the time before the gap. The bias is kept, less certain, as far as anything was learnt of it."""
@@ -205,7 +207,7 @@ class ModuleFilter:
         state["lastAccLp"] = level.tolist()
         state["accQuat"], state["delta"] = self._q_wi.tolist(), 0.0
         if self.has_field:  # as VQF begins: the next sample is one of so many
-            state["kMagInit"] = self._interval_s / settling.SETTLED_S
+            state["kMagInit"] = self._interval_s / SETTLED_S
         vqf.state = state
         self._before = None
         self._pause_s = BIAS_PAUSE_S
@@ -220,3 +222,272 @@ class _Kept(NamedTuple):
     since: Since
     q_wi: FloatArray
     sigma: float
+
+
+# How a module has been moving, and hence what a gap in its samples may have done to it
+#
+# Within a tenth of a second or so a segment turns by about the mean of the rates before and after. Beyond
+# that nobody knows which way it turned; but limbs come back to where they use to be, so that the mean
+# orientation of the last seconds tells more than the last one does as soon as the module may have left it.
+
+
+RATE_MEMORY_S, MEAN_MEMORY_S = 3.0, 8.0
+LONGEST_TURN_S = 0.4
+"""Up to here the mean rate of both ends tells how far a limb has turned; measured on people and on a rig."""
+CURVATURE = 2.0
+"""1/s: error of that turn over rate times the gap's square."""
+WANDERING = 0.78
+"""√s: error of the last orientation over rate times the root of the gap."""
+DRIFT = 0.15
+"""rad/s at which the mean orientation itself becomes old."""
+SLOWEST = 0.5
+"""rad/s: so fast any module may turn while nobody looks, however still it was."""
+FLOOR, START_ERROR = 0.02, 0.5
+"""rad: of any orientation before a gap, and of one at the start, less with every second since."""
+
+
+class Habits(NamedTuple):
+    """By segment, changed in place; of the sound samples."""
+
+    orientation: FloatArray  # (n, 4) the last, sensor to the filter's world
+    mean: FloatArray  # (n, 4) of the last seconds; its length says how far they spread
+    specific_force: FloatArray  # (n, 3) last values, sensor axes
+    angular_rate: FloatArray  # (n, 3)
+    magnetic_field: FloatArray  # (n, 3) NaN where there was none
+    turning: FloatArray  # (n,) (rad/s)², mean square of the rate about an axis
+    swing: FloatArray  # (n,) (m/s²)², mean square of what the specific force's norm is off gravity
+    seconds: FloatArray  # (n,) of samples, up to now
+
+
+def no_habits(n: int) -> Habits:
+    """Of n segments of which nothing is known yet."""
+    q, v = np.zeros((n, 4)), np.zeros((n, 3))
+    return Habits(q, q.copy(), v, v.copy(), v.copy(), np.zeros(n), np.zeros(n), np.zeros(n))
+
+
+def clear(habits: Habits) -> None:
+    """Forget all of it, in place."""
+    for values in habits:
+        values[...] = 0.0
+
+
+@compiled
+def note(
+    habits: Habits,
+    segments: IntArray,
+    rows: IntArray,
+    is_sound: NDArray[np.bool_],
+    q: FloatArray,
+    f: FloatArray,
+    w: FloatArray,
+    x: FloatArray,
+    gravity: float,
+    dt: float,
+) -> None:
+    """One instant. segments, rows: (k,) segments with modules, and these; is_sound: (n,), q: (n, 4) by
+    segment; f, w, x: (m, 3) by row; dt: s that a sample stands for."""
+    for s, row in zip(segments, rows):  # noqa: B905 - strict is not known to the compiler
+        if not is_sound[s]:
+            continue
+        habits.orientation[s] = q[s]
+        habits.specific_force[s], habits.angular_rate[s], habits.magnetic_field[s] = f[row], w[row], x[row]
+        habits.seconds[s] += dt
+        share = dt / min(habits.seconds[s], RATE_MEMORY_S)
+        square = (w[row, 0] ** 2 + w[row, 1] ** 2 + w[row, 2] ** 2) / 3.0
+        habits.turning[s] += share * (square - habits.turning[s])
+        habits.swing[s] += share * ((norm(f[row]) - gravity) ** 2 - habits.swing[s])
+        share = dt / min(habits.seconds[s], MEAN_MEMORY_S)
+        sign = -1.0 if np.sum(q[s] * habits.mean[s]) < 0.0 else 1.0
+        habits.mean[s] += share * (sign * q[s] - habits.mean[s])
+
+
+@compiled
+def after_gap(habits: Habits, s: int, gap_s: float, rate: FloatArray) -> tuple[FloatArray, float]:
+    """The orientation to be expected of segment s (4,), and its standard deviation about an axis, rad.
+
+    rate: (3,) mean of those before and after the gap, rad/s, without bias.
+    """
+    known = FLOOR + START_ERROR / (1.0 + habits.seconds[s])
+    fastest = math.sqrt(max(habits.turning[s], SLOWEST**2, np.sum(rate**2) / 3.0))
+    if gap_s <= LONGEST_TURN_S:
+        turned = quaternion.from_rotation_vector(rate * gap_s)
+        return quaternion.multiply(habits.orientation[s], turned), CURVATURE * gap_s**2 * fastest + known
+    wandered = WANDERING * math.sqrt(gap_s) * fastest
+    length = math.sqrt(np.sum(habits.mean[s] ** 2))
+    spread = math.sqrt(max(0.0, 4.0 * (1.0 - length**2)) + (DRIFT * gap_s) ** 2)
+    if spread < wandered and length > 0.0:
+        return habits.mean[s] / length, min(spread, math.pi) + known
+    return habits.orientation[s].copy(), min(wandered, math.pi) + known
+
+
+# Where a module is that is back after a gap: from all that it has said since, and what was known before
+#
+# Its gyroscope carries every sample since into one frame, that of the return; how this frame i stands in the
+# world does not change any more. Three things tell: the mean specific force there, which is gravity but for
+# the velocity gained meanwhile; the mean magnetic field, if its inclination is known; and the orientation
+# before the gap. Each counts by how uncertain it is, and the orientation that all of them together make
+# likeliest is the eigenvector of a symmetric 4 × 4 matrix (Davenport's q-method: Markley & Mortari,
+# J. Astronaut. Sci. 48, 2000; a prior rotation adds its own outer product).
+#
+# Unlike a filter that begins anew and corrects heading and inclination one after the other, no sample is ever
+# judged by what the inclination seemed to be when it came.
+
+
+SETTLED_S = 3.0
+"""So long is what VQF averages the specific force over."""
+FIRST_ERROR = 0.75
+"""Error of one specific force as a plumb line over the acceleration's root mean square, over gravity."""
+PLAIN_S, TAPERED_S = 0.35, 0.6
+"""The plain mean's error falls with 1 / (1 + t/PLAIN_S), the tapered one's with 1 / (1 + (t/TAPERED_S)²)."""
+TAPER_FROM_S, TAPER_AT_S = 1.0, 1.5
+"""From the one mean to the other: by then the taper spans the slowest swings of a walk."""
+LEAST_SWING = 0.3
+"""m/s²."""
+LEAST_TILT = 0.02
+"""rad."""
+FIELD_ERROR = 0.08
+"""rad, of the magnetic field's direction from place to place within a room."""
+OTHER_FIELD = 0.1
+"""Share by which the field's norm differs where it is another field (as in VQF)."""
+_SQUARINGS = 20
+
+
+class Before(NamedTuple):
+    """What is known of a module when it comes back."""
+
+    q_wi: FloatArray  # (4,) as expected
+    sigma: float
+    """rad about an axis, of that."""
+    swing: float
+    """m/s²: root mean square of what the specific force's norm was off gravity."""
+    field_norm: float
+    """µT; 0: not known."""
+    dip: float
+    """rad, inclination of the field."""
+    gravity: float
+    """m/s²."""
+
+
+class Since(NamedTuple):
+    """Sums over the samples since, frame i; changed in place."""
+
+    force: FloatArray  # (3, 3) Σ f, Σ t f, Σ t² f
+    field: FloatArray  # (3,) Σ m
+    squares: FloatArray  # (2,) Σ |f|², Σ |m|
+    seconds: FloatArray  # (2,) of specific forces, of fields
+
+
+def nothing_since() -> Since:
+    """At the return."""
+    return Since(np.zeros((3, 3)), np.zeros(3), np.zeros(2), np.zeros(2))
+
+
+@compiled
+def settle(
+    before: Before, since: Since, q_is: FloatArray, f: FloatArray, x: FloatArray, dt: float
+) -> tuple[FloatArray, float]:
+    """One more sample; q_wi (4,), and its standard deviation about the axis known worst, rad.
+
+    q_is: (4,) by the gyrometers. f, x: (3,) specific force and field, NaN where there is none. dt: s."""
+    if is_finite(f):
+        t = since.seconds[0] + 0.5 * dt
+        f_i = quaternion.rotate(q_is, f)
+        since.force[0] += f_i
+        since.force[1] += t * f_i
+        since.force[2] += t * t * f_i
+        since.squares[0] += dot(f, f)
+        since.seconds[0] += dt
+    if is_finite(x):
+        since.field[:] += quaternion.rotate(q_is, x)
+        since.squares[1] += norm(x)
+        since.seconds[1] += dt
+    return _likeliest(before, since, dt)
+
+
+@compiled
+def _likeliest(before: Before, since: Since, dt: float) -> tuple[FloatArray, float]:
+    matrix = np.zeros((4, 4))
+    weight = 1.0 / before.sigma**2
+    for i in range(4):
+        for j in range(4):
+            matrix[i, j] = 2.0 * weight * before.q_wi[i] * before.q_wi[j]
+    total, up = 2.0 * weight, vector(0.0, 0.0, 0.0)
+    tilt_weight, field_weight = 0.0, 0.0
+    if since.seconds[0] > 0.0:
+        up, sigma = _up(before, since, dt)
+        tilt_weight = 1.0 / sigma**2
+        _add_pair(matrix, tilt_weight, up, vector(0.0, 0.0, 1.0))
+    strength = since.squares[1] * dt / since.seconds[1] if since.seconds[1] > 0.0 else 0.0
+    knows_dip = abs(strength - before.field_norm) < OTHER_FIELD * before.field_norm
+    if norm(since.field) > 0.0 and (knows_dip or tilt_weight > 0.0):
+        field = since.field / norm(since.field)
+        sine = -dot(up, field)
+        # one that is not known tells the heading only
+        dip = before.dip if knows_dip else math.asin(max(-1.0, min(1.0, sine)))
+        field_weight = 1.0 / FIELD_ERROR**2
+        _add_pair(matrix, field_weight, field, vector(0.0, math.cos(dip), -math.sin(dip)))
+        apart = max(0.0, 1.0 - sine**2)
+        weight += apart * min(tilt_weight, field_weight)
+    total += tilt_weight + field_weight
+    return _dominant(matrix, total), 1.0 / math.sqrt(weight)
+
+
+@compiled
+def _up(before: Before, since: Since, dt: float) -> tuple[FloatArray, float]:
+    """Mean specific force in frame i, unit (3,), and how far it is from the vertical, rad.
+
+    Velocities are bounded, so a plain mean errs by (v₁ − v₀) / t; one that fades in and out (6 s (1 − s), s
+    from 0 to 1) leaves less of what swings, once it spans a swing."""
+    t = since.seconds[0]
+    n = t / dt
+    mean = since.force[0] / n
+    scatter = max(0.0, since.squares[0] / n - dot(mean, mean))
+    acceleration = math.sqrt(max(scatter, 3.0 * max(before.swing, LEAST_SWING) ** 2))
+    error = 1.0 / (1.0 + t / PLAIN_S)
+    share = min(1.0, max(0.0, (t - TAPER_FROM_S) / (TAPER_AT_S - TAPER_FROM_S)))
+    if share > 0.0:
+        tapered = 6.0 * (since.force[1] / t - since.force[2] / t**2) / n
+        mean = (1.0 - share) * mean + share * tapered
+        error = (1.0 - share) * error + share / (1.0 + (t / TAPERED_S) ** 2)
+    sigma = math.sqrt((FIRST_ERROR * acceleration / before.gravity * error) ** 2 + LEAST_TILT**2)
+    length = norm(mean)
+    return mean / length if length > 0.0 else mean, sigma
+
+
+@compiled
+def _add_pair(matrix: FloatArray, weight: float, b: FloatArray, r: FloatArray) -> None:
+    """Add what makes qᵀ K q the weighted cosine between r and b turned by q; b, r: (3,) unit."""
+    trace = weight * dot(b, r)
+    matrix[0, 0] += trace
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        across = weight * (b[j] * r[k] - b[k] * r[j])
+        matrix[0, 1 + i] += across
+        matrix[1 + i, 0] += across
+        matrix[1 + i, 1 + i] += 2.0 * weight * b[i] * r[i] - trace
+        both = weight * (b[i] * r[j] + b[j] * r[i])
+        matrix[1 + i, 1 + j] += both
+        matrix[1 + j, 1 + i] += both
+
+
+@compiled
+def _dominant(matrix: FloatArray, bound: float) -> FloatArray:
+    """Unit eigenvector of the largest eigenvalue of a symmetric (4, 4) matrix, none of which is below -bound.
+
+    By squaring it again and again, made positive: what is largest outgrows the rest."""
+    power = matrix + bound * np.eye(4)
+    squared = np.empty((4, 4))
+    for _ in range(_SQUARINGS):
+        scale = power[0, 0] + power[1, 1] + power[2, 2] + power[3, 3]
+        for i in range(4):
+            for j in range(4):
+                entry = 0.0
+                for k in range(4):
+                    entry += power[i, k] * power[k, j]
+                squared[i, j] = entry / scale**2
+        power[:] = squared
+    best = 0
+    for i in range(1, 4):
+        if power[i, i] > power[best, best]:
+            best = i
+    return quaternion.normalise(power[best].copy())

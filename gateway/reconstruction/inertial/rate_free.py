@@ -8,8 +8,10 @@ its acceleration is then taken to be small on the whole, as plain inclinometers 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,13 +19,12 @@ from gateway.body.kinematics import joint_positions
 from gateway.body.skeleton import LocalDevice, WornSuit
 from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity, SkeletonFrame, Status, StatusArray
 from gateway.geometry import quaternion, rotation_matrix
-from gateway.reconstruction.inertial import field_lag
+from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Record, Records, Vector, array_of, record, records
+from gateway.geometry.vectors import dot, norm
 from gateway.reconstruction.inertial import rate_free_filter as one
-from gateway.reconstruction.inertial import rate_free_points as points
-from gateway.reconstruction.inertial.held_arguments import hold
 from gateway.reconstruction.inertial.observations import SegmentObservations, SegmentObserver
-from gateway.reconstruction.inertial.rate_free_filter import MotionNoise, Rows, SegmentState
-from gateway.reconstruction.inertial.rate_free_smoother import empty_log, note, smoothed
+from gateway.reconstruction.inertial.rate_free_filter import Known, MotionNoise, motion_noise
 from gateway.reconstruction.inertial.travel import travel_from
 
 LEASH_M, LEASH_M_S = 0.3, 0.5
@@ -42,7 +43,7 @@ JOINT_INFLATION = 20.0
 class RateFreeSettings:
     """Parameters; the defaults serve all bodies and motions."""
 
-    noise: MotionNoise = field(default_factory=MotionNoise)
+    noise: MotionNoise = field(default_factory=motion_noise)
     longest_hold_s: float = 0.3
     """A local device silent for longer no longer holds its segment."""
     longest_gap_s: float = 0.5
@@ -84,21 +85,21 @@ class RateFreeReconstructor:
     def reset(self) -> None:
         """Forget everything but the parameters."""
         n = self._n
-        self._noise = hold(self._settings.noise)
-        self._states = [one.empty_state() for _ in range(n)]
-        self._held = [hold(state) for state in self._states]
-        self._rows = [hold(one.empty_rows()) for _ in range(n)]
-        self._logs = [empty_log(self._length) for _ in range(n)] if self._length > 1 else []
-        self._held_logs = [hold(log) for log in self._logs]
-        self._lag = field_lag.lag_finder(self._interval_s)
+        self._segments, self._shared = one.empty_segments(n), records(one.Shared, 1)
+        shared = self._shared[0]
+        shared.gravity[:], shared.magnetic_field[:] = self._suit.gravity, self._suit.magnetic_field
+        shared.north[:], shared.noise = self._north, self._settings.noise
+        n_logs = n if self._length > 1 else 0
+        self._logs = [records(one.LoggedInstant, self._length) for _ in range(n_logs)]
+        self._lag = lag_finder(self._interval_s, self._suit.gravity)
         self._last_ns = np.full(n, np.iinfo(np.int64).min // 2)
         self._held_ns = np.full(n, np.iinfo(np.int64).min // 2)
         self._waiting: deque[SkeletonFrame] = deque()
 
-    def update(self, observation: ImuFrame, resting: FloatArray | None = None) -> SkeletonFrame:
+    def update(self, observation: ImuFrame, stood_s: FloatArray | None = None) -> SkeletonFrame:
         """One instant. Raises nothing: what is not defined is NaN and says so in ``status``.
 
-        resting: not looked at; whether a module turns at rest is told here by force and field together.
+        stood_s: not looked at; whether a module turns at rest is told here by force and field together.
         """
         observed = self._observer.observe(observation)
         status = np.full(self._n, Status.MISSING, np.uint8)
@@ -117,131 +118,98 @@ class RateFreeReconstructor:
             return self._begin(s, f, m, frame.time_ns, int(observed.status[s]))
         if since_s <= 0.0:
             return int(observed.status[s])
-        state, rows, noise = self._held[s], self._rows[s], self._noise
+        segments = self._segments
         if s == self._root:
-            field_lag.see_module(self._lag, frame.time_ns * 1e-9, f, m)
-        F = one.predict(state, noise, f, self._suit.gravity, since_s)
-        one.watch(state, noise, f, m, since_s)
-        x = np.zeros(one.N)
-        is_at_rest = one.add_rest(state, rows, noise, x, since_s)
-        is_disturbed = self._states[s].off_norm[0] > self._settings.noise.norm_tolerance
-        if np.isfinite(m).all() and not (is_at_rest and is_disturbed):
-            one.add_field(state, rows, noise, x, m, self._north, field_lag.lag_s(self._lag))
-        self._hold(s, state, rows, x, frame, since_s)
-        one.correct(state, x)
+            see_module(self._lag, frame.time_ns * 1e-9, f, m)
+        one.see(segments, s, self._shared, f, m, since_s)
+        self._hold(s, frame, since_s)
+        one.correct(segments, s)
         self._last_ns[s] = frame.time_ns
         if self._logs:
-            note(self._held_logs[s], state, F, rows)
+            one.note(segments, s, self._logs[s])
         return int(observed.status[s])
 
     def _begin(self, s: int, f: FloatArray, m: FloatArray, time_ns: int, status: int) -> int:
-        h = self._suit.magnetic_field
-        R = rotation_matrix.from_two_vectors(f, m, -self._suit.gravity, h)
-        if not np.isfinite(R).all():
+        if not one.begin(self._segments, s, self._shared, f, m):
             return Status.MISSING
-        one.begin(self._held[s], self._noise, R, f, m, h)
         self._last_ns[s] = time_ns
-        if self._logs:
-            self._logs[s].head[1] = 0
         return status
 
-    def _hold(
-        self, s: int, state: SegmentState, rows: Rows, x: FloatArray, frame: ImuFrame, dt: float
-    ) -> None:
-        """What is known of the place and motion of the segment's points."""
+    def _hold(self, s: int, frame: ImuFrame, dt: float) -> None:
+        """What is known of the place and motion of the segment's one."""
         before = int(self._travel.entered_from[s])
-        huber = self._settings.noise.huber
+        segments, shared = self._segments, self._shared
         if before >= 0 and self._last_ns[before] == frame.time_ns:
             out = self._travel.link[s] - self._U[before]
-            place, covariance = points.point(self._held[before], out)
+            place, covariance = one.point(segments, before, out)
             sigma = np.sqrt(JOINT_INFLATION * np.diag(covariance) + JOINT_SIGMA_M**2)
             self._catch(s, place, -self._U[s], frame.time_ns)
-            one.add_position(state, rows, x, place, -self._U[s], sigma, 0.0, huber)
+            one.add_position(segments, s, shared, Known(place, -self._U[s], sigma, 0.0))
         for device in self._suit.local_devices:
             if device.segment == s:
-                self._take_device(s, device, state, rows, x, frame)
+                self._take_device(s, device, frame)
         if (frame.time_ns - self._held_ns[s]) * 1e-9 > self._settings.longest_hold_s:
             scale = np.sqrt(max(1.0, LEASH_S / dt))
             none, stay = np.zeros(3), np.full(3, LEASH_M * scale)
-            one.add_position(state, rows, x, none, none, stay, 0.0, huber)
-            one.add_velocity(state, rows, x, none, none, np.full(3, LEASH_M_S * scale), huber)
+            one.add_position(segments, s, shared, Known(none, none, stay, 0.0))
+            one.add_velocity(segments, s, shared, Known(none, none, np.full(3, LEASH_M_S * scale), 0.0))
 
-    def _take_device(
-        self, s: int, device: LocalDevice, state: SegmentState, rows: Rows, x: FloatArray, frame: ImuFrame
-    ) -> None:
-        arm, huber = device.position - self._suit.lever_arms[s], self._settings.noise.huber
+    def _take_device(self, s: int, device: LocalDevice, frame: ImuFrame) -> None:
+        arm = device.position - self._suit.lever_arms[s]
         if device.quantity is Quantity.FIXED_POINT:
             self._catch(s, np.zeros(3), arm, frame.time_ns)
-            one.add_position(state, rows, x, np.zeros(3), arm, np.full(3, FIXED_POINT_SIGMA_M), 0.0, huber)
+            sigma = np.full(3, FIXED_POINT_SIGMA_M)
+            one.add_position(self._segments, s, self._shared, Known(np.zeros(3), arm, sigma, 0.0))
             return
         for reading in frame.local:
             if reading.device == device.device and reading.quantity == device.quantity:
-                self._take_reading(s, reading, arm, state, rows, x, frame.time_ns)
+                self._take_reading(s, reading, arm, frame.time_ns)
 
-    def _take_reading(
-        self,
-        s: int,
-        reading: LocalReading,
-        arm: FloatArray,
-        state: SegmentState,
-        rows: Rows,
-        x: FloatArray,
-        time_ns: int,
-    ) -> None:
+    def _take_reading(self, s: int, reading: LocalReading, arm: FloatArray, time_ns: int) -> None:
+        segments, shared = self._segments, self._shared
         value = np.array(reading.value, np.float64)
         if not np.isfinite(value).all():
             return
         sigma = np.fmax(np.array(reading.sigma, np.float64), LEAST_SIGMA)
-        huber = self._settings.noise.huber
         if reading.quantity is Quantity.POSITION:
             age_s = min(max((time_ns - reading.time_ns) * 1e-9, 0.0), self._settings.longest_hold_s)
             self._catch(s, value, arm, time_ns)
             if s == self._root:
-                self._learn_lag(s, reading, value, arm, float(sigma.mean()))
-            one.add_position(state, rows, x, value, arm, sigma, age_s, huber)
+                self._learn_lag(reading.time_ns, Known(value, arm, sigma, 0.0))
+            one.add_position(segments, s, shared, Known(value, arm, sigma, age_s))
         elif reading.quantity is Quantity.VELOCITY:
-            one.add_velocity(state, rows, x, value, arm, sigma, huber)
+            one.add_velocity(segments, s, shared, Known(value, arm, sigma, 0.0))
         else:
-            one.add_acceleration(state, rows, x, value, arm, sigma, self._suit.gravity, huber)
-            # an acceleration holds the orientation; place and speed have nothing to hold them
-            self._states[s].values[one.VELOCITY : one.ARM] = 0.0
+            one.add_acceleration(segments, s, shared, Known(value, arm, sigma, 0.0))
         self._held_ns[s] = time_ns
 
-    def _learn_lag(
-        self, s: int, reading: LocalReading, value: FloatArray, arm: FloatArray, sigma: float
-    ) -> None:
-        """Where the module of s was tells by how much its magnetometer is late; all are taken to be alike."""
-        state = self._states[s]
+    def _learn_lag(self, time_ns: int, known: Known) -> None:
+        """Where the root's module was tells how late its magnetometer is; all are taken to be alike."""
+        state = self._segments[self._root]
         strength, up = state.values[one.STRENGTH : one.DISTURBANCE]
-        field_lag.see_place(
+        see_place(
             self._lag,
-            reading.time_ns * 1e-9,
-            value - rotation_matrix.rotate(state.R, arm),
-            state.values[one.VELOCITY : one.PLACE],
-            sigma,
-            -self._suit.gravity,
+            time_ns * 1e-9,
+            known.value - rotation_matrix.rotate(state.R, known.arm),
+            state.values[one.VELOCITY : one.PLACE].copy(),
+            float(known.sigma.mean()),
             self._north * strength + np.array([0.0, 0.0, up]),
         )
+        self._shared["late_s"] = lag_s(self._lag)
 
     def _catch(self, s: int, place: FloatArray, arm: FloatArray, time_ns: int) -> None:
         """A segment that had no hold is put where it now is known to be."""
-        state = self._states[s]
         if (time_ns - self._held_ns[s]) * 1e-9 > self._settings.longest_hold_s:
-            block = slice(one.VELOCITY, one.ARM)
-            state.values[one.PLACE : one.ARM] = place - rotation_matrix.rotate(state.R, arm)
-            state.P[block, :] = 0.0
-            state.P[:, block] = 0.0
-            state.P[block, block] = np.diag([4.0] * 3 + [0.01] * 3)
+            one.catch(self._segments, s, place, arm)
         self._held_ns[s] = time_ns
 
     def _frame(self, observation: ImuFrame, status: StatusArray) -> SkeletonFrame:
         n = self._n
         q_wb, rate, acceleration = np.full((n, 4), np.nan), np.full((n, 3), np.nan), np.full((n, 3), np.nan)
         sigma = np.full(n, np.nan)
-        for s in np.flatnonzero(status <= Status.PREDICTED):
-            q_wb[s] = quaternion.from_matrix(self._states[s].R)
-            rate[s], acceleration[s], sigma[s] = points.at_joint(
-                self._held[s], self._suit.lever_arms[s], self._suit.gravity
+        for s in np.flatnonzero(status <= Status.PREDICTED).tolist():
+            q_wb[s], rate[s], acceleration[s], sigma[s] = one.at_joint(
+                self._segments, s, self._shared, self._suit.lever_arms[s]
             )
         parents, offsets = self._suit.skeleton.parents, self._suit.skeleton.offsets
         return SkeletonFrame(
@@ -261,7 +229,7 @@ class RateFreeReconstructor:
         root = int(np.flatnonzero(self._suit.skeleton.parents < 0)[0])
         if np.isnan(q_wb[root, 0]):
             return np.zeros(3)
-        state = self._states[root]
+        state = self._segments[root]
         place: FloatArray = state.values[one.PLACE : one.ARM] - state.R @ self._suit.lever_arms[root]
         return place
 
@@ -276,8 +244,8 @@ class RateFreeReconstructor:
         frame = self._waiting.popleft()
         q_wb, rate = frame.q_wb.copy(), frame.angular_rate.copy()
         for s, log in enumerate(self._logs):
-            if log.head[1] == self._length and np.isfinite(q_wb[s, 0]):
-                R, w = smoothed(self._held_logs[s])
+            if self._segments[s].log_kept == self._length and np.isfinite(q_wb[s, 0]):
+                R, w = one.smoothed(self._segments, s, log)
                 q_wb[s], rate[s] = quaternion.from_matrix(R), R.T @ w
         return replace(frame, sequence=newest.sequence, q_wb=q_wb, angular_rate=rate)
 
@@ -295,3 +263,143 @@ class RateFreeReconstructor:
         for k in range(self._length + 2):
             time_ns = round((k + 1) * self._interval_s * 1e9)
             self.update(ImuFrame(k, time_ns, up, none, field_, zeros.astype(np.uint8), zeros, local))
+
+
+# By how much a module's magnetometer is later than its accelerometer, found without any orientation
+#
+# The product of specific force and field is the same in all axes: ``f · m = (a − g) · h``, with the module's
+# acceleration ``a`` from its measured places and ``h`` the known field. A field that is δ late is
+# ``m(t − δ) = m − δ ṁ``, so that ``f · m − (a − g) · h = −δ f · ṁ``: a line through the origin, whose slope
+# is δ. Smooth values and derivatives come from a quadratic through the last instants, all of the same middle:
+# the window delays nothing against anything. An orientation would not do: a causal one is late itself.
+
+
+WINDOW_S, FEWEST = 0.06, 5
+"""s that a quadratic spans, and the fewest instants of it."""
+PRIOR_S, LONGEST_S = 0.02, 0.05
+"""What a lag is expected to be (standard deviation about 0), and the most that is believed."""
+MEMORY_S = 120.0
+LATEST = 4
+"""Instants by which a place may come later than what the module measured then."""
+FIELD_NOISE, FIELD_RANGE = 0.5, 2.0
+"""µT: of a sample; by how much the field of a room varies."""
+TURNING = 3.0
+"""Standard deviations by which ``f · ṁ`` must stand out of its noise: noise in it would pull δ to 0."""
+
+
+class Weights(Record):
+    """Of an instant of the window in a quadratic's fit."""
+
+    value: float  # at the middle
+    slope: float
+    curvature: float
+
+
+class Seen(Record):
+    """An instant of a module."""
+
+    time_s: float
+    force: Vector  # segment axes, m/s²
+    magnetic: Vector  # segment axes, µT
+    place: Vector  # world, m; NaN until it is known
+
+
+class LagSums(Record):
+    """What has been found."""
+
+    interval_s: float  # of frames; constant
+    at_rest: Vector  # −g; constant
+    xx: float  # of the straight line, weighted
+    xy: float
+
+
+class LagFinder(NamedTuple):
+    """Everything remembered; changed in place."""
+
+    fit: Records[Weights]  # of the window's instants; constant
+    instants: Records[Seen]  # those kept, the newest last
+    sums: Records[LagSums]  # one
+
+
+def lag_finder(interval_s: float, gravity: FloatArray) -> LagFinder:
+    """For frames that far apart, s; to be given to kernels. gravity: (3,) m/s²."""
+    half = max(FEWEST // 2, round(0.5 * WINDOW_S / interval_s))
+    steps = np.arange(-half, half + 1, dtype=np.float64)
+    fitted = np.linalg.pinv(np.stack([steps**0, steps, 0.5 * steps**2], axis=1))
+    fit, instants, sums = records(Weights, len(steps)), records(Seen, len(steps) + LATEST), record(LagSums)
+    for name, weights in zip(("value", "slope", "curvature"), fitted, strict=True):
+        fit[name] = weights
+    for name in ("force", "magnetic", "place"):
+        instants[name] = np.nan
+    sums.interval_s, sums.at_rest[:] = interval_s, -gravity
+    return LagFinder(fit, instants, array_of(sums))
+
+
+@compiled
+def see_module(finder: LagFinder, time_s: float, f: FloatArray, m: FloatArray) -> None:
+    """Specific force and field of an instant, (3,) in segment axes."""
+    instants, n = finder.instants, len(finder.instants)
+    for k in range(n - 1):
+        instants[k] = instants[k + 1]
+    newest = instants[n - 1]
+    newest.time_s = time_s
+    for i in range(3):
+        newest.force[i], newest.magnetic[i], newest.place[i] = f[i], m[i], np.nan
+
+
+@compiled
+def see_place(
+    finder: LagFinder, time_s: float, place: FloatArray, velocity: FloatArray, sigma: float, h: FloatArray
+) -> None:
+    """Where the module was at time_s, not later than its newest instant.
+
+    place, velocity (3,) of the module, world; sigma: noise of the place, m; h (3,) µT.
+    """
+    n, length = len(finder.fit), len(finder.instants)
+    for k in range(length - 1, n - 2, -1):
+        seen = finder.instants[k]
+        off_s = seen.time_s - time_s
+        if abs(off_s) <= 0.5 * finder.sums[0].interval_s:
+            for i in range(3):
+                seen.place[i] = place[i] + velocity[i] * off_s
+            _take_window(finder, k - n + 1, sigma, h)
+            return
+
+
+@compiled
+def _take_window(finder: LagFinder, first: int, place_sigma: float, h: FloatArray) -> None:
+    """The instants of a window from ``first`` on; nothing unless all are whole and follow each other."""
+    fit, sums, n, instants = finder.fit, finder.sums[0], len(finder.fit), finder.instants
+    dt = (instants[first + n - 1].time_s - instants[first].time_s) / (n - 1)
+    f, m, m_slope, u = np.zeros(3), np.zeros(3), np.zeros(3), sums.at_rest.copy()
+    slope_gain = curvature_gain = 0.0
+    for k in range(n):
+        seen, weights = instants[first + k], fit[k]
+        slope_gain += weights.slope**2
+        curvature_gain += weights.curvature**2
+        for i in range(3):
+            f[i] += weights.value * seen.force[i]
+            m[i] += weights.value * seen.magnetic[i]
+            m_slope[i] += weights.slope * seen.magnetic[i] / dt
+            u[i] += weights.curvature * seen.place[i] / (dt * dt)
+    x, y = -dot(f, m_slope), dot(f, m) - dot(u, h)
+    if not math.isfinite(x + y) or abs(dt - sums.interval_s) > 0.2 * sums.interval_s:
+        return
+    is_turning = abs(x) > TURNING * norm(f) * FIELD_NOISE * math.sqrt(slope_gain) / dt
+    is_disturbed = abs(norm(m) - norm(h)) > FIELD_RANGE
+    keep = math.exp(-dt / MEMORY_S)
+    sums.xx *= keep
+    sums.xy *= keep
+    if is_turning and not is_disturbed:
+        sigma = FIELD_RANGE * norm(f) + norm(h) * place_sigma * math.sqrt(curvature_gain) / (dt * dt)
+        y = min(max(y, -LONGEST_S * abs(x) - sigma), LONGEST_S * abs(x) + sigma)
+        weight = 1.0 / (sigma * sigma * n)  # windows overlap
+        sums.xx += weight * x * x
+        sums.xy += weight * x * y
+
+
+@compiled
+def lag_s(finder: LagFinder) -> float:
+    """What has been found so far, s."""
+    found: float = finder.sums[0].xy / (finder.sums[0].xx + 1.0 / PRIOR_S**2)
+    return min(max(found, 0.0), LONGEST_S)

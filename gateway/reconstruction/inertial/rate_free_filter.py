@@ -9,124 +9,190 @@ vertical strength being learnt, plus a disturbance that forgets itself (the fiel
 
 Errors, 23: ``R = exp(θ) R̂`` (rad, world), ω, ω̇, v, p of the module, an arm (segment axes) by which the point
 is off its given place, horizontal and vertical strength of the field, disturbance of the field (world, µT).
+
+Fixed-lag smoothing: what was seen later corrects what was said before, by the modified Bryson–Frazier
+smoother (Bierman 1973): an adjoint ``λ`` runs backward through the rows and transitions that the filter has
+written down, and the orientation some time ago is corrected by ``−P λ``. Only products of matrices with
+vectors; nothing is inverted.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from gateway.frames import FloatArray
-from gateway.geometry import rotation_matrix
+from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Matrix, Record, Records, Vector, constant, records, table_of
 from gateway.geometry.vectors import cross, norm, skew
-from gateway.reconstruction.inertial.dense import product, product_transposed
 
 N = 23
 RATE, SPIN, VELOCITY, PLACE, ARM, STRENGTH, DISTURBANCE = 3, 6, 9, 12, 15, 18, 20
 MOST_ROWS = 32
 """Rows that one instant may have; what comes beyond is left out."""
+WATCH_S = 0.3
+"""Over which it is watched how lively force and field are."""
+STILL_FORCE, STILL_FIELD, STILL_S = 0.15, 1.0, 0.3
+"""m/s², µT: less change than that for so long is rest."""
 
 
-class MotionNoise(NamedTuple):
-    """Standard deviations and time constants; one set for all bodies and motions."""
-
-    spin_memory_s: float = 0.15
-    rate_memory_s: float = 0.2
-    blind_rate_memory_s: float = 0.1
-    """While the field is disturbed, turns unseen die out faster."""
-    spin: float = 2.0
-    """rad/s²: ω̇ of a segment whose specific force stands still …"""
-    spin_per_force: float = 3.0
-    """… rad/s² more for each m/s² by which it varies …"""
-    largest_spin: float = 60.0
-    """… and no more than that."""
-    accelerometer: float = 0.05
-    """m/s²/√Hz, scale and alignment included."""
-    field: float = 1.0
-    """µT, of a sample."""
-    disturbance: float = 1.0
-    """µT: how far the field varies in a room, and …"""
-    disturbance_memory_s: float = 1.0
-    strength: float = 4.0
-    """µT: how well the rig knows the field."""
-    norm_tolerance: float = 1.5
-    """µT by which the norm may be off; more counts …"""
-    norm_gain: float = 4.0
-    """… so many times as noise, and …"""
-    norm_memory_s: float = 1.0
-    """… for so long after."""
-    arm: float = 0.005
-    """m: how well places on the segment are known."""
-    huber: float = 4.0
-    """Standard deviations beyond which an observation counts less."""
+TRIED = "chosen on the arms and rings without gyroscopes of the accuracy suite"
 
 
-class SegmentState(NamedTuple):
-    """Everything remembered of one segment; changed in place."""
+class MotionNoise(Record):
+    """Standard deviations and time constants; one set for all bodies and motions. See ``motion_noise``."""
 
-    R: FloatArray  # (3, 3)
-    values: FloatArray  # (N,) the quantities that the errors belong to; the first three unused
-    P: FloatArray  # (N, N)
-    before: FloatArray  # (3,) specific force of the instant before, segment axes
-    quiet: FloatArray  # (9,) means of force and field (6), their variances, time since both are still
-    off_norm: FloatArray  # (1,) µT by which the field's norm is, or was, off
-
-
-class Rows(NamedTuple):
-    """What an instant observed: for the smoother; changed in place."""
-
-    n_rows: FloatArray  # (1,)
-    gain: FloatArray  # (MOST_ROWS, N)
-    H: FloatArray  # (MOST_ROWS, N)
-    innovation: FloatArray  # (MOST_ROWS, 2) residual and its variance
-
-
-def empty_state() -> SegmentState:
-    """Of a segment that has not been seen."""
-    return SegmentState(np.eye(3), np.zeros(N), np.zeros((N, N)), np.zeros(3), np.zeros(9), np.zeros(1))
+    spin_memory_s: float = constant(0.15, "s", "for which an angular acceleration lasts", TRIED)
+    rate_memory_s: float = constant(0.2, "s", "for which an angular rate lasts", TRIED)
+    blind_rate_memory_s: float = constant(
+        0.1, "s", "the same while the field is disturbed: turns unseen die out faster", TRIED
+    )
+    spin: float = constant(2.0, "rad/s²", "ω̇ of a segment whose specific force stands still", TRIED)
+    spin_per_force: float = constant(3.0, "rad/s² per m/s²", "more by which that varies", TRIED)
+    largest_spin: float = constant(60.0, "rad/s²", "and no more than that", TRIED)
+    accelerometer: float = constant(0.05, "m/s²/√Hz", "scale and alignment included", "data sheets")
+    field: float = constant(1.0, "µT", "of a sample", "data sheets")
+    disturbance: float = constant(1.0, "µT", "how far the field varies in a room", "rooms")
+    disturbance_memory_s: float = constant(1.0, "s", "for which that lasts", "rooms")
+    strength: float = constant(4.0, "µT", "how well the rig knows the field", "rooms")
+    norm_tolerance: float = constant(1.5, "µT", "by which the norm may be off", "rooms")
+    norm_gain: float = constant(4.0, "", "so many times more counts as noise", TRIED)
+    norm_memory_s: float = constant(1.0, "s", "and for so long after", TRIED)
+    arm: float = constant(0.005, "m", "how well places on the segment are known", "a tape measure")
+    huber: float = constant(4.0, "σ", "beyond which an observation counts less", TRIED)
 
 
-def empty_rows() -> Rows:
-    """No row yet."""
-    return Rows(np.zeros(1), np.zeros((MOST_ROWS, N)), np.zeros((MOST_ROWS, N)), np.zeros((MOST_ROWS, 2)))
+Errors = Annotated[FloatArray, N]
+Transition = Annotated[FloatArray, N, N]
+
+
+class Row(Record):
+    """A scalar observation as it was used: for the smoother."""
+
+    H: Errors
+    gain: Errors
+    innovation: float
+    variance: float  # of the innovation
+
+
+class Segment(Record):
+    """Everything remembered of one segment, and what an instant observed."""
+
+    R: Matrix
+    values: Errors  # the quantities that the errors belong to; the first three unused
+    P: Transition
+    before: Vector  # specific force of the instant before, segment axes, m/s²
+    mean_force: Vector  # m/s²
+    mean_field: Vector  # µT
+    force_square: float  # mean square of what the specific force is off its mean
+    field_square: float
+    still_s: float  # for how long both have been small
+    off_norm: float  # µT by which the field's norm is, or was, off
+    x: Errors  # found at this instant
+    F: Transition  # of the errors, from the instant before to this one
+    n_rows: int
+    rows: Annotated[Records[Row], Row, MOST_ROWS]
+    log_next: int  # slot of its log to be written next
+    log_kept: int  # instants in it
+
+
+class LoggedInstant(Record):
+    """An instant of a segment, written down for the smoother."""
+
+    R: Matrix
+    rate: Vector  # world, rad/s
+    P: Annotated[FloatArray, 6, N]  # covariance after the instant: rows of orientation and rate
+    F: Transition  # to the instant
+    n_rows: int
+    rows: Annotated[Records[Row], Row, MOST_ROWS]
+
+
+class Shared(Record):
+    """What is the same for all segments; constant but for the last."""
+
+    noise: MotionNoise
+    gravity: Vector  # m/s²
+    magnetic_field: Vector  # µT
+    north: Vector  # the horizontal direction of that
+    late_s: float  # by how much magnetometers are late
+
+
+class Known(NamedTuple):
+    """What is known of a point of a segment."""
+
+    value: FloatArray  # (3,) its place m, velocity m/s or acceleration m/s², world
+    arm: FloatArray  # (3,) from the module to it, segment axes, m
+    sigma: FloatArray  # (3,)
+    age_s: float
+
+
+def motion_noise(**changes: float) -> MotionNoise:
+    """Return the defaults with some of them changed. Raises ``TypeError`` for a name not in the table."""
+    return table_of(MotionNoise, **changes)
+
+
+def empty_segments(n: int) -> Records[Segment]:
+    """Return n segments that have not been seen."""
+    segments = records(Segment, n)
+    segments["R"] = np.eye(3)
+    return segments
 
 
 @compiled
-def begin(
-    state: SegmentState, noise: MotionNoise, R: FloatArray, f: FloatArray, m: FloatArray, h: FloatArray
-) -> None:
-    """From the first sample: R (3, 3), and the field's strength as measured, h (3,) its direction."""
-    state.R[:] = R
-    state.values[:] = 0.0
-    state.values[STRENGTH] = math.hypot(h[0], h[1]) / norm(h) * norm(m)
-    state.values[STRENGTH + 1] = h[2] / norm(h) * norm(m)
+def begin(segments: Records[Segment], s: int, common: Records[Shared], f: FloatArray, m: FloatArray) -> bool:
+    """From the first sample, f and m (3,), if it tells an orientation; the field is as strong as measured."""
+    segment, noise, h, x = segments[s], common[0].noise, common[0].magnetic_field, segments[s].values
+    R = rotation_matrix.from_two_vectors(f, m, -common[0].gravity, h)
+    if not math.isfinite(R.sum()):
+        return False
+    segment.R[:] = R
+    x[:] = 0.0
+    x[STRENGTH] = math.hypot(h[0], h[1]) / norm(h) * norm(m)
+    x[STRENGTH + 1] = h[2] / norm(h) * norm(m)
     sigmas = (0.3, 0.5, noise.spin, 1.0, 1.0, noise.arm)
-    state.P[:] = 0.0
+    segment.P[:] = 0.0
     for i in range(18):
-        state.P[i, i] = sigmas[i // 3] ** 2
+        segment.P[i, i] = sigmas[i // 3] ** 2
     for i in range(2):
-        state.P[STRENGTH + i, STRENGTH + i] = noise.strength**2
+        segment.P[STRENGTH + i, STRENGTH + i] = noise.strength**2
     for i in range(3):
-        state.P[DISTURBANCE + i, DISTURBANCE + i] = noise.disturbance**2
-    state.before[:] = f
-    state.quiet[:3], state.quiet[3:6] = f, m
-    state.quiet[6:8], state.quiet[8] = 1.0, 0.0
-    state.off_norm[0] = 0.0
+        segment.P[DISTURBANCE + i, DISTURBANCE + i] = noise.disturbance**2
+    segment.before[:] = f
+    segment.mean_force[:], segment.mean_field[:] = f, m
+    segment.force_square, segment.field_square, segment.still_s = 1.0, 1.0, 0.0
+    segment.off_norm = 0.0
+    segment.log_kept = 0
+    return True
 
 
 @compiled
-def predict(state: SegmentState, noise: MotionNoise, f: FloatArray, g: FloatArray, dt: float) -> FloatArray:
-    """Over dt (s) to the instant of f (3,), segment axes; the transition of the errors, (N, N)."""
-    x, R = state.values, state.R
+def see(
+    segments: Records[Segment], s: int, common: Records[Shared], f: FloatArray, m: FloatArray, dt: float
+) -> None:
+    """Over dt (s) to the instant of f and m (3,), segment axes, and the rows these give; m may be NaN."""
+    segment, shared = segments[s], common[0]
+    _predict(segment, shared, f, dt)
+    _watch(segment, shared.noise, f, m, dt)
+    is_at_rest = _add_zero_rate(segment, shared.noise, dt)
+    is_disturbed = segment.off_norm > shared.noise.norm_tolerance
+    if math.isfinite(m[0] + m[1] + m[2]) and not (is_at_rest and is_disturbed):
+        _add_field(segment, shared, m)
+
+
+@compiled
+def _predict(segment: Segment, shared: Shared, f: FloatArray, dt: float) -> None:
+    """Over dt (s) to the instant of f (3,), segment axes; nothing is found yet."""
+    noise, g = shared.noise, shared.gravity
+    x, R = segment.values, segment.R
     w, spin = x[RATE:SPIN].copy(), x[SPIN:VELOCITY].copy()
     turn = rotation_matrix.from_rotation_vector(w * dt + spin * (0.5 * dt * dt))
     after = rotation_matrix.multiply(turn, R)
-    force = 0.5 * (rotation_matrix.rotate(R, state.before) + rotation_matrix.rotate(after, f))
+    force = 0.5 * (rotation_matrix.rotate(R, segment.before) + rotation_matrix.rotate(after, f))
     a = force + g
-    is_blind = state.off_norm[0] > noise.norm_tolerance + 2.0
+    is_blind = segment.off_norm > noise.norm_tolerance + 2.0
     keep = math.exp(-dt / (noise.blind_rate_memory_s if is_blind else noise.rate_memory_s))
     keep_spin, keep_field = math.exp(-dt / noise.spin_memory_s), math.exp(-dt / noise.disturbance_memory_s)
     F = _transition(turn, force, keep, keep_spin, keep_field, dt)
@@ -135,16 +201,18 @@ def predict(state: SegmentState, noise: MotionNoise, f: FloatArray, g: FloatArra
     x[RATE:SPIN] = (w + spin * dt) * keep
     x[SPIN:VELOCITY] = spin * keep_spin
     x[DISTURBANCE:N] *= keep_field
-    state.R[:] = after
-    state.before[:] = f
-    liveliness = noise.spin + noise.spin_per_force * math.sqrt(state.quiet[6])
+    segment.R[:] = after
+    segment.before[:] = f
+    segment.F[:] = F
+    segment.x[:] = 0.0
+    segment.n_rows = 0
+    liveliness = noise.spin + noise.spin_per_force * math.sqrt(segment.force_square)
     spin_sigma = min(noise.largest_spin, liveliness)
-    state.P[:] = product_transposed(product(F, state.P), F)
+    segment.P[:] = product_transposed(product(F, segment.P), F)
     for i in range(3):
-        state.P[SPIN + i, SPIN + i] += spin_sigma**2 * (1.0 - keep_spin * keep_spin)
-        state.P[VELOCITY + i, VELOCITY + i] += noise.accelerometer**2 * dt
-        state.P[DISTURBANCE + i, DISTURBANCE + i] += noise.disturbance**2 * (1.0 - keep_field * keep_field)
-    return F
+        segment.P[SPIN + i, SPIN + i] += spin_sigma**2 * (1.0 - keep_spin * keep_spin)
+        segment.P[VELOCITY + i, VELOCITY + i] += noise.accelerometer**2 * dt
+        segment.P[DISTURBANCE + i, DISTURBANCE + i] += noise.disturbance**2 * (1.0 - keep_field * keep_field)
 
 
 @compiled
@@ -166,32 +234,36 @@ def _transition(
 
 
 @compiled
-def watch(state: SegmentState, noise: MotionNoise, f: FloatArray, m: FloatArray, dt: float) -> None:
+def _watch(segment: Segment, noise: MotionNoise, f: FloatArray, m: FloatArray, dt: float) -> None:
     """How lively force and field are, and how far the field's norm is off; m may be NaN."""
-    quiet, gain = state.quiet, 1.0 - math.exp(-dt / 0.3)
-    for sensor in range(2):
-        value, change = f if sensor == 0 else m, 0.0
-        if not math.isfinite(value[0]):
-            continue
-        for i in range(3):
-            off = value[i] - quiet[3 * sensor + i]
-            change += off * off
-            quiet[3 * sensor + i] += gain * off
-        quiet[6 + sensor] += gain * (change - quiet[6 + sensor])
+    gain = 1.0 - math.exp(-dt / WATCH_S)
+    segment.force_square = _watched(segment.mean_force, segment.force_square, f, gain)
+    segment.field_square = _watched(segment.mean_field, segment.field_square, m, gain)
     if math.isfinite(m[0]):
-        off = abs(norm(m) - math.hypot(state.values[STRENGTH], state.values[STRENGTH + 1]))
-        state.off_norm[0] = max(off, state.off_norm[0] * math.exp(-dt / noise.norm_memory_s))
+        off = abs(norm(m) - math.hypot(segment.values[STRENGTH], segment.values[STRENGTH + 1]))
+        segment.off_norm = max(off, segment.off_norm * math.exp(-dt / noise.norm_memory_s))
 
 
 @compiled
-def add_row(
-    state: SegmentState, rows: Rows, x: FloatArray, H: FloatArray, residual: float, variance: float
-) -> None:
-    """One scalar observation ``residual = H e + noise``; x (N,) gathers the errors found, in place."""
-    k = int(rows.n_rows[0])
+def _watched(mean: FloatArray, square: float, value: FloatArray, gain: float) -> float:
+    """Return the mean square of what a value (3,) is off its mean, with one more; mean (3,) in place."""
+    change = 0.0
+    if not math.isfinite(value[0]):
+        return square
+    for i in range(3):
+        off = value[i] - mean[i]
+        change += off * off
+        mean[i] += gain * off
+    return square + gain * (change - square)
+
+
+@compiled
+def add_row(segment: Segment, H: FloatArray, residual: float, variance: float) -> None:
+    """One scalar observation ``residual = H e + noise``, H (N,); ``x`` gathers the errors found."""
+    k = segment.n_rows
     if k >= MOST_ROWS:
         return
-    P, Ph, expected = state.P, np.zeros(N), 0.0
+    P, x, Ph, expected = segment.P, segment.x, np.zeros(N), 0.0
     for j in range(N):
         if H[j] != 0.0:
             expected += H[j] * x[j]
@@ -205,51 +277,53 @@ def add_row(
         x[i] += gain[i] * off
         for j in range(N):
             P[i, j] -= gain[i] * Ph[j]
-    rows.gain[k], rows.H[k] = gain, H
-    rows.innovation[k, 0], rows.innovation[k, 1] = off, total
-    rows.n_rows[0] = k + 1
+    row = segment.rows[k]
+    row.gain[:], row.H[:], row.innovation, row.variance = gain, H, off, total
+    segment.n_rows = k + 1
 
 
 @compiled
 def add_vector(
-    state: SegmentState,
-    rows: Rows,
-    x: FloatArray,
-    H: FloatArray,
-    residual: FloatArray,
-    sigma: FloatArray,
-    huber: float,
+    segment: Segment, H: FloatArray, residual: FloatArray, sigma: FloatArray, huber: float
 ) -> None:
     """Three rows, H (3, N), of standard deviations sigma (3,), less trusted where they surprise."""
-    distance = 0.0
+    P, x, distance = segment.P, segment.x, 0.0
     for i in range(3):
         off, variance = residual[i], sigma[i] ** 2
         for j in range(N):
             off -= H[i, j] * x[j]
             if H[i, j] != 0.0:
                 for k in range(N):
-                    variance += H[i, j] * state.P[j, k] * H[i, k]
+                    variance += H[i, j] * P[j, k] * H[i, k]
         distance += off * off / variance
     inflation = max(1.0, math.sqrt(distance) / huber)
     for i in range(3):
-        add_row(state, rows, x, H[i], residual[i], sigma[i] ** 2 * inflation)
+        add_row(segment, H[i], residual[i], sigma[i] ** 2 * inflation)
 
 
 @compiled
-def add_field(
-    state: SegmentState,
-    rows: Rows,
-    noise: MotionNoise,
-    x: FloatArray,
-    m: FloatArray,
-    north: FloatArray,
-    delay: float,
-) -> None:
-    """The field m (3,) µT, segment axes, as it was ``delay`` s ago; north (3,) the horizontal direction of
-    the undisturbed one."""
-    v, w = state.values, state.values[RATE:SPIN]
+def _add_zero_rate(segment: Segment, noise: MotionNoise, dt: float) -> bool:
+    """The first rows of an instant: where force and field (or a disturbed field) have stood still for a
+    while, nothing turns."""
+    is_still = segment.force_square < STILL_FORCE**2
+    is_still &= segment.field_square < STILL_FIELD**2 or segment.off_norm > noise.norm_tolerance
+    segment.still_s = segment.still_s + dt if is_still else 0.0
+    if segment.still_s < STILL_S:
+        return False
+    for i in range(6):
+        H = np.zeros(N)
+        H[RATE + i] = 1.0
+        add_row(segment, H, -segment.values[RATE + i], (0.02 if i < 3 else 0.2) ** 2)
+    return True
+
+
+@compiled
+def _add_field(segment: Segment, shared: Shared, m: FloatArray) -> None:
+    """The field m (3,) µT, segment axes, as it was ``late_s`` ago."""
+    noise, north, delay = shared.noise, shared.north, shared.late_s
+    v, w = segment.values, segment.values[RATE:SPIN]
     back = rotation_matrix.from_rotation_vector(w * -delay + v[SPIN:VELOCITY] * (0.5 * delay * delay))
-    seen = rotation_matrix.rotate(back, rotation_matrix.rotate(state.R, m))
+    seen = rotation_matrix.rotate(back, rotation_matrix.rotate(segment.R, m))
     known = north * v[STRENGTH] + v[DISTURBANCE:N]
     known[2] += v[STRENGTH + 1]
     H, K = np.zeros((3, N)), skew(seen)
@@ -259,103 +333,210 @@ def add_field(
         H[i, STRENGTH] = north[i]
         H[i, DISTURBANCE + i] = 1.0
     H[2, STRENGTH + 1] = 1.0
-    excess = max(0.0, state.off_norm[0] - noise.norm_tolerance)
+    excess = max(0.0, segment.off_norm - noise.norm_tolerance)
     sigma = math.sqrt(noise.field**2 + (noise.norm_gain * excess) ** 2)
-    add_vector(state, rows, x, H, seen - known, np.full(3, sigma), noise.huber)
+    add_vector(segment, H, seen - known, np.full(3, sigma), noise.huber)
 
 
 @compiled
-def add_position(
-    state: SegmentState,
-    rows: Rows,
-    x: FloatArray,
-    place: FloatArray,
-    arm: FloatArray,
-    sigma: FloatArray,
-    age_s: float,
-    huber: float,
-) -> None:
-    """Where a point at ``arm`` (3,) from the module was ``age_s`` ago: place (3,) world, m."""
-    v, R = state.values, state.R
-    r = rotation_matrix.rotate(R, arm + v[ARM:STRENGTH])
+def add_position(segments: Records[Segment], s: int, common: Records[Shared], known: Known) -> None:
+    """Where a point of the segment was some time ago."""
+    segment, age_s = segments[s], known.age_s
+    v, R = segment.values, segment.R
+    r = rotation_matrix.rotate(R, known.arm + v[ARM:STRENGTH])
     past = v[PLACE:ARM] + r - age_s * (v[VELOCITY:PLACE] + cross(v[RATE:SPIN], r))
     H, K = np.zeros((3, N)), skew(r)
     for i in range(3):
         H[i, PLACE + i], H[i, VELOCITY + i] = 1.0, -age_s
         for j in range(3):
             H[i, j], H[i, ARM + j] = -K[i, j], R[i, j]
-    add_vector(state, rows, x, H, place - past, sigma, huber)
+    add_vector(segment, H, known.value - past, known.sigma, common[0].noise.huber)
 
 
 @compiled
-def add_velocity(
-    state: SegmentState,
-    rows: Rows,
-    x: FloatArray,
-    velocity: FloatArray,
-    arm: FloatArray,
-    sigma: FloatArray,
-    huber: float,
-) -> None:
-    """How fast a point at ``arm`` (3,) from the module moves: (3,) world, m/s."""
-    v = state.values
-    r = rotation_matrix.rotate(state.R, arm)
+def add_velocity(segments: Records[Segment], s: int, common: Records[Shared], known: Known) -> None:
+    """How fast a point of the segment moves."""
+    segment = segments[s]
+    v = segment.values
+    r = rotation_matrix.rotate(segment.R, known.arm)
     H, K = np.zeros((3, N)), skew(r)
     W = product(skew(v[RATE:SPIN]), K)
     for i in range(3):
         H[i, VELOCITY + i] = 1.0
         for j in range(3):
             H[i, RATE + j], H[i, j] = -K[i, j], -W[i, j]
-    add_vector(state, rows, x, H, velocity - v[VELOCITY:PLACE] - cross(v[RATE:SPIN], r), sigma, huber)
+    residual = known.value - v[VELOCITY:PLACE] - cross(v[RATE:SPIN], r)
+    add_vector(segment, H, residual, known.sigma, common[0].noise.huber)
 
 
 @compiled
-def add_acceleration(
-    state: SegmentState,
-    rows: Rows,
-    x: FloatArray,
-    a: FloatArray,
-    arm: FloatArray,
-    sigma: FloatArray,
-    g: FloatArray,
-    huber: float,
-) -> None:
-    """How a point at ``arm`` (3,) from the module accelerates, gravity taken out: (3,) world, m/s²."""
-    v = state.values
-    r = rotation_matrix.rotate(state.R, arm)
-    force = rotation_matrix.rotate(state.R, state.before)
+def add_acceleration(segments: Records[Segment], s: int, common: Records[Shared], known: Known) -> None:
+    """How a point of the segment accelerates, gravity taken out.
+
+    That holds the orientation; place and velocity have nothing to hold them and count as zero.
+    """
+    segment = segments[s]
+    v = segment.values
+    r = rotation_matrix.rotate(segment.R, known.arm)
+    force = rotation_matrix.rotate(segment.R, segment.before)
     w = v[RATE:SPIN]
-    residual = a - g - force - cross(v[SPIN:VELOCITY], r) - cross(w, cross(w, r))
+    residual = known.value - common[0].gravity - force - cross(v[SPIN:VELOCITY], r) - cross(w, cross(w, r))
     H, K, M = np.zeros((3, N)), skew(force), skew(r)
     for i in range(3):
         for j in range(3):
             H[i, j], H[i, SPIN + j] = -K[i, j], -M[i, j]
-    add_vector(state, rows, x, H, residual, sigma, huber)
+    add_vector(segment, H, residual, known.sigma, common[0].noise.huber)
+    segment.values[VELOCITY:ARM] = 0.0
 
 
 @compiled
-def add_rest(state: SegmentState, rows: Rows, noise: MotionNoise, x: FloatArray, dt: float) -> bool:
-    """The first rows of an instant: where force and field (or a disturbed field) have stood still for a
-    while, nothing turns."""
-    rows.n_rows[0] = 0.0
-    quiet = state.quiet
-    is_still = quiet[6] < 0.15**2 and (quiet[7] < 1.0 or state.off_norm[0] > noise.norm_tolerance)
-    quiet[8] = quiet[8] + dt if is_still else 0.0
-    if quiet[8] < 0.3:
-        return False
-    for i in range(6):
-        H = np.zeros(N)
-        H[RATE + i] = 1.0
-        add_row(state, rows, x, H, -state.values[RATE + i], (0.02 if i < 3 else 0.2) ** 2)
-    return True
+def catch(segments: Records[Segment], s: int, place: FloatArray, arm: FloatArray) -> None:
+    """Put a segment that had no hold where it now is known to be: ``place`` (3,) of the point at ``arm``."""
+    segment = segments[s]
+    segment.values[PLACE:ARM] = place - rotation_matrix.rotate(segment.R, arm)
+    segment.P[VELOCITY:ARM, :] = 0.0
+    segment.P[:, VELOCITY:ARM] = 0.0
+    for i in range(3):
+        segment.P[VELOCITY + i, VELOCITY + i], segment.P[PLACE + i, PLACE + i] = 4.0, 0.01
 
 
 @compiled
-def correct(state: SegmentState, x: FloatArray) -> None:
-    """Takes the errors found, x (N,), out of the state."""
-    state.R[:] = rotation_matrix.multiply(rotation_matrix.from_rotation_vector(x[:3]), state.R)
-    state.values[3:] += x[3:]
+def correct(segments: Records[Segment], s: int) -> None:
+    """Takes the errors found, ``x``, out of the state."""
+    segment = segments[s]
+    P, x = segment.P, segment.x
+    segment.R[:] = rotation_matrix.multiply(rotation_matrix.from_rotation_vector(x[:3]), segment.R)
+    segment.values[3:] += x[3:]
     for i in range(N):
         for j in range(i):
-            mean = 0.5 * (state.P[i, j] + state.P[j, i])
-            state.P[i, j], state.P[j, i] = mean, mean
+            mean = 0.5 * (P[i, j] + P[j, i])
+            P[i, j], P[j, i] = mean, mean
+
+
+# What a segment says of its points
+
+
+@compiled
+def point(segments: Records[Segment], s: int, arm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where a point at ``arm`` (3,) from the module is, world, and the covariance (3, 3) of that."""
+    state = segments[s]
+    r = rotation_matrix.rotate(state.R, arm)
+    J, K = np.zeros((3, 6)), skew(r)
+    C = np.zeros((6, 6))
+    for i in range(3):
+        J[i, 3 + i] = 1.0
+        for j in range(3):
+            J[i, j] = -K[i, j]
+            C[i, j], C[i, 3 + j] = state.P[i, j], state.P[i, PLACE + j]
+            C[3 + i, j], C[3 + i, 3 + j] = state.P[PLACE + i, j], state.P[PLACE + i, PLACE + j]
+    covariance = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for a in range(6):
+                covariance[i, j] += J[i, a] * _dot_row(C, a, J, j)
+    return state.values[PLACE:ARM] + r, covariance
+
+
+@compiled
+def at_joint(
+    segments: Records[Segment], s: int, common: Records[Shared], U: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Orientation (4,); angular rate (3,), segment axes; acceleration (3,) of the joint, world; sigma of the
+    orientation, rad.
+
+    U (3,) joint to module, segment axes."""
+    g = common[0].gravity
+    state = segments[s]
+    w, arm = state.values[RATE:SPIN], rotation_matrix.rotate(state.R, -U)
+    at_module = rotation_matrix.rotate(state.R, state.before) + g
+    around = cross(state.values[SPIN:VELOCITY], arm) + cross(w, cross(w, arm))
+    sigma = math.sqrt(state.P[0, 0] + state.P[1, 1] + state.P[2, 2])
+    rate = rotation_matrix.rotate_inverse(state.R, w)
+    return quaternion.from_matrix(state.R), rate, at_module + around, sigma
+
+
+@compiled
+def _dot_row(C: FloatArray, a: int, J: FloatArray, j: int) -> float:
+    """Row a of C (6, 6) times row j of J (3, 6)."""
+    total = 0.0
+    for b in range(6):
+        total += C[a, b] * J[j, b]
+    return total
+
+
+# Fixed-lag smoothing
+
+
+@compiled
+def note(segments: Records[Segment], s: int, log: Records[LoggedInstant]) -> None:
+    """Writes an instant down in the segment's log, a ring."""
+    segment, now = segments[s], log[segments[s].log_next]
+    now.F[:], now.P[:], now.R[:] = segment.F, segment.P[:6], segment.R
+    now.rate[:] = segment.values[RATE:SPIN]
+    now.n_rows = segment.n_rows
+    for row in range(segment.n_rows):
+        now.rows[row] = segment.rows[row]
+    segment.log_next = (segment.log_next + 1) % len(log)
+    segment.log_kept = min(segment.log_kept + 1, len(log))
+
+
+@compiled
+def smoothed(
+    segments: Records[Segment], s: int, log: Records[LoggedInstant]
+) -> tuple[FloatArray, FloatArray]:
+    """Orientation (3, 3) and rate (3,), world, of the oldest instant kept, with all seen since."""
+    length, segment = len(log), segments[s]
+    adjoint = np.zeros(N)
+    oldest = log[(segment.log_next - segment.log_kept) % length]
+    for back in range(segment.log_kept - 1):
+        now = log[(segment.log_next - 1 - back) % length]
+        for k in range(now.n_rows - 1, -1, -1):
+            row, along = now.rows[k], 0.0
+            for i in range(N):
+                along += row.gain[i] * adjoint[i]
+            scale = along + row.innovation / row.variance
+            for i in range(N):
+                adjoint[i] -= row.H[i] * scale
+        earlier = np.zeros(N)
+        for i in range(N):
+            if adjoint[i] != 0.0:
+                for j in range(N):
+                    earlier[j] += now.F[i, j] * adjoint[i]
+        adjoint = earlier
+    correction = np.zeros(6)
+    for i in range(6):
+        for j in range(N):
+            correction[i] -= oldest.P[i, j] * adjoint[j]
+    R = rotation_matrix.multiply(rotation_matrix.from_rotation_vector(correction[:3]), oldest.R)
+    return R, oldest.rate + correction[3:]
+
+
+# Products of matrices
+
+
+@compiled
+def product(A: FloatArray, B: FloatArray) -> FloatArray:
+    """A B; shapes (n, n), (n, n)."""
+    n = A.shape[0]
+    C = np.zeros((n, n))
+    for i in range(n):
+        for k in range(n):
+            a = A[i, k]
+            if a != 0.0:
+                for j in range(n):
+                    C[i, j] += a * B[k, j]
+    return C
+
+
+@compiled
+def product_transposed(A: FloatArray, B: FloatArray) -> FloatArray:
+    """A Bᵀ; shapes (n, n), (n, n); for a B that is mostly zeros."""
+    n = A.shape[0]
+    C = np.zeros((n, n))
+    for j in range(n):
+        for k in range(n):
+            b = B[j, k]
+            if b != 0.0:
+                for i in range(n):
+                    C[i, j] += A[i, k] * b
+    return C

@@ -1,13 +1,17 @@
-"""The list of formats."""
+"""The list of formats. What writes a format is imported when something is written."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from gateway.recording.exporters import bvh, c3d, gltf, opensim, tables, trc
-from gateway.recording.exporters.take import Axes, Take
+from devices.deferred import Deferred
+from gateway.recording.exporters.axes import Axes
+
+if TYPE_CHECKING:
+    from gateway.recording.exporters.take import Take
 
 
 @dataclass(frozen=True)
@@ -24,14 +28,25 @@ class Format:
     """Take, file, units per metre."""
 
 
+def _writer(name: str) -> Deferred:
+    module, function = name.split(".")
+    return Deferred(f"{__package__}.{module}", function)
+
+
 FORMATS: dict[str, Format] = {
-    "bvh": Format(".bvh", "skeleton with joint rotations, for animation", Axes.Y_UP, 100.0, bvh.write),
-    "c3d": Format(".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, c3d.write),
-    "sto": Format(".sto", "orientations for OpenSim (OpenSense)", Axes.Y_UP, 1.0, opensim.write_sto),
-    "mot": Format(".mot", "joint angles for OpenSim", Axes.Y_UP, 1.0, opensim.write_mot),
-    "trc": Format(".trc", "joint centres as markers", Axes.Y_UP, 1000.0, trc.write),
-    "csv": Format(".csv", "everything as a table", Axes.Z_UP, 1.0, tables.write_csv),
-    "parquet": Format(".parquet", "everything as a table", Axes.Z_UP, 1.0, tables.write_parquet),
-    "gltf": Format(".glb", "animated skeleton, for browsers and 3-D programs", Axes.Y_UP, 1.0, gltf.write),
+    "bvh": Format(
+        ".bvh", "skeleton with joint rotations, for animation", Axes.Y_UP, 100.0, _writer("bvh.write")
+    ),
+    "c3d": Format(".c3d", "joint centres, rotations, joint angles", Axes.Z_UP, 1000.0, _writer("c3d.write")),
+    "sto": Format(
+        ".sto", "orientations for OpenSim (OpenSense)", Axes.Y_UP, 1.0, _writer("opensim.write_sto")
+    ),
+    "mot": Format(".mot", "joint angles for OpenSim", Axes.Y_UP, 1.0, _writer("opensim.write_mot")),
+    "trc": Format(".trc", "joint centres as markers", Axes.Y_UP, 1000.0, _writer("trc.write")),
+    "csv": Format(".csv", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_csv")),
+    "parquet": Format(".parquet", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_parquet")),
+    "gltf": Format(
+        ".glb", "animated skeleton, for browsers and 3-D programs", Axes.Y_UP, 1.0, _writer("gltf.write")
+    ),
 }
 """By name on the command line."""

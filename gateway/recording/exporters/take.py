@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -15,16 +14,7 @@ from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray
 from gateway.recording import SkeletonArrays
-
-
-class Axes(StrEnum):
-    """World axes of an export. Segment axes never change: x anterior, y superior, z to the right."""
-
-    Z_UP = "z-up"
-    """East, north, up: as published."""
-    Y_UP = "y-up"
-    """x east, y up, z south: BVH, glTF, OpenSim."""
-
+from gateway.recording.exporters.axes import Axes
 
 _TURNS_DEG = {Axes.Z_UP: 0.0, Axes.Y_UP: -90.0}
 """About x."""

@@ -5,48 +5,20 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from devices.geodesy import LocalPlane
 from devices.link import Chunk
 from gateway.contract.balances import Balance
 from gateway.frames import FloatArray, LocalReading, Quantity
+from gateway.sources.gnss.link_settings import GnssLinkSettings
 from gateway.sources.gnss.sentences import Fix, GnssDecoder
-from gateway.sources.link_settings import LinkSettings
 from gateway.sources.source import ListeningSource, SourceContext
 
 DATING_WINDOW_NS = 60_000_000_000
 """The least delay of that time tells how the receiver's time stands to the gateway's."""
 SILENT_NS = 3_000_000_000
-
-
-class GnssLinkSettings(LinkSettings):
-    """A satellite receiver."""
-
-    carries: Literal["gnss"] = "gnss"
-    device: int = Field(
-        default=60, ge=0, le=63, description="for gnss: id under which the rig's local device knows it"
-    )
-    latency_ms: float = Field(
-        default=50,
-        ge=0,
-        le=5000,
-        description="for gnss: from the instant of a fix to its arrival, at the least",
-    )
-    origin: tuple[float, float, float] | None = Field(
-        default=None,
-        description="for gnss: latitude and longitude in degrees and height above the ellipsoid in metres of "
-        "the world's origin; none: the first fix",
-    )
-
-    @model_validator(mode="after")
-    def _is_on_earth(self) -> GnssLinkSettings:
-        if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):
-            raise ValueError("origin: latitude within ±90 and longitude within ±180 degrees are wanted")
-        return self
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,10 @@ from devices.emulators.makers_campaign import LANGUAGES, Language, run
 from devices.vendor_protocols.ximu3 import Ximu3Decoder
 
 N_MESSAGES = 200_000 if os.environ.get("CI") else 20_000
-MOST_CORRUPT = {"ximu3": 0.10, "ximu3_text": 0.05, "mti": 0.01}
+MOST_CORRUPT = {
+    "ximu3": 0.10, "ximu3_text": 0.05, "mti": 0.01, "slimevr": 0.04, "mti_can": 0.30, "witmotion": 0.04,
+    "witmotion_can": 0.16, "mvn": 0.15, "bno08x_rvc": 0.01, "mocopi": 0.08,
+}  # fmt: skip
 """Of the damaged, accepted as something else: what their own checks let through, and a little."""
 
 

@@ -26,7 +26,10 @@ def write(tmp_path, segment="link_2", extra="", more=""):
     return path
 
 
-UNMEASURED = {"wifi_10": {"head", "girdle", "hand", "foot"}}
+UNMEASURED = {
+    "wifi_10": {"head", "girdle", "hand", "foot"},
+    "slimevr_8": {"head", "girdle", "arm", "forearm", "hand"},
+}
 """Segments, by their last word, that a rig of few modules leaves bare, as its first lines say."""
 
 

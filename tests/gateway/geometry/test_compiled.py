@@ -6,11 +6,13 @@ import pkgutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import gateway
 from gateway.geometry import compiled as module
-from gateway.geometry.compiled import Kernel, cache_directory, compiled, prune
+from gateway.geometry import quaternion
+from gateway.geometry.compiled import Kernel, cache_directory, compiled, for_types_of, prune
 from gateway.geometry.kernel_fingerprint import fingerprint
 
 CONSTANTS = "GAIN = 2.0\n"
@@ -175,3 +177,19 @@ def test_only_the_newest_states_of_each_kernel_are_kept(tmp_path):
         "module.second-0a.py311.nbi",
     ]
     assert (tmp_path / "ready-joint").exists()
+
+
+def test_machine_code_for_given_types_does_what_the_kernel_does():
+    a, b = np.array([0.5, -0.5, 0.5, 0.5]), np.array([0.1, 0.7, -0.7, 0.1])
+    direct = for_types_of(quaternion.multiply, np.zeros(4), np.zeros(4))
+    np.testing.assert_array_equal(direct(a, b), quaternion.multiply(a, b))
+
+
+def test_machine_code_refuses_elements_of_another_size():
+    direct = for_types_of(quaternion.multiply, np.zeros(4), np.zeros(4))
+    with pytest.raises(TypeError):
+        direct(np.zeros(4), np.zeros(4, np.float32))
+
+
+def test_what_is_no_kernel_stays_what_it_is_in_the_place_of_one():
+    assert for_types_of(len, "") is len

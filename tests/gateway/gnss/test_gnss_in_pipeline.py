@@ -15,8 +15,8 @@ from gateway.body.rig import load_rig
 from gateway.cli.emulate import without_position_devices
 from gateway.emulation.rig import dress, move
 from gateway.pipeline import Pipeline
-from gateway.sources.gnss.receiver import GnssLinkSettings
-from gateway.sources.module_table import ClockMode
+from gateway.sources.clock_mode import ClockMode
+from gateway.sources.gnss.link_settings import GnssLinkSettings
 from gateway.stages.frame_assembler import AssemblyParams
 
 SECONDS = 6.0

@@ -13,7 +13,8 @@ from devices.emulators.gnss_receiver import FORMATS, GnssEmulation, gnss_traffic
 from devices.geodesy import LocalPlane, earth_centred, geodetic
 from devices.link import Chunk
 from gateway.frames import Quantity
-from gateway.sources.gnss import GnssDecoder, GnssDefect, GnssParams, GnssReceiver
+from gateway.sources.gnss.receiver import GnssParams, GnssReceiver
+from gateway.sources.gnss.sentences import GnssDecoder, GnssDefect
 
 START_NS = 1_760_000_000_000_000_000
 

@@ -24,7 +24,8 @@ class Operations:
         await asyncio.sleep(0.01)
         if verb == "list":
             modules = [{"module": n, "unique_id": f"{n:032x}", "answers": True} for n in SEGMENTS.values()]
-            return {"allows_writes": True, "conflicts": [], "modules": modules, "segments": SEGMENTS}
+            told = {"allows_writes": True, "assigns": True, "conflicts": []}
+            return told | {"modules": modules, "segments": SEGMENTS}
         assert verb == "motion"
         self.looks += 1
         if self.looks == 2:  # the first one learns what is usual

@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from gateway.outputs import MqttSettings
 from gateway.outputs.connection import broker_connection, end_tasks
+from gateway.outputs.settings import MqttSettings
 
 
 async def test_an_attempt_given_up_while_it_connects_leaves_no_word_and_no_socket(

@@ -10,10 +10,10 @@ import aiomqtt
 import pytest
 
 from gateway.contract.properties import JSON, MSGPACK, properties_of
-from gateway.outputs import MqttSettings
 from gateway.outputs.connection import broker_connection
 from gateway.outputs.direct_publishing import DirectPublisher
 from gateway.outputs.pose_encoding import Outgoing
+from gateway.outputs.settings import MqttSettings
 
 Protocol = Literal["3.1.1", "5"]
 _WELCOME = {"3.1.1": b"\x20\x02\x00\x00", "5": b"\x20\x03\x00\x00\x00"}

@@ -12,8 +12,8 @@ from gateway.emulation.simulation import LINK, relay_chunks, suit_17
 from gateway.frames import LocalReading, Quantity
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import update_many
-from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
-from gateway.sources.module_table import ClockMode
+from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor, OutwardReconstructor
+from gateway.sources.clock_mode import ClockMode
 from gateway.stages.frame_assembler import AssemblyParams
 
 BOTH = pytest.mark.parametrize("kind", [JointReconstructor, OutwardReconstructor])

@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 from gateway.body.interpolation import follow, following_rules
 from gateway.body.kinematics import joint_positions
 from gateway.body.rig import load_rig
-from gateway.reconstruction.inertial.chain_bridges import bridges_of
-from gateway.reconstruction.inertial.chain_state import chain_body
-from gateway.reconstruction.inertial.tuning import tuning
+from gateway.reconstruction.inertial.tree.state import bridges_of, chain_body
+from gateway.reconstruction.inertial.tree.tuning import tuning
 
 
 @pytest.fixture(scope="module")

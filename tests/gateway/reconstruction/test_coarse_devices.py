@@ -10,10 +10,10 @@ from gateway.emulation.fast_arm import sampled
 from gateway.emulation.random_chains import RandomChain, drawn
 from gateway.frames import Quantity
 from gateway.geometry.comparison import orientation_error
-from gateway.reconstruction.inertial.chain_state import N_READINGS, initial_state
-from gateway.reconstruction.inertial.joint import JointReconstructor
-from gateway.reconstruction.inertial.local_rows import derivative_weights, take_reading
-from gateway.reconstruction.inertial.tuning import tuning
+from gateway.reconstruction.inertial.tree.devices import derivative_weights, take_reading
+from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor
+from gateway.reconstruction.inertial.tree.state import N_READINGS, initial_state
+from gateway.reconstruction.inertial.tree.tuning import tuning
 from gateway.reconstruction.reconstructor import update_many
 
 TUNING = tuning()

@@ -5,14 +5,14 @@ import pytest
 
 from gateway.emulation.fast_arm import Switches, fast_arm, fast_motion, sampled
 from gateway.reconstruction import update_many
-from gateway.reconstruction.inertial.chain_state import initial_state
-from gateway.reconstruction.inertial.corrections import (
+from gateway.reconstruction.inertial.tree.prediction import (
     gyroscope_inflation,
     note_correction,
     row_inflation,
 )
-from gateway.reconstruction.inertial.joint import JointReconstructor
-from gateway.reconstruction.inertial.tuning import tuning
+from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor
+from gateway.reconstruction.inertial.tree.state import initial_state
+from gateway.reconstruction.inertial.tree.tuning import tuning
 
 DT, TUNING = 0.01, tuning()
 

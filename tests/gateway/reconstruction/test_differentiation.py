@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.reconstruction.inertial.differentiation import BANDWIDTH, Differentiator
+from gateway.reconstruction.inertial.local_devices import BANDWIDTH, Differentiator
 
 
 def run(n_derivatives, times_s, values, window_s=0.1, sigma=0.0):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gateway.reconstruction.inertial import field_lag
+from gateway.reconstruction.inertial import rate_free
 
 RATE_HZ = 200.0
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -31,14 +31,14 @@ def found_lag_s(lag_s, seconds=30.0, late_places=0, has_magnet=False):
     f = turning(times).inv().apply(acceleration - GRAVITY) + 0.03 * rng.standard_normal((len(times), 3))
     seen_field = FIELD + np.array([30.0, 20.0, -10.0]) * has_magnet
     m = turning(times - lag_s).inv().apply(seen_field) + 0.3 * rng.standard_normal((len(times), 3))
-    finder = field_lag.lag_finder(1.0 / RATE_HZ)
+    finder = rate_free.lag_finder(1.0 / RATE_HZ, GRAVITY)
     for k, time in enumerate(times):
-        field_lag.see_module(finder, time, f[k], m[k])
+        rate_free.see_module(finder, time, f[k], m[k])
         j = k - late_places
         if j >= 0:
             noisy = place[j] + 3e-4 * rng.standard_normal(3)
-            field_lag.see_place(finder, times[j], noisy, velocity[j], 5e-4, -GRAVITY, FIELD)
-    return field_lag.lag_s(finder)
+            rate_free.see_place(finder, times[j], noisy, velocity[j], 5e-4, FIELD)
+    return rate_free.lag_s(finder)
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.006, 0.015])

@@ -5,10 +5,10 @@ import pytest
 
 from gateway.emulation.fast_arm import fast_arm
 from gateway.geometry.rotation_matrix import from_rotation_vector
-from gateway.reconstruction.inertial.chain_rows import expect_field, field_row, watch_field
-from gateway.reconstruction.inertial.chain_state import chain_body, initial_state, work_space
-from gateway.reconstruction.inertial.tree_filter import clear
-from gateway.reconstruction.inertial.tuning import tuning
+from gateway.reconstruction.inertial.tree.headings import expect_field, field_row, watch_field
+from gateway.reconstruction.inertial.tree.state import chain_body, initial_state, work_space
+from gateway.reconstruction.inertial.tree.tuning import tuning
+from gateway.reconstruction.inertial.tree.update import clear
 
 DT, N, SEGMENT = 0.05, 5, 2
 BODY, TUNING = chain_body(fast_arm(), uses_field=True), tuning()

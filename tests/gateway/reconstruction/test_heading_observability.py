@@ -9,8 +9,12 @@ from gateway.body.rig import load_rig
 from gateway.body.skeleton import field_vector
 from gateway.frames import ImuFrame
 from gateway.geometry import quaternion, rotation_matrix
-from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor, StartingPose
-from gateway.reconstruction.inertial.heading_observability import FACINGS, unobserved_headings
+from gateway.reconstruction.inertial.articulated import (
+    FACINGS,
+    ArticulatedReconstructor,
+    StartingPose,
+    unobserved_headings,
+)
 
 RATE_HZ = 100
 PLACEMENTS = {

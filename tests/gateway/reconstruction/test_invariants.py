@@ -15,9 +15,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.frames import ImuFrame, SkeletonFrame
-from gateway.reconstruction import RECONSTRUCTORS, WholeBodyReconstructor, create_reconstructor
+from gateway.reconstruction import RECONSTRUCTORS, create_reconstructor
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.reconstructor import Reconstructor, update_many
+from gateway.reconstruction.whole_body import WholeBodyReconstructor
 from tests.invariance import (
     INTERVAL_NS,
     SAGITTAL,

@@ -8,7 +8,7 @@ from simulated_body import angular_error_deg, arm, imu_frames, instants, simulat
 
 from gateway.frames import Status
 from gateway.reconstruction import create_reconstructor
-from gateway.reconstruction.inertial.joint import JointReconstructor, OutwardReconstructor
+from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor, OutwardReconstructor
 
 RATE_HZ = 100
 BOTH = pytest.mark.parametrize("kind", [JointReconstructor, OutwardReconstructor])

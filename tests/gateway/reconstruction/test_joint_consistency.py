@@ -17,7 +17,7 @@ from devices.emulators.waves import Fade, Waves
 from gateway.body.skeleton import LocalDevice, Skeleton, WornSuit, field_vector
 from gateway.emulation.rig import dress
 from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity
-from gateway.reconstruction.inertial.joint import JointReconstructor
+from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor
 
 CHAINS = 48
 RATE_HZ = 100

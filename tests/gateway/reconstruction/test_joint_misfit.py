@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from gateway.emulation.fast_arm import fast_arm
-from gateway.reconstruction.inertial import chain_step
-from gateway.reconstruction.inertial.chain_rows import joint_row
-from gateway.reconstruction.inertial.chain_state import Joint, Validity, chain_body, initial_state, work_space
-from gateway.reconstruction.inertial.tree_filter import clear
-from gateway.reconstruction.inertial.tuning import tuning
+from gateway.reconstruction.inertial.tree import rows
+from gateway.reconstruction.inertial.tree.rows import joint_row
+from gateway.reconstruction.inertial.tree.state import Joint, Validity, chain_body, initial_state, work_space
+from gateway.reconstruction.inertial.tree.tuning import tuning
+from gateway.reconstruction.inertial.tree.update import clear
 
 DT, SURE, N = 0.01, 1e-6, 5
 """s; rad² of orientations that are known; segments."""
@@ -67,6 +67,6 @@ def test_a_joint_that_does_not_fit_holds_nothing_up(monkeypatch):
     state.segments["averages"]["seconds"] = 10.0
     state.segments["joint_nis"][3] = 100.0
     work.segments["validity"] = Validity.FORCE
-    monkeypatch.setattr(chain_step, "_joint_row", lambda *a: None)
-    chain_step._joint_rows.__wrapped__(BODY, state, TUNING, work, DT)
+    monkeypatch.setattr(rows, "_joint_row", lambda *a: None)
+    rows.joint_rows.__wrapped__(BODY, state, TUNING, work, DT)
     assert work.segments["chain"].tolist() == [0, 0, 0, 3, 3]

@@ -6,9 +6,11 @@ from scipy.spatial.transform import Rotation
 
 from gateway.geometry.records import record, records
 from gateway.geometry.rotation_matrix import from_rotation_vector
-from gateway.reconstruction.inertial import blocks as blocks_module
-from gateway.reconstruction.inertial import tree_filter
-from gateway.reconstruction.inertial.chain_state import (
+from gateway.reconstruction.inertial.tree import prediction
+from gateway.reconstruction.inertial.tree import update as tree_update
+from gateway.reconstruction.inertial.tree.devices import derivative_weights
+from gateway.reconstruction.inertial.tree.lever_arms import is_due, learn_joint_arms, learn_rows
+from gateway.reconstruction.inertial.tree.state import (
     PHASES,
     Evidence,
     Joint,
@@ -18,9 +20,7 @@ from gateway.reconstruction.inertial.chain_state import (
     initial_state,
     work_space,
 )
-from gateway.reconstruction.inertial.lever_arms import is_due, learn_joint_arms, learn_rows
-from gateway.reconstruction.inertial.local_rows import derivative_weights
-from gateway.reconstruction.inertial.tuning import tuning
+from gateway.reconstruction.inertial.tree.tuning import tuning
 
 PARENTS = np.array([-1, 0, 1, 1, -1, 4])
 
@@ -78,16 +78,16 @@ def test_two_sweeps_equal_the_dense_update(seed):
             full[6 * s : 6 * s + 3] = row
             if p >= 0:
                 full[6 * p : 6 * p + 3] = row_p
-                tree_filter.add_edge(work.segments[s].evidence, row, row_p, residual, variance)
+                tree_update.add_edge(work.segments[s].evidence, row, row_p, residual, variance)
             else:
-                tree_filter.add_own(work.segments[s].evidence, row, residual, variance)
+                tree_update.add_own(work.segments[s].evidence, row, residual, variance)
             rows.append(full)
             residuals.append(residual)
             variances.append(variance)
     H, R = np.array(rows), np.diag(variances)
     gain = dense @ H.T @ np.linalg.inv(H @ dense @ H.T + R)
     after = dense - gain @ H @ dense
-    tree_filter.update_tree(*tree)
+    tree_update.update_tree(*tree)
     np.testing.assert_allclose(work.segments["x"].ravel(), gain @ residuals, atol=1e-10)
     P_after, C_after = blocks(after)
     np.testing.assert_allclose(segments["P"], P_after, atol=1e-10)
@@ -97,7 +97,7 @@ def test_two_sweeps_equal_the_dense_update(seed):
 def test_without_evidence_nothing_changes():
     _, P, C = random_tree(np.random.default_rng(1))
     links, segments, work = filtered(PARENTS, P, C)
-    tree_filter.update_tree(links, segments, work)
+    tree_update.update_tree(links, segments, work)
     np.testing.assert_array_equal(work.segments["x"], 0.0)
     np.testing.assert_allclose(segments["P"], P, atol=1e-12)
     np.testing.assert_allclose(segments["C"], C, atol=1e-12)
@@ -111,11 +111,11 @@ def cross_matrix(a):
 def test_a_vector_row_is_its_three_scalar_rows(seed):
     m, residual, other = np.random.default_rng(seed).standard_normal((3, 3))
     whole, rows = record(Evidence), record(Evidence)
-    tree_filter.add_joint(whole, m, residual, 0.3)
-    tree_filter.add_known(whole, m, other, 0.7)
+    tree_update.add_joint(whole, m, residual, 0.3)
+    tree_update.add_known(whole, m, other, 0.7)
     for i, H in enumerate(cross_matrix(m)):
-        tree_filter.add_edge(rows, H, -H, residual[i], 0.3)
-        tree_filter.add_own(rows, H, other[i], 0.7)
+        tree_update.add_edge(rows, H, -H, residual[i], 0.3)
+        tree_update.add_own(rows, H, other[i], 0.7)
     for name in rows.dtype.names:
         np.testing.assert_allclose(getattr(whole, name), getattr(rows, name), atol=1e-14, err_msg=name)
 
@@ -127,7 +127,7 @@ def test_inverse_of_ill_conditioned_blocks(size):
     scale = np.diag([1e-3, 1e-3, 1.6, 1e-4, 1e-4, 1e-3][:size])
     A = scale @ (np.eye(size) + 0.3 * (B := rng.standard_normal((size, size))) @ B.T) @ scale
     M = np.empty_like(A)
-    (blocks_module.inverse_into if size == 6 else blocks_module.inverse_3_into)(M, A)
+    (tree_update.inverse_into if size == 6 else tree_update.inverse_3_into)(M, A)
     np.testing.assert_array_equal(M, M.T)
     unscaled = np.linalg.inv(scale)
     np.testing.assert_allclose(scale @ M @ scale @ unscaled @ A @ unscaled, np.eye(size), atol=1e-12)
@@ -141,13 +141,13 @@ def test_evidence_of_three_states_is_taken_as_by_inverting_the_whole_block():
     links, segments, work = filtered(PARENTS, P, C)
     for s in range(n):
         evidence = work.segments[s].evidence
-        tree_filter.add_known(evidence, rng.standard_normal(3), rng.standard_normal(3), 0.01)
+        tree_update.add_known(evidence, rng.standard_normal(3), rng.standard_normal(3), 0.01)
         if s % 2:
             evidence.own[3:, 3:] += 50.0 * np.eye(3)
             evidence.own_vector[3:] += rng.standard_normal(3)
     expected = np.linalg.inv(np.linalg.inv(P) + work.segments["evidence"]["own"])
     vectors = work.segments["evidence"]["own_vector"].copy()
-    tree_filter.update_outward(links, segments, work)
+    tree_update.update_outward(links, segments, work)
     np.testing.assert_allclose(segments["P"], expected, atol=1e-9)
     np.testing.assert_allclose(work.segments["x"], np.einsum("sij,sj->si", expected, vectors), atol=1e-8)
 
@@ -161,13 +161,13 @@ def test_outward_a_child_learns_what_its_edge_tells_with_the_parent_integrated_o
     links, segments, work = filtered(PARENTS[:2], P, C[:2])
     H = np.zeros((3, 12))
     for k in range(3):
-        tree_filter.add_edge(work.segments[1].evidence, rows[k, 0], rows[k, 1], residuals[k], 0.5)
+        tree_update.add_edge(work.segments[1].evidence, rows[k, 0], rows[k, 1], residuals[k], 0.5)
         H[k, 6:9], H[k, :3] = rows[k]
     dense = np.zeros((12, 12))
     dense[:6, :6], dense[6:, 6:] = P
     gain = dense @ H.T @ np.linalg.inv(H @ dense @ H.T + 0.5 * np.eye(3))
     after, x = dense - gain @ H @ dense, gain @ residuals
-    tree_filter.update_outward(links, segments, work)
+    tree_update.update_outward(links, segments, work)
     np.testing.assert_allclose(segments[1].P, after[6:, 6:], atol=1e-10)
     np.testing.assert_allclose(work.segments[1].x, x[6:], atol=1e-10)
     np.testing.assert_array_equal(work.segments[0].x, 0.0)
@@ -191,9 +191,9 @@ def test_propagation_is_that_of_the_turning_error():
     P = A @ A.T
     expected = F @ P @ F.T
     own = P.copy()
-    tree_filter.propagate(P, R.as_matrix(), R.as_matrix(), dt)
+    prediction.propagate(P, R.as_matrix(), R.as_matrix(), dt)
     np.testing.assert_allclose(P, expected, atol=2e-3 * dt * 100)
-    tree_filter.propagate_own(own, R.as_matrix(), dt)
+    prediction.propagate_own(own, R.as_matrix(), dt)
     np.testing.assert_allclose(own, P, atol=1e-13)
     np.testing.assert_array_equal(own, own.T)
 

@@ -1,4 +1,4 @@
-"""The joint filter on a person who walks: better than module by module, resumable, over missing segments."""
+"""The tree filter on a person who walks: better than module by module, resumable, over missing segments."""
 
 from dataclasses import replace
 

@@ -5,7 +5,7 @@ import pytest
 
 from gateway.body.skeleton import LocalDevice
 from gateway.frames import LocalReading, Quantity
-from gateway.reconstruction.inertial.local_device import RootMotion
+from gateway.reconstruction.inertial.local_devices import RootMotion
 
 JERK = np.array([0.3, -0.2, 1.0])
 START = np.array([1.0, 2.0, -0.5])

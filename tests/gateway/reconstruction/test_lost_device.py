@@ -1,4 +1,4 @@
-"""Local devices that fall silent and come back, and pressure tubes, in the joint filter."""
+"""Local devices that fall silent and come back, and pressure tubes, in the tree filter."""
 
 from dataclasses import replace
 

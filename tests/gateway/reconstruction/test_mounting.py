@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +15,8 @@ from gateway.emulation.recordings import imu_frames
 from gateway.emulation.rig import dress, move
 from gateway.emulation.simulation import assembled
 from gateway.frames import Status
-from gateway.reconstruction import create_reconstructor
-from gateway.reconstruction.mounting import UNKNOWN
+from gateway.reconstruction import create_reconstructor, mounting
+from gateway.reconstruction.mounting import UNKNOWN, Arrangement, Found
 
 SECONDS = 14.0
 """The walk sets off at 2.75 s."""
@@ -143,3 +144,30 @@ def test_no_false_alarm_on_a_real_pendulum(recording_set):
     recording, rig = read_repoimu_pendulum(recording_set("repoimu_pendulum")), load_rig("pendulum_3")
     _, poses = solved(imu_frames(recording, rig), rig, 1.0 / recording.sampling_rate_hz)
     assert doubtful(poses, rig) == set()
+
+
+@pytest.mark.parametrize(
+    "worn_wrong",
+    [
+        lambda frames, suit: upside_down(frames, suit, "left_shank"),
+        lambda frames, suit: exchanged(frames, suit, "left_shank", "right_thigh"),
+    ],
+    ids=["turned", "exchanged"],
+)
+def test_the_best_explanation_is_that_of_trying_all_one_by_one(suit, walk, worn_wrong):
+    reconstructor, _ = solved(worn_wrong(walk, suit)[:900], suit)
+    joints, worn, agreement = reconstructor._joints, reconstructor._worn, reconstructor._memory.agreement
+    asked, n = mounting._told(joints, agreement, worn), suit.skeleton.n_segments
+    now = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1)))
+    best = Found(0.0, mounting.NOBODY, mounting.NOBODY, 0)
+    for s, o in itertools.combinations_with_replacement(np.flatnonzero(worn.is_told).tolist(), 2):
+        for turn in range(len(worn.turns) if s == o else 1):
+            other = Arrangement(now.place.copy(), now.turn.copy())
+            mounting._apply(worn, other, Found(0.0, s, o, turn))
+            gain = float(mounting._gains(joints, agreement, other, asked, s, o)[0])
+            if gain > best.gain:
+                best = Found(gain, s, o, turn)
+    found = mounting._best(joints, agreement, worn, now, asked, set())
+    assert found.gain == pytest.approx(best.gain, rel=1e-9)
+    assert found[1:] == best[1:]
+    assert found.gain > mounting.GAIN

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gateway.reconstruction.inertial.place_keeper import RETURN_S, PlaceKeeper
+from gateway.reconstruction.inertial.local_devices import RETURN_S, PlaceKeeper
 
 NONE = np.full(3, np.nan)
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from gateway.emulation.fast_arm import fast_arm
-from gateway.reconstruction.inertial import chain_step, device_rows
-from gateway.reconstruction.inertial.chain_averages import average
-from gateway.reconstruction.inertial.chain_rows import unaided_row
-from gateway.reconstruction.inertial.chain_state import Validity, chain_body, initial_state, work_space
-from gateway.reconstruction.inertial.tuning import tuning
+from gateway.reconstruction.inertial.tree import devices as tree_devices
+from gateway.reconstruction.inertial.tree import rows as tree_rows
+from gateway.reconstruction.inertial.tree.prediction import average
+from gateway.reconstruction.inertial.tree.rows import unaided_row
+from gateway.reconstruction.inertial.tree.state import Validity, chain_body, initial_state, work_space
+from gateway.reconstruction.inertial.tree.tuning import tuning
 
 DT, TUNING = 0.01, tuning()
 BODY = chain_body(fast_arm(), uses_field=False)
@@ -38,10 +39,10 @@ def test_a_chain_is_held_up_also_while_its_rows_wait_for_their_averages(fresh_s,
     state.segments["averages"]["seconds"] = fresh_s
     work.segments["validity"] = Validity.FORCE
     rows = []
-    monkeypatch.setattr(chain_step, "_joint_row", lambda *a: rows.append(a))
-    monkeypatch.setattr(device_rows, "_fixed_row", lambda *a: rows.append(a))
-    device_rows.device_rows.__wrapped__(BODY, state, TUNING, work, DT)
-    chain_step._joint_rows.__wrapped__(BODY, state, TUNING, work, DT)
+    monkeypatch.setattr(tree_rows, "_joint_row", lambda *a: rows.append(a))
+    monkeypatch.setattr(tree_devices, "_fixed_row", lambda *a: rows.append(a))
+    tree_devices.device_rows.__wrapped__(BODY, state, TUNING, work, DT)
+    tree_rows.joint_rows.__wrapped__(BODY, state, TUNING, work, DT)
     assert work.segments["chain"].tolist() == [0] * N
     assert work.segments[0].aided == 1
     assert len(rows) == (N if fresh_s > 1.0 else 0)

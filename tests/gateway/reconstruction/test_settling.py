@@ -6,8 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gateway.reconstruction.inertial.habits import after_gap, no_habits, note
-from gateway.reconstruction.inertial.settling import Before, nothing_since, settle
+from gateway.reconstruction.inertial.module_filter import (
+    Before,
+    after_gap,
+    no_habits,
+    note,
+    nothing_since,
+    settle,
+)
 
 DT = 0.01
 G = 9.81

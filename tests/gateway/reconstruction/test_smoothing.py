@@ -10,10 +10,9 @@ from simulated_body import angular_error_deg, arm, imu_frames, instants, simulat
 from gateway.errors import GatewayError
 from gateway.frames import ImuFrame, LocalReading, Quantity, Status
 from gateway.reconstruction import create_reconstructor, smoothing, update_many
-from gateway.reconstruction.inertial.chain_state import initial_state
-from gateway.reconstruction.inertial.time_reversal import seen_backward, turned_back
-from gateway.reconstruction.inertial.tuning import tuning
-from gateway.reconstruction.inertial.two_ways import put_together
+from gateway.reconstruction.inertial.tree.smoothing import put_together, seen_backward, turned_back
+from gateway.reconstruction.inertial.tree.state import initial_state
+from gateway.reconstruction.inertial.tree.tuning import tuning
 from gateway.reconstruction.smoothing import Smoother
 
 RATE_HZ = 100
@@ -90,12 +89,12 @@ def known_of(state):
 def test_the_last_frame_is_not_taken_twice():
     state = initial_state(2, 1)
     state.clock.last_ns, state.clock.first_ns = 7_000_000_000, 1_000_000_000
-    rest = state.segments["rest"]
+    rest = state.segments["zero_rate"]
     rest["rate"], rest["force"], rest["still_s"] = [0.0, 1.0, 2.0], [3.0, 4.0, 5.0], 8.0
     back = turned_back(state, tuning(), GRAVITY)
     (last, _), _ = seen_backward([frame(10), frame(20)], 20, [])
     assert last.time_ns == 0 == back.clock.last_ns
-    kept = back.segments[0].rest
+    kept = back.segments[0].zero_rate
     np.testing.assert_array_equal(kept.rate, [-0.0, -1.0, -2.0])
     np.testing.assert_array_equal(kept.force, [3.0, 4.0, 5.0])
     assert kept.still_s == 8.0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from simulated_body import FIELD, GRAVITY, arm, imu_frames, instants, simulate
 
+from gateway.reconstruction.inertial.articulated import StaticStart
 from gateway.reconstruction.inertial.observations import SegmentObserver
-from gateway.reconstruction.inertial.static_start import StaticStart
 
 
 def observations(body, start_s, seconds):

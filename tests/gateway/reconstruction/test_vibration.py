@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gateway.reconstruction.inertial.chain_state import initial_state
-from gateway.reconstruction.inertial.heading_start import second_order_variance
-from gateway.reconstruction.inertial.tuning import tuning
-from gateway.reconstruction.inertial.vibration import watch_vibration
+from gateway.reconstruction.inertial.tree.prediction import watch_vibration
+from gateway.reconstruction.inertial.tree.start import second_order_variance
+from gateway.reconstruction.inertial.tree.state import initial_state
+from gateway.reconstruction.inertial.tree.tuning import tuning
 
 DT, TUNING = 0.01, tuning()
 

@@ -36,7 +36,7 @@ class KnownOrientations:
     def set_state(self, state):
         pass
 
-    def update(self, observation, resting=None):
+    def update(self, observation, stood_s=None):
         k, n = observation.sequence, self.q_wb.shape[1]
         zeros = np.zeros((n, 3))
         status = np.zeros(n, np.uint8)
@@ -156,8 +156,8 @@ def test_resuming_equals_one_run_bit_for_bit(suit, walked):
 
 def test_a_state_of_another_body_is_refused(suit, walked):
     reconstructor = WholeBodyReconstructor(suit, KnownOrientations(walked[0]))
-    state = reconstructor.state() | {"stance.still_s": np.zeros(3)}
-    with pytest.raises(ValueError, match=r"'stance.still_s' does not fit"):
+    state = reconstructor.state() | {"stance.segments": np.zeros(3)}
+    with pytest.raises(ValueError, match=r"'stance.segments' does not fit"):
         reconstructor.set_state(state)
 
 
@@ -260,9 +260,9 @@ def test_a_sensor_at_the_end_of_its_range_is_told_whatever_finds_the_orientation
 class Seen(KnownOrientations):
     """Keeps the last observation."""
 
-    def update(self, observation, resting=None):
+    def update(self, observation, stood_s=None):
         self.observation = observation
-        return super().update(observation, resting)
+        return super().update(observation, stood_s)
 
 
 def test_a_stuck_module_counts_as_silent_and_comes_back(suit, walked):

@@ -14,8 +14,9 @@ import time
 import psutil
 import pytest
 
-from gateway.batch import Job, Manifest, Outcome, Task, jobs_in, perform, run_jobs
-from gateway.batch.running import _interrupts_for_this_process
+from gateway.batch.job import Job, Outcome, Task, perform
+from gateway.batch.manifest import Manifest
+from gateway.batch.running import _interrupts_for_this_process, jobs_in, run_jobs
 from gateway.errors import GatewayError
 from gateway.recording import open_recording
 from tests.patience import PATIENCE_S
@@ -42,7 +43,7 @@ def here(monkeypatch):
         for job in jobs:
             done(job, perform(job))
 
-    monkeypatch.setattr("gateway.cli.export.run_jobs", run)
+    monkeypatch.setattr("gateway.batch.running.run_jobs", run)
 
 
 def test_results_are_those_of_the_single_commands(sessions, typed, tmp_path, here):

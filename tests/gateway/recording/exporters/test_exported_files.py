@@ -19,7 +19,9 @@ from gateway.errors import GatewayError
 from gateway.frames import Status
 from gateway.recording import SkeletonArrays
 from gateway.recording.arrays import MarkerArrays
-from gateway.recording.exporters import FORMATS, Axes, take_of
+from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.exporters.take import take_of
 
 LARGEST_ANGLE = 1e-4  # rad
 LARGEST_DISTANCE = 1e-4  # m

@@ -1,0 +1,1 @@
+"""The tree filter of ``joint`` and ``outward``: ``step`` beside ``docs/explanation/estimator.md``."""

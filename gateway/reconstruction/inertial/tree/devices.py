@@ -1,0 +1,405 @@
+"""Local devices in the tree filter: the acceleration of a point of the body is known. Compiled.
+
+A derivative of the readings by least squares over a window is ``Σ w_i p(t_i)``, and for every motion
+whatever that is ``∫ K(t) a(t) dt`` with the kernel ``K(t) = Σ w_i (t_i − t)₊`` (Peano; for velocities a step
+in place of the ramp). So the module's side of the row is its own acceleration averaged with the same kernel:
+neither delay nor bandwidth of the fit is an error of the row, only the readings' noise is, ``σ² Σ w_i²``.
+Where the device sits off the module, ``Σ w_i R(t_i) r`` is what the arm adds (of velocities
+``Σ w_i R [ω(t_i)]× r``), again without any derivative of ω. Accelerations are summed to velocities over the
+window first.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import FloatArray, Quantity
+from gateway.geometry import rotation_matrix
+from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records
+from gateway.reconstruction.inertial.tree.lever_arms import learn_device, learn_fixed_point
+from gateway.reconstruction.inertial.tree.prediction import felt_into
+from gateway.reconstruction.inertial.tree.rows import known_row, row_variance, unobserved_known_row
+from gateway.reconstruction.inertial.tree.start import gather_heading, shown_heading, tilt_spread, turn_beyond
+from gateway.reconstruction.inertial.tree.state import (
+    N_HISTORY,
+    N_READINGS,
+    Body,
+    Device,
+    Heading,
+    LocalPair,
+    Mount,
+    PastFrame,
+    Segment,
+    SegmentWork,
+    State,
+    Validity,
+    Work,
+    World,
+)
+from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.update import add_own
+
+OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
+ACCELERATION, AIR_VELOCITY, FIXED_POINT, POSITION, VELOCITY = (
+    Quantity.ACCELERATION.value,
+    Quantity.AIR_VELOCITY.value,
+    Quantity.FIXED_POINT.value,
+    Quantity.POSITION.value,
+    Quantity.VELOCITY.value,
+)
+FORCE = Validity.FORCE.value
+
+
+# Rows
+
+
+@compiled
+def device_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Section 7: rows of all local devices; marks the segments that one of them aids."""
+    time_s = work.shared.time_s
+    for d in range(len(body.devices)):
+        mount, device = body.devices[d], state.devices[d]
+        segment, now = state.segments[mount.segment], work.segments[mount.segment]
+        device.age_s += dt
+        if now.validity < FORCE:
+            continue
+        if device.covariance[0, 0] == 0.0:
+            for i in range(3):
+                device.covariance[i, i] = tuning.lever_arm_offset**2
+                device.covariance[3 + i, 3 + i] = tuning.force_bias**2
+        if mount.kind == FIXED_POINT:
+            now.aided = 1  # also while its row waits for the averages
+            if segment.averages.seconds > tuning.settled * tuning.smoothing_s:
+                _fixed_row(body, state, tuning, work, d, dt)
+            continue
+        note_frame(device, segment, now, tuning, time_s)
+        if find_local_pair(work.shared.pair, device, mount, body.world, tuning, time_s):
+            _moving_row(body, state, tuning, work, d)
+        if has_spoken(device, tuning) and is_telling(device, tuning):
+            now.aided = 1
+
+
+@compiled
+def has_spoken(device: Device, tuning: Tuning) -> bool:
+    """Whether a device has told something of late, as its readings follow each other."""
+    n, longest_s = device.n_readings, tuning.device_aids_s
+    if n > 1:
+        longest_s = max(longest_s, 1.5 * (device.readings[n - 1].time_s - device.readings[n - 2].time_s))
+    return bool(device.age_s < longest_s)
+
+
+@compiled
+def is_telling(device: Device, tuning: Tuning) -> bool:
+    """Whether a device tells more of the mean acceleration than that it is small, which (39) says anyhow."""
+    return bool(device.fit_density < tuning.unaided_speed**2 / tuning.unaided_window_s)
+
+
+@compiled
+def _fixed_row(body: Body, state: State, tuning: Tuning, work: Work, d: int, dt: float) -> None:
+    """(14) with (18): a point of a segment that does not move."""
+    mount, device, shared = body.devices[d], state.devices[d], work.shared
+    segment, now, pair = state.segments[mount.segment], work.segments[mount.segment], shared.pair
+    # (18) u_s at the device, y = −g
+    felt_into(pair.u, segment.averages.force, now.K, mount.arm, device.shift, 0)
+    for i in range(3):
+        pair.y[i] = body.world.at_rest[i]
+    variance = row_variance(tuning, now.motion, dt)
+    shared.learning.variance, shared.learning.at_once = variance, variance * dt / tuning.row_memory_s
+    added = learn_fixed_point(device, segment, now, shared, tuning, dt)
+    variance += added * tuning.row_memory_s / dt
+    known_row(now, segment, pair.u, pair.y, variance, tuning)
+
+
+@compiled
+def _moving_row(body: Body, state: State, tuning: Tuning, work: Work, d: int) -> None:
+    """(14), (25), (26): a point of a segment whose acceleration is told: ``work.shared.pair``."""
+    mount, device, shared = body.devices[d], state.devices[d], work.shared
+    s, pair, learning = mount.segment, shared.pair, shared.learning
+    segment, now = state.segments[s], work.segments[s]
+    interval = min(device.age_s, pair.span_s)
+    device.age_s, device.fit_density = 0.0, pair.variance * pair.span_s
+    for i in range(3):
+        for j in range(3):
+            # (25) … + (Σ w_i R(t_i)) (r_d + e_d)
+            pair.u[i] += pair.arm[i, j] * (mount.arm[j] + device.shift[j])
+    # overlapping windows share their readings, and frames with their errors
+    # (26) max(1, T_d / Δt_d)
+    sharing = max(1.0, pair.span_s / interval)
+    learning.at_once = _variance_at_once(segment, now, pair.variance, tuning)
+    learning.variance = learning.at_once * sharing
+    turns_too = mount.kind == AIR_VELOCITY
+    if turns_too:
+        _level_only(pair.u, pair.y, body.world)
+    variance = learning.variance
+    is_unobserved = segment.heading == UNOBSERVED or now.turn[2] != 0.0
+    if body.segments[s].parent < 0 and segment.heading == UNOBSERVED:
+        uncertain = variance + tilt_spread(segment, tuning, interval)
+        gather_heading(segment.heading_sums, pair.u, pair.y, uncertain, tuning, interval)
+        _observe_root(body, state, tuning, work, s)
+    elif not is_unobserved and not turns_too:
+        variance += sharing * learn_device(device, segment, shared, tuning, interval)
+    if is_unobserved:
+        unobserved_known_row(now, pair.u, pair.y, variance)
+    else:
+        known_row(now, segment, pair.u, pair.y, variance, tuning)
+
+
+@compiled
+def _variance_at_once(segment: Segment, now: SegmentWork, of_fit: float, tuning: Tuning) -> float:
+    """First factor of (26): of a single row of a moving point, (m/s²)²."""
+    at_once = of_fit + tuning.specific_force**2 + (tuning.lever_arm * now.motion) ** 2
+    at_once += segment.vibration.square
+    return float(at_once)
+
+
+@compiled
+def _level_only(u: FloatArray, y: FloatArray, world: World) -> None:
+    """Air velocity. Both sides turn with the segment: all that the row shows is where down is."""
+    for i in range(3):
+        u[i] += -y[i] - world.gravity[i]
+        y[i] = world.at_rest[i]
+
+
+@compiled
+def _observe_root(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
+    """(55): once shown, the heading against the world: turns the whole tree."""
+    variance, angle = shown_heading(state.segments[s], tuning)
+    if variance > 0.0:
+        state.segments[s].heading = OBSERVED
+        add_own(work.segments[s].evidence, (0.0, 0.0, 1.0), 0.0, variance)
+        turn_beyond(body, state, tuning, work, s, angle)
+
+
+# From readings to an acceleration
+
+
+LEAST_READINGS = 4
+
+
+@compiled
+def _choose_window(device: Device, kind: int, sigma: float, tuning: Tuning) -> float:
+    """Span (s) of the readings of a device: the less certain they are, the longer.
+
+    n readings of standard deviation σ within T leave ``σ √(720 / n) / T²`` of an acceleration, of velocities
+    ``σ √(12 / n) / T``. Those of pressure tubes are as uncertain as the air is slow, and stay as they are.
+    """
+    wanted, change = tuning.local_window_s, tuning.local_window_change
+    if kind == POSITION:
+        wanted = math.sqrt(sigma * math.sqrt(720.0 / N_READINGS) / tuning.local_acceleration)
+    elif kind == VELOCITY:
+        wanted = sigma * math.sqrt(12.0 / N_READINGS) / tuning.local_acceleration
+    wanted = min(max(wanted, tuning.local_window_s), tuning.local_longest_window_s)
+    if not device.fit_span_s / change < wanted < device.fit_span_s * change:
+        device.fit_span_s = wanted
+    window_s: float = device.fit_span_s
+    return window_s
+
+
+@compiled
+def take_reading(
+    device: Device, kind: int, time_s: float, value: FloatArray, sigma: float, tuning: Tuning
+) -> None:
+    """Keeps a reading of a device; those much denser than the window needs are passed over."""
+    readings, n = device.readings, device.n_readings
+    window_s = _choose_window(device, kind, sigma, tuning)
+    if n > 0:
+        since = time_s - readings[n - 1].time_s
+        if since < 0.8 * window_s / (N_READINGS - 1):
+            return
+        if since > max(tuning.local_longest_gap_s, 0.5 * window_s):
+            n = 0
+    if n == N_READINGS:
+        for i in range(N_READINGS - 1):
+            readings[i] = readings[i + 1]
+        n -= 1
+    newest = readings[n]
+    newest.time_s, newest.sigma = time_s, sigma
+    for i in range(3):
+        newest.value[i] = value[i]
+    device.n_readings, device.is_waiting = n + 1, 1
+
+
+@compiled
+def note_frame(device: Device, segment: Segment, now: SegmentWork, tuning: Tuning, time_s: float) -> None:
+    """Remembers what a device's segment felt, in axes that corrections need not turn: see ``Device.turn``."""
+    history, R, turn = device.history, segment.R, device.turn
+    window_s = max(tuning.local_window_s, device.fit_span_s)
+    if time_s - history[N_HISTORY - 1].time_s < window_s / tuning.local_frames:
+        return
+    for j in range(N_HISTORY - 1):
+        history[j] = history[j + 1]
+    newest = history[N_HISTORY - 1]
+    newest.time_s = time_s
+    f = np.empty(3)
+    for i in range(3):
+        f[i] = now.specific_force[i] - segment.force_bias[i]
+        newest.rate[i] = now.angular_rate[i] - segment.bias[i]
+    for i in range(3):
+        newest.force[i] = 0.0
+        for j in range(3):
+            column = turn[0, i] * R[0, j] + turn[1, i] * R[1, j] + turn[2, i] * R[2, j]
+            newest.R[i, j] = column
+            newest.force[i] += column * f[j]
+
+
+@compiled
+def find_local_pair(
+    pair: LocalPair, device: Device, mount: Mount, world: World, tuning: Tuning, time_s: float
+) -> bool:
+    """(24), (25): whether there is a new row; ``pair`` ← its sides, the fit's variance and span."""
+    n, readings = device.n_readings, device.readings
+    if device.is_waiting == 0 or n < LEAST_READINGS or readings[n - 1].time_s > time_s:
+        return False
+    device.is_waiting = 0
+    first = max(0, n - LEAST_READINGS)
+    reach = 1.05 * device.fit_span_s
+    while first > 0 and readings[n - 1].time_s - readings[first - 1].time_s < reach:
+        first -= 1
+    t, values = np.empty(n - first), np.empty((n - first, 3))
+    for k in range(n - first):
+        t[k] = readings[first + k].time_s
+        for i in range(3):
+            values[k, i] = readings[first + k].value[i]
+    order = 2 if mount.kind == POSITION else 1
+    if mount.kind == ACCELERATION:
+        _sum_up(t, values)
+    weights = derivative_weights(t, order)
+    if not _average_own_side(pair, device.history, t, weights, order, tuning.local_longest_gap_s):
+        return False
+    rotation_matrix.turn(device.turn, pair.u)
+    rotation_matrix.turn_columns(device.turn, pair.arm)
+    rotation_matrix.turn_columns(device.turn, pair.turn)
+    pair.variance, pair.span_s = 0.0, t[len(t) - 1] - t[0]
+    for i in range(3):
+        pair.y[i] = -world.gravity[i]
+    for k in range(len(t)):
+        # (26) Σ w_i² σ_i²
+        pair.variance += (weights[k] * readings[first + k].sigma) ** 2
+        for i in range(3):
+            # (25) y = Σ w_i z_i − g
+            pair.y[i] += weights[k] * values[k, i]
+    if mount.kind == ACCELERATION:
+        pair.variance = readings[n - 1].sigma ** 2 / len(t)
+    return True
+
+
+@compiled
+def _sum_up(t: FloatArray, values: FloatArray) -> None:
+    """Accelerations (n, 3) to velocities, trapezoidal, from zero; in place."""
+    for i in range(3):
+        before, values[0, i] = values[0, i], 0.0
+        for k in range(1, len(t)):
+            mean, before = 0.5 * (values[k, i] + before), values[k, i]
+            values[k, i] = values[k - 1, i] + (t[k] - t[k - 1]) * mean
+
+
+@compiled
+def derivative_weights(t: FloatArray, order: int) -> FloatArray:
+    """(24): w (n,) with Σ w_i p(t_i) the derivative of the polynomial of that order (1, 2) fitted to p."""
+    n, mean, squares, cubes, total = len(t), 0.0, 0.0, 0.0, 0.0
+    for k in range(n):
+        mean += t[k] / n
+    weights = np.empty(n)
+    for k in range(n):
+        x = t[k] - mean
+        squares += x * x
+        cubes += x * x * x
+    for k in range(n):
+        x = t[k] - mean
+        weights[k] = x if order == 1 else x * x - cubes / squares * x - squares / n
+        total += weights[k] * weights[k]
+    for k in range(n):
+        weights[k] *= order / total
+    return weights
+
+
+@compiled
+def _average_own_side(
+    pair: LocalPair,
+    history: Records[PastFrame],
+    t: FloatArray,
+    weights: FloatArray,
+    order: int,
+    longest_gap_s: float,
+) -> bool:
+    """(25): u and turn averaged with the fit's kernel, and the arm's matrix; whether the frames reach so
+    far."""
+    total = 0.0
+    for i in range(3):
+        pair.u[i] = 0.0
+        for j in range(3):
+            pair.arm[i, j], pair.turn[i, j] = 0.0, 0.0
+    if not _reaches(history, t[0]):
+        return False
+    for j in range(1, N_HISTORY):
+        older, newer = history[j - 1], history[j]
+        if older.time_s == -np.inf or newer.time_s < t[0]:
+            continue
+        step = newer.time_s - older.time_s
+        if step > longest_gap_s:
+            return False
+        middle = 0.5 * (newer.time_s + older.time_s)
+        kernel = 0.0
+        for i in range(len(t)):
+            ahead = t[i] - middle
+            if ahead > 0.0:
+                # (24) k(t) = Σ w_i (t_i − t)₊, for velocities a step
+                kernel += weights[i] * (ahead if order == 2 else 1.0)
+        _add_share(pair, older, 0.5 * kernel * step)
+        _add_share(pair, newer, 0.5 * kernel * step)
+        total += kernel * step
+    for k in range(len(t)):
+        _add_arm(pair.arm, weights[k], history, t[k], order)
+    for i in range(3):
+        pair.u[i] /= total  # the kernel's area is 1; what is missing was lost at the ends of the window
+        for k in range(3):
+            pair.turn[i, k] /= total
+    return math.isfinite(total) and total > 0.5
+
+
+@compiled
+def _add_share(pair: LocalPair, frame: PastFrame, share: float) -> None:
+    for i in range(3):
+        pair.u[i] += share * frame.force[i]
+        for j in range(3):
+            pair.turn[i, j] += share * frame.R[i, j]
+
+
+@compiled
+def _reaches(history: Records[PastFrame], time_s: float) -> bool:
+    """Whether some remembered frame is as old."""
+    for j in range(N_HISTORY):
+        if history[j].time_s > -np.inf:
+            return bool(history[j].time_s <= time_s)
+    return False
+
+
+@compiled
+def _add_arm(arm: FloatArray, weight: float, history: Records[PastFrame], time_s: float, order: int) -> None:
+    """(25): arm (3, 3) += weight R, of velocities weight R [ω]×, at an instant: between frames linear, the
+    nearest one outside."""
+    last = N_HISTORY - 1
+    while last > 1 and history[last - 1].time_s >= time_s:
+        last -= 1
+    older, newer = history[last - 1], history[last]
+    step = newer.time_s - older.time_s
+    part = min(1.0, max(0.0, (time_s - older.time_s) / step)) if math.isfinite(step) else 1.0
+    if part != 1.0:
+        _add_frame(arm, weight * (1.0 - part), older, order)
+    _add_frame(arm, weight * part, newer, order)
+
+
+@compiled
+def _add_frame(arm: FloatArray, weight: float, frame: PastFrame, order: int) -> None:
+    R, w = frame.R, frame.rate
+    for i in range(3):
+        x, y, z = R[i, 0], R[i, 1], R[i, 2]
+        if order == 1:
+            a, b, c = w[0], w[1], w[2]
+            x, y, z = y * c - z * b, z * a - x * c, x * b - y * a
+        arm[i, 0] += weight * x
+        arm[i, 1] += weight * y
+        arm[i, 2] += weight * z

@@ -1,0 +1,217 @@
+"""Lever arms that were measured wrong: what of it shows in the motion is found out. Compiled.
+
+The two sides of a joint's row are ``force + K r`` with the filtered lever-arm matrix
+``K = R ([ω̇]× + [ω]×²)``. Arms that are off by ``e`` leave ``u − u_p = … − K e + K_p e_p``: linear in e with
+coefficients that the motion changes all the time, so orientation and arms can be told apart. Each joint has
+a small Kalman filter of its own for its six components; the orientation error enters it as noise that stays
+for a while, and what the arms are still uncertain of enters the orientation's rows. Directions that never
+show stay as measured. Where a segment has a local device, the place of that on it is found in the same way,
+and the constant error ``b`` of the accelerometer shows too, as ``R b`` averaged as the row is; between two
+modules it does not show well enough to be of use.
+A joint's rows are correlated over the low-pass, so what they say of constants is asked every ``learn_s``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import FloatArray
+from gateway.geometry.compiled import compiled
+from gateway.reconstruction.inertial.tree.state import (
+    Device,
+    Joint,
+    Learning,
+    Segment,
+    SegmentWork,
+    SharedWork,
+)
+from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.update import Three, times_vector_into
+
+Symmetric = tuple[float, float, float, float, float, float]
+"""xx, yy, zz, yz, xz, xy of a (3, 3) matrix: numbers, for which no array has to be made."""
+
+
+@compiled
+def own_covariance(segment: Segment) -> Symmetric:
+    """D of (16) for a known vector: of the orientation error of a segment, world axes, rad²."""
+    P = segment.P
+    return P[0, 0], P[1, 1], P[2, 2], P[1, 2], P[0, 2], P[0, 1]
+
+
+@compiled
+def relative_covariance(child: Segment, parent: Segment) -> Symmetric:
+    """D of (16): of the orientation error of a segment against that of its parent, world axes, rad²."""
+    P, P_p, C = child.P, parent.P, child.C
+    return (
+        P[0, 0] + P_p[0, 0] - C[0, 0] - C[0, 0],
+        P[1, 1] + P_p[1, 1] - C[1, 1] - C[1, 1],
+        P[2, 2] + P_p[2, 2] - C[2, 2] - C[2, 2],
+        P[1, 2] + P_p[1, 2] - C[1, 2] - C[2, 1],
+        P[0, 2] + P_p[0, 2] - C[0, 2] - C[2, 0],
+        P[0, 1] + P_p[0, 1] - C[0, 1] - C[1, 0],
+    )
+
+
+@compiled
+def spread(x: float, y: float, z: float, D: Symmetric) -> Three:
+    """(16): diagonal of ``[v]× D [v]×ᵀ``, v = (x, y, z): what an uncertain orientation makes of a vector."""
+    xx, yy, zz, yz, xz, xy = D
+    return (
+        z * z * yy - 2.0 * y * z * yz + y * y * zz,
+        z * z * xx - 2.0 * x * z * xz + x * x * zz,
+        y * y * xx - 2.0 * x * y * xy + x * x * yy,
+    )
+
+
+@compiled
+def is_due(child: Segment, tuning: Tuning, dt: float) -> bool:
+    """Whether the joint of a segment with its parent is asked about its lever arms at this instant."""
+    child.arms.since_s += dt
+    return bool(not child.arms.since_s < 0.9 * tuning.learn_s)  # frames jitter
+
+
+@compiled
+def learn_joint_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> None:
+    """(41) to (43), (46): correct the joint's ``arms`` and, in place, its sides ``u`` and ``u_parent``, where
+    ``is_due``.
+
+    ``arms.row_variance`` ← what the arms' uncertainty adds to a component of a single row, whose own variance
+    is ``learning.at_once``.
+    """
+    link, child, parent, now, above = joint
+    arms, u, u_p, K, K_p = child.arms, now.u, now.u_parent, now.K, above.K
+    interval_s = min(arms.since_s, tuning.row_memory_s)
+    arms.since_s = 0.0 if math.isfinite(arms.since_s) else -dt * link.phase
+    for i in range(3):
+        for j in range(3):
+            # (41) A = [−K_s  K_p]
+            learning.rows[i, j], learning.rows[i, 3 + j] = -K[i, j], K_p[i, j]
+    x, y, z = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
+    off = spread(x, y, z, relative_covariance(child, parent))
+    for i in range(3):
+        learning.residual[i], learning.off[i] = u[i] - u_p[i], off[i]
+    learning.variance = learning.at_once * tuning.row_memory_s / interval_s
+    learning.memory = tuning.row_memory_s / interval_s
+    arms.row_variance = learn_rows(arms.covariance, learning, tuning.huber)
+    change = learning.change
+    for i in range(6):
+        arms.error[i] += change[i]
+    for i in range(3):
+        u[i] += K[i, 0] * change[0] + K[i, 1] * change[1] + K[i, 2] * change[2]
+        u_p[i] += K_p[i, 0] * change[3] + K_p[i, 1] * change[4] + K_p[i, 2] * change[5]
+
+
+@compiled
+def learn_fixed_point(
+    device: Device, segment: Segment, now: SegmentWork, shared: SharedWork, tuning: Tuning, dt: float
+) -> float:
+    """(44): correct ``device.shift`` of a fixed point, at which ``pair.u`` must be the known ``pair.y``, and
+    ``segment.force_bias``; ``pair.u`` in place. Returns what their uncertainty adds to the row, (m/s²)²."""
+    rows = shared.learning.rows
+    for i in range(3):
+        for j in range(3):
+            rows[i, j] = -now.K[i, j]
+            rows[i, 3 + j] = _averaged_turn(segment, tuning, i, j)
+    return _learn_point(device, segment, shared, tuning, dt)
+
+
+@compiled
+def learn_device(
+    device: Device, segment: Segment, shared: SharedWork, tuning: Tuning, interval_s: float
+) -> float:
+    """(44) of a device that tells every ``interval_s`` how its point moves."""
+    rows, pair = shared.learning.rows, shared.pair
+    for i in range(3):
+        for j in range(3):
+            rows[i, j], rows[i, 3 + j] = -pair.arm[i, j], pair.turn[i, j]
+    added = _learn_point(device, segment, shared, tuning, interval_s)
+    change = shared.learning.change
+    for k in range(len(device.history)):
+        frame = device.history[k]
+        if frame.time_s == -np.inf:
+            continue
+        for i in range(3):
+            for j in range(3):
+                frame.force[i] -= frame.R[i, j] * change[3 + j]
+    return added
+
+
+@compiled
+def _averaged_turn(segment: Segment, tuning: Tuning, i: int, j: int) -> float:
+    """R̄ of (44): an element of R through the low-pass, whose derivative went through it as the lever-arm
+    matrix."""
+    return float(segment.R[i, j] - tuning.smoothing_s * segment.averages.lever_arm_matrix[i, j])
+
+
+@compiled
+def _learn_point(
+    device: Device, segment: Segment, shared: SharedWork, tuning: Tuning, interval_s: float
+) -> float:
+    """(43) to (45) by ``learning.rows``: columns of the arm, of the accelerometer's error."""
+    learning, u, y = shared.learning, shared.pair.u, shared.pair.y
+    change, averages = learning.change, segment.averages
+    off = spread(y[0], y[1], y[2], own_covariance(segment))
+    for i in range(3):
+        learning.residual[i], learning.off[i] = u[i] - y[i], off[i]
+    learning.memory = max(1.0, tuning.point_memory_s / interval_s)
+    added = learn_rows(device.covariance, learning, tuning.huber)
+    for i in range(3):
+        device.shift[i] += change[i]
+        segment.force_bias[i] += change[3 + i]
+        for j in range(6):
+            u[i] -= learning.rows[i, j] * change[j]
+        for j in range(3):  # the averages as if the accelerometer's error had always been known so
+            # (45)
+            averages.force[i] -= _averaged_turn(segment, tuning, i, j) * change[3 + j]
+            averages.last_force[i] -= segment.R[i, j] * change[3 + j]
+    return added
+
+
+@compiled
+def learn_rows(P: FloatArray, learning: Learning, huber: float) -> float:
+    """(42), (43), (46): ``learning.change`` ← three scalar updates by its rows and their residuals; P (6, 6)
+    changes in place. Returns the mean variance that P meant for a component beforehand.
+
+    P itself is changed once, by all three: a row's gain is that by the first P less its shares in the gains
+    of the rows before it.
+    """
+    rows, gains, scaled, found = learning.rows, learning.gains, learning.scaled, learning.found
+    added, variance, at_once, memory = 0.0, learning.variance, learning.at_once, learning.memory
+    for i in range(3):
+        times_vector_into(gains[i], P, rows[i])
+        # (46) Σ a_i P_e a_iᵀ
+        added += _dot_six(rows[i], gains[i])
+    for i in range(3):
+        innovation, off = learning.residual[i], learning.off[i]
+        for k in range(i):
+            share = _dot_six(rows[i], scaled[k])
+            innovation -= share * found[k]
+            for a in range(6):
+                gains[i, a] -= share * gains[k, a]
+        uncertain = _dot_six(rows[i], gains[i])
+        # (42) v_i and its outliers
+        white, plausible = variance + off * memory, huber * huber * (at_once + off + uncertain)
+        if innovation * innovation > plausible:
+            white *= math.sqrt(innovation * innovation / plausible)
+        weight = 1.0 / (uncertain + white)
+        found[i] = innovation
+        for a in range(6):
+            scaled[i, a] = gains[i, a] * weight
+    for a in range(6):
+        x, y, z = scaled[0, a], scaled[1, a], scaled[2, a]
+        learning.change[a] = x * found[0] + y * found[1] + z * found[2]
+        for b in range(a + 1):
+            # (43) P_e ← P_e − k_i a_i P_e, all three at once
+            P[a, b] -= x * gains[0, b] + y * gains[1, b] + z * gains[2, b]
+            P[b, a] = P[a, b]
+    return added / 3.0
+
+
+@compiled
+def _dot_six(a: FloatArray, b: FloatArray) -> float:
+    """a · b; shapes (6,), (6,)."""
+    product: float = (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
+    return product

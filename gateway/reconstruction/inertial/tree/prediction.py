@@ -1,0 +1,433 @@
+"""Prediction of the tree filter, and everything that turns with a segment. Compiled.
+
+Averages: both sides of every row go through the same low-pass, which differentiates without delay. With
+``W = R [ω]×``, ``R ([ω̇, ω] ⊳ r) = (dW/dt) r`` exactly, for every arm r. A first-order low-pass with time
+constant τ of a derivative is the filtered lever-arm matrix ``K = (W − average(W)) / τ``: no sample of ω is
+ever differenced, and both sides of an equation are delayed alike. Orientation errors in world axes hardly
+change within τ, so the row counts as one about now.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import Clipped, FloatArray, Quantity
+from gateway.geometry import rotation_matrix
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import dot, is_finite, norm
+from gateway.reconstruction.inertial.tree.state import (
+    Body,
+    Corrections,
+    Heading,
+    Segment,
+    SegmentWork,
+    SharedWork,
+    Started,
+    State,
+    Validity,
+    Vibration,
+    Work,
+)
+from gateway.reconstruction.inertial.tree.tuning import Tuning
+
+RATE_CLIPPED, FORCE_CLIPPED = Clipped.ANGULAR_RATE.value, Clipped.SPECIFIC_FORCE.value
+OBSERVED = Heading.OBSERVED.value
+AIR_VELOCITY = Quantity.AIR_VELOCITY.value
+STARTS_AGAIN, NOT_STARTED = Started.AGAIN.value, Started.NO.value
+FORCE, NOTHING, RATE, SATURATED_RATE = (
+    Validity.FORCE.value,
+    Validity.NOTHING.value,
+    Validity.RATE.value,
+    Validity.SATURATED_RATE.value,
+)
+
+
+@compiled
+def judge_samples(work: Work, tuning: Tuning) -> None:
+    """``validity`` of each segment ← what of its module's sample counts.
+
+    A sensor is at the end of its range where its module says so, and at the largest range there is.
+    """
+    works = work.segments
+    for s in range(len(works)):
+        now = works[s]
+        now.validity = NOTHING
+        if now.status <= 1 and is_finite(now.angular_rate):
+            now.validity = RATE
+            is_usable = is_finite(now.specific_force) and now.clipped & FORCE_CLIPPED == 0
+            if exceeds(now.angular_rate, tuning.largest_rate) or now.clipped & RATE_CLIPPED > 0:
+                now.validity = SATURATED_RATE
+            elif is_usable and not exceeds(now.specific_force, tuning.largest_force):
+                now.validity = FORCE
+
+
+@compiled
+def exceeds(v: FloatArray, limit: float) -> bool:
+    """Whether a component of v (3,) is that large."""
+    return bool(abs(v[0]) >= limit or abs(v[1]) >= limit or abs(v[2]) >= limit)
+
+
+@compiled
+def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Section 3: turn every started segment over dt by its mean rate, in place."""
+    links, segments, works = body.segments, state.segments, work.segments
+    for s in range(len(links)):
+        segment, now, parent = segments[s], works[s], links[s].parent
+        if segment.started == NOT_STARTED:
+            continue
+        rotation_matrix.copy_into(now.before, segment.R)
+        if now.validity > NOTHING:
+            density = _turn_as_measured(segment, now, tuning, dt)
+        else:
+            density = _coast(segment, now, tuning, dt)
+        if segment.silent_s > tuning.longest_silence_s:
+            segment.started = STARTS_AGAIN
+        w, turn = now.mean_rate, work.shared.rotation
+        # (3)  R ← R exp([w Δt]×)
+        rotation_matrix.exponential_into(turn, w[0] * dt, w[1] * dt, w[2] * dt)
+        rotation_matrix.turn_rows(segment.R, turn)
+        # (4)  P ← F P Fᵀ + Q with Q = diag(q Δt, σ_β² Δt)
+        propagate_own(segment.P, now.before, dt)
+        for i in range(3):
+            # an orientation cannot be worse than unknown: keeps a long silence finite
+            segment.P[i, i] += density * dt if segment.P[i, i] < tuning.unknown_heading**2 else 0.0
+            segment.P[3 + i, 3 + i] += tuning.bias_walk**2 * dt
+        # (4)  C ← F_s C F_pᵀ; noise of different segments is independent
+        if body.world.is_tree and parent >= 0:
+            propagate(segment.C, now.before, works[parent].before, dt)
+
+
+@compiled
+def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
+    """(2), (5): ``now.mean_rate`` ← by the gyroscope; returns the density of its noise, (rad/s)²/Hz."""
+    _mean_rate(segment, now, dt)
+    speed = norm(now.mean_rate)
+    # (5)  σ_ω² + (κ ‖w‖)² τ_κ; at the end of its range a gyroscope is noise
+    density = tuning.gyroscope**2 + (tuning.gyroscope_scale * speed) ** 2 * tuning.scale_memory_s
+    if now.validity < RATE:
+        density += tuning.saturated_noise**2
+        segment.silent_s += dt
+    else:
+        segment.silent_s = 0.0
+    change = 0.0
+    for i in range(3):
+        step = now.angular_rate[i] - segment.rate[i]
+        change += step**2
+        segment.rate_slope[i], segment.rate[i] = step / dt, now.angular_rate[i]
+    # (5)  … + ν_s ‖ω_k − ω_{k−1}‖² Δt
+    density += gyroscope_inflation(segment, change, dt)
+    return float(density)
+
+
+@compiled
+def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
+    """(6): ``now.mean_rate`` ← of a silent module; returns the density of its noise, (rad/s)²/Hz."""
+    w = now.mean_rate
+    for i in range(3):
+        # (6)  w ← w exp(−Δt / T_c)
+        w[i] = (segment.rate[i] - segment.bias[i]) * math.exp(-dt / tuning.longest_coast_s)
+        segment.rate[i] = segment.bias[i] + w[i]
+        segment.rate_slope[i] = np.nan
+    segment.silent_s += dt
+    # (6)  q = (σ_dead² + ‖w‖²) T_c
+    return float((tuning.dead_rate**2 + dot(w, w)) * tuning.longest_coast_s)
+
+
+@compiled
+def _mean_rate(segment: Segment, now: SegmentWork, dt: float) -> None:
+    """(2): ``now.mean_rate`` ← what turns the segment over dt, rad/s: by its last three rates, error O(dt³)
+    of the angle.
+
+    The trapezoid, less its error by Euler and Maclaurin's formula, and the coning of an axis that moves
+    (Bortz 1971). At 100 Hz the trapezoid alone is off by up to a degree in fast motion.
+    """
+    w, rate, bias, last, slope = (
+        now.mean_rate, now.angular_rate, segment.bias, segment.rate, segment.rate_slope
+    )  # fmt: skip
+    a = last[0] - bias[0], last[1] - bias[1], last[2] - bias[2]
+    b = rate[0] - bias[0], rate[1] - bias[1], rate[2] - bias[2]
+    # (2)  (a + c) / 2 + Δt / 12 a × c, c being b here, …
+    w[0] = 0.5 * (a[0] + b[0]) + (a[1] * b[2] - a[2] * b[1]) * dt / 12.0
+    w[1] = 0.5 * (a[1] + b[1]) + (a[2] * b[0] - a[0] * b[2]) * dt / 12.0
+    w[2] = 0.5 * (a[2] + b[2]) + (a[0] * b[1] - a[1] * b[0]) * dt / 12.0
+    for i in range(3):
+        if math.isfinite(slope[i]):
+            # (2)  … less the trapezoid's error, by how the rate's slope has changed
+            w[i] -= (rate[i] - last[i] - slope[i] * dt) / 12.0
+
+
+@compiled
+def propagate(P: FloatArray, R: FloatArray, R_other: FloatArray, dt: float) -> None:
+    """(4): P ← F P F_oᵀ with F = [[I, −R Δt], [0, I]], in place; P (6, 6), R (3, 3), R_other likewise."""
+    for j in range(6):
+        x, y, z = dt * P[3, j], dt * P[4, j], dt * P[5, j]
+        for i in range(3):
+            P[i, j] -= R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
+    for i in range(6):
+        x, y, z = dt * P[i, 3], dt * P[i, 4], dt * P[i, 5]
+        for j in range(3):
+            P[i, j] -= x * R_other[j, 0] + y * R_other[j, 1] + z * R_other[j, 2]
+
+
+@compiled
+def propagate_own(P: FloatArray, R: FloatArray, dt: float) -> None:
+    """(4) of a segment with itself: P (6, 6) is symmetric before and after, to the last bit."""
+    for i in range(2, -1, -1):
+        x, y, z = dt * R[i, 0], dt * R[i, 1], dt * R[i, 2]
+        for j in range(i + 1):  # rows up to this one are as they were
+            P[i, j] -= x * P[j, 3] + y * P[j, 4] + z * P[j, 5]
+        for j in range(3, 6):
+            P[i, j] -= x * P[3, j] + y * P[4, j] + z * P[5, j]
+            P[j, i] = P[i, j]
+        for j in range(i + 1):
+            P[i, j] -= dt * (P[i, 3] * R[j, 0] + P[i, 4] * R[j, 1] + P[i, 5] * R[j, 2])
+            P[j, i] = P[i, j]
+
+
+@compiled
+def turn_segments(body: Body, state: State, work: Work) -> None:
+    """(1): R ← exp([δ]×) R by each segment's ``turn``; all that is remembered in world axes turns with it."""
+    segments, works = state.segments, work.segments
+    for s in range(len(segments)):
+        now, segment = works[s], segments[s]
+        if _is_turn(now.turn):
+            E, averages = now.rotation, segment.averages
+            rotation_matrix.exponential_into(E, now.turn[0], now.turn[1], now.turn[2])
+            rotation_matrix.turn_columns(E, segment.R)
+            rotation_matrix.turn_columns(E, averages.lever_arm_matrix)
+            rotation_matrix.turn(E, averages.force)
+            rotation_matrix.turn(E, averages.last_force)
+            rotation_matrix.turn(E, averages.long_force)
+    for d in range(len(body.devices)):
+        mount, device = body.devices[d], state.devices[d]
+        now = works[mount.segment]
+        if _is_turn(now.turn):
+            if mount.kind == AIR_VELOCITY:
+                for j in range(device.n_readings):
+                    rotation_matrix.turn(now.rotation, device.readings[j].value)
+            rotation_matrix.turn_columns(now.rotation, device.turn)
+
+
+@compiled
+def correct(state: State, work: Work) -> None:
+    """(1): ``turn`` ← δ, by which ``turn_segments`` then turns; b ← b + β."""
+    segments, works = state.segments, work.segments
+    for s in range(len(works)):
+        now = works[s]
+        for i in range(3):
+            now.turn[i] = now.x[i]
+            segments[s].bias[i] += now.x[3 + i]
+
+
+@compiled
+def _is_turn(v: FloatArray) -> bool:
+    return bool(v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0)
+
+
+# Averages
+
+
+FIRST_SAMPLE_S = 1e-9
+"""Averages of one sample have lasted no time, but have been begun."""
+
+
+@compiled
+def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Section 4: ``K`` and ``motion`` ← of each segment whose specific force counts; the averages in
+    place."""
+    gain = 1.0 - math.exp(-dt / tuning.smoothing_s)
+    long_gain = 1.0 - math.exp(-dt / tuning.unaided_window_s)
+    segments, works = state.segments, work.segments
+    for s in range(len(segments)):
+        segment, now = segments[s], works[s]
+        averages = segment.averages
+        if now.validity < FORCE:
+            averages.seconds = 0.0
+            continue
+        is_fresh = averages.seconds == 0.0
+        _turn_into_world(segment, now, work.shared)
+        watch_vibration(segment.vibration, work.shared.force, is_fresh, tuning, dt)
+        if is_fresh:
+            _begin_averages(segment, work.shared)
+        filled = _filled(averages.seconds + dt, tuning)
+        # gain of the mean over T_u: exactly a mean until T_u has passed
+        mean_gain = max(long_gain, dt / (averages.seconds + dt))
+        _average_forces(segment, work.shared, gain / filled, mean_gain)
+        _average_lever_arm_matrix(segment, now, work.shared, gain / dt / filled, gain)
+        averages.seconds += FIRST_SAMPLE_S if is_fresh else dt
+
+
+@compiled
+def _turn_into_world(segment: Segment, now: SegmentWork, shared: SharedWork) -> None:
+    """(7): ``f``, ``R f`` and ``W`` of a segment, free of the constant errors that are known."""
+    R, f, f_w, W = segment.R, shared.force, shared.force_world, shared.lever_arm_matrix
+    x, y, z = (
+        now.angular_rate[0] - segment.bias[0],
+        now.angular_rate[1] - segment.bias[1],
+        now.angular_rate[2] - segment.bias[2],
+    )
+    for i in range(3):
+        f[i] = now.specific_force[i] - segment.force_bias[i]
+    for i in range(3):
+        f_w[i] = R[i, 0] * f[0] + R[i, 1] * f[1] + R[i, 2] * f[2]
+        W[i, 0] = R[i, 1] * z - R[i, 2] * y
+        W[i, 1] = R[i, 2] * x - R[i, 0] * z
+        W[i, 2] = R[i, 0] * y - R[i, 1] * x
+
+
+@compiled
+def _begin_averages(segment: Segment, shared: SharedWork) -> None:
+    averages, f_w, W = segment.averages, shared.force_world, shared.lever_arm_matrix
+    for i in range(3):
+        averages.force[i], averages.last_force[i], averages.long_force[i] = f_w[i], f_w[i], f_w[i]
+        for j in range(3):
+            averages.lever_arm_matrix[i, j] = W[i, j]
+
+
+@compiled
+def _average_forces(segment: Segment, shared: SharedWork, gain: float, long_gain: float) -> None:
+    averages, f_w = segment.averages, shared.force_world
+    for i in range(3):
+        # (10) both sides are delayed alike: the mean over the step, as the difference of W is
+        averages.force[i] += gain * (0.5 * (f_w[i] + averages.last_force[i]) - averages.force[i])
+        averages.last_force[i] = f_w[i]
+        averages.long_force[i] += long_gain * (f_w[i] - averages.long_force[i])
+
+
+@compiled
+def _average_lever_arm_matrix(
+    segment: Segment, now: SegmentWork, shared: SharedWork, per_s: float, gain: float
+) -> None:
+    """(8), (9), (11): ``now.K``, ``now.motion`` ← by the average's own change, ``per_s`` of the
+    difference."""
+    mean, W, K, square = segment.averages.lever_arm_matrix, shared.lever_arm_matrix, now.K, 0.0
+    for i in range(3):
+        for j in range(3):
+            # (9)  K = λ / (φ Δt) (W − W̄ of before)
+            K[i, j] = per_s * (W[i, j] - mean[i, j])
+            # (8)  W̄ ← W̄ + λ (W − W̄)
+            mean[i, j] += gain * (W[i, j] - mean[i, j])
+            square += K[i, j] ** 2
+    # (11) μ = √(½ ‖K‖²)
+    now.motion = math.sqrt(0.5 * square)
+
+
+@compiled
+def _filled(lasted_s: float, tuning: Tuning) -> float:
+    """φ of (9): part of the low-pass that has been filled since it was begun.
+
+    Divided by it, both sides are means over that time alone: what the averages were begun with is not in
+    them, neither after a gap nor where a recording begins in motion.
+    """
+    if lasted_s > tuning.filled * tuning.smoothing_s:
+        return 1.0
+    return 1.0 - math.exp(-lasted_s / tuning.smoothing_s)
+
+
+@compiled
+def felt_into(
+    u: FloatArray, force: FloatArray, K: FloatArray, arm: FloatArray, error: FloatArray, first: int
+) -> None:
+    """(18): u (3,) m/s², world ← specific force at ``arm + error[first:]`` from a module that feels
+    ``force``."""
+    for i in range(3):
+        u[i] = force[i]
+        for j in range(3):
+            u[i] += K[i, j] * (arm[j] + error[first + j])
+
+
+# How much of what an accelerometer feels is vibration, or its own noise
+#
+# Rows of accelerations are as good as their modules are calm, and how calm they are nobody tells beforehand:
+# sensors differ by a factor of ten, and a strap on a machine or on loose clothing shakes. The fourth
+# difference of a motion that a suit follows is next to nothing, while noise that differs from sample to
+# sample is in it 70 times: ``1² + 4² + 6² + 4² + 1²``.
+
+
+FOURTH_DIFFERENCE_GAIN = 70.0
+
+
+@compiled
+def watch_vibration(seen: Vibration, f: FloatArray, is_fresh: bool, tuning: Tuning, dt: float) -> None:
+    """(12): one specific force (3,) more, own axes, m/s²; is_fresh: none has come just before it.
+
+    ``seen.square`` ← the mean square of a component, (m/s²)².
+    """
+    if is_fresh:
+        seen.samples = 0.0
+    square, last = 0.0, seen.last
+    for i in range(3):
+        # (12) ∇⁴ f
+        change = f[i] - 4.0 * (last[i, 0] + last[i, 2]) + 6.0 * last[i, 1] + last[i, 3]
+        square += change * change
+        for k in range(3, 0, -1):
+            last[i, k] = last[i, k - 1]
+        last[i, 0] = f[i]
+    if seen.samples < 4.0:
+        seen.samples += 1.0
+        return
+    floor = tuning.vibration_floor * tuning.vibration_floor
+    square = min(square / (3.0 * FOURTH_DIFFERENCE_GAIN), tuning.vibration_shock * max(seen.square, floor))
+    seen.square += min(1.0, dt / tuning.vibration_memory_s) * (square - seen.square)
+
+
+# What the filter's own corrections say of its settings: whom it believes too much
+#
+# Corrections of a filter whose noises are right are new each time. One that believes its gyroscopes too much
+# corrects in the same direction again and again; one that believes its rows too much goes to and fro (Kailath
+# 1968, Mehra 1970). So the inclination's corrections, summed over half a second, are compared with those of
+# the half before. Where they go on, gyroscopes are taken to be off by part of what their rates change by from
+# sample to sample: sampled too slowly for the motion, or shaken. Where they go to and fro, as with modules
+# that move on their segments, joints count for less. Neither could be told beforehand. Headings are shown too
+# slowly for that.
+
+
+@compiled
+def note_corrections(state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Of segments whose inclinations rows have shown."""
+    segments, works = state.segments, work.segments
+    for s in range(len(works)):
+        segment, now = segments[s], works[s]
+        if now.validity == FORCE and works[now.chain].aided and segment.heading == OBSERVED:
+            note_correction(segment.corrections, now.x[0], now.x[1], tuning, dt)
+
+
+@compiled
+def note_correction(seen: Corrections, x: float, y: float, tuning: Tuning, dt: float) -> None:
+    """(58) to (61). x, y: rotation about the horizontal world axes that a segment was given over dt, rad."""
+    now, before = seen.sums, seen.sums_before
+    now[0] += x
+    now[1] += y
+    seen.seconds += dt
+    if seen.seconds < tuning.correction_block_s:
+        return
+    # (58) γ, θ over blocks
+    gain = 1.0 - math.exp(-seen.seconds / tuning.correction_memory_s)
+    square = 0.5 * (now[0] ** 2 + now[1] ** 2 + before[0] ** 2 + before[1] ** 2)
+    seen.product += gain * (now[0] * before[0] + now[1] * before[1] - seen.product)
+    seen.square += gain * (square - seen.square)
+    if seen.square > 0.0:
+        # (59) Δ = 0.05 γ / θ
+        step = tuning.correction_gain * seen.product / seen.square
+        # (60) ν_s
+        seen.gyroscope = min(1.0, max(0.0, seen.gyroscope + step))
+        # (61) χ_s
+        seen.rows = min(1.0, max(0.0, seen.rows - step))
+    for i in range(2):
+        before[i], now[i] = now[i], 0.0
+    seen.seconds = 0.0
+
+
+@compiled
+def gyroscope_inflation(segment: Segment, square: float, dt: float) -> float:
+    """Last term of (5), (rad/s)²/Hz, by which a gyroscope's noise is raised; square: of what its rate changed
+    by over dt."""
+    return float(segment.corrections.gyroscope * square * dt)
+
+
+@compiled
+def row_inflation(child: Segment, parent: Segment, tuning: Tuning) -> float:
+    """1 + 2 max(χ_s, χ_p) of (20): by which the variance of the joint between the two is raised."""
+    return float(1.0 + tuning.row_inflation * max(child.corrections.rows, parent.corrections.rows))

@@ -1,0 +1,464 @@
+"""The observations of the tree filter that need no device: joints, standing, rest, bounded speeds. Compiled.
+
+A world vector ``u = R̂ s`` is truly ``exp(δ) R̂ s ≈ u − [u]× δ``. Two sides that must agree therefore give
+``u − u_p = [m]× (δ − δ_p)`` with their mean ``m = (u + u_p) / 2``, and a known vector ``y``:
+``u − y = [y]× δ``.
+With u and u_p in their own places noise would seem to show a turn of both together, which no joint shows.
+"""
+
+from __future__ import annotations
+
+import math
+
+from gateway.frames import FloatArray
+from gateway.geometry import rotation_matrix
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import dot, skew
+from gateway.reconstruction.inertial.tree.lever_arms import (
+    is_due,
+    learn_joint_arms,
+    own_covariance,
+    relative_covariance,
+    spread,
+)
+from gateway.reconstruction.inertial.tree.prediction import felt_into, row_inflation
+from gateway.reconstruction.inertial.tree.start import (
+    gather_heading,
+    is_apart,
+    second_order_variance,
+    shown_heading,
+    tilt_spread,
+    turn_beyond,
+)
+from gateway.reconstruction.inertial.tree.state import (
+    Body,
+    Heading,
+    Joint,
+    Learning,
+    Segment,
+    SegmentWork,
+    State,
+    Validity,
+    Work,
+    World,
+    ZeroRateWatch,
+)
+from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.update import Three, add_edge, add_joint, add_known, add_own
+
+OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
+FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
+
+
+@compiled
+def known_row(
+    now: SegmentWork, segment: Segment, u: FloatArray, y: FloatArray, variance: float, tuning: Tuning
+) -> None:
+    """(14): a vector u of the segment that is known in the world: y; (3,)."""
+    residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
+    uncertain = spread(y[0], y[1], y[2], own_covariance(segment))
+    variance *= _huber(uncertain, residual, variance, tuning.huber)
+    add_known(now.evidence, (y[0], y[1], y[2]), residual, variance)
+
+
+@compiled
+def unobserved_known_row(now: SegmentWork, u: FloatArray, y: FloatArray, variance: float) -> None:
+    """(14) where the horizontal direction of u says nothing yet: section 12, last but one paragraph."""
+    residual = u[0] - y[0], u[1] - y[1], u[2] - y[2]
+    H, H_y = skew(u), skew(y)
+    wide = variance + _horizontal_square(u) + _horizontal_square(y)
+    for i in range(3):
+        H[i, 2] = 0.0
+        for j in range(2):
+            H[i, j] = 0.5 * (H[i, j] + H_y[i, j])
+        add_own(now.evidence, H[i], residual[i], wide if i < 2 else variance)
+
+
+@compiled
+def _huber(uncertain: Three, residual: Three, variance: float, limit: float) -> float:
+    """(17): by how much the variance is raised: 1 within ``limit`` standard deviations of the innovation.
+
+    uncertain: (3,) variances that the orientation gives it.
+    """
+    square = 0.0
+    for i in range(3):
+        square += residual[i] ** 2 / (uncertain[i] + variance)
+    return max(1.0, math.sqrt(square) / limit)
+
+
+@compiled
+def _horizontal_square(v: FloatArray | Three) -> float:
+    square: float = v[0] * v[0] + v[1] * v[1]
+    return square
+
+
+@compiled
+def row_variance(tuning: Tuning, motion: float, interval_s: float) -> float:
+    """(15), (19): (m/s²)² of a row of accelerations that comes every ``interval_s``; motion: ‖[ω̇, ω]‖ or rms
+    sum."""
+    variance = tuning.specific_force**2 + (tuning.lever_arm * motion) ** 2
+    return variance * tuning.row_memory_s / interval_s
+
+
+# Joints
+
+
+@compiled
+def joint_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Section 6: rows of all joints, and ``U``; segments whose joints are seen from both sides are one chain.
+
+    In one filter over the whole tree a foot or a device anywhere aids its chain; outward only one on its
+    root does.
+    """
+    settled_s = tuning.settled * tuning.smoothing_s
+    links, segments, works = body.segments, state.segments, work.segments
+    for s in range(len(links)):
+        link, segment, now = links[s], segments[s], works[s]
+        p, now.chain = link.parent, s
+        # (18) u_s
+        felt_into(now.U, segment.averages.force, now.K, link.to_joint, segment.arms.error, 0)
+        if p < 0 or now.validity < FORCE or works[p].validity < FORCE:
+            continue
+        if segment.joint_nis < tuning.loose_nis:  # else what aids the one does not aid the other
+            # also while its row waits for the averages: after a gap nothing has changed
+            now.chain = works[p].chain
+        if body.world.is_tree:
+            first = works[now.chain]
+            first.aided = max(first.aided, now.aided)
+        if segment.averages.seconds < settled_s or segments[p].averages.seconds < settled_s:
+            continue
+        # the averages of both have been filled for 3 τ
+        joint = Joint(link, segment, segments[p], now, works[p])
+        if _joint_row(joint, work.shared.learning, tuning, dt):
+            _settle_heading(body, state, tuning, work, s)
+
+
+@compiled
+def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> bool:
+    """Whether the child's heading has just been shown; then there is no row. Changes ``U`` where it corrects
+    lever arms."""
+    _, child, parent, now, above = joint
+    _see_joint(joint, tuning, dt)
+    is_lost = child.heading == UNOBSERVED
+    if not is_lost and parent.heading == UNOBSERVED and is_apart(child, parent, True, tuning):
+        # the parent has begun anew beside a segment that has not: this shows the parent's heading
+        is_lost = True
+        uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
+        gather_heading(parent.heading_sums, now.u_parent, now.u, uncertain, tuning, dt)
+    elif is_lost:
+        uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
+        gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, tuning, dt)
+        if shown_heading(child, tuning)[0] > 0.0:
+            return True
+    elif now.turn[2] != 0.0 or above.turn[2] != 0.0:
+        return False  # this instant's averages are those before the turn
+    else:
+        _learn_arms(joint, learning, tuning, dt)
+    if not is_lost:
+        # (20) … (1 + 2 max(χ_s, χ_p))
+        now.row_variance *= row_inflation(child, parent, tuning)
+    joint_row(joint, is_lost, tuning, dt)
+    return False
+
+
+@compiled
+def _settle_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
+    """(55): turn segment s to what motion has shown: against its parent its heading is that, to that
+    variance."""
+    variance, angle = shown_heading(state.segments[s], tuning)
+    state.segments[s].heading = OBSERVED
+    add_edge(work.segments[s].evidence, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.0, variance)
+    turn_beyond(body, state, tuning, work, s, angle)
+
+
+@compiled
+def _see_joint(joint: Joint, tuning: Tuning, dt: float) -> None:
+    """(18) to (21), (23): ``u``, ``u_parent``, ``row_variance`` ← of a joint."""
+    link, child, parent, now, above = joint
+    # (18) u_p
+    felt_into(now.u_parent, parent.averages.force, above.K, link.from_parent, child.arms.error, 3)
+    # (19) μ² = μ_s² + μ_p²
+    moved = math.sqrt(now.motion**2 + above.motion**2)
+    variance = row_variance(tuning, moved, dt)
+    for i in range(3):
+        now.u[i] = now.U[i]
+    if link.is_bridged:
+        for i in range(3):
+            for j in range(3):
+                # (23) u_s − K_s r_b
+                now.u[i] -= now.K[i, j] * link.beyond[j]
+        # (23) v_1 + (σ_b μ)²
+        variance += (link.slack * moved) ** 2 * tuning.row_memory_s / dt
+    # (20) … + ρ_s + ρ_p + ε_s + ε_p
+    variance += child.vibration.square + parent.vibration.square
+    of_child = second_order_variance(child, now.u, tuning, dt)
+    now.row_variance = variance + (of_child + second_order_variance(parent, now.u_parent, tuning, dt))
+
+
+@compiled
+def _learn_arms(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> None:
+    """(20), (46): what the lever arms are uncertain of is added to the joint's row, and from time to time is
+    learnt."""
+    child, now = joint.child, joint.now
+    if is_due(child, tuning, dt):
+        learning.at_once = now.row_variance * dt / tuning.row_memory_s
+        learn_joint_arms(joint, learning, tuning, dt)
+        if not joint.link.is_bridged:
+            for i in range(3):
+                now.U[i] = now.u[i]
+    # (20) … + α_s τ_m / Δt
+    now.row_variance += child.arms.row_variance * tuning.row_memory_s / dt
+
+
+@compiled
+def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> None:
+    """(13), (17), (22): the joint's acceleration seen from both sides, ``u`` and ``u_parent``, every dt, to
+    ``row_variance``.
+
+    is_unobserved: the heading of one against the other is not known.
+    """
+    _, child, parent, now, _ = joint
+    u, u_p, variance = now.u, now.u_parent, now.row_variance
+    residual = u[0] - u_p[0], u[1] - u_p[1], u[2] - u_p[2]
+    middle = 0.5 * (u[0] + u_p[0]), 0.5 * (u[1] + u_p[1]), 0.5 * (u[2] + u_p[2])
+    # v_1 with what lasts: outliers are judged by one row
+    at_once = variance * min(1.0, dt / tuning.row_memory_s)
+    # (16) diagonal of S
+    off = spread(middle[0], middle[1], middle[2], relative_covariance(child, parent))
+    nis = _nis(off, residual, at_once, 2 if is_unobserved else 0)
+    # (22) N_s; a joint of N_s ≥ 9 counts for nothing
+    inflation = _watch_joint(child, nis, tuning, dt)
+    if inflation >= tuning.loose_nis:
+        return
+    variance *= inflation
+    if is_unobserved:
+        _unobserved_joint_row(now, residual, variance)
+        return
+    variance *= _huber(off, residual, inflation * at_once, tuning.huber)
+    # (13) u_s − u_p = [m̄]× (δ_s − δ_p)
+    add_joint(now.evidence, middle, residual, variance)
+
+
+@compiled
+def _unobserved_joint_row(now: SegmentWork, residual: Three, variance: float) -> None:
+    """(13), heading against the parent unknown: the horizontal parts are only equally long."""
+    u, u_p = now.u, now.u_parent
+    H, H_p = skew(u), skew(u_p)
+    wide = variance + _horizontal_square(u) + _horizontal_square(u_p)
+    for i in range(3):
+        H[i, 2], H_p[i, 2] = 0.0, 0.0
+        for j in range(2):
+            H_p[i, j] *= -1.0
+        add_edge(now.evidence, H[i], H_p[i], residual[i], wide if i < 2 else variance)
+
+
+@compiled
+def _nis(uncertain: Three, residual: Three, variance: float, first: int) -> float:
+    """Normalised innovation squared of (22), per component; first: component from which they are compared, 2
+    where the horizontal ones cannot be."""
+    square, expected = 0.0, 0.0
+    for i in range(first, 3):
+        square += residual[i] ** 2
+        expected += uncertain[i] + variance
+    return square / expected
+
+
+@compiled
+def _watch_joint(child: Segment, nis: float, tuning: Tuning, dt: float) -> float:
+    """N_s of (20), (22): by how much the joint to the parent agrees worse than its noise says, variances; 1:
+    no worse. Modules worn otherwise than the rig says disagree all the time, and their joint tells little.
+
+    Where that comes out, what the joint has told until then is taken back: the segment is as uncertain as at
+    its start, and stands on what its own module tells until the joint fits again.
+    """
+    seen, before = min(nis, tuning.largest_nis), child.joint_nis
+    # (22)
+    child.joint_nis += (1.0 - math.exp(-dt / tuning.joint_nis_memory_s)) * (seen - before)
+    if before < tuning.loose_nis <= child.joint_nis:
+        for i in range(3):
+            # what it has told is taken back: the uncertainty of a start
+            child.P[i, i] += tuning.start_heading**2 if i == 2 else tuning.start_tilt**2
+        child.unaided_square = 0.0
+    inflation: float = max(1.0, child.joint_nis)
+    return inflation
+
+
+# Zero rate
+
+
+@compiled
+def zero_rate_rows(state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Zero rate, section 9: of all segments that have turned no more for a while."""
+    gain = 1.0 - math.exp(-dt / tuning.zero_rate_window_s)
+    segments, works = state.segments, work.segments
+    for s in range(len(works)):
+        segment, now = segments[s], works[s]
+        if now.validity > NOTHING and watch_zero_rate(segment.zero_rate, now, tuning, gain, dt):
+            zero_rate_row(now, segment, tuning, dt)
+
+
+@compiled
+def watch_zero_rate(watch: ZeroRateWatch, now: SegmentWork, tuning: Tuning, gain: float, dt: float) -> bool:
+    """Whether a segment has turned no more for a while; ``watch.rate`` is then the gyroscope's bias.
+
+    gain: of a low-pass of ``zero_rate_window_s`` over dt.
+    """
+    rate_change, force_change = 0.0, 0.0
+    for i in range(3):
+        off_rate, off_force = now.angular_rate[i] - watch.rate[i], now.specific_force[i] - watch.force[i]
+        rate_change += off_rate * off_rate
+        force_change += off_force * off_force
+        watch.rate[i] += gain * off_rate
+        watch.force[i] += gain * off_force
+    watch.rate_square += gain * (rate_change - watch.rate_square)
+    watch.force_square += gain * (force_change - watch.force_square)
+    is_still = (
+        watch.rate_square < tuning.zero_rate_change**2
+        and watch.force_square < tuning.zero_rate_force_change**2
+    )
+    is_still = is_still and dot(watch.rate, watch.rate) < tuning.largest_bias**2
+    watch.still_s = watch.still_s + dt if is_still else 0.0
+    return bool(watch.still_s > tuning.zero_rate_s)
+
+
+@compiled
+def zero_rate_row(now: SegmentWork, segment: Segment, tuning: Tuning, dt: float) -> None:
+    """(36): without a turn the mean rate is the bias."""
+    # (36) v
+    variance = tuning.zero_rate_sigma**2 * tuning.zero_rate_window_s / dt
+    for i in range(3):
+        now.evidence.own[3 + i, 3 + i] += 1.0 / variance
+        now.evidence.own_vector[3 + i] += (segment.zero_rate.rate[i] - segment.bias[i]) / variance
+
+
+# Zero acceleration: a segment that stands still is the rank-1 segment
+#
+# In a filter over the whole tree re-rooting needs no new order of the segments: the foot that stands adds one
+# row, ``R f = −g`` at its module, and aids its chain; the joint rows carry it on. In walking the feet
+# alternate, and the row comes and goes with its uncertainty, so nothing jumps.
+
+
+@compiled
+def note_rolling(state: State, work: Work, dt: float) -> None:
+    """For (38): ``rolling`` ← rad/s²: ‖ω̇‖ + ‖ω‖² of what is taken to stand, from this rate and the last one.
+
+    Called before the prediction, which takes the rate over. A foot that begins to roll off is felt here at
+    once; what it accelerates by always points ahead, and would tilt whoever walks straight on.
+    """
+    segments, works = state.segments, work.segments
+    for s in range(len(segments)):
+        segment, now = segments[s], works[s]
+        now.rolling = 0.0
+        if now.stood_s > 0.0:
+            change, square = 0.0, 0.0
+            for i in range(3):
+                change += (now.angular_rate[i] - segment.rate[i]) ** 2
+                square += (now.angular_rate[i] - segment.bias[i]) ** 2
+            now.rolling = math.sqrt(change) / dt + square
+
+
+@compiled
+def stance_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """(38): adds the rows of segments that stand still and marks them as aided.
+
+    A segment that is not made to stand on may also move slowly and evenly, which its module's short window
+    cannot tell from standing: its ``ZeroRateWatch`` must say so as well.
+    """
+    links, segments, works = body.segments, state.segments, work.segments
+    for s in range(len(links)):
+        segment, now, stands = segments[s], works[s], links[s].stands
+        is_still = stands == 1 or segment.zero_rate.still_s > tuning.zero_rate_s
+        if now.stood_s > 0.0 and is_still and now.validity == FORCE:
+            u = rotation_matrix.rotate(segment.R, now.specific_force)
+            # (38) v
+            variance = tuning.stance_acceleration**2 + (tuning.stance_arm * now.rolling) ** 2
+            variance *= max(1.0, tuning.stance_memory_s / dt)
+            # (14) u_s = R f, y = −g
+            known_row(now, segment, u, body.world.at_rest, variance, tuning)
+            now.aided = 1
+            segment.aids_s = tuning.stride_s
+        elif stands == 1 and segment.aids_s > 0.0:
+            segment.aids_s -= dt
+            now.aided = 1
+
+
+# Unaided: over a while the mean acceleration is small
+
+
+LEAST_SQUARE = 1e-9
+"""(m/s²)²: nothing, but no number so small that processors are slow with it."""
+
+
+@compiled
+def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Section 9, unaided: all segments of a chain that nothing aids share one row: that averages their
+    accelerometers' errors.
+
+    Where one is aided, its segments have a weak one of their own until their inclinations are settled.
+    """
+    decay = math.exp(-dt / tuning.starting_memory_s)
+    segments, works = state.segments, work.segments
+    for s in range(len(works)):
+        segment = segments[s]
+        works[s].sharing = 0
+        segment.starting_square = max(segment.starting_square * decay, LEAST_SQUARE)
+    for s in range(len(works)):
+        if works[s].validity == FORCE:
+            works[works[s].chain].sharing += 1
+    for s in range(len(works)):
+        segment, now = segments[s], works[s]
+        first = works[now.chain]
+        if now.validity < FORCE:
+            continue
+        if first.aided:
+            note_aided(segment, body.world, tuning, dt)
+            starting_row(now, segment, body.world, tuning, dt)
+        else:
+            unaided_row(now, segment, body.world, first.sharing, tuning, dt)
+
+
+@compiled
+def note_aided(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
+    """(40): how far a mean acceleration is from none while the inclination is known: what a row that takes it
+    for none will be off by, once nothing aids the chain any more."""
+    tilt = segment.P[0, 0] + segment.P[1, 1]
+    if segment.averages.seconds < tuning.unaided_window_s or tilt > tuning.aided_tilt**2:
+        return
+    square = 0.0
+    for i in range(3):
+        square += (segment.averages.long_force[i] - world.at_rest[i]) ** 2 / 3.0
+    # (40) T_A
+    memory_s = tuning.aided_rise_s if square > segment.unaided_square else tuning.aided_fall_s
+    segment.unaided_square += (1.0 - math.exp(-dt / memory_s)) * (square - segment.unaided_square)
+
+
+@compiled
+def unaided_row(
+    now: SegmentWork, segment: Segment, world: World, sharing: int, tuning: Tuning, dt: float
+) -> None:
+    """(39): the mean acceleration over a window is small, where nothing tells what it is: no smaller than it
+    was while that was known, and over a shorter time as much larger as speeds are the same. It stays for the
+    window on either side. sharing: segments that move together and have such a row each."""
+    # (39) A²
+    square = max(_mean_square(segment, tuning, dt), 2.0 * segment.unaided_square)
+    # (39) v = A² T_u / Δt n_c
+    variance = square * tuning.unaided_window_s / dt * sharing
+    known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
+
+
+@compiled
+def starting_row(now: SegmentWork, segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
+    """(39) of a segment whose chain is aided, without A_1, as long as its inclination is hardly known: after
+    a start in mid-motion. Joints show it only then, one after the other from where the chain is aided."""
+    if segment.P[0, 0] + segment.P[1, 1] > tuning.unsettled_tilt**2:
+        variance = _mean_square(segment, tuning, dt) * tuning.unaided_window_s / dt
+        known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
+
+
+@compiled
+def _mean_square(segment: Segment, tuning: Tuning, dt: float) -> float:
+    """A² of (39) without A_1, (m/s²)² of a mean acceleration: over a shorter time, as after a gap, as much
+    larger as speeds are the same, and for some time as large as a start in motion has let expect."""
+    lasted_s = min(max(segment.averages.seconds, dt), tuning.unaided_window_s)
+    square: float = max((tuning.unaided_speed / lasted_s) ** 2, segment.starting_square)
+    return square

@@ -1,0 +1,128 @@
+"""A recording forward and backward through the tree filter: turned frames and state, and both put together.
+
+A motion seen backward is a motion: at ``t' = −t`` positions, accelerations, specific forces and fields are
+what they were, rates and velocities change their sign. So the same filter runs backward over the same frames.
+At every instant the forward filter knows the past and the backward one the future (two-filter smoothing).
+They are put together by their covariances (Fraser & Potter 1969); the rotation between them is the
+innovation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gateway.frames import FloatArray, ImuFrame, LocalReading, Quantity
+from gateway.geometry import quaternion
+from gateway.geometry.compiled import compiled
+from gateway.geometry.vectors import is_finite
+from gateway.reconstruction.inertial.tree.start import start_acceleration
+from gateway.reconstruction.inertial.tree.state import State, initial_state
+from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.update import inverse_3_into
+
+KEPT = (
+    "R", "started", "heading", "silent_s", "force_bias", "compass_s", "field_watch", "field_offset", "sun",
+    "unaided_square", "zero_rate", "aids_s", "joint_nis", "vibration", "corrections",
+)  # fmt: skip
+
+
+KEPT_OF_ARMS, KEPT_OF_DEVICES = ("error", "covariance"), ("shift", "covariance", "age_s")
+"""Of the state, what is the same seen backward."""
+
+
+def turned_back(state: State, tuning: Tuning, gravity: FloatArray) -> State:
+    """The state to go backward with from where ``state`` is: orientations, biases, lever arms and shown
+    headings are kept; the rows' averages begin anew. The clock stands at 0, where the last frame lies: it has
+    been taken, and turning by its rate once more would be off by a whole interval.
+
+    Recordings end in mid-motion as often as at rest: a backward filter that knew nothing would first of all
+    take that motion's acceleration for a tilt. But it is as unsure as a beginning: what the forward filter
+    knows would count twice where the two are put together, and an error at its end would be carried back.
+    gravity: (3,) m/s².
+    """
+    before, devices = state.segments, state.devices
+    turned = initial_state(len(before), len(devices))
+    back, sign = turned.segments, np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    for name in KEPT:
+        back[name][...] = before[name]
+    for name in KEPT_OF_ARMS:
+        back["arms"][name][...] = before["arms"][name]
+    for name in KEPT_OF_DEVICES:
+        turned.devices[name][...] = devices[name]
+    turned.clock.last_ns, turned.clock.first_ns = 0, 0
+    back["bias"][...], back["rate"][...] = -before["bias"], -before["rate"]
+    back["zero_rate"]["rate"][...] *= -1.0
+    back["P"][...] = before["P"] * np.outer(sign, sign)
+    back["C"][...] = before["C"] * np.outer(sign, sign)
+    forgotten = np.array([tuning.start_tilt] * 2 + [tuning.start_heading] + [tuning.bias] * 3) ** 2
+    back["P"][:, range(6), range(6)] += forgotten
+    back["field_offset"]["variance"][...] = tuning.heading**2
+    for s in range(len(back)):
+        force, rate = before[s].averages.last_force, before[s].rate
+        back[s].starting_square = tuning.starting_share * start_acceleration(gravity, force, rate, tuning)
+    return turned
+
+
+def seen_backward(
+    frames: Sequence[ImuFrame], end_ns: int, later: Sequence[LocalReading]
+) -> tuple[list[ImuFrame], list[LocalReading]]:
+    """Frames in reverse order as a motion of their own, whose time is counted back from ``end_ns``.
+
+    later: readings left over from the frames after these; returned are those of before the first frame.
+    """
+    waiting = [*later, *(reading for frame in frames for reading in frame.local)]
+    waiting.sort(key=lambda reading: reading.time_ns)
+    turned = []
+    for frame in reversed(frames):
+        local = []
+        while waiting and waiting[-1].time_ns >= frame.time_ns:
+            local.append(_turned_reading(waiting.pop(), end_ns))
+        turned.append(
+            replace(
+                frame, time_ns=end_ns - frame.time_ns, angular_rate=-frame.angular_rate, local=tuple(local)
+            )
+        )
+    return turned, waiting
+
+
+def _turned_reading(reading: LocalReading, end_ns: int) -> LocalReading:
+    is_velocity = reading.quantity in {Quantity.VELOCITY, Quantity.AIR_VELOCITY}
+    value = -reading.value if is_velocity else reading.value
+    return replace(reading, time_ns=end_ns - reading.time_ns, value=value)
+
+
+@compiled
+def put_together(
+    q_wb: FloatArray, P: FloatArray, q_back: FloatArray, P_back: FloatArray, sigma: FloatArray
+) -> None:
+    """(66): orientations (T, n, 4) of the forward filter take in those of the backward one, in place, and
+    sigma (T, n) says how sure both are together. P, P_back: (T, n, 3, 3) rad², world axes.
+
+    With the rotation ``δ = log(R_back R⁻¹)`` the orientation moves by ``P (P + P_back)⁻¹ δ``. Where only one
+    of them knows anything, that one counts. The backward filter starts from the forward one's end, so the two
+    are not independent: sigma claims no more than the surer one.
+    """
+    both, known = np.empty((3, 3)), np.empty((3, 3))
+    for t in range(q_wb.shape[0]):
+        for s in range(q_wb.shape[1]):
+            if not is_finite(q_back[t, s]):
+                continue
+            sure = math.sqrt(P_back[t, s, 0, 0] + P_back[t, s, 1, 1] + P_back[t, s, 2, 2])
+            if not is_finite(q_wb[t, s]):
+                q_wb[t, s] = q_back[t, s]
+                sigma[t, s] = sure
+                continue
+            for i in range(3):
+                for j in range(3):
+                    both[i, j] = P[t, s, i, j] + P_back[t, s, i, j]
+            inverse_3_into(known, both)
+            gain = P[t, s] @ known
+            difference = quaternion.multiply(q_back[t, s], quaternion.conjugate(q_wb[t, s]))
+            turn = gain @ quaternion.to_rotation_vector(difference)
+            q = quaternion.multiply(quaternion.from_rotation_vector(turn), q_wb[t, s])
+            q_wb[t, s] = quaternion.canonical(quaternion.normalise(q))
+            sigma[t, s] = min(sigma[t, s], sure)

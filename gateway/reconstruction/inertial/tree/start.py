@@ -1,0 +1,275 @@
+"""How a segment begins, and headings that nobody knows yet. Compiled.
+
+While a segment's heading against its parent is unobserved, a linearised filter may converge to anything. But
+the horizontal accelerations of the joint seen from both sides are the same vector up to one angle ψ, whose
+posterior is von Mises: ``exp(κ cos(ψ − ψ₀))`` with ``κ e^{iψ₀} = Σ u_p ū / σ²`` (horizontal parts as complex
+numbers). Once κ is large enough the segment and all beyond it are turned by ψ₀ and the filter takes over.
+Until then the field, if there is one, leads the heading as a compass does; it counts as evidence of its own.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.frames import FloatArray
+from gateway.geometry import rotation_matrix
+from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records
+from gateway.geometry.vectors import dot, is_finite, norm
+from gateway.reconstruction.inertial.tree.state import (
+    Body,
+    Heading,
+    HeadingSums,
+    Link,
+    Segment,
+    SegmentWork,
+    Started,
+    State,
+    Validity,
+    Work,
+    World,
+)
+from gateway.reconstruction.inertial.tree.tuning import Tuning
+
+OBSERVED, UNOBSERVED = Heading.OBSERVED.value, Heading.UNOBSERVED.value
+STARTED = Started.YES.value
+FORCE, NOTHING = Validity.FORCE.value, Validity.NOTHING.value
+
+
+# Start
+
+
+@compiled
+def start_segments(body: Body, state: State, tuning: Tuning, work: Work) -> None:
+    """Section 14: begin where a first sample has come; until then what a module says does not count."""
+    links, segments, works = body.segments, state.segments, work.segments
+    for s in range(len(links)):
+        segment, now = segments[s], works[s]
+        if segment.started != STARTED:
+            if now.validity == FORCE:
+                _start(segment, links[s], now, body.world, tuning)
+            if segment.started != STARTED:
+                now.validity = NOTHING
+
+
+@compiled
+def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning: Tuning) -> None:
+    """(62) to (65), from the first sample: level by the specific force, facing as the field says, if any."""
+    f, w, m = now.specific_force, now.angular_rate, now.magnetic_field
+    secondary, secondary_w = np.zeros(3), np.zeros(3)
+    if world.uses_field and is_finite(m):
+        for i in range(3):
+            secondary[i], secondary_w[i] = m[i], world.magnetic_field[i]
+    else:
+        secondary[int(abs(f[0]) > abs(f[1]))] = 1.0
+        secondary_w[1] = 1.0
+    # (62) R f ∥ −g, R m in the half-plane of h
+    R = rotation_matrix.from_two_vectors(f, secondary, world.at_rest, secondary_w)
+    if not is_finite(R[0]):
+        return
+    rotation_matrix.copy_into(segment.R, R)
+    # (64) a_0²
+    moved = start_acceleration(world.gravity, f, w, tuning)
+    # (65) A_0² = 0.1 a_0²
+    segment.starting_square = tuning.starting_share * moved
+    # (63) σ_t0² + a_0² / ‖g‖²
+    tilt = tuning.start_tilt**2 + moved / dot(world.gravity, world.gravity)
+    _start_covariance(segment, min(tilt, tuning.unknown_heading**2), tuning)
+    segment.started = STARTED
+    segment.heading = UNOBSERVED if link.heading_observable else OBSERVED
+    segment.silent_s, segment.compass_s, segment.averages.seconds = 0.0, 0.0, 0.0
+    segment.joint_nis = 0.0
+    _start_watches(segment)
+    for i in range(3):
+        segment.bias[i], segment.rate[i], segment.rate_slope[i] = 0.0, w[i], np.nan
+        # means of one sample: begun at zero, gravity alone would be a change for seconds
+        segment.zero_rate.rate[i], segment.zero_rate.force[i] = w[i], f[i]
+
+
+@compiled
+def _start_covariance(segment: Segment, tilt: float, tuning: Tuning) -> None:
+    """(63). tilt: rad²."""
+    arms = segment.arms
+    for i in range(6):
+        for j in range(6):
+            segment.P[i, j], segment.C[i, j], arms.covariance[i, j] = 0.0, 0.0, 0.0
+    for i in range(3):
+        segment.P[i, i] = tilt
+        segment.P[3 + i, 3 + i] = tuning.bias**2
+    segment.P[2, 2] = tuning.unknown_heading**2
+    # a module that comes back may sit elsewhere
+    for i in range(6):
+        arms.covariance[i, i] = tuning.lever_arm_offset**2
+    arms.since_s = np.inf
+    segment.field_offset.angle, segment.field_offset.variance = 0.0, tuning.heading**2
+
+
+@compiled
+def _start_watches(segment: Segment) -> None:
+    """What is said of a module's samples begins anew."""
+    seen, heading, watch = segment.corrections, segment.heading_sums, segment.zero_rate
+    for i in range(2):
+        seen.sums[i], seen.sums_before[i] = 0.0, 0.0
+    seen.seconds, seen.product, seen.square, seen.gyroscope, seen.rows = 0.0, 0.0, 0.0, 0.0, 0.0
+    heading.along, heading.across, heading.length, heading.seconds = 0.0, 0.0, 0.0, 0.0
+    watch.rate_square, watch.force_square, watch.still_s, segment.aids_s = 0.0, 0.0, 0.0, 0.0
+
+
+@compiled
+def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray, tuning: Tuning) -> float:
+    """a_0² of (64), (m/s²)²: square of what a module may accelerate by, as its first sample shows: as much as
+    it feels more or less than gravity, and as it turns at the end of ``start_arm``."""
+    turning = dot(w, w) * tuning.start_arm
+    square: float = (norm(f) - norm(gravity)) ** 2 + turning * turning
+    return square
+
+
+# Headings that nothing has shown yet
+
+
+GRAVITY = 9.81
+
+
+@compiled
+def tilt_spread(segment: Segment, tuning: Tuning, interval_s: float) -> float:
+    """Last part of (54)'s denominator: variance, (m/s²)², that an uncertain tilt of a segment gives to the
+    horizontal part of a row.
+
+    It stays for ``tilt_memory_s``, so rows every ``interval_s`` do not average it out. At the start it is all
+    there is: two segments at rest that are tilted alike would otherwise seem to show their headings.
+    """
+    tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
+    variance: float = GRAVITY**2 * tilt * max(1.0, tuning.tilt_memory_s / interval_s)
+    return variance
+
+
+@compiled
+def second_order_variance(segment: Segment, u: FloatArray, tuning: Tuning, interval_s: float) -> float:
+    """ε_s of (21): variance, (m/s²)², of a row every ``interval_s`` by what the linearisation leaves out; u
+    (3,) of the segment.
+
+    A tilt δ moves u by ``δ × u + ½ δ × (δ × u)``. Where inclinations are as uncertain as at a start in motion
+    the second term is larger than the noise, and as lasting as the tilt: taken for linear, a few rows would
+    make a wrong inclination certain.
+    """
+    tilt = 0.5 * (segment.P[0, 0] + segment.P[1, 1])
+    variance: float = 2.0 * tilt * tilt * dot(u, u) * max(1.0, tuning.tilt_memory_s / interval_s)
+    return variance
+
+
+@compiled
+def gather_heading(
+    sums: HeadingSums, u: FloatArray, y: FloatArray, variance: float, tuning: Tuning, interval_s: float
+) -> None:
+    """(54), one pair more: u (3,) of the segment, y (3,) what it must agree with, world."""
+    decay = math.exp(-interval_s / tuning.heading_forgets_s)
+    # (54) κ e^{iψ_0}: real part …
+    sums.along = sums.along * decay + (y[0] * u[0] + y[1] * u[1]) / variance
+    # (54) … imaginary part …
+    sums.across = sums.across * decay + (y[1] * u[0] - y[0] * u[1]) / variance
+    # (55) … and how large κ could be
+    length = math.hypot(u[0], u[1]) * math.hypot(y[0], y[1])
+    sums.length = sums.length * decay + length / variance
+    sums.seconds += interval_s
+
+
+@compiled
+def shown_heading(segment: Segment, tuning: Tuning) -> tuple[float, float]:
+    """(55): variance (rad²) and angle of a heading that motion has shown; variance 0: not yet."""
+    sums, prior = segment.heading_sums, 0.0
+    if segment.compass_s > tuning.compass_trusted_s:
+        # (56) κ_0 = 5 / σ_ψ0², where the field has been seen undisturbed
+        prior = tuning.heading_density / tuning.start_heading**2
+    along, across = sums.along + prior, sums.across
+    concentration = math.hypot(along, across)
+    if sums.seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
+        return 0.0, 0.0
+    if concentration < tuning.heading_coherence * (sums.length + prior):
+        return 0.0, 0.0
+    return tuning.heading_density / concentration, math.atan2(across, along)
+
+
+@compiled
+def is_apart(segment: Segment, parent: Segment, has_parent: bool, tuning: Tuning) -> bool:
+    """(57): whether the heading of a segment against its parent, of a root against the world, is lost."""
+    variance = segment.P[2, 2]
+    if has_parent:
+        variance += parent.P[2, 2] - 2.0 * segment.C[2, 2]
+    return bool(variance > tuning.lost_heading**2)
+
+
+@compiled
+def _is_left_behind(segment: Segment, parent: Segment, above: Link, tuning: Tuning) -> bool:
+    """Whether the parent's heading alone is lost: it is found anew, and the segment keeps its own."""
+    if segment.P[2, 2] > tuning.lost_heading**2:
+        return False
+    is_silent = parent.started != STARTED and above.heading_observable == 1
+    return bool(parent.heading == UNOBSERVED or is_silent)
+
+
+@compiled
+def lose_headings(links: Records[Link], segments: Records[Segment], tuning: Tuning) -> None:
+    """Headings that the filter itself no longer knows (gyroscopes saturated, long unseen) are unobserved
+    again.
+
+    A linearised filter would not find them; the next motion does, in closed form.
+    """
+    for s in range(len(links)):
+        p, segment = links[s].parent, segments[s]
+        parent, above = segments[max(p, 0)], links[max(p, 0)]
+        is_observable = links[s].heading_observable == 1
+        if segment.heading == UNOBSERVED or not is_observable or segment.started != STARTED:
+            continue
+        is_left_behind = p >= 0 and _is_left_behind(segment, parent, above, tuning)
+        if is_apart(segment, parent, p >= 0, tuning) and not is_left_behind:
+            sums = segment.heading_sums
+            segment.heading, segment.compass_s = UNOBSERVED, 0.0
+            sums.along, sums.across, sums.length, sums.seconds = 0.0, 0.0, 0.0, 0.0
+
+
+@compiled
+def compass_turn(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
+    """Δψ of (56), rad, of an unobserved heading that the field sees off; a disturbed field counts less."""
+    segment.compass_s += dt / now.disturbance
+    memory_s: float = max(dt, min(segment.compass_s, tuning.compass_s))
+    return -now.field_off * min(1.0, dt / now.disturbance / memory_s)
+
+
+@compiled
+def turn_heading_sums(sums: HeadingSums, angle: float) -> None:
+    """The evidence after its segment was turned by ``angle`` about the vertical (its parent: by −angle)."""
+    if angle == 0.0:
+        return
+    cosine, sine = math.cos(angle), math.sin(angle)
+    x, y = sums.along, sums.across
+    sums.along, sums.across = x * cosine + y * sine, y * cosine - x * sine
+
+
+@compiled
+def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, angle: float) -> None:
+    """Turn segment s and all beyond it by ψ₀ (rad), up to those that have kept their own headings while it
+    was lost; where these are known in the world and those before s are not, turn the others back."""
+    links, segments, works = body.segments, state.segments, work.segments
+    first = links[s].parent
+    turns_back = first >= 0 and 2.0 * segments[s].P[2, 2] < segments[first].P[2, 2]
+    for c in range(s, len(links)):
+        now, p = works[c], links[c].parent
+        now.is_beyond = 1 if c == s else 0
+        if p >= s and works[p].is_beyond:
+            is_unobserved = segments[c].heading == UNOBSERVED
+            is_kept = not is_unobserved and is_apart(segments[c], segments[p], True, tuning)
+            now.is_beyond = 0 if is_kept else 1
+        if now.is_beyond and not turns_back:
+            now.turn[2] += angle
+    if not turns_back:
+        return
+    while links[first].parent >= 0:
+        first = links[first].parent
+    for c in range(first, len(links)):
+        now, p = works[c], links[c].parent
+        is_after = c >= s and now.is_beyond
+        now.is_before = 1 if c == first or (p >= first and works[p].is_before and not is_after) else 0
+        if now.is_before:
+            now.turn[2] -= angle

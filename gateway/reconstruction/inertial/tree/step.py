@@ -1,0 +1,428 @@
+"""Frames of a suit through the tree filter in one call: modules to segments, step, outputs. Compiled.
+
+A live frame and a whole recording go through the same function, so they agree bit for bit. ``step`` is one
+instant: predict, average, observe headings, rows, update, correct.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gateway.body.kinematics import joint_positions_into
+from gateway.body.skeleton import LocalDevice, WornSuit
+from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
+from gateway.geometry import quaternion, rotation_matrix
+from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records, array_of
+from gateway.geometry.vectors import is_finite
+from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
+from gateway.reconstruction.inertial.tree.devices import device_rows, has_spoken, take_reading
+from gateway.reconstruction.inertial.tree.headings import follow_field, follow_sun, take_sun
+from gateway.reconstruction.inertial.tree.prediction import (
+    average,
+    correct,
+    judge_samples,
+    note_corrections,
+    predict,
+    turn_segments,
+)
+from gateway.reconstruction.inertial.tree.rows import (
+    joint_rows,
+    note_rolling,
+    stance_rows,
+    unaided_rows,
+    zero_rate_rows,
+)
+from gateway.reconstruction.inertial.tree.start import lose_headings, start_segments
+from gateway.reconstruction.inertial.tree.state import (
+    NEVER_NS,
+    Body,
+    Clock,
+    Device,
+    Link,
+    Mount,
+    Segment,
+    SegmentWork,
+    SharedWork,
+    Started,
+    State,
+    Validity,
+    Work,
+    World,
+)
+from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.update import clear, update_outward, update_tree
+
+AIR_VELOCITY, FIXED_POINT = Quantity.AIR_VELOCITY.value, Quantity.FIXED_POINT.value
+NOT_STARTED, STARTED = Started.NO.value, Started.YES.value
+INTERPOLATED, MISSING, PREDICTED, UNAIDED = (
+    Status.INTERPOLATED.value,
+    Status.MISSING.value,
+    Status.PREDICTED.value,
+    Status.UNAIDED.value,
+)
+FORCE, NOTHING, RATE = Validity.FORCE.value, Validity.NOTHING.value, Validity.RATE.value
+SHORTEST_STEP_S = 1e-5
+
+
+class Wearing(NamedTuple):
+    """How the suit is worn, as far as the filter itself need not know; constant."""
+
+    module_of_segment: IntArray  # (n_segments,) −1: none
+    R_bs: FloatArray  # (n_segments, 3, 3) sensor to segment
+    parents: IntArray  # (n_segments,) of the skeleton
+    offsets: FloatArray  # (n_segments, 3) of the skeleton, m
+    root_device: IntArray  # (1,) segment whose device measures where it is; −1: nothing does
+    root_arm: FloatArray  # (3,) that device on it, segment axes, m
+    nominal_interval_ns: IntArray  # (1,)
+
+
+class Filter(NamedTuple):
+    """What a frame is made with."""
+
+    wearing: Wearing
+    body: Body
+    state: State
+    tuning: Tuning
+    work: Work
+
+    def arrays(self) -> tuple[Any, ...]:
+        """As ``advance`` takes it: Numba finds out the type of an array that is an argument of its own five
+        times as fast as that of one in a tuple, or of a single record."""
+        return (
+            *self.wearing, self.body.segments, self.body.devices, array_of(self.body.world),
+            self.state.segments, self.state.devices, array_of(self.state.clock), array_of(self.tuning),
+            self.work.segments, array_of(self.work.shared),
+        )  # fmt: skip
+
+
+class Inputs(NamedTuple):
+    """T instants of m modules in sensor axes, as in ``ImuFrame``; k readings of local devices in all."""
+
+    time_ns: IntArray  # (T,)
+    specific_force: FloatArray  # (T, m, 3)
+    angular_rate: FloatArray  # (T, m, 3)
+    magnetic_field: FloatArray  # (T, m, 3)
+    status: StatusArray  # (T, m)
+    clipped: StatusArray  # (T, m)
+    root_position: FloatArray  # (T, 3) measured, m; of no meaning without a device for it
+    readings_end: IntArray  # (T,) how many of the readings have come with this instant
+    readings: FloatArray  # (k, 8) device of the filter, s since the first frame, value, standard deviation
+    sun: FloatArray  # (T, m + 1, 4) direction and standard deviation, last row: in the world; (T, 0, 4): none
+
+
+class Outputs(NamedTuple):
+    """Room for T poses of n segments, as in ``SkeletonFrame``."""
+
+    q_wb: FloatArray  # (T, n, 4)
+    angular_rate: FloatArray  # (T, n, 3)
+    joint_acceleration: FloatArray  # (T, n, 3)
+    p_w: FloatArray  # (T, n, 3)
+    sigma: FloatArray  # (T, n)
+    status: StatusArray  # (T, n)
+
+
+def room_for(n_frames: int, n: int) -> Outputs:
+    """Return room for poses of n segments."""
+    rate, acceleration, p_w = (np.empty((n_frames, n, 3)) for _ in range(3))
+    status = np.empty((n_frames, n), np.uint8)
+    return Outputs(np.empty((n_frames, n, 4)), rate, acceleration, p_w, np.empty((n_frames, n)), status)
+
+
+def wearing_of(suit: WornSuit, root_device: LocalDevice | None, nominal_interval_s: float) -> Wearing:
+    """root_device: what measures where a segment is, if anything does."""
+    return Wearing(
+        suit.module_of_segment.astype(np.int64),
+        sensor_to_segment_matrices(suit),
+        suit.skeleton.parents.astype(np.int64),
+        np.array(suit.skeleton.offsets, np.float64),
+        np.array([-1 if root_device is None else root_device.segment], np.int64),
+        np.zeros(3) if root_device is None else np.array(root_device.position, np.float64),
+        np.array([round(nominal_interval_s * 1e9)], np.int64),
+    )
+
+
+@compiled
+def advance(
+    stood_s: FloatArray,
+    covariance: FloatArray,
+    time_ns: IntArray,
+    specific_force: FloatArray,
+    angular_rate: FloatArray,
+    magnetic_field: FloatArray,
+    status: StatusArray,
+    clipped: StatusArray,
+    root_position: FloatArray,
+    readings_end: IntArray,
+    readings: FloatArray,
+    sun: FloatArray,
+    module_of_segment: IntArray,
+    R_bs: FloatArray,
+    parents: IntArray,
+    offsets: FloatArray,
+    root_device: IntArray,
+    root_arm: FloatArray,
+    nominal_interval_ns: IntArray,
+    links: Records[Link],
+    mounts: Records[Mount],
+    world: Records[World],
+    segments: Records[Segment],
+    devices: Records[Device],
+    clock: Records[Clock],
+    tuning: Records[Tuning],
+    segments_work: Records[SegmentWork],
+    shared: Records[SharedWork],
+    first: int,
+    q_wb: FloatArray,
+    rate: FloatArray,
+    acceleration: FloatArray,
+    p_w: FloatArray,
+    sigma: FloatArray,
+    status_found: StatusArray,
+) -> None:
+    """All instants in turn; after the first two arguments those of ``Inputs``, the parts of a ``Filter`` and
+    those of ``Outputs``, which are filled from row ``first`` on.
+
+    stood_s: (T, n) for how long each segment has stood still, s. covariance: (T, n, 3, 3) is filled with that
+    of the orientation errors, world axes, rad²; empty: not wanted.
+    """
+    inputs = Inputs(
+        time_ns, specific_force, angular_rate, magnetic_field, status, clipped, root_position, readings_end,
+        readings, sun,
+    )  # fmt: skip
+    wearing = Wearing(
+        module_of_segment, R_bs, parents, offsets, root_device, root_arm, nominal_interval_ns
+    )  # fmt: skip
+    body = Body(links, mounts, world[0])
+    state, work = State(segments, devices, clock[0]), Work(segments_work, shared[0])
+    outputs = Outputs(q_wb, rate, acceleration, p_w, sigma, status_found)
+    _advance(Filter(wearing, body, state, tuning[0], work), inputs, stood_s, covariance, outputs, first)
+
+
+@compiled
+def _advance(
+    held: Filter, inputs: Inputs, stood_s: FloatArray, covariance: FloatArray, outputs: Outputs, first: int
+) -> None:
+    wearing, body, state, tuning, work = held
+    n, taken = len(wearing.parents), 0
+    for t in range(len(inputs.time_ns)):
+        q_wb, p_w, status = outputs.q_wb[first + t], outputs.p_w[first + t], outputs.status[first + t]
+        _observe(work, wearing, inputs, stood_s[t], t)
+        dt = _tick(state.clock, inputs.time_ns[t], wearing.nominal_interval_ns[0])
+        work.shared.time_s = (inputs.time_ns[t] - state.clock.first_ns) * 1e-9
+        if dt > SHORTEST_STEP_S:
+            _take(body, state, tuning, work, dt, inputs.readings[taken : inputs.readings_end[t]])
+            step(body, state, tuning, work, dt)
+        else:
+            for s in range(n):
+                work.segments[s].validity = NOTHING
+        taken = inputs.readings_end[t]
+        _statuses(held, status)
+        _outputs(
+            held, q_wb, outputs.angular_rate[first + t], outputs.joint_acceleration[first + t],
+            outputs.sigma[first + t],
+        )  # fmt: skip
+        mark_unaided(body, state, tuning, work, status)
+        if len(covariance) > 0:
+            for s in range(n):
+                rotation_matrix.copy_into(covariance[t, s], state.segments[s].P)
+        _place(p_w, wearing, q_wb, inputs.root_position[t])
+
+
+@compiled
+def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """dt: since the frame before, s (> 0). What was observed is in ``work``; ``state`` changes.
+
+    ``U`` of each segment whose ``validity`` is FORCE then is the specific force at its proximal joint.
+    """
+    # section 14: which sensors count
+    judge_samples(work, tuning)
+    note_rolling(state, work, dt)
+
+    # section 3: prediction; section 14: start; (57): headings that are lost
+    predict(body, state, tuning, work, dt)
+    start_segments(body, state, tuning, work)
+    lose_headings(body.segments, state.segments, tuning)
+
+    # section 4: averages
+    average(state, tuning, work, dt)
+
+    # rows. Section 8: the field and the sun
+    _forget(work)
+    if body.world.uses_field:
+        follow_field(body, state, tuning, work, dt)
+    if work.shared.sees_sun:
+        follow_sun(body, state, tuning, work, dt)
+
+    # section 7: local devices; section 9: zero acceleration
+    device_rows(body, state, tuning, work, dt)
+    stance_rows(body, state, tuning, work, dt)
+
+    # section 6: joints, with sections 10 and 12; section 9: unaided, zero rate
+    joint_rows(body, state, tuning, work, dt)
+    unaided_rows(body, state, tuning, work, dt)
+    zero_rate_rows(state, tuning, work, dt)
+
+    # section 12: headings that were shown; section 11: the update, and its correction
+    turn_segments(body, state, work)
+    if body.world.is_tree:
+        update_tree(body.segments, state.segments, work)
+    else:
+        update_outward(body.segments, state.segments, work)
+    correct(state, work)
+    turn_segments(body, state, work)
+
+    # section 13: what the corrections say
+    note_corrections(state, tuning, work, dt)
+
+
+@compiled
+def _forget(work: Work) -> None:
+    """What the instant before has left."""
+    segments = work.segments
+    for s in range(len(segments)):
+        now = segments[s]
+        clear(now.evidence)
+        now.aided = 0
+        for i in range(3):
+            now.turn[i] = 0.0
+
+
+@compiled
+def _observe(work: Work, wearing: Wearing, inputs: Inputs, stood_s: FloatArray, t: int) -> None:
+    """What the modules measured at instant t, by segment and in segment axes."""
+    work.shared.sees_sun = inputs.sun.shape[1] > 0
+    if work.shared.sees_sun:
+        take_sun(work, wearing.module_of_segment, wearing.R_bs, inputs.sun[t])
+    works, module_of_segment, all_R_bs = work.segments, wearing.module_of_segment, wearing.R_bs
+    forces, rates, fields = inputs.specific_force[t], inputs.angular_rate[t], inputs.magnetic_field[t]
+    status, clipped = inputs.status[t], inputs.clipped[t]
+    for s in range(len(works)):
+        row, now, R_bs = module_of_segment[s], works[s], all_R_bs[s]
+        now.stood_s = stood_s[s]
+        if row >= 0:
+            rotation_matrix.rotate_into(now.specific_force, R_bs, forces[row])
+            rotation_matrix.rotate_into(now.angular_rate, R_bs, rates[row])
+            rotation_matrix.rotate_into(now.magnetic_field, R_bs, fields[row])
+            now.status = status[row] if is_finite(now.specific_force) else MISSING
+            now.clipped = clipped[row]
+
+
+@compiled
+def _tick(clock: Clock, time_ns: int, nominal_interval_ns: int) -> float:
+    """Seconds since the frame before; one that is not later leaves the clock as it is."""
+    if clock.first_ns == NEVER_NS:
+        clock.last_ns, clock.first_ns = time_ns - nominal_interval_ns, time_ns
+    dt = 1e-9 * float(time_ns - clock.last_ns)
+    if dt > SHORTEST_STEP_S:
+        clock.last_ns = time_ns
+    return dt
+
+
+@compiled
+def _take(body: Body, state: State, tuning: Tuning, work: Work, dt: float, readings: FloatArray) -> None:
+    """Readings of an instant, dt (s) after the frame that the orientations are of."""
+    turn, value, before_s = work.shared.rotation, work.shared.reading, work.shared.time_s - dt
+    for k in range(len(readings)):
+        reading, d, sigma = readings[k], int(readings[k, 0]), 0.0
+        mount, segment = body.devices[d], state.segments[body.devices[d].segment]
+        for i in range(3):
+            value[i] = reading[2 + i]
+        is_own = mount.kind == AIR_VELOCITY
+        if is_own:
+            w, b, since = segment.rate, segment.bias, reading[1] - before_s
+            rotation_matrix.exponential_into(
+                turn, (w[0] - b[0]) * since, (w[1] - b[1]) * since, (w[2] - b[2]) * since
+            )
+            rotation_matrix.turn(turn, value)
+            rotation_matrix.turn(segment.R, value)
+        if is_finite(value) and not (is_own and segment.started != STARTED):
+            for i in range(5, 8):
+                if not math.isnan(reading[i]):
+                    sigma = max(sigma, min(reading[i], np.finfo(np.float64).max))
+            take_reading(state.devices[d], mount.kind, reading[1], value, sigma, tuning)
+
+
+@compiled
+def _statuses(held: Filter, status: StatusArray) -> None:
+    """status (n,) ← a segment without module goes with its parent; a saturated gyroscope is none; with its
+    accelerometer saturated, or off, a segment turns by its gyroscope alone."""
+    segments, works = held.state.segments, held.work.segments
+    parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
+    for s in range(len(parents)):
+        now, p = works[s], parents[s]
+        if module_of_segment[s] < 0:
+            status[s] = PREDICTED if p >= 0 and status[p] != MISSING else MISSING
+        elif segments[s].started == NOT_STARTED:
+            status[s] = MISSING
+        elif now.validity < RATE:
+            status[s] = PREDICTED
+        else:
+            status[s] = UNAIDED if now.validity == RATE else now.status
+
+
+@compiled
+def _outputs(
+    held: Filter, q_wb: FloatArray, rate: FloatArray, acceleration: FloatArray, sigma: FloatArray
+) -> None:
+    """(67): segments without module go with their parent; the others as the filter has them; NaN where
+    nothing is known. (n, 4), (n, 3), (n, 3), (n,)."""
+    q_wb[:], rate[:], acceleration[:], sigma[:] = np.nan, np.nan, np.nan, np.nan
+    gravity, unknown = held.body.world.gravity, 2.0 * held.tuning.unknown_heading
+    segments, works = held.state.segments, held.work.segments
+    parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
+    for s in range(len(parents)):
+        segment, now, p = segments[s], works[s], parents[s]
+        if now.validity == FORCE:
+            for i in range(3):
+                acceleration[s, i] = now.U[i] + gravity[i]
+        if segment.started != NOT_STARTED:
+            P = segment.P
+            sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), unknown)
+        if module_of_segment[s] < 0:
+            if p >= 0:
+                for i in range(4):
+                    q_wb[s, i] = q_wb[p, i]
+                for i in range(3):
+                    rate[s, i] = rate[p, i]
+        elif segment.started != NOT_STARTED:
+            quaternion.from_matrix_into(q_wb[s], segment.R)
+            for i in range(3):
+                rate[s, i] = segment.rate[i] - segment.bias[i]
+
+
+@compiled
+def _place(p_w: FloatArray, wearing: Wearing, q_wb: FloatArray, root_position: FloatArray) -> None:
+    """p_w (n, 3) ← proximal joints: from the device that measures a place, else from the origin."""
+    carrier, shift = wearing.root_device[0], np.zeros(3)
+    joint_positions_into(p_w, wearing.parents, wearing.offsets, q_wb, shift)
+    if carrier >= 0:
+        quaternion.rotate_into(shift, q_wb[carrier], wearing.root_arm)
+        for i in range(3):
+            shift[i] = root_position[i] - p_w[carrier, i] - shift[i]
+        for s in range(len(p_w)):
+            for i in range(3):
+                p_w[s, i] += shift[i]
+
+
+@compiled
+def mark_unaided(body: Body, state: State, tuning: Tuning, work: Work, status: StatusArray) -> None:
+    """Tells in ``status`` (n,), in place, which chains have lost all their local devices."""
+    links, works = body.segments, work.segments
+    for s in range(len(links)):
+        now, p = works[s], links[s].parent
+        now.chain, now.sharing = s, 0  # 1: aided by nothing any more, 2: by a device
+        if p >= 0:
+            now.chain = works[p].chain
+    for d in range(len(body.devices)):
+        mount, device = body.devices[d], state.devices[d]
+        is_starting = device.age_s == math.inf and work.shared.time_s < tuning.device_start_s
+        is_aiding = mount.kind == FIXED_POINT or has_spoken(device, tuning) or is_starting
+        first = works[works[mount.segment].chain]
+        first.sharing = max(first.sharing, 2 if is_aiding else 1)
+    for s in range(len(links)):
+        if works[works[s].chain].sharing == 1 and status[s] <= INTERPOLATED:
+            status[s] = UNAIDED

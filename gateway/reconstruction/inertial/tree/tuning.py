@@ -1,0 +1,339 @@
+"""Every number that tunes the tree filter, in one table: one set for all bodies and motions.
+
+A row says its default, unit and meaning, and where it comes from. The filter is given all of them at run time
+as one record, so that another value asks for no other code. Numbers of noise are one standard deviation per
+axis. What is physics, exact arithmetic or the size of an array is a constant where it is used.
+"""
+
+from __future__ import annotations
+
+from gateway.geometry.records import Constant, Record, constant, constants_of, table_of
+
+JUDGED = "chosen on the arms, rings and pendulum of the accuracy suite"
+MOTION = "how fast people move"
+
+
+class Tuning(Record):
+    """The table. ``tuning`` makes a record of it, ``CONSTANTS`` has its rows by name."""
+
+    # rows of accelerations
+    specific_force: float = constant(
+        0.1, "m/s²", "what a row is off by besides lever arms", "play of joints, clocks; sensors are better"
+    )
+    lever_arm: float = constant(
+        0.01, "m", "by how much a lever arm changes while the body moves, times ‖[ω̇, ω]‖", "soft tissue"
+    )
+    lever_arm_offset: float = constant(
+        0.02,
+        "m",
+        "how far a lever arm was measured wrong; what of it shows in the motion is found",
+        "a tape measure",
+    )
+    force_bias: float = constant(
+        0.05, "m/s²", "constant error of an accelerometer after its calibration", "data sheets"
+    )
+    row_memory_s: float = constant(
+        0.1,
+        "s",
+        "for how long a row stays off to the same side: denser rows say no more in all",
+        "soft tissue and clocks",
+    )
+    huber: float = constant(
+        2.0, "σ", "beyond which a row counts linearly, no longer quadratically", "usual for Huber's loss"
+    )
+    smoothing_s: float = constant(
+        0.05, "s", "time constant of the low-pass through which both sides of a row go: 3 Hz", JUDGED
+    )
+    settled: float = constant(
+        3.0,
+        "smoothing_s",
+        "after which a row counts: over less, it is mostly the noise of rates",
+        "exp(−3) = 5 %",
+    )
+    filled: float = constant(
+        20.0,
+        "smoothing_s",
+        "after which nothing is missing in an average",
+        "exp(−20) is no more than rounding",
+    )
+    tilt_memory_s: float = constant(1.0, "s", "for how long an uncertain tilt stays, as rows see it", JUDGED)
+    joint_nis_memory_s: float = constant(
+        5.0,
+        "s",
+        "over which a joint's residuals are compared with what is expected of them",
+        "several swings",
+    )
+    largest_nis: float = constant(1e4, "", "one sample's share in that comparison at the most", "100 σ")
+    loose_nis: float = constant(
+        9.0,
+        "",
+        "mean NIS of a joint that holds nothing together",
+        "three times the deviations expected, for seconds",
+    )
+    joint_half_slack: float = constant(
+        0.5,
+        "length",
+        "where a segment without module bends whose rule says how it turns",
+        "it may be anywhere on the way",
+    )
+    joint_slack: float = constant(
+        1.0, "length", "the same of one that just goes with its parent", "the whole way"
+    )
+
+    # gyroscopes
+    gyroscope: float = constant(
+        0.001, "rad/s/√Hz", "noise", "consumer sensors have 0.0002; sampling and aliasing add"
+    )
+    gyroscope_scale: float = constant(
+        0.006, "", "relative error of scale and axes", "data sheets, after calibration"
+    )
+    scale_memory_s: float = constant(
+        0.5, "s", "for how long a scale error keeps its effect in a motion to and fro", MOTION
+    )
+    bias: float = constant(
+        0.01, "rad/s", "at the start", "half a degree per second, as after a factory calibration"
+    )
+    bias_walk: float = constant(2e-4, "rad/s/√s", "of the bias", "warming up, data sheets")
+    largest_rate: float = constant(
+        34.8, "rad/s", "beyond it a gyroscope is saturated", "2000 °/s less rounding"
+    )
+    largest_force: float = constant(
+        156.0, "m/s²", "beyond it an accelerometer is saturated", "16 g less rounding"
+    )
+    saturated_noise: float = constant(5.0, "rad/s/√Hz", "of a gyroscope at its limit", JUDGED)
+
+    # silence and start
+    dead_rate: float = constant(2.0, "rad/s", "how a segment turns while its module is silent", MOTION)
+    longest_coast_s: float = constant(0.1, "s", "a silent segment keeps its rate for about that long", MOTION)
+    longest_silence_s: float = constant(
+        1.0, "s", "after a longer silence, or saturation, a segment begins anew", MOTION
+    )
+    start_tilt: float = constant(
+        0.3, "rad", "of a first orientation from one specific force", "3 m/s² over gravity"
+    )
+    start_arm: float = constant(
+        0.3, "m", "of a module from what it turns about when it begins", "length of a limb"
+    )
+    starting_share: float = constant(
+        0.1,
+        "",
+        "of the square of what a first sample shows of acceleration: lasts over the unaided window",
+        "random chains",
+    )
+    starting_memory_s: float = constant(2.0, "s", "for how long that is expected", "random chains")
+    device_start_s: float = constant(
+        2.0, "s", "so long a device may take to say its first", "satellite receivers that are warm"
+    )
+
+    # headings
+    unknown_heading: float = constant(
+        1.6, "rad", "a heading of which nothing is known", "near π / √3 of an even distribution"
+    )
+    start_heading: float = constant(
+        0.5,
+        "rad",
+        "how far the field may be off throughout: what a first heading by it counts against the motion",
+        "indoors",
+    )
+    heading_evidence: float = constant(
+        20.0,
+        "",
+        "concentration (von Mises) from which an unobserved heading is taken as shown",
+        "0.5 rad with the density",
+    )
+    heading_coherence: float = constant(
+        0.6, "", "least agreement of the two sides' horizontal accelerations for that", JUDGED
+    )
+    heading_time_s: float = constant(
+        1.0, "s", "for how long it must have been gathered", "what one swing tells is off to one side"
+    )
+    heading_forgets_s: float = constant(20.0, "s", "older evidence counts less", "gyroscopes drift")
+    heading_density: float = constant(
+        5.0,
+        "",
+        "rows share errors: the angle is less sure than the evidence says by this factor",
+        "row_memory_s at 50 Hz",
+    )
+    lost_heading: float = constant(
+        1.0, "rad", "a heading less certain than that is unobserved again", "where linearised rows fail"
+    )
+
+    # the magnetic field
+    heading: float = constant(
+        0.1,
+        "rad",
+        "how far the field's heading is off at the most where it is the same from place to place",
+        "buildings",
+    )
+    heading_offset_s: float = constant(
+        300.0, "s", "within it that is another one; until then it is found", "walking through a building"
+    )
+    heading_memory_s: float = constant(
+        10.0, "s", "for how long changes stay off to the same side, and what is not yet found", JUDGED
+    )
+    dip_tolerance: float = constant(
+        0.1, "rad", "a field steeper or flatter than it should be by that much is half disturbed", "buildings"
+    )
+    norm_tolerance: float = constant(0.1, "", "the same of its norm, relative", "buildings")
+    field_memory_s: float = constant(20.0, "s", "over which its norm and dip are averaged", JUDGED)
+    field_change_s: float = constant(3.0, "s", "over which their changes are averaged", JUDGED)
+    field_change: float = constant(
+        0.14, "", "of norm (relative) and dip (rad), before any has been seen", "both tolerances together"
+    )
+    field_smoothing_s: float = constant(
+        0.05,
+        "s",
+        "what differs from sample to sample is the magnetometer's noise, and no change of place",
+        "data sheets",
+    )
+    field_proof: float = constant(
+        5.0, "rad", "turned by so much a module has shown whether the field is as it should be", JUDGED
+    )
+    least_horizontal: float = constant(
+        0.1, "", "part of the field that counts as horizontal at least", "near the magnetic poles"
+    )
+    first_look_s: float = constant(
+        0.5, "s", "a heading that nothing else can show is taken from the field within that time", JUDGED
+    )
+    compass_s: float = constant(
+        10.0, "s", "the field leads an unobserved heading with its mean over at most that long", JUDGED
+    )
+    compass_trusted_s: float = constant(
+        0.3, "s", "having seen an undisturbed field for so long, its heading counts beside the motion", JUDGED
+    )
+
+    # the sun
+    sun_memory_s: float = constant(
+        1.0, "s", "for how long cells stay off to the same side while the module turns", "simulated skies"
+    )
+    sun_height_tolerance: float = constant(
+        0.1, "rad", "light from higher or lower than the sun by that much is half believed", "simulated skies"
+    )
+    sun_look_s: float = constant(
+        0.3, "s", "seen steadily for so long, the sun settles an unobserved heading", "simulated skies"
+    )
+    sun_look_memory_s: float = constant(1.0, "s", "over which it is looked for", "simulated skies")
+    sun_steady: float = constant(
+        0.97, "", "mean resultant length of the headings seen meanwhile", "14° about their mean"
+    )
+    sun_unsure: float = constant(
+        0.5,
+        "rad",
+        "a heading no surer than this is turned at once, not by a linearised row",
+        "where linearised rows fail",
+    )
+
+    # zero rate
+    zero_rate_change: float = constant(0.035, "rad/s", "less change of the rate than this is rest", "2°/s")
+    zero_rate_force_change: float = constant(
+        0.3, "m/s²", "more change of the specific force than that is no rest", "breathing"
+    )
+    zero_rate_s: float = constant(0.7, "s", "for which both must have been small", JUDGED)
+    zero_rate_window_s: float = constant(0.5, "s", "over which they are averaged", JUDGED)
+    zero_rate_sigma: float = constant(
+        0.002, "rad/s", "of a mean rate at rest against the bias", "0.1°/s, swaying"
+    )
+    largest_bias: float = constant(
+        0.05, "rad/s", "a steady rate above it is a motion, not a bias", "3°/s, data sheets"
+    )
+
+    # zero acceleration
+    stance_acceleration: float = constant(0.3, "m/s²", "of a foot that stands in a shoe", "recorded walks")
+    stance_arm: float = constant(
+        0.12, "m", "of its module from the heel or ball about which it rolls on and off", "half a foot"
+    )
+    stance_memory_s: float = constant(
+        0.1, "s", "for how long its row stays off to the same side", "as row_memory_s"
+    )
+    stride_s: float = constant(
+        1.0,
+        "s",
+        "a foot that has stood aids its chain for so long",
+        "runners touch the ground for a fifth of the time",
+    )
+
+    # nothing aids
+    unaided_speed: float = constant(
+        0.3, "m/s", "how fast a body moves whose acceleration nothing tells", MOTION
+    )
+    unaided_window_s: float = constant(
+        1.0, "s", "over it the mean acceleration is that speed over the window", MOTION
+    )
+    aided_tilt: float = constant(
+        0.15, "rad", "an inclination less sure than that tells no mean acceleration", JUDGED
+    )
+    unsettled_tilt: float = constant(
+        0.5,
+        "rad",
+        "an inclination less sure than that is helped by gravity, even in an aided chain",
+        "random chains",
+    )
+    aided_rise_s: float = constant(2.0, "s", "how fast larger mean accelerations are believed", JUDGED)
+    aided_fall_s: float = constant(30.0, "s", "how fast smaller ones are", JUDGED)
+
+    # local devices
+    local_window_s: float = constant(
+        0.2, "s", "least span of readings that an acceleration is fitted to", "bandwidth about 5 Hz"
+    )
+    local_acceleration: float = constant(
+        0.2,
+        "m/s²",
+        "the span is so long that the readings' noise leaves no more than that, where it can be",
+        JUDGED,
+    )
+    local_longest_gap_s: float = constant(
+        0.35, "s", "between readings; over a longer one nothing is differentiated", "beacons at 3 Hz"
+    )
+    local_longest_window_s: float = constant(
+        3.0, "s", "longest span", "gyroscopes keep the directions that are averaged"
+    )
+    local_window_change: float = constant(
+        1.25, "", "a span stays while readings ask for one that is longer or shorter by less", "no flutter"
+    )
+    local_frames: float = constant(
+        80.0, "", "frames remembered of a span", "somewhat less than there is room for"
+    )
+    device_aids_s: float = constant(
+        0.5, "s", "a device that has been silent for longer aids its chain no more", MOTION
+    )
+
+    # lever arms
+    point_memory_s: float = constant(
+        1.0,
+        "s",
+        "for which an orientation error stays where a point is known",
+        "a constant error of the accelerometer looks much the same",
+    )
+    learn_s: float = constant(
+        0.025, "s", "how often a joint is asked, at most", "half of smoothing_s, a quarter of row_memory_s"
+    )
+
+    # what corrections and vibration say
+    correction_block_s: float = constant(
+        0.5, "s", "over which corrections are summed", "several times what rows share"
+    )
+    correction_memory_s: float = constant(5.0, "s", "over which blocks are compared", JUDGED)
+    correction_gain: float = constant(
+        0.05, "", "by how much a noise inflation may change with a block", JUDGED
+    )
+    row_inflation: float = constant(
+        2.0, "", "by how much a joint's variance is raised at the most, over itself", JUDGED
+    )
+    vibration_memory_s: float = constant(1.0, "s", "over which vibration is averaged", JUDGED)
+    vibration_floor: float = constant(
+        0.1, "m/s²", "vibration below it is not told from none", "noise of accelerometers"
+    )
+    vibration_shock: float = constant(
+        9.0,
+        "",
+        "times the mean square that one sample counts for at the most",
+        "a heel that strikes is no vibration",
+    )
+
+
+CONSTANTS: dict[str, Constant] = constants_of(Tuning)
+
+
+def tuning(**changes: float) -> Tuning:
+    """Return the defaults with some of them changed. Raises ``TypeError`` for a name not in the table."""
+    return table_of(Tuning, **changes)
