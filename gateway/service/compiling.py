@@ -86,6 +86,7 @@ def _let_through(name: str) -> None:
         pipeline.add_link(framing, framing)
         for chunk in _chunks(suit, framing):
             pipeline.feed(chunk)
+    pipeline.statistics()
     with contextlib.suppress(OSError):  # then it is looked up again, which does no harm
         note = note_of(name, compiled.CACHE_DIRECTORY)
         note.parent.mkdir(parents=True, exist_ok=True)

@@ -7,12 +7,19 @@ where samples were lost. A burst after a stall does not count: in it that value 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from gateway.clocks import unwrap
 
 _LEARNT = 48
 """Samples from which the interval is told; nothing is made from them."""
+_EVEN = 1.25
+"""The upper quartile of the intervals learnt from over the lower one; beyond it samples came in bursts."""
+_BURSTS = 16
+"""So many times more samples are waited for, half of them new, that do not come in bursts."""
+_SHORTEST_NS = 100_000.0
+"""No device samples faster: what came in less had waited somewhere."""
 _KNOWN = 0.92, 1.15
 """A measured interval between so much of a known one is taken for it: losses make it longer."""
 _HALF_NS = 80_000_000
@@ -45,6 +52,7 @@ class ArrivalCounter:
         """Between two samples; None: not known yet."""
         self._rates_hz, self._bits = rates_hz, counter_bits
         self._first: list[tuple[int, int]] = []  # (arrival, number) of the samples learnt from
+        self._bursts = 0
         self._number = -1
         self._shift = 0
         """Added to the counts of a device that counts from anew."""
@@ -133,7 +141,13 @@ class ArrivalCounter:
         half = _LEARNT // 2
         pairs = zip(self._first[:half], self._first[half:], strict=True)
         spans = sorted((late - early) / max(b - a, 1) for (early, a), (late, b) in pairs)
-        measured_ns = max(spans[len(spans) // 4], 1.0)
+        measured_ns, upper_ns = spans[half // 4], spans[3 * half // 4]
+        shortest_ns = max(_SHORTEST_NS, _KNOWN[0] * 1e9 / max(self._rates_hz, default=math.inf))
+        is_uneven = upper_ns > _EVEN * measured_ns and self._bursts < _BURSTS
+        if measured_ns < shortest_ns or is_uneven:
+            self._bursts += measured_ns >= shortest_ns
+            del self._first[:half]
+            return
         near = (1e9 / rate_hz for rate_hz in self._rates_hz)
         known = (each for each in near if _KNOWN[0] * each <= measured_ns < _KNOWN[1] * each)
         self.interval_ns = next(known, measured_ns)
@@ -141,4 +155,4 @@ class ArrivalCounter:
             self._number = number
         else:
             self._stamped = self._number, arrived_ns - self._delay_ns
-        self._first = []
+        self._first, self._bursts = [], 0

@@ -61,6 +61,15 @@ def test_a_stall_with_nothing_lost_is_no_loss():
     assert set(found) == {found[0]}
 
 
+@pytest.mark.parametrize("rates", [RATES, ()])
+@pytest.mark.parametrize("stalled", [(0, 20), (0, 40), (0, 400), (10, 40), (24, 100), (40, 60)])
+def test_a_stall_while_the_rate_is_learnt_spoils_it_not(rates, stalled):
+    counter, (first, last) = ArrivalCounter(rates), stalled
+    for k in range(last + 200):
+        counter.stamp(max(k, last if first <= k < last else 0) * SECOND_NS // 200)
+    assert counter.interval_ns == pytest.approx(SECOND_NS / 200)
+
+
 def test_counts_tell_losses_at_once_up_to_half_a_period():
     found = offsets(
         ArrivalCounter((100,), counter_bits=8),

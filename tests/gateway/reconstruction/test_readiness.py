@@ -12,6 +12,7 @@ from gateway.errors import GatewayError
 from gateway.geometry import compiled
 from gateway.reconstruction import FUSED, RECONSTRUCTORS
 from gateway.service import readiness
+from tests.fixtures.processes import REPOSITORY
 
 
 @pytest.fixture
@@ -123,6 +124,47 @@ settings = stand_in(GatewaySettings(links=links, rig="suit_17"), told.append)
 with event.install_listener("numba:compile", Watch()):
     Service(settings, load_rig("suit_17"))
 print(json.dumps({"told": told, "compiled_later": later}))
+"""
+
+
+def test_a_running_suit_compiles_nothing_once_its_method_is_ready():
+    """What compiles while samples come holds them all up for seconds."""
+    readiness.make_ready("joint")
+    done = subprocess.run(
+        [sys.executable, "-c", RUNS], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {"compiled": [], "poses": True}
+
+
+RUNS = """
+import json
+from numba.core import event
+from devices.emulators.imperfections import TYPICAL
+from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
+from devices.link import Chunk, Framing
+from gateway.body.rig import load_rig
+from gateway.emulation.rig import dress, move
+from gateway.pipeline import Pipeline
+from gateway.service.compiling import _PARAMS
+compiled, poses = [], 0
+class Watch(event.Listener):
+    def on_start(self, event):
+        compiled.append(str(event.data["dispatcher"]))
+    def on_end(self, event):
+        pass
+suit = load_rig("arm_3")
+traffic = SuitTraffic(move(dress(suit), suit.skeleton.name, 1), SuitSettings(), TYPICAL, 1)
+with event.install_listener("numba:compile", Watch()):
+    pipeline = Pipeline(suit, _PARAMS, "joint")
+    pipeline.add_link("suit", Framing.BYTE_STREAM)
+    told_s = 0.0
+    for sent in traffic.transmissions(15.0):
+        poses += len(pipeline.feed(Chunk(sent.data, 10**18 + round(sent.time_s * 1e9), "suit")))
+        if sent.time_s > told_s + 1.0:
+            told_s = sent.time_s
+            pipeline.statistics()
+print(json.dumps({"compiled": compiled, "poses": poses > 1000}))
 """
 
 
