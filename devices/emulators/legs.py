@@ -61,13 +61,26 @@ def leg_angles(
     foot_heading: FloatArray,
     foot_pitch: FloatArray,
 ) -> FloatArray:
-    """(T, 3, 3): of thigh, shank and foot about x, y, z, each against its parent, turns in the order z, x, y.
+    """``leg_angles_of`` of a pelvis that only turns about the vertical.
 
-    pelvis: (T, 3) place. facing, foot_heading, foot_pitch: (T,) rad. ankle: (T, 3). All forward, up, right.
-    Raises ``ValueError`` where the leg is too short.
+    facing, foot_heading, foot_pitch: (T,) rad.
     """
     R_pelvis = Rotation.from_euler("y", facing[:, None])
-    R_foot = Rotation.from_euler("y", foot_heading[:, None]) * Rotation.from_euler("z", foot_pitch[:, None])
+    return leg_angles_of(leg, pelvis, R_pelvis, ankle, foot_turn(foot_heading, foot_pitch))
+
+
+def foot_turn(heading: FloatArray, pitch: FloatArray) -> Rotation:
+    """Orientation of a foot in the plan: (T,) rad each, toes up is positive."""
+    return Rotation.from_euler("y", heading[:, None]) * Rotation.from_euler("z", pitch[:, None])
+
+
+def leg_angles_of(
+    leg: Leg, pelvis: FloatArray, R_pelvis: Rotation, ankle: FloatArray, R_foot: Rotation
+) -> FloatArray:
+    """(T, 3, 3): of thigh, shank and foot about x, y, z, each against its parent, turns in the order z, x, y.
+
+    pelvis, ankle: (T, 3) places, m: forward, up, right. Raises ``ValueError`` where the leg is too short.
+    """
     reach = ankle - pelvis - R_pelvis.apply(leg.hip)
     length = np.linalg.norm(reach, axis=1)
     longest = leg.thigh + leg.shank

@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike
 
 from devices.deferred import Rotation
 from devices.emulators.bodies import NO_PARENT, EmulatedBody, FloatArray, IntArray
+from devices.emulators.everyday import Lap, planned_lap
 from devices.emulators.gait import WALK, Gait, planned_motion
 from devices.emulators.kinematics_truth import JointAngles, MotionState, RootPath, TreeKinematics
 from devices.emulators.legs import has_legs
+from devices.emulators.stride import STRIDE
 from devices.emulators.walking import WALKING_ROOT, walking_terms
 from devices.emulators.waves import Fade, Waves, waves
 
@@ -174,6 +176,18 @@ def gait_motion(
             ]
     others = waves(body.n_segments, terms)
     angles, path = planned_motion(body, gait, fade, others, others.rows(np.array([0])))
+    return BodyMotion(body, angles, path, fade)
+
+
+def everyday_motion(
+    body: EmulatedBody, seed: int, fade: Fade | None = None, lap: Lap | None = None
+) -> BodyMotion:
+    """Walking as people walk, turning, stopping, reaching out, a squat, and all over again.
+
+    Raises ``ValueError`` for a body without two legs.
+    """
+    fade = fade or Fade()
+    angles, path = planned_lap(body, seed, fade, lap or Lap(), STRIDE)
     return BodyMotion(body, angles, path, fade)
 
 

@@ -52,11 +52,11 @@ class Truth:
     """The emulated body's motion, and what was received of it."""
 
     def __init__(self, suit: WornSuit) -> None:
-        from gateway.emulation.rig import dress, move_about
+        from gateway.emulation.rig import dress, perform
 
         self.segment_names = suit.skeleton.segment_names
         self.start_ns = 0
-        self._motion = move_about(dress(suit), suit.skeleton.name, SEED)
+        self._motion = perform(dress(suit), suit.skeleton.name, SEED)
         self._times_s: list[float] = []
         self._late_s: list[float] = []
         self._q_wb: list[list[list[float]]] = []
@@ -241,7 +241,7 @@ async def _emulator(settings: GatewaySettings, imperfections: str) -> AsyncItera
     """The emulated suit as a process of its own; gives the gateway time of its motion's start."""
     arguments = ["emulate", "--rig", settings.rig, "--on", "pty", "--link", settings.links[0].url]
     arguments += ["--imperfections", imperfections, "--seed", str(SEED), "--json"]
-    arguments += ["--mode", _sampling_mode(settings)]
+    arguments += ["--mode", _sampling_mode(settings), "--motion", "everyday"]
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-m", "gateway", *arguments, stdout=asyncio.subprocess.PIPE
     )
@@ -350,8 +350,15 @@ def _print_errors(truth: Truth, console: Console) -> None:
     for name, row in zip(truth.segment_names, errors, strict=True):
         table.add_row(name, *(f"{value:.2f}" for value in row))
     table.add_section()
-    table.add_row("mean", *(f"{value:.2f}" for value in np.nanmean(errors, axis=0)), style="bold")
+    mean = np.nanmean(errors, axis=0)
+    table.add_row("mean", *(f"{value:.2f}" for value in mean), style="bold")
     console.print(table)
+    if np.isfinite(mean[0]):
+        console.print(
+            f"This means: a segment was shown {mean[0]:.1f}° off the emulated person's own on average, "
+            f"{mean[1]:.1f}° of it as tilt and {mean[2]:.1f}° as heading.",
+            highlight=False,
+        )
 
 
 def _free_port(preferred: int) -> int:

@@ -52,7 +52,15 @@ from gateway.body.skeleton import WornSuit
 from gateway.cli.emulate_makers import SpokenSuit, say_links, spoken_by, voices_of
 from gateway.cli.options import with_options
 from gateway.cli.terminal import TypedLines
-from gateway.emulation.rig import calibrate, dress, move_about, sunlight, tumble, worn_wrong
+from gateway.emulation.rig import (
+    calibrate,
+    dress,
+    move_about,
+    perform,
+    sunlight,
+    tumble,
+    worn_wrong,
+)
 from gateway.errors import GatewayError, nearest
 from gateway.frames import Quantity
 from gateway.support.settings_files import load_settings
@@ -81,6 +89,7 @@ class MotionKind(StrEnum):
 
     OWN = "own"
     CALIBRATION = "calibration"
+    EVERYDAY = "everyday"
 
 
 class StrapOn(StrEnum):
@@ -154,7 +163,10 @@ class Emulation:
     ] = False
     motion: Annotated[
         MotionKind,
-        typer.Option(help="What the body does; calibration: the steps of `calibrate body`, over and over."),
+        typer.Option(
+            help="What the body does; calibration: the steps of `calibrate body`, over and over; everyday: a "
+            "person walks, turns, reaches out and squats."
+        ),
     ] = MotionKind.OWN
     strap_on: Annotated[
         StrapOn,
@@ -398,6 +410,8 @@ def _motion(wanted: Emulation, suit: WornSuit) -> BodyMotion:
         raise GatewayError(str(error)) from error
     if wanted.motion is MotionKind.CALIBRATION:
         return calibrate(body, suit.skeleton.name, wanted.seed, radians(wanted.facing))
+    if wanted.motion is MotionKind.EVERYDAY:
+        return perform(body, suit.skeleton.name, wanted.seed)
     return (tumble if wanted.tumbling else move_about)(body, suit.skeleton.name, wanted.seed)
 
 

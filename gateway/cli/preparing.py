@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +14,7 @@ from typing import Any
 
 import typer
 
+from gateway.cli.terminal import progress_bar
 from gateway.reconstruction import OPTICAL, RootMode
 from gateway.reconstruction.optical.warm_up import warm_up
 from gateway.settings import GatewaySettings, RootMotionSettings
@@ -97,7 +99,8 @@ def stand_in(settings: GatewaySettings, tell: Callable[[str], object]) -> Gatewa
     if not readiness.is_ready(readiness.FIRST):
         begun_s = time.monotonic()
         tell(_FIRST)
-        readiness.make_ready(readiness.FIRST)
+        with progress_bar("compiling", is_shown=sys.stderr.isatty()) as told:
+            readiness.make_ready(readiness.FIRST, tell=told)
         tell(f"compiled ({time.monotonic() - begun_s:.0f} s)")
     in_its_place = RootMotionSettings(mode=RootMode.FIXED)
     return settings.solved_by(readiness.FALLBACK).model_copy(update={"root_motion": in_its_place})

@@ -13,6 +13,7 @@ from devices.emulators.gait import WALK
 from devices.emulators.light_sampler import Sunlight
 from devices.emulators.motions import (
     BodyMotion,
+    everyday_motion,
     gait_motion,
     generic_motion,
     pendulum_motion,
@@ -99,6 +100,13 @@ def move_about(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
     """The same for whoever looks on: people walk round in a circle to their left, and so stay near."""
     if MOTIONS.get(body_name) is gait_motion:
         return gait_motion(body, seed, gait=CIRCLING)
+    return move(body, body_name, seed)
+
+
+def perform(body: EmulatedBody, body_name: str, seed: int) -> BodyMotion:
+    """The same with more to see: people walk as people do, turn, reach out and squat."""
+    if MOTIONS.get(body_name) is gait_motion:
+        return everyday_motion(body, seed)
     return move(body, body_name, seed)
 
 

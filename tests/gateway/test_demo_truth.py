@@ -10,7 +10,7 @@ from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing
 from gateway.body.rig import load_rig
 from gateway.cli.demo import SEED, SETTLING_S, Truth
-from gateway.emulation.rig import dress, move, move_about
+from gateway.emulation.rig import dress, move, move_about, perform
 from gateway.pipeline import Pipeline
 from gateway.settings import GatewaySettings
 from gateway.sources.link_settings import LinkSettings
@@ -55,11 +55,11 @@ def test_the_demo_errs_by_a_few_degrees():
     suit = load_rig("suit_17")
     settings = GatewaySettings(links=[LinkSettings(name="suit", url="/dev/null")], rig="suit_17")
     traffic = SuitTraffic(
-        move_about(dress(suit), suit.skeleton.name, SEED), SuitSettings(), PRESETS["typical"], SEED
+        perform(dress(suit), suit.skeleton.name, SEED), SuitSettings(), PRESETS["typical"], SEED
     )
     pipeline, truth = Pipeline.from_settings(settings, suit), Truth(suit)
     pipeline.add_link("suit", Framing.BYTE_STREAM)
-    for sent in traffic.transmissions(5.0):
+    for sent in traffic.transmissions(24.0):
         for frame in pipeline.feed(Chunk(sent.data, round(sent.time_s * 1e9), "suit")):
             truth.add(received(suit, frame.time_ns * 1e-9, frame.q_wb, 0.0))
     total, inclination, _ = np.nanmean(truth.errors_deg(), axis=0)
