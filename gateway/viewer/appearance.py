@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Colour = tuple[int, int, int]
 
 COLOURS: dict[str, Colour] = {
-    "measured": (70, 160, 95),
+    "measured": (150, 156, 166),
     "interpolated": (40, 160, 190),
     "held": (225, 180, 20),
     "predicted": (165, 80, 195),
@@ -21,8 +21,17 @@ COLOURS: dict[str, Colour] = {
     "unaided": (150, 160, 70),
     "doubtful": (200, 45, 140),
 }
-"""By status. A measured segment turns towards ``UNSURE`` as its sigma grows."""
-UNSURE: Colour = (235, 120, 15)
+"""By status. A measured segment has the pale colour of its side; all others are in full colour."""
+SIDE_COLOURS: dict[str, Colour] = {
+    "trunk": COLOURS["measured"],
+    "left": (128, 160, 204),
+    "right": (204, 132, 96),
+}
+"""Of what is measured."""
+FACE: Colour = (45, 48, 56)
+"""In front of the head, whatever its status."""
+UNSURE: Colour = (246, 246, 240)
+"""What is measured goes towards it as its sigma grows: paler, in no hue that means something else."""
 STALE: Colour = (140, 140, 140)
 MOST_NAMED = 3
 """More silent segments are only counted."""
@@ -31,17 +40,27 @@ SURE_DEG, UNSURE_DEG = 2.0, 15.0
 
 
 def segment_colours(
-    statuses: Sequence[str], sigmas_rad: Sequence[float | None], is_stale: bool
+    statuses: Sequence[str],
+    sigmas_rad: Sequence[float | None],
+    is_stale: bool,
+    sides: Sequence[str] | None = None,
 ) -> NDArray[np.uint8]:
-    """(s, 3) RGB."""
+    """(s, 3) RGB. sides: of each, trunk, left or right; default: all trunk."""
     if is_stale:
         return np.tile(np.array(STALE, np.uint8), (len(statuses), 1))
-    colours = [_colour(status, sigma) for status, sigma in zip(statuses, sigmas_rad, strict=True)]
+    sides = sides or ["trunk"] * len(statuses)
+    colours = [_colour(*each) for each in zip(statuses, sigmas_rad, sides, strict=True)]
     return np.array(colours, np.uint8)
 
 
-def _colour(status: str, sigma_rad: float | None) -> Colour:
-    colour = COLOURS[status]
+def side_of(segment: str) -> str:
+    """Left, right or trunk, by a segment's name."""
+    side = segment.partition("_")[0]
+    return side if side in SIDE_COLOURS else "trunk"
+
+
+def _colour(status: str, sigma_rad: float | None, side: str) -> Colour:
+    colour = COLOURS[status] if status != "measured" else SIDE_COLOURS[side]
     if status != "measured" or sigma_rad is None:
         return colour
     part = (math.degrees(sigma_rad) - SURE_DEG) / (UNSURE_DEG - SURE_DEG)
@@ -77,7 +96,12 @@ def status_summary(statuses: Mapping[str, str], silent: Sequence[str]) -> str:
 def legend() -> str:
     """What the colours mean, as HTML."""
     meanings = [(name.replace("_", " "), colour) for name, colour in COLOURS.items()]
-    meanings.insert(1, (f"measured, sigma over {UNSURE_DEG:g}°", UNSURE))
+    meanings[:1] = [
+        ("left", SIDE_COLOURS["left"]),
+        ("right", SIDE_COLOURS["right"]),
+        ("trunk, measured", SIDE_COLOURS["trunk"]),
+        (f"sigma over {UNSURE_DEG:g}°", UNSURE),
+    ]
     meanings.append(("no data", STALE))
     return chips(meanings)
 
@@ -87,6 +111,7 @@ def chips(meanings: Iterable[tuple[str, Colour]]) -> str:
     shown = "".join(
         '<span style="display:inline-block;margin:2px 8px 2px 0;white-space:nowrap">'
         f'<span style="display:inline-block;width:10px;height:10px;border-radius:5px;margin-right:4px;'
+        "border:1px solid rgba(128,128,128,.6);"
         f'background:rgb{colour}"></span>{meaning}</span>'
         for meaning, colour in meanings
     )

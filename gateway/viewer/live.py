@@ -21,7 +21,7 @@ from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, R
 from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.live_markers import LiveMarkers
 from gateway.viewer.marker_points import MarkerInstant
-from gateway.viewer.module_table import module_rows, module_table
+from gateway.viewer.module_table import RecentLosses, module_rows, module_table, warnings_of
 from gateway.viewer.muscle_wires import MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
@@ -35,6 +35,9 @@ RECORDED_AFTER_S = 10.0
 """Older poses are told by their instant: they come from a recording."""
 MOST_UNDRAWN = 256
 """Poses between two pictures that muscles are told of."""
+RESETS = ("heading", "full", "mounting")
+COUNTDOWN_S = 3
+"""Before a reset that wants the wearer to stand in the N-pose."""
 TEXTS_EVERY = 10
 """Texts and plots are brought up to date with every so manyeth picture."""
 
@@ -69,9 +72,11 @@ class LiveViewer:
             server,
             (
                 ButtonRow("Recording", ("start", "stop"), lambda verb: self._ask("recording", verb, {})),
-                ButtonRow("Reset", ("heading",), lambda kind: self._ask("reset", kind, {})),
+                ButtonRow("Reset", RESETS, lambda kind: self._ask("reset", kind, {})),
             ),
+            self._stage,
         )
+        self._losses = RecentLosses()
 
     async def run(self, waits: bool = False) -> None:
         """For ever. Raises ``BrokerUnreachableError`` if there is no broker at the start, unless it waits."""
@@ -142,6 +147,7 @@ class LiveViewer:
         posture = self._keeper.take(latest.pose)
         if self._panel.follow.value:
             self._stage.follow(posture.place, latest.pose.t_ns * 1e-9)
+        self._stage.face(posture.q_wb[0])
         self._scene.draw(posture, is_stale, self._silent())
         if self._wires is not None:
             self._wires.draw(latest.pose.t_ns * 1e-9, posture)
@@ -159,9 +165,11 @@ class LiveViewer:
                 wires.add(pose.t_ns * 1e-9, posture.q_wb, posture.place)
 
     def _take_choices(self) -> None:
+        self._stage.show_dark(not self._panel.light.value)
         if self._scene is None:
             return
         self._scene.show_axes(self._panel.axes.value)
+        self._scene.show_bones(self._panel.bones.value or self._wires is not None)
         self._scene.shows_names = self._panel.names.value
 
     def _show_texts(self, poses: PoseSubscriber) -> None:
@@ -178,9 +186,15 @@ class LiveViewer:
             )
         else:
             self._panel.show_status(name, *self._pose_texts(), is_alarm=False)
+        health = poses.healths.get(self._gateway)
+        self._losses.add(health)
+        comes = age is not None and age <= STALE_AFTER_S and poses.is_connected
+        self._panel.show_warnings(self._warnings() if comes else ())
+        recording = None if health is None else health.statistics.get("recording")
+        self._panel.show_recording(recording if isinstance(recording, dict) else {})
         info = poses.infos.get(self._gateway)
         self._worn = frozenset() if info is None else frozenset(module.segment for module in info.modules)
-        rows = module_rows(poses.healths.get(self._gateway), info, self._silent())
+        rows = module_rows(health, info, self._silent())
         self._panel.show_modules(module_table(rows))
         self._panel.draw_plot()
 
@@ -193,7 +207,16 @@ class LiveViewer:
         if latest is None:
             return (pace,)
         markers = () if self._instant is None else self._instant.summary()
-        return pace, status_summary(latest.pose.status, self._silent()), *markers
+        summary = status_summary(latest.pose.status, self._silent())
+        # beside a warning the good word would be what is read
+        told = () if self._warnings() and summary.startswith("all ") else (summary,)
+        return (pace, *told, *markers)
+
+    def _warnings(self) -> tuple[str, ...]:
+        """What is amiss with poses that come."""
+        latency_s = self._view.latency_s or 0.0
+        late = latency_s if latency_s < RECORDED_AFTER_S else 0.0
+        return warnings_of(self._losses.share, late)
 
     def _silent(self) -> tuple[str, ...]:
         return () if self._latest is None else silent_segments(self._latest.pose.status, self._worn)
@@ -210,6 +233,10 @@ class LiveViewer:
 
     async def _request(self, family: str, verb: str, data: Mapping[str, Any]) -> None:
         wish = f"{family} {verb}"
+        if family == "reset" and verb != "heading":
+            for left_s in range(COUNTDOWN_S, 0, -1):
+                self._panel.show_answer(f"{wish} in {left_s} s: stand upright, arms hanging")
+                await asyncio.sleep(1.0)
         self._panel.show_answer(f"{wish} …")
         try:
             async with remote_suit(self._settings, self._gateway, family) as remote:

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Collection, Mapping
+from collections import deque
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import JsonValue
 
+from firmware_protocol import RELAY
 from gateway.contract.messages import BridgeHealth, BridgeInfo
+from gateway.frames import Status
 
-_COLUMNS = ("id", "segment", "lost %", "ppm", "± µs", "bat. %")
+_COLUMNS = ("id", "segment", "bat.", "lost %", "ppm", "± µs")
+_LOST_COLUMN = 3
 _LOSSY_PERCENT = 1.0
+RELAY_NAME = str(RELAY)
+MUCH_LOST = 0.02
+"""Share of samples lost from which on a strip warns."""
+LATE_S = 0.25
+"""Latency from which on it does."""
+_SPAN_NS = 10_000_000_000
 
 
 def module_rows(
@@ -26,7 +39,7 @@ def module_rows(
     heard: Mapping[str, JsonValue] = modules if isinstance(modules, dict) else {}
     worn = {str(m.module): m.segment for m in info.modules} if info is not None else {}
     names = sorted({*heard, *worn}, key=lambda name: (len(name), name))
-    rows = ((name, worn.get(name, "other device")) for name in names)
+    rows = ((name, worn.get(name, "relay" if name == RELAY_NAME else "not in the rig")) for name in names)
     return [
         (*_row(name, place, None if place in silent else heard.get(name)), str(why.get(name, "")))
         for name, place in rows
@@ -39,24 +52,100 @@ def module_table(rows: list[tuple[str, ...]]) -> str:
     head = "".join(f'<th style="text-align:left;padding:1px 4px">{name}</th>' for name in _COLUMNS)
     body = "".join(_html_row(row) for row in rows)
     return (
-        '<div style="padding:0 6px;overflow-x:auto"><table style="font-size:11px;border-collapse:collapse">'
+        '<div style="padding:0 6px;overflow-x:auto">'
+        '<table style="font-size:11px;border-collapse:collapse;width:100%">'
         f"<tr>{head}</tr>{body}</table></div>"
+    )
+
+
+class RecentLosses:
+    """The share of all modules' samples that was lost within the last seconds, from health messages."""
+
+    def __init__(self) -> None:
+        self._counted: deque[tuple[int, float, float]] = deque()
+
+    def add(self, health: BridgeHealth | None) -> None:
+        """Take a health message; one that was taken before changes nothing."""
+        if health is None or (self._counted and self._counted[-1][0] == health.t_ns):
+            return
+        modules = health.statistics.get("modules", {})
+        summaries = (
+            [one for one in modules.values() if isinstance(one, dict)] if isinstance(modules, dict) else []
+        )
+        received, lost = (sum(_number(one, name) for one in summaries) for name in ("received", "lost"))
+        if self._counted and (health.t_ns < self._counted[-1][0] or received < self._counted[-1][1]):
+            self._counted.clear()  # another start of the gateway
+        self._counted.append((health.t_ns, received, lost))
+        while len(self._counted) > 2 and self._counted[1][0] < health.t_ns - _SPAN_NS:
+            self._counted.popleft()
+
+    @property
+    def share(self) -> float:
+        """0 to 1; 0 before two messages have come."""
+        if len(self._counted) < 2:
+            return 0.0
+        (_, received, lost), (_, received_now, lost_now) = self._counted[0], self._counted[-1]
+        new_lost = max(0.0, lost_now - lost)
+        return new_lost / max(1.0, received_now - received + new_lost)
+
+
+def warnings_of(lost: float, latency_s: float) -> tuple[str, ...]:
+    """What is to be told loudly, with what would do. lost: share of the samples, 0 to 1."""
+    found = []
+    if lost >= MUCH_LOST:
+        found.append(
+            f"{lost:.0%} of the samples are lost: see which module in Modules; come nearer, charge it"
+        )
+    if latency_s >= LATE_S:
+        found.append(f"poses are {latency_s:.1f} s late: the gateway, the broker or the network is too busy")
+    return tuple(found)
+
+
+def clock_of(seconds: object) -> str:
+    """``1:05`` of 65.2; ``0:00`` of what is no number."""
+    whole = int(seconds) if isinstance(seconds, int | float) else 0
+    minutes = f"{whole // 60 % 60:02d}" if whole >= 3600 else f"{whole // 60}"
+    return f"{f'{whole // 3600}:' if whole >= 3600 else ''}{minutes}:{whole % 60:02d}"
+
+
+def recorded_rows(segments: Sequence[str], status: NDArray[np.integer[Any]]) -> list[tuple[str, ...]]:
+    """Of a recording: one row a segment, with how much of it was measured, held or missing, in percent.
+
+    status: (T, S) numbers of ``Status``."""
+    kinds = (Status.MEASURED, Status.INTERPOLATED, Status.MISSING)
+    return [
+        (name.replace("_", " "), *(f"{100.0 * float(np.mean(status[:, s] == kind)):.1f}" for kind in kinds))
+        for s, name in enumerate(segments)
+    ]
+
+
+def recorded_table(rows: list[tuple[str, ...]]) -> str:
+    """These rows as an HTML table."""
+    heads = ("segment", "measured %", "interpolated %", "missing %")
+    cells = (
+        "<tr>" + "".join(f'<td style="padding:1px 4px">{html.escape(cell)}</td>' for cell in row) + "</tr>"
+        for row in rows
+    )
+    head = "".join(f'<th style="text-align:left;padding:1px 4px">{name}</th>' for name in heads)
+    return (
+        '<div style="padding:0 6px;overflow-x:auto"><table style="font-size:11px;border-collapse:collapse">'
+        f"<tr>{head}</tr>{''.join(cells)}</table></div>"
     )
 
 
 def _row(module: str, segment: str, summary: JsonValue) -> tuple[str, ...]:
     if not isinstance(summary, dict):
-        return (module, segment, "silent", "", "", "")
+        return (module, segment, "", "silent", "", "")
     received, lost = _number(summary, "received"), _number(summary, "lost")
     share = 100.0 * lost / (received + lost) if received + lost else 0.0
     battery = summary.get("battery_percent")
     return (
         module,
-        segment,
+        segment.replace("_", " "),
+        "" if battery is None else f"{battery} %",
         f"{share:.2f}",
         f"{_number(summary, 'clock_ppm'):+.1f}",
         f"{_number(summary, 'residual_us'):.0f}",
-        "" if battery is None else f"{battery}",
     )
 
 
@@ -70,7 +159,7 @@ def _number(summary: Mapping[str, JsonValue], name: str) -> float:
 
 def _html_row(cells_and_doubt: tuple[str, ...]) -> str:
     *row, doubt = cells_and_doubt
-    lost = row[2]
+    lost = row[_LOST_COLUMN]
     is_bad = bool(doubt) or lost == "silent" or float(lost) > _LOSSY_PERCENT
     colour = "color:rgb(225,60,50)" if is_bad else ""
     cells = "".join(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,9 @@ from gateway.contract.messages import PoseMessage
 from gateway.viewer.appearance import legend
 from gateway.viewer.history import History
 from gateway.viewer.marker_points import MarkerInstant
+from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude
+from gateway.viewer.stage import VIEWS, Stage
 
 PLOT_SPAN_S = 10.0
 _LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
@@ -33,18 +35,23 @@ class ButtonRow(NamedTuple):
 class Panel:
     """Made once; what is chosen in it is read by whoever draws."""
 
-    def __init__(self, server: viser.ViserServer, rows: Sequence[ButtonRow]) -> None:
+    def __init__(self, server: viser.ViserServer, rows: Sequence[ButtonRow], stage: Stage) -> None:
         gui = server.gui
+        self._warnings = gui.add_html("")
         self._status = gui.add_html("")
+        self._recording = gui.add_html("")
         for row in rows:
             gui.add_button_group(row.label, row.options).on_click(_calls(row.pressed))
         self._answer = gui.add_html("")
-        gui.add_html(legend())
+        gui.add_button_group("Camera", VIEWS).on_click(lambda event: self._look(event, stage))
         tabs = gui.add_tab_group()
         with tabs.add_tab("View"):
+            self.bones = gui.add_checkbox("Bones", False)
+            self.light = gui.add_checkbox("Light", False)
             self.axes = gui.add_checkbox("Segment axes", False)
             self.names = gui.add_checkbox("Segment names", False)
             self.follow = gui.add_checkbox("Follow the body", True)
+            gui.add_html(legend())
         with tabs.add_tab("Plot"):
             self._plotted = gui.add_dropdown("Of", ("–",))
             self._plot = SeriesPlot(server)
@@ -93,6 +100,38 @@ class Panel:
             f'<div style="padding:4px 12px"><div style="font-weight:600;font-size:15px;color:{colour}">'
             f'{html.escape(headline)}</div><div style="font-size:12px">{lines}</div></div>',
         )
+
+    def show_warnings(self, warnings: Sequence[str]) -> None:
+        """What is amiss though poses come, above all else, in a strip that is seen; none: no strip."""
+        lines = "<br>".join(f"&#9888; {html.escape(warning)}" for warning in warnings)
+        strip = (
+            '<div role="alert" style="margin:4px 8px;padding:6px 10px;border-radius:6px;font-size:13px;'
+            f'font-weight:600;background:rgb(255,205,60);color:rgb(40,30,0)">{lines}</div>'
+        )
+        self._set(self._warnings, strip if lines else "")
+
+    def show_recording(self, status: Mapping[str, object]) -> None:
+        """A red light and a clock while the gateway records. status: as in its health message."""
+        if status.get("state") != "recording":
+            self._set(self._recording, "")
+            return
+        size = status.get("bytes")
+        mega = f", {size / 1e6:.1f} MB" if isinstance(size, int) else ""
+        name = html.escape(str(status.get("file", "")).rpartition("/")[2])
+        self._set(
+            self._recording,
+            '<div style="padding:0 12px 4px;font-size:13px"><span style="display:inline-block;width:11px;'
+            'height:11px;border-radius:6px;background:rgb(225,30,30);margin-right:6px"></span>'
+            f"<b>REC {clock_of(status.get('seconds'))}</b>{mega} "
+            f"<span style='font-size:11px'>{name}</span></div>",
+        )
+
+    def _look(self, event: viser.GuiEvent[Any], stage: Stage) -> None:
+        """A view was chosen: for the page that it was chosen on."""
+        if event.target.value == "follow":
+            # the library's property has a setter, which the type checker does not see
+            self.follow.value = True  # type: ignore[misc]
+        stage.look(event.client, event.target.value)
 
     def show_answer(self, answer: str) -> None:
         """What became of the last button."""

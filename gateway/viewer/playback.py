@@ -14,6 +14,7 @@ from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.marker_points import MarkerScene, ReceivedMarkers, RecordedMarkers
+from gateway.viewer.module_table import recorded_rows, recorded_table
 from gateway.viewer.muscle_wires import ENOUGH_S, MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
@@ -49,7 +50,10 @@ class Playback:
         self._stage = Stage(server)
         self._scene, self._keeper = BodyScene(server, self._stage, skeleton), PostureKeeper(skeleton)
         self._wires = muscle_wires(server, self._stage, skeleton, muscles_kg)
-        self._panel = Panel(server, (ButtonRow("Playback", ("play", "pause", "begin"), self._press),))
+        self._panel = Panel(
+            server, (ButtonRow("Playback", ("play", "pause", "begin"), self._press),), self._stage
+        )
+        self._panel.show_modules(recorded_table(recorded_rows(arrays.segment_names, arrays.status)))
         self._speed = server.gui.add_dropdown("Speed ×", SPEEDS, initial_value="1")
         end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
         self._line = server.gui.add_slider("Time s", 0.0, end_s, TIME_LINE_STEP_S, 0.0)
@@ -92,6 +96,7 @@ class Playback:
         silent = silent_segments(pose.status, self._worn)
         if self._panel.follow.value:
             self._stage.follow(posture.place, self._times_s[index])
+        self._stage.face(posture.q_wb[0])
         self._scene.draw(posture, is_stale=False, silent=silent)
         if self._wires is not None:
             self._add_undrawn(self._wires, before, index)
@@ -114,7 +119,9 @@ class Playback:
                 wires.add(self._times_s[i], self._arrays.q_wb[i], self._arrays.p_w[i, 0])
 
     def _take_choices(self) -> None:
+        self._stage.show_dark(not self._panel.light.value)
         self._scene.show_axes(self._panel.axes.value)
+        self._scene.show_bones(self._panel.bones.value or self._wires is not None)
         self._scene.shows_names = self._panel.names.value
 
     def _press(self, what: str) -> None:

@@ -1,4 +1,4 @@
-"""The body on the page: bones, axes, and names of segments, of silent ones always."""
+"""The body on the page: a mannequin or bones, axes, and names of segments, of silent ones always."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Collection
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
+from gateway.body.mannequin import SPINDLE_FACES, SPINDLE_VERTICES, Mannequin, mannequin_of
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
-from gateway.viewer.appearance import segment_colours
+from gateway.viewer.appearance import FACE, MOST_NAMED, segment_colours, side_of
 from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
 
@@ -43,6 +45,11 @@ class BodyScene:
             cast_shadow=False,
             receive_shadow=False,
         )
+        self._sides = [side_of(name) for name in skeleton.segment_names]
+        mannequin = mannequin_of(skeleton)
+        self._figure = None if mannequin is None else Figure(server, mannequin)
+        self.shows_bones = mannequin is None
+        self._bodies.visible = self.shows_bones
         self._axes = scene.add_batched_axes(
             f"{_BODY}/axes",
             np.tile(identity, (n, 1)),
@@ -62,6 +69,17 @@ class BodyScene:
         """Take the body off the page."""
         for node in (self._bodies, self._axes, *self._labels):
             node.remove()
+        if self._figure is not None:
+            self._figure.remove()
+
+    def show_bones(self, are_wanted: bool) -> None:
+        """Bones in place of the mannequin; a body that is no person's always has them."""
+        self.shows_bones = are_wanted or self._figure is None
+        if self._bodies.visible != self.shows_bones:
+            self._bodies.visible = self.shows_bones
+            self._colours = np.zeros((0, 3), np.uint8)
+        if self._figure is not None:
+            self._figure.show(not self.shows_bones)
 
     def show_axes(self, is_wanted: bool) -> None:
         """Segment axes, or none."""
@@ -69,30 +87,123 @@ class BodyScene:
 
     def draw(self, posture: Posture, is_stale: bool, silent: Collection[str] = ()) -> None:
         """Bring the page to a posture; the silent segments are named."""
-        segment, p_w = self._bones.segment, posture.p_w - self._stage.middle
-        wxyz = [
-            quaternion.multiply(posture.q_wb[s], q)
-            for s, q in zip(segment, self._bones.q_segment_from_bone, strict=True)
-        ]
-        colours = segment_colours(posture.status, posture.sigma_rad, is_stale)[segment]
+        p_w = posture.p_w - self._stage.middle
+        colours = segment_colours(posture.status, posture.sigma_rad, is_stale, self._sides)
         with self._server.atomic():
-            self._bodies.batched_wxyzs = np.array(wxyz, np.float32)
-            self._bodies.batched_positions = p_w[segment].astype(np.float32)
-            if not np.array_equal(colours, self._colours):
-                self._bodies.batched_colors = self._colours = colours
+            if self.shows_bones:
+                self._draw_bones(posture, p_w, colours)
+            if self._figure is not None:
+                self._figure.draw(posture, p_w, colours)
             if self._axes.visible:
                 self._axes.batched_wxyzs = posture.q_wb.astype(np.float32)
                 self._axes.batched_positions = p_w.astype(np.float32)
             self._name_segments(p_w, posture.q_wb, silent)
 
+    def _draw_bones(self, posture: Posture, p_w: FloatArray, of_segments: NDArray[np.uint8]) -> None:
+        segment = self._bones.segment
+        wxyz = [
+            quaternion.multiply(posture.q_wb[s], q)
+            for s, q in zip(segment, self._bones.q_segment_from_bone, strict=True)
+        ]
+        self._bodies.batched_wxyzs = np.array(wxyz, np.float32)
+        self._bodies.batched_positions = p_w[segment].astype(np.float32)
+        colours = of_segments[segment]
+        if not np.array_equal(colours, self._colours):
+            self._bodies.batched_colors = self._colours = colours
+
     def _name_segments(self, p_w: FloatArray, q_wb: FloatArray, silent: Collection[str]) -> None:
+        silent_so_far = 0
         for s, label in enumerate(self._labels):
             name = self._skeleton.segment_names[s]
-            text = f"{name}: no data" if name in silent else name
-            is_visible = self.shows_names or name in silent
+            is_silent = name in silent
+            shown = name.replace("_", " ")
+            text = f"{shown}: no data" if is_silent else shown
+            is_visible = self.shows_names or (is_silent and silent_so_far < MOST_NAMED)
+            silent_so_far += is_silent
             if label.visible != is_visible:
                 label.visible = is_visible
             if is_visible:
                 if label.text != text:
                     label.text = text
                 label.position = p_w[s] + quaternion.rotate(q_wb[s], 0.5 * self._skeleton.tips[s])
+
+
+DISC_M = 0.16
+"""Radius of the shade below a foot that stands."""
+_SHADE_GONE_M = 0.25
+_AROUND = 2.0 * np.pi * np.arange(16) / 16
+_DISC_VERTICES = np.vstack([np.zeros(3), np.column_stack([np.cos(_AROUND), np.sin(_AROUND), 0.0 * _AROUND])])
+_DISC_FACES = np.array([(0, 1 + k, 1 + (k + 1) % 16) for k in range(16)])
+
+
+class Figure:
+    """The mannequin, and a shade on the floor below each foot."""
+
+    def __init__(self, server: viser.ViserServer, mannequin: Mannequin) -> None:
+        self._parts = mannequin
+        n, n_soles = len(mannequin.segment), len(mannequin.soles)
+        level = np.array([1.0, 0.0, 0.0, 0.0])
+        self._limbs = server.scene.add_batched_meshes_simple(
+            f"{_BODY}/mannequin",
+            SPINDLE_VERTICES,
+            SPINDLE_FACES,
+            np.tile(level, (n, 1)),
+            np.zeros((n, 3)),
+            batched_scales=mannequin.half,
+            batched_colors=np.full((n, 3), 140, np.uint8),
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._shades = server.scene.add_batched_meshes_simple(
+            f"{_BODY}/shades",
+            _DISC_VERTICES,
+            _DISC_FACES,
+            np.tile(level, (n_soles, 1)),
+            np.zeros((n_soles, 3)),
+            batched_scales=np.full((n_soles, 3), DISC_M),
+            batched_colors=np.zeros((n_soles, 3), np.uint8),
+            opacity=0.35,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._is_face = np.array([side == "face" for side in mannequin.side])
+        self._colours = np.zeros((0, 3), np.uint8)
+
+    def remove(self) -> None:
+        """Take it off the page."""
+        self._limbs.remove()
+        self._shades.remove()
+
+    def show(self, is_wanted: bool) -> None:
+        """Limbs or none; shades are there in any case."""
+        if self._limbs.visible != is_wanted:
+            self._limbs.visible = is_wanted
+
+    def draw(self, posture: Posture, p_w: FloatArray, of_segments: NDArray[np.uint8]) -> None:
+        """Bring it to a posture. p_w: (s, 3) m, as drawn; of_segments: (s, 3) RGB."""
+        parts = self._parts
+        if self._limbs.visible:
+            q_wb = posture.q_wb[parts.segment]
+            pairs = list(zip(q_wb, parts.q_segment_from_part, parts.centre, strict=True))
+            centres = p_w[parts.segment] + [quaternion.rotate(q, centre) for q, _, centre in pairs]
+            turns = [quaternion.multiply(q, turn) for q, turn, _ in pairs]
+            self._limbs.batched_wxyzs = np.array(turns, np.float32)
+            self._limbs.batched_positions = centres.astype(np.float32)
+            colours = of_segments[parts.segment]
+            colours[self._is_face] = FACE
+            if not np.array_equal(colours, self._colours):
+                self._limbs.batched_colors = self._colours = colours
+        self._draw_shades(posture, p_w)
+
+    def _draw_shades(self, posture: Posture, p_w: FloatArray) -> None:
+        """Smaller as the foot is lifted. The floor is at zero."""
+        soles = self._parts.soles
+        ahead = [quaternion.rotate(posture.q_wb[s], np.array([0.06, 0.0, 0.0])) for s in soles]
+        below = p_w[soles] + ahead
+        standing = np.clip(1.0 - np.maximum(below[:, 2] - 0.1, 0.0) / _SHADE_GONE_M, 0.0, 1.0)
+        below[:, 2] = 0.004
+        self._shades.batched_positions = below.astype(np.float32)
+        sizes = (0.3 + 0.7 * standing) * DISC_M
+        self._shades.batched_scales = np.tile(sizes[:, None], (1, 3)).astype(np.float32)

@@ -13,6 +13,7 @@ import numpy as np
 import viser
 
 from gateway.frames import FloatArray
+from gateway.geometry import quaternion
 
 FOLLOWING_S = 0.25
 """Time constant in which the view goes to the body, however many pictures are drawn: a walk at 1.5 m/s is
@@ -25,13 +26,22 @@ NARROW = 0.8
 NARROW_CAMERA: tuple[float, float, float] = (3.2, -3.5, 1.0)
 NARROW_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, -0.12)
 FLOOR_M, SECTION_M = 24.0, 1.0
+LOST_M = 2.0
+"""A place farther off than this is gone to at once."""
+FLOOR_COLOURS = {
+    True: ((52, 55, 62), (96, 102, 114)),
+    False: ((214, 216, 222), (172, 176, 186)),
+}
+"""Lines of cells and of sections, in the dark and in the light."""
+VIEWS = ("front", "side", "top", "follow")
+_FAR_M, _EYES_M, _MIDDLE_M = 3.3, 1.15, 0.9
 
 
 class Stage:
     """Made once a page. Cameras stay where their users have put them, on however many pages."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        _theme(server, is_dark=True)
         _light(server.scene)
         camera = server.initial_camera
         camera.position, camera.look_at = FIRST_CAMERA, FIRST_LOOK_AT
@@ -39,6 +49,9 @@ class Stage:
         server.on_client_connect(_look_narrow)
         self._world = server.scene.add_frame("/world", axes_length=0.25, axes_radius=0.006)
         self._floor = _floor(server.scene)
+        self._server = server
+        self._is_dark = True
+        self._ahead = np.array([1.0, 0.0])
         self.middle: FloatArray = np.zeros(3)
         """(3,) m: the place of the world that is shown in the middle; to be taken off whatever is drawn.
 
@@ -54,10 +67,46 @@ class Stage:
         """
         elapsed_s = math.inf if self._followed_s is None else time_s - self._followed_s
         way = np.array([place[0], place[1], 0.0]) - self.middle
-        self.middle = self.middle + (1.0 if elapsed_s < 0.0 else -math.expm1(-elapsed_s / FOLLOWING_S)) * way
+        is_at_once = elapsed_s < 0.0 or float(np.hypot(way[0], way[1])) > LOST_M
+        self.middle = self.middle + (1.0 if is_at_once else -math.expm1(-elapsed_s / FOLLOWING_S)) * way
         self._followed_s = time_s
         self._world.position = -self.middle
         self._floor.position = -(self.middle % SECTION_M)
+
+    def face(self, q_root: FloatArray) -> None:
+        """Remember where the body faces, for ``look``. q_root: (4,) root segment to world, ISB axes."""
+        ahead = quaternion.rotate(q_root, np.array([1.0, 0.0, 0.0]))[:2]
+        if (length := float(np.linalg.norm(ahead))) > 0.2:
+            self._ahead = ahead / length
+
+    def look(self, client: viser.ClientHandle | None, view: str) -> None:
+        """Bring one page's camera to a view: front, side (its left one), top, or follow, from behind."""
+        x, y = self._ahead.tolist()
+        directions = {"front": (x, y), "side": (-y, x), "follow": (-0.8 * x + 0.6 * y, -0.8 * y - 0.6 * x)}
+        for camera in [each.camera for each in ([client] if client else self._server.get_clients().values())]:
+            is_narrow = camera.aspect < NARROW
+            far = _FAR_M * (1.45 if is_narrow else 1.0)
+            low = -1.0 if is_narrow else 0.0
+            if view == "top":
+                camera.position = (-0.02 * x, -0.02 * y, far + 1.2)
+                camera.look_at = (0.0, 0.0, 0.0)
+                continue
+            toward = directions[view]
+            up = _EYES_M + (0.7 if view == "follow" else 0.0)
+            camera.position = (far * toward[0], far * toward[1], up)
+            camera.look_at = (0.0, 0.0, _MIDDLE_M + low)
+
+    def show_dark(self, is_dark: bool) -> None:
+        """Dark or light, on all pages."""
+        if is_dark == self._is_dark:
+            return
+        self._is_dark = is_dark
+        _theme(self._server, is_dark)
+        self._floor.cell_color, self._floor.section_color = FLOOR_COLOURS[is_dark]
+
+
+def _theme(server: viser.ViserServer, is_dark: bool) -> None:
+    server.gui.configure_theme(dark_mode=is_dark, show_logo=False, show_share_button=False)
 
 
 def _look_narrow(client: viser.ClientHandle) -> None:
@@ -83,8 +132,8 @@ def _floor(scene: viser.SceneApi) -> viser.GridHandle:
         height=FLOOR_M,
         cell_size=SECTION_M / 4,
         section_size=SECTION_M,
-        cell_color=(52, 55, 62),
-        section_color=(96, 102, 114),
+        cell_color=FLOOR_COLOURS[True][0],
+        section_color=FLOOR_COLOURS[True][1],
         shadow_opacity=0.0,
         fade_distance=FLOOR_M / 2,
         fade_from="origin",

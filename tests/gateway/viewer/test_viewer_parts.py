@@ -10,6 +10,7 @@ import pytest
 
 from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.body.kinematics import joint_positions, lowest_point
+from gateway.body.mannequin import SPINDLE_FACES, SPINDLE_VERTICES, mannequin_of
 from gateway.body.rig import load_rig
 from gateway.contract.messages import (
     BridgeHealth,
@@ -19,6 +20,7 @@ from gateway.contract.messages import (
     PoseMessage,
     describe_body,
 )
+from gateway.frames import Status
 from gateway.geometry import quaternion
 from gateway.outputs.settings import MqttSettings
 from gateway.viewer.appearance import (
@@ -27,11 +29,19 @@ from gateway.viewer.appearance import (
     UNSURE,
     legend,
     segment_colours,
+    side_of,
     silent_segments,
     status_summary,
 )
 from gateway.viewer.history import History
-from gateway.viewer.module_table import module_rows, module_table
+from gateway.viewer.module_table import (
+    RecentLosses,
+    clock_of,
+    module_rows,
+    module_table,
+    recorded_rows,
+    warnings_of,
+)
 from gateway.viewer.pace import pictures
 from gateway.viewer.posture import PostureKeeper, skeleton_of
 from tests.simulated_time import in_simulated_time
@@ -104,6 +114,76 @@ def test_colours_tell_status_and_confidence():
     assert all(name.replace("_", " ") in legend() for name in COLOURS)
 
 
+def test_left_and_right_are_told_apart_and_no_sigma_looks_like_another_status():
+    names = ["left_hand", "right_hand", "head"]
+    sides = [side_of(name) for name in names]
+    assert sides == ["left", "right", "trunk"]
+    sure = segment_colours(["measured"] * 3, [0.0] * 3, False, sides)
+    assert len({tuple(row) for row in sure}) == 3
+    others = np.array([colour for name, colour in COLOURS.items() if name != "measured"], float)
+    for degrees in np.linspace(0.0, 20.0, 41):
+        shown = segment_colours(["measured"] * 3, [math.radians(degrees)] * 3, False, sides).astype(float)
+        apart = np.linalg.norm(shown[:, None] - others[None], axis=2)
+        assert apart.min() > 60.0
+
+
+def test_the_mannequin_has_volume_and_a_face_in_front():
+    figure = mannequin_of(SKELETON)
+    assert set(figure.segment) == set(range(SKELETON.n_segments))
+    assert figure.half.min() > 0.01
+    face = figure.side.index("face")
+    head = [i for i, s in enumerate(figure.segment) if s == SKELETON.index("head") and i != face]
+    assert figure.centre[face, 0] > max(figure.centre[i, 0] for i in head) + 0.03  # x is anterior
+    assert [SKELETON.segment_names[s] for s in figure.soles] == ["left_foot", "right_foot"]
+    assert mannequin_of(load_rig("robot_arm_4").skeleton) is None
+
+
+def test_a_limb_of_the_mannequin_is_closed_and_its_faces_look_outwards():
+    edges = {(a, b) for face in SPINDLE_FACES for a, b in zip(face, np.roll(face, -1), strict=True)}
+    assert edges == {(b, a) for a, b in edges}
+    for a, b, c in SPINDLE_VERTICES[SPINDLE_FACES]:
+        assert np.dot(np.cross(b - a, c - a), (a + b + c) / 3.0) > 0
+
+
+def health_of(t_ns, received, lost):
+    return BridgeHealth(
+        t_ns=t_ns,
+        uptime_s=1,
+        mqtt=OutputCounters(published=0, dropped=0, thinned=0, queued=0, connections=1),
+        statistics={"modules": {"1": {"received": received, "lost": lost}}},
+    )
+
+
+def test_much_loss_and_great_latency_are_warned_of():
+    losses = RecentLosses()
+    for second, (received, lost) in enumerate([(100, 0), (200, 0), (276, 24)]):
+        losses.add(health_of(second * 10**9, received, lost))
+        losses.add(None)
+    assert losses.share == pytest.approx(24 / 200)
+    assert "12%" in warnings_of(losses.share, 0.01)[0]
+    assert warnings_of(0.0, 2.0) == (
+        "poses are 2.0 s late: the gateway, the broker or the network is too busy",
+    )
+    assert warnings_of(0.001, 0.02) == ()
+    for second in range(3, 20):  # what was lost long ago is no warning for ever
+        losses.add(health_of(second * 10**9, 276 + 100 * second, 24))
+    assert losses.share == 0.0
+    losses.add(health_of(30 * 10**9, 5, 0))  # the gateway was started anew
+    assert losses.share == 0.0
+
+
+def test_a_recording_is_told_by_its_clock():
+    assert [clock_of(s) for s in (None, 5.9, 65, 3725)] == ["0:00", "0:05", "1:05", "1:02:05"]
+
+
+def test_the_table_of_a_recording_says_how_much_was_measured():
+    status = np.array([[int(Status.MEASURED), int(Status.MISSING)]] * 3 + [[int(Status.MEASURED)] * 2])
+    assert recorded_rows(["head", "left_hand"], status) == [
+        ("head", "100.0", "0.0", "0.0"),
+        ("left hand", "25.0", "0.0", "75.0"),
+    ]
+
+
 def test_segments_of_silent_modules_are_told_by_name():
     status = {"pelvis": "measured", "l5": "predicted", "head": "predicted", "left_hand": "missing"}
     silent = silent_segments(status, {"pelvis", "head", "left_hand"})
@@ -160,14 +240,14 @@ def test_the_module_table_names_the_silent_and_the_lossy():
     )
     rows = module_rows(health, info)
     assert rows == [
-        ("1", "head", "10.00", "-12.3", "56", "77", ""),
-        ("2", "<b>", "silent", "", "", "", "worn <upside> down"),
+        ("1", "head", "77 %", "10.00", "-12.3", "56", ""),
+        ("2", "<b>", "", "silent", "", "", "worn <upside> down"),
     ]
     table = module_table(rows)
     assert table.count("color:rgb") == 3
     assert "doubtful: worn &lt;upside&gt; down" in table
     assert "<b>" not in table
-    assert module_rows(health, info, silent=["head"])[0][2] == "silent"
+    assert module_rows(health, info, silent=["head"])[0][3] == "silent"
     assert module_rows(None, None) == []
 
 
@@ -185,7 +265,7 @@ def test_a_body_far_away_stands_in_the_middle_and_so_does_its_name(unused_port):
         scene.draw(drawn, is_stale=False, silent=["head"])
         np.testing.assert_allclose(stage.middle, [100.25, -40.5, 0.0])
         nodes = server.scene._handle_from_node_name
-        assert np.abs(nodes["/body/bones"].batched_positions[:, :2]).max() < 2.0
+        assert np.abs(nodes["/body/mannequin"].batched_positions[:, :2]).max() < 2.0
         assert np.linalg.norm(nodes["/body/names/head"].position) < 2.5
         assert nodes["/body/names/head"].text == "head: no data"
         assert not nodes["/body/names/pelvis"].visible
@@ -222,7 +302,7 @@ async def test_a_body_stands_on_the_floor_before_any_pose_has_come(unused_port):
     try:
         viewer = LiveViewer(server, MqttSettings(), "lab")
         viewer._take_body(describe_body(SKELETON))
-        joints = server.scene._handle_from_node_name["/body/bones"].batched_positions
+        joints = server.scene._handle_from_node_name["/body/mannequin"].batched_positions
         assert 0.0 <= joints[:, 2].min() < 0.2
         assert joints[:, 2].max() > 1.2, "it stands"
         assert np.abs(joints[:, :2]).max() < 1.0, "where cameras look"
