@@ -1,0 +1,23 @@
+/* What the module says of itself on its own: who it is, how it fares, what happened. */
+#ifndef MODULE_REPORTS_H
+#define MODULE_REPORTS_H
+
+#include "imu.h"
+
+/* From now on; `setup` is what the sensors were set to. */
+void reports_begin(const imu_setup *setup);
+void reports_set_setup(const imu_setup *setup);
+
+/* Sends what is due. How long until the next is, us. */
+uint32_t reports_work(void);
+
+/* Sends DeviceInfo and Health now. */
+void reports_introduce(void);
+
+void reports_event(uint8_t event, uint8_t value);
+
+/* A line of the log, cut off where it is too long. A number is put at its end where one is given (not UINT32_MAX). */
+#define REPORTS_NO_NUMBER 0xFFFFFFFFu
+void reports_log(uint8_t level, const char *text, uint32_t number);
+
+#endif

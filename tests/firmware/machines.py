@@ -1,0 +1,127 @@
+"""Modules that run the reference firmware: as a process of this computer, or as machine code in QEMU."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+from devices.emulators.firmware_memory import FirmwareMemory
+from tests.patience import PATIENCE_S
+
+REFERENCE = Path(__file__).resolve().parents[2] / "firmware_protocol" / "reference"
+POSIX, QEMU = "posix", "qemu"
+BOARDS = (POSIX, QEMU)
+PROGRAMS = {POSIX: "module_posix", QEMU: "module_qemu.elf"}
+
+
+class NotHere(Exception):
+    """A board cannot be built or run on this computer; says what is missing."""
+
+
+def host_compiler() -> str:
+    """Return the command of a C compiler of this computer. Raises ``NotHere``."""
+    for name in ("cc", "gcc", "clang"):
+        if shutil.which(name):
+            return name
+    with contextlib.suppress(ImportError):
+        import ziglang  # noqa: F401, PLC0415 - present only where there is no other
+
+        return f"{sys.executable} -m ziglang cc"
+    raise NotHere("no C compiler: apt install gcc, or pip install ziglang")
+
+
+def build(board: str, folder: Path, source: Path = REFERENCE, flags: str = "") -> Path:
+    """Build the firmware for a board with its own Makefile; return the program. Raises ``NotHere``."""
+    if shutil.which("make") is None:
+        raise NotHere("no make: apt install make")
+    variables = [f"BUILD={folder}", f"CFLAGS={flags}"]
+    if board == POSIX:
+        variables.append(f"CC={host_compiler()}")
+    elif shutil.which("arm-none-eabi-gcc") is None or shutil.which("qemu-system-arm") is None:
+        raise NotHere("no Cortex-M here: apt install gcc-arm-none-eabi qemu-system-arm")
+    command = ["make", "-s", "-C", str(source), board, *variables]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
+    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
+    return folder / PROGRAMS[board]
+
+
+def command_of(program: Path, memory: FirmwareMemory, *more: str) -> list[str]:
+    """Return what runs a program on a memory, with its line on a pseudo-terminal."""
+    if program.suffix != ".elf":
+        return [str(program), str(memory.path), *more]
+    backend = f"memory-backend-file,id=m,size=16M,mem-path={memory.path},share=on"
+    machine = ["-M", "mps2-an385,memory-backend=m", "-object", backend, "-kernel", str(program)]
+    serial = [] if "-serial" in more else ["-serial", "pty"]
+    return ["qemu-system-arm", *machine, "-display", "none", "-monitor", "none", *serial, *more]
+
+
+@dataclass
+class Machine:
+    """A module that is switched on and off; its link stays the same path throughout."""
+
+    program: Path
+    memory: FirmwareMemory
+    link: Path
+    """Symbolic link to the pseudo-terminal."""
+    more: tuple[str, ...] = ()
+    _process: subprocess.Popen[str] | None = field(default=None, repr=False)
+    _log: IO[str] | None = field(default=None, repr=False)
+
+    @property
+    def url(self) -> str:
+        return str(self.link)
+
+    @property
+    def printed(self) -> str:
+        """Return what it has printed since it was first switched on."""
+        return self._log_path.read_text()
+
+    @property
+    def is_on(self) -> bool:
+        return self._process is not None and self._process.poll() is None
+
+    @property
+    def _log_path(self) -> Path:
+        return self.link.with_suffix(".log")
+
+    def switch_on(self) -> None:
+        """Start it, and wait until it has a line."""
+        before = len(self.printed) if self._log_path.exists() else 0
+        with self._log_path.open("a") as log:
+            command = command_of(self.program, self.memory, *self.more)
+            self._process = subprocess.Popen(command, stdout=log, stderr=log, text=True)
+        end = time.monotonic() + PATIENCE_S
+        while (found := re.search(r"/dev/pts/\d+", self.printed[before:])) is None:
+            assert time.monotonic() < end, self.printed
+            assert self.is_on, self.printed
+            time.sleep(0.002)
+        new = self.link.with_suffix(".new")
+        new.unlink(missing_ok=True)
+        new.symlink_to(found[0])
+        os.replace(new, self.link)
+
+    def cut_power(self) -> None:
+        """Off, at once and in the middle of whatever it does."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+
+@contextlib.contextmanager
+def switched_on(machine: Machine) -> Iterator[Machine]:
+    """Run it for as long as the block lasts."""
+    machine.switch_on()
+    try:
+        yield machine
+    finally:
+        machine.cut_power()
