@@ -77,6 +77,8 @@ class EmulatedDevice:
     _sample_settings: SampleSettings
     _is_sampling: bool
     _blinks_until_s: float
+    _newest_trigger: int | None
+    """Since it samples on triggers."""
 
     def __init__(self, equipment: Equipment, clock: ModuleClock, flash: EmulatedFlash) -> None:
         """Switched on at true time 0, with what the flash holds."""
@@ -195,6 +197,7 @@ class EmulatedDevice:
         self._reports.sender, self._reports.info = self.sender, self._info()
         if before[:2] != self._sample_settings[:2]:  # mode and rate
             self._stream += before.mode != self._sample_settings.mode
+            self._newest_trigger = None
             self._restart_timer()
 
     # The firmware.
@@ -212,6 +215,7 @@ class EmulatedDevice:
         self._sample_settings = SampleSettings.of(self.settings)
         self._is_sampling = True
         self._stream += 1
+        self._newest_trigger = None
         self._blinks_until_s = -np.inf
         self._timer = SamplingTimer(clock)
         if self._sample_settings.mode != TRIGGERED:
@@ -302,7 +306,9 @@ class EmulatedDevice:
         self._timeline.add(self._now_s + _SYNC_TURNAROUND_S + self._turn_s(is_for_all), respond, self.boots)
 
     def _follow_trigger(self, number: int, came_s: float) -> None:
-        if self._is_sampling and self._sample_settings.mode == TRIGGERED:
+        is_new = number != self._newest_trigger  # a radio may repeat it
+        if self._is_sampling and self._sample_settings.mode == TRIGGERED and is_new:
+            self._newest_trigger = number
             self._timer.count_one()
             self._sample(np.array([self.sender.clock.elapsed(came_s)]), Trigger(number, self._now_s))
 
