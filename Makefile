@@ -18,7 +18,7 @@ BUILD_TOOLS_DEV := requirements/source_dev.lock
 FROM_SOURCE := --no-binary vqf,ezc3d --no-build-isolation
 endif
 
-.PHONY: help demo test test-all test-slow test-alone attack test-socketcan lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
+.PHONY: help demo test test-all test-slow test-alone attack test-socketcan firmware test-firmware firmware-tools firmware-sizes lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
@@ -27,6 +27,9 @@ help:
 	@echo "               make test-alone: the one that wants a machine for itself)"
 	@echo "make attack  the attacks that docs/security.md promises to withstand (make test has them too)"
 	@echo "make test-socketcan  SocketCAN on the kernel's virtual buses, in a virtual machine if need be"
+	@echo "make firmware  the reference module (firmware_protocol/reference) for each board that can be built here"
+	@echo "make test-firmware  it as a process and as machine code in QEMU, against the gateway and the protocol's rules"
+	@echo "make firmware-sizes  its bytes of flash and RAM, deepest stack, instructions a sample"
 	@echo "make lint    ruff and mypy"
 	@echo "make golden-renew  after a change that is meant to change poses: store them anew, say by how much each moved"
 	@echo "make bench   measure, and rewrite the figures in docs/"
@@ -113,6 +116,23 @@ attack: install-dev system-tools
 
 test-socketcan: install-dev
 	@PYTHON=$(BIN)/python tests/socketcan/run.sh
+
+# What the firmware is built with, and run in; without a C compiler and the right to install one, a wheel has it.
+FIRMWARE_TOOLS := make=make cc=gcc+libc6-dev arm-none-eabi-gcc=gcc-arm-none-eabi qemu-system-arm=qemu-system-arm
+HOST_CC = $(shell for c in cc gcc clang; do command -v $$c && break; done || echo "$(BIN)/python -m ziglang cc")
+
+firmware-tools: $(VENV)/pyvenv.cfg
+	@$(MAKE) -s system-tools SYSTEM_TOOLS="$(FIRMWARE_TOOLS)"
+	@command -v cc gcc clang >/dev/null || $(BIN)/python -c 'import ziglang' 2>/dev/null || $(BIN)/python -m pip install -q "ziglang>=0.13,<1"
+
+firmware: firmware-tools
+	@$(MAKE) -C firmware_protocol/reference CC="$(HOST_CC)"
+
+test-firmware: install-dev system-tools firmware-tools
+	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 5 tests/firmware
+
+firmware-sizes: firmware
+	@$(BIN)/python -m benchmarks.firmware
 
 docs: install-dev
 	$(BIN)/python -m sphinx -q -W -b html docs docs/_build

@@ -1,7 +1,7 @@
-"""The memory of an emulated microcontroller as a file: what the reference firmware finds there, and leaves there.
+"""The memory of an emulated microcontroller as a file: what the reference firmware finds and leaves there.
 
-The layout is that of ``firmware_protocol/reference/boards/image.h``: settings in two slots of flash, the count of starts,
-a factory page with the chip's number, and the motion that its sensors feel, so that the truth of it is known.
+The layout is that of ``firmware_protocol/reference/boards/image.h``: settings in two slots of flash, the
+count of starts, a factory page with the chip's number, and the motion that its sensors feel.
 """
 
 from __future__ import annotations
@@ -136,7 +136,8 @@ def motion_rows(
     scales = {declared.name: declared.scale or 1.0 for declared in layout_of(InertialSample).fields}
     steps = [getattr(values, name)[:, 0] / scales[name] for name in SENSORS]
     limited = np.clip(np.rint(np.hstack(steps)), -_LARGEST, _LARGEST)
-    return limited.astype(np.int16)
+    rows: NDArray[np.int16] = limited.astype(np.int16)
+    return rows
 
 
 def _matrix(w: float, u: FloatArray) -> FloatArray:

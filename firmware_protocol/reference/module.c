@@ -170,7 +170,9 @@ void module_work(void) {
     sleep_us = to_answer < sleep_us ? to_answer : sleep_us;
     before = board_interrupts_off();
     if (wire_is_quiet() && (samples_next() == NULL || !wire_is_ready())) {
+        const uint32_t begun = board_time_us();
         board_idle(sleep_us);
+        reports_slept(board_time_us() - begun);
     }
     board_interrupts_on(before);
 }

@@ -12,6 +12,7 @@
 
 static imu_setup sensors;
 static uint32_t info_due, health_due, last_us;
+static uint32_t slept_us, awake_us; /* since the newest Health; of the second before it */
 static uint64_t uptime_us; /* the counter wraps, this does not */
 
 static void send_info(uint32_t now) {
@@ -71,6 +72,8 @@ uint32_t reports_work(void) {
         send_info(now);
     }
     if (is_due(now, &health_due, HEALTH_INTERVAL_US)) {
+        awake_us = slept_us < HEALTH_INTERVAL_US ? HEALTH_INTERVAL_US - slept_us : 0u;
+        slept_us = 0u;
         send_health(now);
     }
     to_info = info_due - now;
@@ -78,10 +81,18 @@ uint32_t reports_work(void) {
     return to_info < to_health ? to_info : to_health;
 }
 
+void reports_slept(uint32_t us) {
+    slept_us += us;
+}
+
 void reports_introduce(void) {
     const uint32_t now = board_time_us();
     send_info(now);
     send_health(now);
+    reports_log(MOCAP_LOG_LINE_LEVEL_DEBUG, "awake, us of the last second: ", awake_us);
+    if (board_stack_used() > 0u) {
+        reports_log(MOCAP_LOG_LINE_LEVEL_DEBUG, "stack, most bytes in use: ", (uint32_t)board_stack_used());
+    }
 }
 
 void reports_event(uint8_t event, uint8_t value) {

@@ -11,7 +11,10 @@ void reports_set_setup(const imu_setup *setup);
 /* Sends what is due. How long until the next is, us. */
 uint32_t reports_work(void);
 
-/* Sends DeviceInfo and Health now. */
+/* The main loop has slept for so long; what is left of a second is how busy the module is. */
+void reports_slept(uint32_t us);
+
+/* Sends DeviceInfo and Health now, and to the log how much of stack and time the firmware uses. */
 void reports_introduce(void);
 
 void reports_event(uint8_t event, uint8_t value);

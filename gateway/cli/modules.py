@@ -18,6 +18,7 @@ from rich.text import Text
 
 from devices.device_backup import parse_unique_id
 from gateway.cli.modules_card import card_app
+from gateway.cli.modules_conformance import conformance
 from gateway.cli.modules_suit import WIDEST, Operations, SuitChoice, modules_screen, run_with_suit, with_suit
 from gateway.cli.terminal import TypedLines, wide_console
 from gateway.errors import GatewayError, nearest
@@ -503,4 +504,5 @@ modules_app.command(
 modules_app.command("undo", epilog=f"{_EXAMPLE} undo -c my.yaml --allow-writes")(undo)
 modules_app.command("backup", epilog=f"{_EXAMPLE} backup suit.yaml -c my.yaml")(backup)
 modules_app.command("restore", epilog=f"{_EXAMPLE} restore suit.yaml -c my.yaml --allow-writes")(restore)
+modules_app.command("test", epilog=f"{_EXAMPLE} test --link /dev/ttyUSB0 --allow-writes")(conformance)
 modules_app.add_typer(card_app, name="card")

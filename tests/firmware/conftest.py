@@ -42,10 +42,12 @@ def board(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def module(program_of: Callable[[str], Path], tmp_path: Path) -> Iterator[Callable[..., Machine]]:
-    """``module(board, number, settings={...}, is_on=True)``: a module of its own memory, switched off in the end."""
+    """``module(board, number, settings={...}, is_on=True)``: a module, switched off in the end."""
     machines: list[Machine] = []
 
-    def make(board: str, number: int = 1, *, is_on: bool = True, more: tuple[str, ...] = (), **memory: Any) -> Machine:
+    def make(
+        board: str, number: int = 1, *, is_on: bool = True, more: tuple[str, ...] = (), **memory: Any
+    ) -> Machine:
         held = FirmwareMemory.fresh(tmp_path / f"{board}{number}.img", bytes([number] * 12), **memory)
         machine = Machine(program_of(board), held, tmp_path / f"{board}{number}", more)
         machines.append(machine)

@@ -1,4 +1,4 @@
-"""Two modules of the reference firmware, a gateway and a broker: poses against the motion that the sensors feel."""
+"""Two modules of the reference firmware, a gateway and a broker: poses against the motion that is felt."""
 
 from __future__ import annotations
 
@@ -88,7 +88,10 @@ async def test_poses_follow_the_motion_that_the_sensors_feel(module, board, mosq
         q = np.array([pose.segments[name] or [np.nan] * 4 for pose in poses])[settled]
         truth = motion.state((t_ns[settled] - offsets[segment]) * 1e-9).q_wb[:, segment]
         errors = error_deg(q, truth)
-        print(f"{board} {name}: median {np.nanmedian(errors):.2f}°, worst {np.nanmax(errors):.2f}°, clock ±{bounds[segment]} µs")
+        print(
+            f"{board} {name}: median {np.nanmedian(errors):.2f}°, worst "
+            f"{np.nanmax(errors):.2f}°, clock ±{bounds[segment]} µs"
+        )
         assert np.isfinite(errors).mean() > 0.5
         assert np.nanmedian(errors) < LARGEST_ERROR_DEG
     assert all(bound is not None for bound in bounds)  # time requests were answered

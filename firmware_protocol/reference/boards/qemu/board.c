@@ -75,7 +75,8 @@ static void stop(uint32_t timer) {
 
 void board_wake_at(uint32_t time_us) {
     const int32_t left = (int32_t)(time_us - board_time_us());
-    run_once(TIMER0, left > 1 ? (uint32_t)left : 1u);
+    /* One more: the counter had part of its microsecond behind it, and an alarm that comes early is of no use. */
+    run_once(TIMER0, left > 0 ? (uint32_t)left + 1u : 1u);
 }
 
 void on_sampling_timer(void) {

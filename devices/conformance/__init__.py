@@ -1,0 +1,10 @@
+"""Does a module keep the rules of the wire protocol? For makers of firmware: a link to it is enough.
+
+Reading order: ``bench`` (the module, and all that it said) → ``rule`` (what a rule is) → ``streaming``,
+``timing``, ``commanding``, ``writing`` (the rules) → ``run`` (all of them in order).
+"""
+
+from devices.conformance.rule import Finding, Outcome, Rule
+from devices.conformance.run import RULES, check_module
+
+__all__ = ["RULES", "Finding", "Outcome", "Rule", "check_module"]

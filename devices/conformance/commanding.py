@@ -1,0 +1,253 @@
+"""Rules of commands that change nothing that is kept."""
+
+from __future__ import annotations
+
+import asyncio
+
+from devices.command_client import host_bytes
+from devices.conformance.bench import PATIENCE_S, Bench
+from devices.conformance.rule import SkippedError, demand, rule
+from devices.conformance.streaming import needs_own_timer, samples
+from devices.link import Framing
+from firmware_protocol import DeviceInfo, Health
+from firmware_protocol.commands import (
+    ANSWER_MEMORY,
+    BROADCAST_ANSWER_DELAY_US,
+    Result,
+    Verb,
+    decode_payload,
+    encode_arguments,
+)
+from firmware_protocol.device_settings import SETTINGS, decode_value
+from firmware_protocol.framing import BROADCAST, MAX_MODULE
+from firmware_protocol.messages import Acknowledgement, Command
+from firmware_protocol.versions import SUPPORTED
+
+UNKNOWN_VERB, UNKNOWN_KEY = 200, 199
+_WRONG_ID = bytes(range(100, 112))
+_OVERLONG = 5000
+_STOPPED_S = 0.6
+
+
+def result_of(answer: Acknowledgement | None) -> str:
+    """Return in words how a command ended."""
+    if answer is None:
+        return "no answer came"
+    known = {int(each): each.name for each in Result}
+    return f"result {answer.result} ({known.get(answer.result, 'which there is not')})"
+
+
+def demand_result(answer: Acknowledgement | None, wanted: Result, what: str) -> None:
+    """Raise ``BrokenError`` unless a command ended so."""
+    demand(answer is not None and answer.result == wanted, f"{what}: {result_of(answer)}, not {int(wanted)}")
+
+
+@rule("hello", "HELLO is answered with the highest version that both know")
+async def hello(bench: Bench) -> None:
+    answer = await bench.ask(Verb.HELLO, *SUPPORTED)
+    demand_result(answer, Result.DONE, "HELLO")
+    payload = decode_payload(Verb.HELLO, answer.payload if answer else b"")
+    demand(
+        payload is not None and payload[0] == SUPPORTED[1], f"versions {SUPPORTED} were answered by {payload}"
+    )
+
+
+@rule("hello_no_version", "HELLO with versions that the device does not know is answered with 0")
+async def hello_no_version(bench: Bench) -> None:
+    answer = await bench.ask(Verb.HELLO, 200, 201)
+    demand_result(answer, Result.DONE, "HELLO 200 to 201")
+    payload = decode_payload(Verb.HELLO, answer.payload if answer else b"")
+    demand(payload is not None and payload[0] == 0, f"versions 200 to 201 were answered by {payload}")
+
+
+@rule("identify", "IDENTIFY is answered, and so is 0, which stops it")
+async def identify(bench: Bench) -> None:
+    for seconds in (1, 0):
+        demand_result(await bench.ask(Verb.IDENTIFY, seconds), Result.DONE, f"IDENTIFY {seconds} s")
+
+
+@rule("get_info", "GET_INFO is answered, then DeviceInfo and Health are sent")
+async def get_info(bench: Bench) -> None:
+    for kind in (DeviceInfo, Health):
+        since = bench.mark()
+        demand_result(await bench.ask(Verb.GET_INFO), Result.DONE, "GET_INFO")
+
+        def followed(kind: type[DeviceInfo | Health] = kind, since: int = since) -> bool:
+            return bool(bench.from_module(kind, since))
+
+        came = await bench.until(followed, 0.8)
+        demand(came, f"no {kind.__name__} followed within 0.8 s")
+
+
+@rule("unknown_verb", "a verb that the device does not know is answered with result 1, never with silence")
+async def unknown_verb(bench: Bench) -> None:
+    demand_result(await bench.ask(UNKNOWN_VERB, arguments=b""), Result.UNKNOWN_VERB, f"verb {UNKNOWN_VERB}")
+
+
+@rule("card_verbs", "what the device does not have is answered with result 9, never with silence")
+async def card_verbs(bench: Bench) -> None:
+    answer = await bench.ask(Verb.CARD_LIST, 0)
+    demand(
+        answer is not None and answer.result in (Result.DONE, Result.NOT_SUPPORTED),
+        f"CARD_LIST: {result_of(answer)}",
+    )
+
+
+@rule("bad_arguments", "arguments of another length than declared are answered with result 2")
+async def bad_arguments(bench: Bench) -> None:
+    for verb, arguments in ((Verb.HELLO, b"\x01"), (Verb.IDENTIFY, b""), (Verb.READ_SETTING, b"\x01\x02")):
+        answer = await bench.ask(verb, arguments=arguments)
+        demand_result(answer, Result.BAD_ARGUMENTS, f"{verb.name} with {len(arguments)} bytes")
+
+
+@rule(
+    "read_settings",
+    "READ_SETTING gives every setting, within its limits; result 6 for a key that there is not",
+)
+async def read_settings(bench: Bench) -> None:
+    for key, declared in SETTINGS.items():
+        answer = await bench.ask(Verb.READ_SETTING, key)
+        if answer is not None and answer.result == Result.NO_SUCH_SETTING:
+            continue  # a firmware need not have them all
+        demand_result(answer, Result.DONE, f"READ_SETTING {declared.name}")
+        payload = decode_payload(Verb.READ_SETTING, answer.payload if answer else b"")
+        value = None if payload is None or payload[0] != key else decode_value(key, payload[1])
+        demand(
+            value is not None, f"READ_SETTING {declared.name} gives {answer.payload.hex() if answer else ''}"
+        )
+    answer = await bench.ask(Verb.READ_SETTING, UNKNOWN_KEY)
+    demand_result(answer, Result.NO_SUCH_SETTING, f"READ_SETTING {UNKNOWN_KEY}")
+
+
+@rule("stop_and_start", "STOP ends sampling, START begins it; both come twice without harm")
+async def stop_and_start(bench: Bench) -> None:
+    await needs_own_timer(bench)
+    try:
+        for _ in range(2):
+            demand_result(await bench.ask(Verb.STOP), Result.DONE, "STOP")
+        await asyncio.sleep(_STOPPED_S)
+        since = bench.mark()
+        await asyncio.sleep(_STOPPED_S)
+        demand(not samples(bench, since), f"{len(samples(bench, since))} samples came after STOP")
+    finally:
+        started = [await bench.ask(Verb.START) for _ in range(2)]
+    demand(all(each is not None and each.result == Result.DONE for each in started), "START is not answered")
+    demand(await bench.until(lambda: len(samples(bench, since)) > 1), "no samples came after START")
+
+
+@rule("repeated_command", "a command that comes again is answered as before, and not carried out again")
+async def repeated_command(bench: Bench) -> None:
+    await needs_own_timer(bench)
+    stop, others = bench.next_transaction(), range(ANSWER_MEMORY - 2)
+    since = bench.mark()
+    try:
+        await bench.send_command(Verb.STOP, unique_id=bench.unique_id, transaction=stop)
+        demand(await bench.until(lambda: bool(bench.answers(stop, since))), "STOP is not answered")
+    finally:
+        await bench.ask(Verb.START)
+    for _ in others:
+        await bench.ask(Verb.HELLO, *SUPPORTED)
+    first, since = bench.answers(stop, since)[0].packet, bench.mark()
+    await bench.send_command(Verb.STOP, unique_id=bench.unique_id, transaction=stop)
+    again = await bench.until(lambda: bool(bench.answers(stop, since)))
+    await asyncio.sleep(_STOPPED_S)
+    since_then = bench.mark()
+    is_sampling = await bench.until(lambda: bool(samples(bench, since_then)), _STOPPED_S)
+    if not is_sampling:
+        await bench.ask(Verb.START)
+    demand(
+        is_sampling,
+        f"STOP was obeyed again: its transaction and {ANSWER_MEMORY - 1} others are to be remembered",
+    )
+    demand(again, "the repeated command was not answered again")
+    demand(
+        bench.answers(stop, since)[0].packet == first,
+        "the repeated command was answered otherwise than before",
+    )
+
+
+@rule("by_module_id", "a command to the module's id is obeyed, one to another id is not answered")
+async def by_module_id(bench: Bench) -> None:
+    for module, is_meant in ((bench.module, True), ((bench.module + 1) % (MAX_MODULE + 1), False)):
+        since = bench.mark()
+        number = await bench.send_command(Verb.HELLO, encode_arguments(Verb.HELLO, *SUPPORTED), module=module)
+        if is_meant:
+            came = await bench.answered(number, since)
+            demand(came, f"a command to module {module} was not answered")
+        else:
+            demand(await bench.is_silent(number, since), f"a command to module {module} was answered")
+
+
+@rule("by_unique_id", "a command with a unique id is obeyed by that device alone, whatever its module id")
+async def by_unique_id(bench: Bench) -> None:
+    since = bench.mark()
+    hello_bytes = encode_arguments(Verb.HELLO, *SUPPORTED)
+    for module in (BROADCAST, bench.module):
+        number = await bench.send_command(Verb.HELLO, hello_bytes, module=module, unique_id=_WRONG_ID)
+        demand(
+            await bench.is_silent(number, since),
+            f"a command to another unique id, under header {module}, was answered (or nothing is)",
+        )
+
+
+@rule("answer_to_all", "answers to 255 wait for 2 ms times the device's id")
+async def answer_to_all(bench: Bench) -> None:
+    delays = []
+    for _ in range(5):
+        since = bench.mark()
+        number = bench.next_transaction()
+        command = Command(number, Verb.HELLO, bytes(12), encode_arguments(Verb.HELLO, *SUPPORTED))
+        sent_ns = await bench.send(command, BROADCAST)
+        if await bench.answered(number, since, 1.0):
+            delays.append((bench.answers(number, since)[0].arrived_ns - sent_ns) // 1000)
+    demand(delays, "none of 5 commands to all was answered")
+    least = BROADCAST_ANSWER_DELAY_US * bench.module
+    demand(min(delays) >= 0.9 * least, f"module {bench.module} answered after {min(delays)} µs, not {least}")
+
+
+@rule("damaged_command", "a damaged wire frame costs nothing but itself, and is not obeyed")
+async def damaged_command(bench: Bench) -> None:
+    if bench.link.framing is not Framing.BYTE_STREAM:
+        raise SkippedError("the bus keeps damage away")
+    number, since = bench.next_transaction(), bench.mark()
+    arguments = encode_arguments(Verb.HELLO, *SUPPORTED)
+    frame = bench.frame(Command(number, Verb.HELLO, bench.unique_id, arguments), BROADCAST)
+    data = bytearray(host_bytes(frame, bench.link.framing))
+    data[-3] ^= 0x55 if data[-3] != 0x55 else 0x33
+    await bench.write(bytes(data))
+    demand(await bench.is_silent(number, since), "a command with a wrong checksum was obeyed (or nothing is)")
+
+
+@rule("noise", "whole again at the delimiter, whatever the line has picked up")
+async def noise(bench: Bench) -> None:
+    if bench.link.framing is not Framing.BYTE_STREAM:
+        raise SkippedError("the bus keeps noise away")
+    for data in (bytes(64), bytes([0xAA]) * _OVERLONG + b"\0", bytes(range(256)) * 2 + b"\0", b"\x05\x01\0"):
+        # In pieces: a line is no faster than what reads it.
+        for start in range(0, len(data), 128):
+            await bench.write(data[start : start + 128])
+            await asyncio.sleep(0.002)
+        answer = await bench.ask(Verb.HELLO, *SUPPORTED)
+        demand(
+            answer,
+            f"nothing was answered after {len(data)} bytes {data[:4].hex()}… within {PATIENCE_S:.0f} s",
+        )
+
+
+COMMANDING = (
+    hello,
+    hello_no_version,
+    identify,
+    get_info,
+    unknown_verb,
+    card_verbs,
+    bad_arguments,
+    read_settings,
+    stop_and_start,
+    repeated_command,
+    by_module_id,
+    by_unique_id,
+    answer_to_all,
+    damaged_command,
+    noise,
+)

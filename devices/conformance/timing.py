@@ -1,0 +1,101 @@
+"""Rules of time requests: the module's clock, told with as little delay as it can and truly."""
+
+from __future__ import annotations
+
+import asyncio
+
+from devices.conformance.bench import Bench, Heard
+from devices.conformance.rule import demand, rule
+from firmware_protocol import BROADCAST, MAX_MODULE, SyncRequest, SyncResponse
+from firmware_protocol.commands import Verb
+
+_EXCHANGES = 12
+_PAUSE_S = 0.05
+_STAMPS = 2**32
+_DRIFT_US = 2_000
+"""That two clocks may part by during the exchanges, with a crystal as bad as they come, µs."""
+_SLOW_US = 50_000
+
+
+async def exchange(bench: Bench, module: int) -> tuple[int, int, Heard] | None:
+    """Ask for the time once: when it was sent (ns), the token, the answer; None: none came."""
+    token = bench.next_transaction()
+    since = bench.mark()
+    sent_ns = await bench.send(SyncRequest(token, 0), module)
+
+    def answers() -> list[Heard]:
+        return [each for each in bench.from_module(SyncResponse, since) if each.packet.token == token]
+
+    await bench.until(lambda: bool(answers()), 1.0)
+    return (sent_ns, token, answers()[0]) if answers() else None
+
+
+async def _several(bench: Bench, module: int) -> list[tuple[int, int, Heard]]:
+    found = []
+    for _ in range(_EXCHANGES):
+        done = await exchange(bench, module)
+        if done is not None:
+            found.append(done)
+        await asyncio.sleep(_PAUSE_S)
+    return found
+
+
+@rule("time_request", "a SyncRequest is answered at once, with its token")
+async def time_request(bench: Bench) -> None:
+    found = await _several(bench, bench.module)
+    demand(
+        len(found) >= _EXCHANGES // 2, f"{len(found)} of {_EXCHANGES} requests were answered within a second"
+    )
+    held = sorted((each.packet.sent_us - each.packet.received_us) % _STAMPS for _, _, each in found)
+    demand(held[-1] < _STAMPS // 2, "sent_us is before received_us")
+    demand(
+        held[len(held) // 2] < _SLOW_US,
+        f"half of the requests were held for {held[len(held) // 2] / 1000:.0f} "
+        "ms or more, by the module's own word",
+    )
+
+
+@rule(
+    "time_told_truly",
+    "received_us is the counter when the request came, sent_us when the answer goes to the line",
+)
+async def time_told_truly(bench: Bench) -> None:
+    found = await _several(bench, bench.module)
+    demand(found, "no request was answered")
+    first = found[0][2].packet.received_us
+    # Its clock plus some offset lies between sending and arrival: of every exchange, so of all of them.
+    least, most = -float("inf"), float("inf")
+    for sent_ns, _, answer in found:
+        received_us = (answer.packet.received_us - first + _STAMPS // 2) % _STAMPS - _STAMPS // 2
+        sent_us = (answer.packet.sent_us - first + _STAMPS // 2) % _STAMPS - _STAMPS // 2
+        least = max(least, sent_ns * 1e-3 - received_us)
+        most = min(most, answer.arrived_ns * 1e-3 - sent_us)
+    demand(
+        least <= most + _DRIFT_US,
+        f"no one offset fits all answers: they are {(least - most) / 1000:.1f} ms apart",
+    )
+    stamp = found[-1][2].received.module_time_us
+    apart = (stamp - found[-1][2].packet.received_us + _STAMPS // 2) % _STAMPS - _STAMPS // 2
+    demand(
+        abs(apart) < 1_000_000, f"the answer is stamped {apart} µs from received_us: it is another counter"
+    )
+
+
+@rule("time_request_to_all", "a SyncRequest to 255 is answered too")
+async def time_request_to_all(bench: Bench) -> None:
+    answered = [await exchange(bench, BROADCAST) for _ in range(3)]
+    demand(any(each is not None for each in answered), "none of 3 requests was answered")
+
+
+@rule("time_request_to_another", "a SyncRequest to another module is not answered")
+async def time_request_to_another(bench: Bench) -> None:
+    since = bench.mark()
+    other = (bench.module + 1) % (MAX_MODULE + 1)
+    token = bench.next_transaction()
+    await bench.send(SyncRequest(token, 0), other)
+    demand(await bench.ask(Verb.HELLO, 1, 1), "HELLO is not answered")
+    wrong = [each for each in bench.from_module(SyncResponse, since) if each.packet.token == token]
+    demand(not wrong, f"a request to module {other} was answered")
+
+
+TIMING = (time_request, time_told_truly, time_request_to_all, time_request_to_another)

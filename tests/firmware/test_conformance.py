@@ -1,0 +1,176 @@
+"""The rules of the wire protocol: the reference firmware and the emulator keep them; breaks are named."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import shutil
+from typing import NamedTuple
+
+import pytest
+from typer.testing import CliRunner
+
+from devices.conformance import RULES, Finding, Outcome, check_module
+from devices.emulators import EmulatedSuit, Imperfections, SuitSettings, SuitTraffic
+from devices.emulators.delivery import Encoding
+from devices.emulators.firmware_memory import FirmwareMemory
+from devices.emulators.transports import CanBusTransport, PtyTransport
+from devices.endpoints import link_from_url
+from devices.link import Framing
+from gateway.body.rig import load_rig
+from gateway.cli.main import app
+from gateway.emulation.rig import dress, move
+from tests.firmware.machines import POSIX, REFERENCE, Machine, NotHere, build, switched_on
+from tests.running_suit import running
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(200)]
+
+
+async def findings(url: str, *only: str) -> list[Finding]:
+    """What came of the rules, settings among them."""
+    return [found async for found in check_module(link_from_url(url), allow_writes=True, only=only)]
+
+
+def broken(found: list[Finding]) -> dict[str, str]:
+    return {each.rule: each.detail for each in found if each.outcome is Outcome.BROKEN}
+
+
+async def test_the_reference_keeps_every_rule(module, board):
+    machine = module(board, settings={"module_id": 5, "label": "mine"})
+    before = machine.memory.settings
+    found = await findings(machine.url)
+    assert not broken(found)
+    assert [each.outcome for each in found] == [Outcome.KEPT] * len(RULES)
+    machine.cut_power()
+    assert machine.memory.settings == before
+
+
+@pytest.mark.parametrize("framing", list(Framing))
+async def test_the_emulator_keeps_every_rule(tmp_path, framing):
+    worn = load_rig("single")
+    settings = SuitSettings(encoding=Encoding(framing))
+    traffic = SuitTraffic(move(dress(worn), "single", 1), settings, Imperfections(), 1)
+    is_can = framing is Framing.CAN
+    transport = CanBusTransport("conformance") if is_can else PtyTransport(tmp_path / "suit")
+    url = "can://virtual/conformance" if is_can else str(tmp_path / "suit")
+    async with running(EmulatedSuit(traffic, transport)):
+        await asyncio.sleep(0.2)
+        found = await findings(url)
+    assert not broken(found)
+    assert {each.rule for each in found if each.outcome is Outcome.SKIPPED} == (
+        {"damaged_command", "noise"} if is_can else set()
+    )
+
+
+class Break(NamedTuple):
+    """A firmware in which one thing is wrong."""
+
+    file: str
+    right: str
+    wrong: str
+    rules: tuple[str, ...]
+    """That name it."""
+
+
+BREAKS = {
+    "sequence counts all kinds together": Break(
+        "wire.c",
+        "sequences[kind - FIRST_KIND]++",
+        "sequences[0]++",
+        ("sequence_of_reports",),
+    ),
+    "samples are numbered by two": Break(
+        "samples.c",
+        "take(now, sequence++, false);",
+        "take(now, sequence++, false); ++sequence;",
+        ("sequence_of_samples", "even_sampling"),
+    ),
+    "the counter counts other than microseconds": Break(
+        "boards/posix/board.c",
+        "(now.tv_nsec - started.tv_nsec) / 1000)",
+        "(now.tv_nsec - started.tv_nsec) / 1000) / 1024u * 1000u",
+        ("counter_in_microseconds",),
+    ),
+    "a repeated command is carried out again": Break(
+        "commands.c",
+        "if (answer == NULL) {",
+        "if (answer == NULL || command.verb != MOCAP_VERB_HELLO) {",
+        ("repeated_command",),
+    ),
+    "unknown verbs are met with silence": Break(
+        "commands.c",
+        "if (answer == NULL) { /*",
+        "if (command.verb > MOCAP_VERB_CARD_ERASE) { return; }\n    if (answer == NULL) { /*",
+        ("unknown_verb",),
+    ),
+    "what is staged is never forgotten": Break(
+        "store.c",
+        "void store_discard(void) {\n    is_staged = false;",
+        "void store_discard(void) {",
+        ("staged", "nothing_staged"),
+    ),
+    "the unique id of a command is not looked at": Break(
+        "commands.c",
+        "!mocap_command_is_for(&command, frame->module, wire_module(), unique_id)",
+        "(frame->module != wire_module() && frame->module != MOCAP_BROADCAST)",
+        ("by_unique_id",),
+    ),
+    "a trigger that comes twice is obeyed twice": Break(
+        "module.c", "if (has_trigger && trigger.number == last_trigger)", "if (false)", ("triggers",)
+    ),
+    "time requests are stamped by another clock": Break(
+        "module.c",
+        "response.received_us = came_us;",
+        "response.received_us = came_us / 1000u;",
+        ("time_request", "time_told_truly"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BREAKS)
+async def test_what_is_broken_is_named(name, tmp_path):
+    wrong = BREAKS[name]
+    folder = tmp_path / "firmware_protocol"
+    shutil.copytree(REFERENCE, folder / "reference")
+    shutil.copytree(REFERENCE.parent / "c", folder / "c", ignore=shutil.ignore_patterns("__pycache__"))
+    source = folder / "reference" / wrong.file
+    text = source.read_text()
+    assert wrong.right in text
+    source.write_text(text.replace(wrong.right, wrong.wrong))
+    try:
+        program = build(POSIX, tmp_path / "built", folder / "reference")
+    except NotHere as missing:
+        pytest.skip(str(missing))
+    memory = FirmwareMemory.fresh(tmp_path / "m.img", bytes(range(12)), settings={"module_id": 3})
+    with switched_on(Machine(program, memory, tmp_path / "m")) as machine:
+        found = await findings(machine.url)
+    for rule, detail in broken(found).items():
+        print(f"{name} → {rule}: {detail}")
+    assert set(wrong.rules) <= set(broken(found))
+    assert len(broken(found)) <= len(wrong.rules) + 2  # what follows from it
+
+
+def test_the_command_reports_and_says_how_it_went(module):
+    machine = module(POSIX)
+    command = ["modules", "test", "--link", machine.url]
+    told = CliRunner().invoke(app, [*command, "--rule", "hello", "--rule", "limits"])
+    assert told.exit_code == 0, told.output
+    assert "ok       hello" in told.output
+    assert "skipped  limits" in told.output
+    assert "--allow-writes" in told.output
+    as_json = CliRunner().invoke(app, [*command, "--rule", "hello", "--json"])
+    assert json.loads(as_json.output)["kept"] == 1
+    nonsense = CliRunner().invoke(app, [*command, "--rule", "helo"])
+    assert "there is no rule 'helo'" in str(nonsense.exception or nonsense.output)
+
+
+def test_a_silent_line_is_told(tmp_path):
+    with contextlib.ExitStack() as stack:
+        master, slave = os.openpty()
+        stack.callback(os.close, master)
+        stack.callback(os.close, slave)
+        told = CliRunner().invoke(app, ["modules", "test", "--link", os.ttyname(slave)])
+    assert told.exit_code != 0
+    assert "no DeviceInfo" in str(told.exception or told.output)

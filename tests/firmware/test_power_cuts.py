@@ -1,0 +1,134 @@
+"""Power that goes at a random instant of a change of settings: old or new ones, no id lost or doubled.
+
+The reference firmware is killed, and its memory, a file, is looked into before it starts again. Its flash
+takes as long as a chip's: most of a commit is the erasing of a slot, so most cuts fall into that.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import random
+from collections import Counter
+from collections.abc import Iterable
+
+import pytest
+
+from devices.command_client import CommandClient
+from devices.configure import Configurator
+from devices.device_errors import DeviceError
+from devices.endpoints import link_from_url
+from devices.link import LinkError
+from devices.setting_values import SETTING_KEYS, encoded_setting
+from firmware_protocol.commands import Verb
+from tests.firmware.machines import POSIX, QEMU, Machine
+
+pytestmark = [pytest.mark.system]
+
+CUTS = {POSIX: 40, QEMU: 12}
+SEED = int(os.environ.get("FIRMWARE_SEED", "28"))
+COMMIT_S = 0.05
+"""A little longer than a commit takes, from the command on."""
+LABELS = ("one", "another", "ein dritter")
+
+
+async def stage_and_cut(machine: Machine, settings: dict[str, bytes], cut_s: float) -> bool:
+    """Write settings, and cut the power so long after COMMIT was sent; whether it was answered before."""
+    link = link_from_url(machine.url, name="module")
+    client = CommandClient([link], allow_writes=True)
+    unique_id = machine.memory.read(0x1800, 12)
+    async with client.reading():
+        for name, raw in settings.items():
+            await client.ask(unique_id, Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
+        committing = asyncio.create_task(client.ask(unique_id, Verb.COMMIT))
+        await asyncio.sleep(cut_s)
+        is_answered = committing.done()
+        machine.cut_power()
+        committing.cancel()
+        with contextlib.suppress(asyncio.CancelledError, DeviceError, LinkError):
+            await committing
+    return is_answered
+
+
+def kept(machine: Machine, names: Iterable[str]) -> dict[str, bytes]:
+    """What a start would find of some settings."""
+    held = machine.memory.settings
+    return {name: encoded_setting(name, held[name]) for name in names}
+
+
+async def cut_again_and_again(machine: Machine, n: int) -> Counter[str]:
+    """Change settings of a module and cut its power, n times; how often the old and the new stood then."""
+    rng = random.Random(SEED)
+    ended: Counter[str] = Counter()
+    for turn in range(n):
+        wanted = {"module_id": turn % 64, "sampling_rate": 50.0 + turn % 100, "label": LABELS[turn % 3]}
+        new = {name: encoded_setting(name, value) for name, value in wanted.items()}
+        machine.switch_on()
+        old = kept(machine, new)
+        starts = machine.memory.starts
+        is_answered = await stage_and_cut(machine, new, rng.uniform(0, COMMIT_S))
+        now = kept(machine, new)
+        assert now in (old, new), f"turn {turn}: neither {old} nor {new} but {now}"
+        assert now == new or not is_answered, f"turn {turn}: it had answered"
+        assert machine.memory.starts == starts, f"turn {turn}"
+        ended["new" if now == new else "old"] += 1
+    return ended
+
+
+@pytest.mark.timeout(250)
+async def test_settings_are_the_old_or_the_new(module, board):
+    ended = await cut_again_and_again(module(board, settings={"module_id": 63}, is_on=False), CUTS[board])
+    print(f"{board}: {dict(ended)}")
+    assert ended["old"]
+    assert ended["new"]
+
+
+@pytest.mark.slow(reason="500 cuts take some minutes")
+@pytest.mark.timeout(3000)
+async def test_five_hundred_cuts(module):
+    ended = await cut_again_and_again(module(POSIX, settings={"module_id": 63}, is_on=False), 500)
+    print(dict(ended))
+    assert ended["old"] > 50
+    assert ended["new"] > 50
+
+
+@pytest.mark.timeout(250)
+async def test_ids_that_change_places_are_never_lost_or_doubled(module):
+    """``modules assign`` of two modules that have each other's ids, cut at a random instant of it."""
+    rng = random.Random(SEED)
+    pair = [module(POSIX, number, settings={"module_id": number}, is_on=False) for number in (1, 2)]
+    for turn in range(10):
+        wanted = {bytes([1] * 12): 2 - turn % 2, bytes([2] * 12): 1 + turn % 2}
+        await assign_and_cut(pair, wanted, rng.uniform(0.0, 1.5), rng.randrange(2))
+        ids = [machine.memory.settings["module_id"] for machine in pair]
+        assert len(set(ids)) == 2, f"turn {turn}: both are {ids[0]}"
+        for machine in pair:
+            machine.switch_on()
+        async with configurator_of(pair) as configurator:
+            await configurator.assign_ids(wanted)
+        for machine in pair:
+            machine.cut_power()
+        assert {
+            bytes([n] * 12): m.memory.settings["module_id"] for n, m in zip((1, 2), pair, strict=True)
+        } == wanted
+
+
+@contextlib.asynccontextmanager
+async def configurator_of(pair):
+    client = CommandClient([link_from_url(m.url, name=m.url) for m in pair], allow_writes=True)
+    async with client.reading():
+        yield Configurator(client, restart_patience_s=0.5)
+
+
+async def assign_and_cut(pair, wanted, cut_s, which):
+    for machine in pair:
+        machine.switch_on()
+    async with configurator_of(pair) as configurator:
+        assigning = asyncio.create_task(configurator.assign_ids(wanted))
+        await asyncio.wait([assigning], timeout=cut_s)
+        pair[which].cut_power()
+        assigning.cancel()
+        await asyncio.gather(assigning, return_exceptions=True)
+    for machine in pair:
+        machine.cut_power()
