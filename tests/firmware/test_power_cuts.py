@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import os
 import random
+import time
 from collections import Counter
 from collections.abc import Iterable
 
@@ -23,18 +24,23 @@ from devices.link import LinkError
 from devices.setting_values import SETTING_KEYS, encoded_setting
 from firmware_protocol.commands import Verb
 from tests.firmware.machines import POSIX, QEMU, Machine
+from tests.patience import PATIENCE_S
 
 pytestmark = [pytest.mark.system]
 
 CUTS = {POSIX: 40, QEMU: 12}
 SEED = int(os.environ.get("FIRMWARE_SEED", "28"))
-COMMIT_S = 0.05
-"""A little longer than a commit takes, from the command on."""
+LATEST = 1.3
+"""Of the time that a commit takes: some cuts come after it."""
 LABELS = ("one", "another", "ein dritter")
 
 
-async def stage_and_cut(machine: Machine, settings: dict[str, bytes], cut_s: float) -> bool:
-    """Write settings, and cut the power so long after COMMIT was sent; whether it was answered before."""
+async def stage_and_cut(
+    machine: Machine, settings: dict[str, bytes], cut_s: float | None
+) -> tuple[bool, float]:
+    """Write settings, and cut the power so long after COMMIT was sent (None: after its answer).
+
+    Whether it was answered before, and after how long the power went, s."""
     link = link_from_url(machine.url, name="module")
     client = CommandClient([link], allow_writes=True)
     unique_id = machine.memory.read(0x1800, 12)
@@ -42,13 +48,15 @@ async def stage_and_cut(machine: Machine, settings: dict[str, bytes], cut_s: flo
         for name, raw in settings.items():
             await client.ask(unique_id, Verb.WRITE_SETTING, SETTING_KEYS[name], raw)
         committing = asyncio.create_task(client.ask(unique_id, Verb.COMMIT))
-        await asyncio.sleep(cut_s)
+        begun = time.monotonic()
+        await asyncio.wait([committing], timeout=PATIENCE_S if cut_s is None else cut_s)
         is_answered = committing.done()
         machine.cut_power()
+        passed_s = time.monotonic() - begun
         committing.cancel()
         with contextlib.suppress(asyncio.CancelledError, DeviceError, LinkError):
             await committing
-    return is_answered
+    return is_answered, passed_s
 
 
 def kept(machine: Machine, names: Iterable[str]) -> dict[str, bytes]:
@@ -61,17 +69,19 @@ async def cut_again_and_again(machine: Machine, n: int) -> Counter[str]:
     """Change settings of a module and cut its power, n times; how often the old and the new stood then."""
     rng = random.Random(SEED)
     ended: Counter[str] = Counter()
+    commit_s = 0.0
     for turn in range(n):
         wanted = {"module_id": turn % 64, "sampling_rate": 50.0 + turn % 100, "label": LABELS[turn % 3]}
         new = {name: encoded_setting(name, value) for name, value in wanted.items()}
         machine.switch_on()
         old = kept(machine, new)
-        starts = machine.memory.starts
-        is_answered = await stage_and_cut(machine, new, rng.uniform(0, COMMIT_S))
+        cut_s = None if turn == 0 else 0.0 if turn == 1 else rng.uniform(0, LATEST * commit_s)
+        is_answered, passed_s = await stage_and_cut(machine, new, cut_s)
+        commit_s = passed_s if turn == 0 else commit_s
         now = kept(machine, new)
         assert now in (old, new), f"turn {turn}: neither {old} nor {new} but {now}"
         assert now == new or not is_answered, f"turn {turn}: it had answered"
-        assert machine.memory.starts == starts, f"turn {turn}"
+        assert machine.memory.starts == turn + 1
         ended["new" if now == new else "old"] += 1
     return ended
 
