@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import functools
-import ipaddress
 import logging
 import socket
 from collections.abc import AsyncIterator, Collection, Sequence
@@ -21,10 +19,7 @@ from devices.link_counts import (
     ask_for_drops,
     told_drops,
 )
-
-Network = ipaddress.IPv4Network | ipaddress.IPv6Network
-Address = tuple[Any, ...]
-"""As sockets give it: host, port and, for IPv6, flow and scope."""
+from devices.listening import Address, Network, Peers, listen_error, name_of
 
 _log = logging.getLogger(__name__)
 
@@ -33,7 +28,6 @@ LOOPBACK = "127.0.0.1"
 _RECEIVE_BUFFER_BYTES = 4 * 1024 * 1024
 _LARGEST_DATAGRAM = 65536
 _DATAGRAMS_A_TURN = 64
-_MOST_REFUSED_NAMED = 16
 
 
 class UdpLink:
@@ -58,12 +52,11 @@ class UdpLink:
         self.host = host
         self.port = port
         """Port asked for; 0 lets the system choose (see ``address``)."""
-        self.peers = tuple(peers)
         self.counts = LinkCounts()
+        self.peers = Peers(self.name, peers, self.counts, _log, "its datagrams are dropped")
         self._arrivals = Arrivals.never_opened(self.name)
         self._drops = SystemCount(self.counts, LostBefore.KERNEL_OVERFLOW)
         self._socket: socket.socket | None = None
-        self._refused_hosts: set[str] = set()
 
     @property
     def address(self) -> tuple[str, int]:
@@ -87,7 +80,7 @@ class UdpLink:
             )
             self._socket = _bound(*found[0])
         except OSError as error:
-            raise self._open_error(error) from error
+            raise listen_error("UDP", self.name, self.host, self.port, error) from error
         self._drops = SystemCount(self.counts, LostBefore.KERNEL_OVERFLOW)
         self._arrivals = Arrivals(self.name, counts=self.counts)
         loop.add_reader(self._socket, self._receive, self._socket)
@@ -128,20 +121,9 @@ class UdpLink:
                 return
             if (dropped := told_drops(ancillary)) is not None:
                 self._drops.now(dropped)
-            if self.peers and not _is_in(sender[0], self.peers):
-                self._refuse(sender[0])
-            else:
-                self._arrivals.put(data, gateway_time_ns(), _name_of(sender))
+            if self.peers.admits(sender[0]):
+                self._arrivals.put(data, gateway_time_ns(), name_of(sender))
         self.counts.end_turn(begun_ns, bound)
-
-    def _refuse(self, host: str) -> None:
-        """Count a datagram of somebody who is not among the peers; warn once of each of the first few."""
-        self.counts.refused += 1
-        if host not in self._refused_hosts and len(self._refused_hosts) < _MOST_REFUSED_NAMED:
-            self._refused_hosts.add(host)
-            _log.warning(
-                "%s: %s sends here and is not among the peers: its datagrams are dropped", self.name, host
-            )
 
     def _release(self, error: LinkError | None) -> None:
         if self._socket is not None:
@@ -156,30 +138,6 @@ class UdpLink:
             raise LinkError(f"{self.name} is not open")
         return self._socket
 
-    def _open_error(self, error: OSError) -> LinkError:
-        if isinstance(error, socket.gaierror):
-            return LinkError(
-                f"unknown host '{self.host}': give an address of this computer, or 0.0.0.0 for all"
-            )
-        if error.errno == errno.EADDRINUSE:
-            return LinkError(f"UDP port {self.port} is in use: stop the other program or choose another port")
-        if error.errno == errno.EADDRNOTAVAIL:
-            return LinkError(
-                f"{self.host} is not an address of this computer: use one that is, or 0.0.0.0 for all"
-            )
-        if error.errno == errno.EACCES:
-            return LinkError(f"UDP port {self.port} is reserved for the system: choose one above 1023")
-        return LinkError(f"{self.name} cannot be opened: {error.strerror or error}")
-
-
-@functools.lru_cache(maxsize=512)
-def _name_of(sender: Address) -> str:
-    """``HOST:PORT``, that of IPv6 in brackets and with its scope, if it has one."""
-    host, port, *rest = sender
-    if not rest:
-        return f"{host}:{port}"
-    return f"[{host}%{rest[1]}]:{port}" if rest[1] else f"[{host}]:{port}"
-
 
 @functools.lru_cache(maxsize=512)
 def _address_of(name: str) -> Address:
@@ -189,14 +147,6 @@ def _address_of(name: str) -> Address:
         return host, int(port)
     host, _, scope = host[1:-1].partition("%")
     return host, int(port), 0, int(scope or 0)
-
-
-@functools.lru_cache(maxsize=512)
-def _is_in(host: str, networks: tuple[Network, ...]) -> bool:
-    address = ipaddress.ip_address(host.partition("%")[0])
-    if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is not None:
-        address = address.ipv4_mapped
-    return any(address in network for network in networks)
 
 
 def _bound(family: int, kind: int, protocol: int, _name: str, address: tuple[Any, ...]) -> socket.socket:
