@@ -4,6 +4,7 @@
 ``serial:///dev/ttyUSB0?baud=1000000``, ``/dev/ttyUSB0``  serial port or pseudo-terminal
 ``rfc2217://host:port?baud=1000000``                      serial port of another computer
 ``tcp://host:port`` (also ``socket://``)                  TCP connection made by the gateway
+``tcp://0.0.0.0:port?listen=1&peers=192.168.4.7``         TCP connection made to the gateway
 ``udp://host:port``, ``udp://:port``                      datagrams received (this computer's only)
 ``udp://0.0.0.0:port?peers=192.168.4.0/24,10.0.0.7``      the same from these addresses alone
 ``udp://…?key_file=/path``, ``tcp://…?key_file=/path``     the same, signed in both directions
@@ -31,6 +32,7 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 from devices.can_link import CanLink
 from devices.known_names import nearest
 from devices.link import Link, LinkError, LiveLink
+from devices.listening import Network
 from devices.recording_format import SUFFIX
 from devices.replay_link import ReplayLink
 from devices.rfc2217_link import Rfc2217Link
@@ -39,7 +41,8 @@ from devices.signed_link import SignedLink, read_key
 from devices.slcan_link import SlcanLink
 from devices.socketcan_link import SocketCanLink
 from devices.tcp_link import TcpLink
-from devices.udp_link import LOOPBACK, Network, UdpLink
+from devices.tcp_listen_link import TcpListenLink
+from devices.udp_link import LOOPBACK, UdpLink
 
 
 class EndpointError(LinkError, ValueError):
@@ -131,7 +134,13 @@ def _rfc2217(parts: SplitResult, parameters: dict[str, Any], name: str | None) -
 
 def _tcp(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
     key = parameters.pop("key_file", None)
-    return _signed(TcpLink(_host(parts), _port(parts), name=name, **parameters), key)
+    if parameters.pop("listen", False):
+        if key is not None:
+            raise ValueError("key_file does not go with listen")
+        return TcpListenLink(parts.hostname or LOOPBACK, _port(parts), name=name, **parameters)
+    if "peers" in parameters:
+        raise ValueError("peers goes with listen=1 alone: a connection made by the gateway has one other end")
+    return _signed(TcpLink(_host(parts), _port(parts), name=name), key)
 
 
 def _udp(parts: SplitResult, parameters: dict[str, Any], name: str | None) -> Link:
@@ -178,11 +187,12 @@ def _recording(parts: SplitResult, parameters: dict[str, Any], name: str | None)
 
 
 _CAN_PARAMETERS = {"bitrate": _whole_number, "fd": _flag, "data_bitrate": _whole_number}
+_TCP_PARAMETERS = {"key_file": _key, "listen": _flag, "peers": _networks}
 _SCHEMES = {
     "serial": _Scheme("serial:///dev/ttyUSB0?baud=1000000", _serial, {"baud": _whole_number}),
     "rfc2217": _Scheme("rfc2217://host:port?baud=1000000", _rfc2217, {"baud": _whole_number}),
-    "tcp": _Scheme("tcp://host:port", _tcp, {"key_file": _key}),
-    "socket": _Scheme("socket://host:port", _tcp, {"key_file": _key}),
+    "tcp": _Scheme("tcp://host:port", _tcp, _TCP_PARAMETERS),
+    "socket": _Scheme("socket://host:port", _tcp, _TCP_PARAMETERS),
     "udp": _Scheme("udp://host:port", _udp, {"peers": _networks, "key_file": _key}),
     "slcan": _Scheme(
         "slcan:///dev/ttyACM0?bitrate=1000000&fd=1", _slcan, {"baud": _whole_number, **_CAN_PARAMETERS}

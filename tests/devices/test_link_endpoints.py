@@ -13,6 +13,7 @@ from devices.serial_link import DEFAULT_BAUD, SerialLink
 from devices.slcan_link import SlcanLink
 from devices.socketcan_link import SocketCanLink
 from devices.tcp_link import TcpLink
+from devices.tcp_listen_link import TcpListenLink
 from devices.udp_link import UdpLink
 
 FORMS = [
@@ -24,6 +25,9 @@ FORMS = [
     ("tcp://relay.local:9000", TcpLink, {"host": "relay.local", "port": 9000}),
     ("tcp://[::1]:9000", TcpLink, {"host": "::1", "port": 9000}),
     ("socket://10.0.0.2:9000", TcpLink, {"host": "10.0.0.2", "port": 9000}),
+    ("tcp://0.0.0.0:9763?listen=1", TcpListenLink, {"host": "0.0.0.0", "port": 9763}),
+    ("tcp://:9763?listen=1", TcpListenLink, {"host": "127.0.0.1", "port": 9763}),
+    ("tcp://relay.local:9000?listen=0", TcpLink, {"host": "relay.local", "port": 9000}),
     ("udp://:9000", UdpLink, {"host": "127.0.0.1", "port": 9000}),
     ("udp://0.0.0.0:9000", UdpLink, {"host": "0.0.0.0", "port": 9000}),
     ("slcan:///dev/ttyACM0?bitrate=1000000&fd=1", SlcanLink, {"name": "slcan:///dev/ttyACM0"}),
@@ -59,7 +63,8 @@ WRONG = [
     ("tcp://host:abc", "Port could not be cast"),
     ("tcp://host:1/path", "'/path' after the port means nothing"),
     ("tcp://[::1", "is no URL"),
-    ("tcp://host:1?nodelay=1", r"unknown parameter 'nodelay' \(known: key_file\)"),
+    ("tcp://host:1?nodelay=1", r"unknown parameter 'nodelay' \(known: key_file, listen, peers\)"),
+    ("tcp://host:1?peers=10.0.0.7", "peers goes with listen=1 alone"),
     ("slcan:///dev/ttyACM0?bitrate=900000", "no bit rate 900000; the nearest is 800000"),
     ("slcan:///dev/ttyACM0?fd=maybe", "fd=maybe: 1 or 0 is needed"),
     ("can://virtul/suit", r"unknown CAN interface 'virtul' \(did you mean 'virtual'\?\)"),
