@@ -278,7 +278,10 @@ class SlimevrSettings(_Datagrams):
 class MvnSettings(_Datagrams):
     """Datagrams of the MVN network streamer, for game engines and robots: bodies of people only."""
 
-    port: int = Field(default=9763, ge=1, le=65535, description="UDP port of the app")
+    transport: Literal["udp", "tcp"] = Field(
+        default="udp", description="tcp: the gateway connects to the app, which listens, as MVN does"
+    )
+    port: int = Field(default=9763, ge=1, le=65535, description="port of the app")
 
 
 class LslSettings(_Output):

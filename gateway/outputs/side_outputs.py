@@ -29,8 +29,9 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs.mvn import MvnEncoder
 from gateway.outputs.output import Thinning
 from gateway.outputs.pose_encoding import PoseEncoder
-from gateway.outputs.settings import OutputsSettings, PoseMap, UdpJsonSettings
+from gateway.outputs.settings import MvnSettings, OutputsSettings, PoseMap, UdpJsonSettings
 from gateway.outputs.slimevr import SlimevrSink
+from gateway.outputs.stream_sink import StreamSink
 from gateway.outputs.unity import AvatarPoses
 
 _log = logging.getLogger(__name__)
@@ -299,8 +300,7 @@ class SideOutputs:
             sink_of_slimevr = SlimevrSink(slimevr, skeleton, gateway, battery)
             self._add("slimevr", sink_of_slimevr, slimevr.rate)
         if (mvn := settings.mvn) is not None:
-            datagrams = DatagramSink("mvn", mvn.host, mvn.port, MvnEncoder(skeleton, gateway))
-            self._add("mvn", datagrams, mvn.rate)
+            self._add("mvn", _sink_of_mvn(mvn, MvnEncoder(skeleton, gateway)), mvn.rate)
         if (lsl := settings.lsl) is not None:
             rate = min(lsl.rate, frame_rate)
             sink_of_lsl = LslSink(lsl.name, f"mocap-{gateway}", skeleton.segment_names, rate)
@@ -347,6 +347,12 @@ class SideOutputs:
 
     def _add(self, name: str, sink: Sink, rate: float) -> None:
         self._outputs.append(LatestOutput(name, sink, rate))
+
+
+def _sink_of_mvn(settings: MvnSettings, encoder: MvnEncoder) -> Sink:
+    if settings.transport == "tcp":
+        return StreamSink("mvn", settings.host, settings.port, encoder.encode)
+    return DatagramSink("mvn", settings.host, settings.port, encoder)
 
 
 class _JsonDatagrams:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import socket
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from devices.endpoints import link_from_url
 from devices.link import Chunk
 from devices.vendor_protocols.mvn import SEGMENTS, JointRotation, MvnDecoder, SegmentPose
 from gateway.body.kinematics import joint_positions
@@ -15,6 +18,7 @@ from gateway.body.rig import load_rig
 from gateway.errors import OutputError
 from gateway.frames import FusedReading, SkeletonFrame
 from gateway.geometry import quaternion
+from gateway.outputs import stream_sink
 from gateway.outputs.mvn import MvnEncoder
 from gateway.outputs.settings import OutputsSettings
 from gateway.outputs.side_outputs import SideOutputs
@@ -134,3 +138,67 @@ async def test_datagrams_arrive_at_the_app(until):
             side.offer(frame(skeleton, np.random.default_rng(6)))
             await until(lambda: side.counters["mvn"].published == 1)
         assert [app.recv(2048)[:6] for _ in range(3)] == [b"MXTP02", b"MXTP20", b"MXTP25"]
+
+
+async def test_over_tcp_the_gateway_connects_to_the_app_as_mvn_does_and_again_when_it_is_back(
+    until, unused_port, monkeypatch, caplog
+):
+    monkeypatch.setattr(stream_sink, "AGAIN_S", 0.01)
+    skeleton, rng = load_rig("mvn_fused_23").skeleton, np.random.default_rng(7)
+    settings = OutputsSettings(mvn={"transport": "tcp", "port": unused_port})
+    side = SideOutputs(settings, skeleton, "lab", 100.0)
+    sequence = 0
+
+    async def heard(link, decoder):
+        """Offer poses until the app has read one whole."""
+        nonlocal sequence
+        reading = asyncio.ensure_future(anext(aiter(link)))
+        async with asyncio.timeout(PATIENCE_S):
+            while not reading.done():
+                side.offer(frame(skeleton, rng, sequence := sequence + 2))
+                await asyncio.sleep(0.001)
+        return decoder.feed(reading.result().data)
+
+    async with side.running():
+        side.offer(frame(skeleton, rng))
+        await until(lambda: side.counters["mvn"].dropped == 1)  # nobody listens yet
+        for _ in range(2):
+            app = link_from_url(f"tcp://127.0.0.1:{unused_port}?listen=1")
+            await app.open()
+            poses, *_ = await heard(app, MvnDecoder())
+            assert [pose.segment for pose in poses.items] == list(range(1, 24))
+            await app.close()
+        assert side.counters["mvn"].published >= 2
+    assert caplog.text.count("refused the connection: start what should listen there") >= 1
+
+
+async def test_an_app_that_does_not_read_costs_poses_and_gets_no_old_ones(until, unused_port, monkeypatch):
+    monkeypatch.setattr(stream_sink, "AGAIN_S", 0.01)
+    skeleton, rng = load_rig("mvn_fused_23").skeleton, np.random.default_rng(8)
+    with socket.create_server(("127.0.0.1", unused_port)) as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        settings = OutputsSettings(mvn={"transport": "tcp", "port": unused_port, "rate": 1000})
+        side = SideOutputs(settings, skeleton, "lab", 100.0)
+        async with side.running():
+            app, _ = await asyncio.to_thread(listening.accept)
+            counters = side.counters["mvn"]
+            while counters.dropped < 500 or not counters.published:
+                side.offer(frame(skeleton, rng, counters.dropped + counters.published))
+                await asyncio.sleep(0)
+                counters = side.counters["mvn"]
+            assert 0 < counters.published < 200  # what the system holds: a second or two of poses
+            app.close()
+
+
+async def test_a_host_that_nobody_knows_is_refused_over_tcp_too():
+    skeleton = load_rig("mvn_fused_23").skeleton
+    settings = OutputsSettings(mvn={"transport": "tcp", "host": "nobody.invalid"})
+    side = SideOutputs(settings, skeleton, "lab", 100.0)
+    with pytest.raises(OutputError, match=r"outputs\.mvn: no such host 'nobody\.invalid'"):
+        async with side.running():
+            pass
+
+
+def test_a_transport_that_there_is_not_is_refused_with_those_that_there_are():
+    with pytest.raises(ValidationError, match="'udp' or 'tcp'"):
+        OutputsSettings(mvn={"transport": "sctp"})
