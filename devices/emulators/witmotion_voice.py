@@ -31,6 +31,7 @@ from devices.vendor_protocols.witmotion import (
 from firmware_protocol import unpack_can_records
 
 _CELSIUS = 3125
+_CAN_BAUD = 4  # 250 kbit/s
 _FIELD_COUNTS_UT = 120.0
 _KEY, _RATE, _CONTENT = UNLOCK[0], REGISTERS_BY_NAME["rate"].address, REGISTERS_BY_NAME["content"].address
 _SENT = ACCELERATION, ANGULAR_RATE, ANGLE, FIELD, QUATERNION
@@ -89,6 +90,10 @@ class WitMotionCanVoice(WitMotionVoice):
     """The same as CAN frames."""
 
     framing = Framing.CAN
+
+    def __init__(self, module: int, field_ut: float = 49.0) -> None:
+        super().__init__(module, field_ut)
+        self.registers[REGISTERS_BY_NAME["baud"].address] = _CAN_BAUD
 
     def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
         """Obey frames of its identifier."""

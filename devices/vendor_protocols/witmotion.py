@@ -36,6 +36,11 @@ RATES_HZ: Mapping[int, float] = {
 BAUDS: Mapping[int, int] = dict(
     enumerate((4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600), start=1)
 )
+CAN_BAUDS: Mapping[int, int] = dict(enumerate((
+    1_000_000, 800_000, 500_000, 400_000, 250_000, 200_000, 125_000, 100_000, 80_000, 50_000, 40_000, 20_000,
+    10_000, 5_000, 3_000,
+)))  # fmt: skip
+"""Likewise on CAN: bit/s by the number that the register has for them."""
 UNLOCK, SAVE = (0x69, 0xB588), (0x00, 0x0000)
 """Register and value: before others are written, and to keep them over a loss of power."""
 
@@ -52,7 +57,7 @@ class Register(NamedTuple):
 REGISTERS_BY_NAME: Mapping[str, Register] = {
     "content": Register(0x02, 0, 0x7FF),
     "rate": Register(0x03, min(RATES_HZ), max(RATES_HZ)),
-    "baud": Register(0x04, min(BAUDS), max(BAUDS)),
+    "baud": Register(0x04, 0, max(CAN_BAUDS)),
     "address": Register(0x1A, 1, 0x7F),
     "bandwidth": Register(0x1F, 0, 6),
     "orientation": Register(0x23, 0, 1),

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar
 
-from devices.device_errors import DeviceError, NoAnswerError
+from devices.device_errors import DeviceError, NoAnswerError, UnfinishedError
 from devices.link import Link, LinkError, SentChunk, gateway_time_ns
 from gateway.frames import FusedReading, InertialBatch
 from gateway.sources.makers import (
@@ -228,7 +228,52 @@ def _meant(modules: Iterable[MakersModule], name: str) -> MakersModule | None:
 
 
 async def changed(module: MakersModule, settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Write settings; return what stood there before, as far as that can be read, and after."""
-    stood = await module.commands.read(module.line)
-    after = await module.commands.write(module.line, settings)
-    return {name: stood.get(name) for name in settings}, after
+    """Write settings; return what stood there before, as far as that can be read, and after.
+
+    Raises ``UnfinishedError`` where some of it was written when something failed, or it is not known whether:
+    it says what stands there now, and how to go back.
+    """
+    before = await module.commands.read(module.line)
+    try:
+        after = await module.commands.write(module.line, settings)
+    except UnfinishedError:
+        raise
+    except (DeviceError, LinkError) as error:
+        left = await _left_by_failure(module, settings, before)
+        if left is None:
+            raise
+        raise UnfinishedError(f"{error}; {left}") from error
+    return {name: before.get(name) for name in settings}, after
+
+
+async def _left_by_failure(
+    module: MakersModule, settings: Mapping[str, Any], before: Mapping[str, Any]
+) -> str | None:
+    """Return what a write that failed has changed, for people; None: nothing."""
+    try:
+        now = await module.commands.read(module.line)
+    except (DeviceError, LinkError):
+        return (
+            f"whether any of it was written is not known, because the device does not answer: `mocap-gateway "
+            f"modules show {module.module}` tells, once it does; before, it was {_typed(settings, before)}"
+        )
+    changed_names = [name for name in settings if now.get(name) != before.get(name)]
+    known = [name for name in changed_names if name in before]
+    if not changed_names:
+        return None
+    found = f"written all the same: {_typed(changed_names, now)}"
+    if not known:
+        return found
+    back = f"mocap-gateway modules set {module.module} {_typed(known, before)} --allow-writes"
+    return f"{found}; `{back}` takes that back"
+
+
+def _typed(names: Iterable[str], values: Mapping[str, Any]) -> str:
+    """Return settings as somebody would type them."""
+    return " ".join(f"{name}={_as_typed(values.get(name))}" for name in names)
+
+
+def _as_typed(value: Any) -> str:
+    if isinstance(value, list):
+        return ",".join(map(str, value))
+    return str(value).lower() if isinstance(value, bool) else str(value)

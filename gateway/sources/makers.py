@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, Typ
 
 from pydantic import Field
 
+from devices.device_errors import DeviceError
 from devices.link import Chunk, SentChunk
 from firmware_protocol import DeviceInfo, Health
 from gateway.contract.balances import Balance
@@ -317,6 +318,11 @@ class Description(NamedTuple):
     """Serial number, hexadecimal, lower case."""
     name: str = ""
     firmware: str | None = None
+
+
+def cannot_blink(why: str) -> DeviceError:
+    """Return the error of a device that has no light for the gateway to switch, with what does instead."""
+    return DeviceError(f"{why}: shake it, and see in `mocap-gateway view` which segment moves")
 
 
 class Advice(NamedTuple):

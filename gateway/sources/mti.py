@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
-from devices.device_errors import DeviceError
+from devices.device_errors import DeviceError, UnfinishedError
 from devices.link import Chunk
 from devices.vendor_protocols.mti import (
     CLIPPED,
@@ -35,6 +35,7 @@ from gateway.sources.makers import (
     MakersLinkSettings,
     MakersSource,
     StampCounter,
+    cannot_blink,
     identity,
     scaled,
 )
@@ -160,9 +161,7 @@ class MtiCommands:
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
         """Refuse: there is nothing on it that lights."""
-        raise DeviceError(
-            "an MTi has no light to blink: shake it, and see in `mocap-gateway view` which segment moves"
-        )
+        raise cannot_blink("an MTi has no light to blink")
 
     async def read(self, line: CommandLine) -> dict[str, Any]:
         """Return what it sends, with the rates in Hz."""
@@ -212,7 +211,13 @@ async def _configuring(line: CommandLine, work: Callable[[], Awaitable[_Found]])
     try:
         return await work()
     finally:
-        await _answered(line, Mid.GO_TO_MEASUREMENT)
+        try:
+            await _answered(line, Mid.GO_TO_MEASUREMENT)
+        except DeviceError as error:
+            raise UnfinishedError(
+                f"{error}; it may still be in its configuration mode, measuring nothing: switch it "
+                "off and on, or ask it again, as with `mocap-gateway modules list`"
+            ) from error
 
 
 async def _answered(line: CommandLine, mid: Mid, data: bytes = b"") -> bytes:

@@ -29,6 +29,7 @@ from gateway.sources.mvn import MvnLinkSettings, MvnSource
 from gateway.sources.slimevr import SlimevrCommands, SlimevrLinkSettings, SlimevrSource
 from gateway.sources.source import Source, SourceContext
 from gateway.sources.witmotion import (
+    WitMotionCanCommands,
     WitMotionCanLinkSettings,
     WitMotionCanSource,
     WitMotionCommands,
@@ -102,7 +103,9 @@ SOURCES: dict[str, SourceKind] = {
         discovery=slimevr.DISCOVERY,
     ),
     "witmotion": SourceKind(WitMotionSource, WitMotionLinkSettings, commands=WitMotionCommands()),
-    "witmotion_can": SourceKind(WitMotionCanSource, WitMotionCanLinkSettings, commands=WitMotionCommands()),
+    "witmotion_can": SourceKind(
+        WitMotionCanSource, WitMotionCanLinkSettings, commands=WitMotionCanCommands()
+    ),
     "mvn": SourceKind(MvnSource, MvnLinkSettings),
     "bno08x_rvc": SourceKind(Bno08xSource, Bno08xLinkSettings),
     "mocopi": SourceKind(MocopiSource, MocopiLinkSettings),

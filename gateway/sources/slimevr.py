@@ -48,6 +48,7 @@ from gateway.sources.makers import (
     MakersDevice,
     MakersSource,
     OthersLinkSettings,
+    cannot_blink,
     health,
     identity,
 )
@@ -438,10 +439,7 @@ class SlimevrCommands:
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
         """Refuse: it knows no command for its light."""
-        raise DeviceError(
-            "a SlimeVR tracker knows no command for its light: shake it, and see in `mocap-gateway view` "
-            "which segment moves"
-        )
+        raise cannot_blink("a SlimeVR tracker knows no command for its light")
 
     async def read(self, line: CommandLine) -> dict[str, Any]:
         """Return what can be set, as the tracker told it."""

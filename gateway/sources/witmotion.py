@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from devices.device_errors import DeviceError
+from devices.device_errors import DeviceError, NoAnswerError, UnfinishedError
 from devices.link import Chunk
 from devices.vendor_protocols.witmotion import (
     BAUDS,
+    CAN_BAUDS,
     IDENTIFIER,
     N_NUMBER,
     NUMBER,
@@ -44,6 +45,7 @@ from gateway.sources.makers import (
     MakersDevice,
     MakersLinkSettings,
     MakersSource,
+    cannot_blink,
     health,
     scaled,
 )
@@ -59,7 +61,12 @@ _CONTENT = ("time", "acceleration", "angular_rate", "angle", "field", "ports", "
             "quaternion", "satellites")  # fmt: skip
 _WANTED = ("acceleration", "angular_rate", "field")
 _RATE_OF = {hz: number for number, hz in RATES_HZ.items()}
-_BITS_A_BYTE, _COMFORTABLE = 10, 0.9
+_PACKET_BITS, _CAN_FRAME_BITS = 10 * SIZE, 135
+"""On a line with a start and a stop bit a byte; on CAN with the most stuff bits that 8 bytes can have."""
+_COMFORTABLE = 0.9
+"""Of a line that its packets may take."""
+_ANSWERS_ELSEWHERE = {"baud": "that rate in the link's url", "address": "that identifier at the link"}
+"""Settings after which a device may be heard in another way only, and what the configuration then says."""
 _TOLD_EVERY = 100
 """Samples between two looks at the temperature."""
 
@@ -164,6 +171,9 @@ class WitMotionCanSource(MakersSource):
 class WitMotionCommands:
     """Registers are read while it goes on sending, and written after a key, which locks again by itself."""
 
+    _bauds: ClassVar[Mapping[int, int]] = BAUDS
+    _packet_bits: ClassVar[int] = _PACKET_BITS
+
     async def describe(self, line: CommandLine) -> Description:
         """Ask for its number and version."""
         values = [await _read(line, NUMBER + k) for k in range(N_NUMBER)]
@@ -173,27 +183,36 @@ class WitMotionCommands:
 
     async def identify(self, line: CommandLine, seconds: int) -> None:
         """Refuse: its light is switched by a register, which nothing writes unasked."""
-        raise DeviceError(
-            "a WitMotion device does not blink when it is asked: shake it, and see in `mocap-gateway view` "
-            "which segment moves"
-        )
+        raise cannot_blink("a WitMotion device does not blink when it is asked")
 
     async def read(self, line: CommandLine) -> dict[str, Any]:
         """Return the registers that matter to a gateway: rate in Hz, content by name, baud in bit/s."""
-        return {
-            name: _told(name, await _read(line, each.address)) for name, each in REGISTERS_BY_NAME.items()
-        }
+        return {name: await self._read_back(line, name) for name in REGISTERS_BY_NAME}
 
     async def write(self, line: CommandLine, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Unlock, write, keep over a loss of power, and return what stands there now."""
-        values = {name: _meant(name, value) for name, value in settings.items()}
-        for name, value in values.items():
-            await line.tell(encode_write(*UNLOCK))
-            await line.tell(encode_write(REGISTERS_BY_NAME[name].address, value))
-        after = {name: _told(name, await _read(line, REGISTERS_BY_NAME[name].address)) for name in values}
-        await line.tell(encode_write(*UNLOCK))
-        await line.tell(encode_write(*SAVE))
-        return after
+        """Unlock, write, keep over a loss of power, and return what stands there now.
+
+        Last what it may be heard in another way after. Raises ``UnfinishedError`` where it is not heard then.
+        """
+        values = {name: self._meant(name, value) for name, value in settings.items()}
+        steady = {name: value for name, value in values.items() if name not in _ANSWERS_ELSEWHERE}
+        for name, value in steady.items():
+            await self._tell(line, REGISTERS_BY_NAME[name].address, value)
+        after = {name: await self._read_back(line, name) for name in steady}
+        if steady:
+            await self._tell(line, *SAVE)
+        for name in values.keys() - steady.keys():
+            await self._tell(line, REGISTERS_BY_NAME[name].address, values[name])
+            await self._tell(line, *SAVE)
+            try:
+                after[name] = await self._read_back(line, name)
+            except NoAnswerError as error:
+                raise UnfinishedError(
+                    f"{name}={settings[name]} is written, and the device is not heard since: put "
+                    f"{_ANSWERS_ELSEWHERE[name]}, and write it once more, which keeps it over a loss of "
+                    "power; if it is not heard so either, switch it off and on: it then has one of the two"
+                ) from error
+        return {name: after[name] for name in settings}
 
     def advice(self, module: int, settings: Mapping[str, Any], rate_hz: float) -> Iterator[Advice]:
         """Yield what would be better otherwise. rate_hz: of the poses."""
@@ -209,7 +228,7 @@ class WitMotionCommands:
             yield Advice(
                 f"sends {hz:g} samples a second for {rate_hz:g} poses", told.format(f"rate={enough:g}")
             )
-        load = hz * SIZE * _BITS_A_BYTE * len(content) / baud
+        load = hz * self._packet_bits * len(content) / baud
         if load > _COMFORTABLE:
             least = ",".join(name for name in _CONTENT if name in {*_WANTED} & {*content} | {*missing})
             yield Advice(
@@ -217,30 +236,49 @@ class WitMotionCommands:
                 f"{told.format(f'content={least}')}; or a faster line: baud=, then the same in url",
             )
 
+    async def _tell(self, line: CommandLine, register: int, value: int) -> None:
+        await line.tell(encode_write(*UNLOCK))
+        await line.tell(encode_write(register, value))
 
-def _told(name: str, value: int) -> Any:
-    if name == "content":
-        return [word for bit, word in enumerate(_CONTENT) if value >> bit & 1]
-    return {"rate": RATES_HZ, "baud": BAUDS}.get(name, {}).get(value, value)
+    async def _read_back(self, line: CommandLine, name: str) -> Any:
+        value = await _read(line, REGISTERS_BY_NAME[name].address)
+        if name == "content":
+            return [word for bit, word in enumerate(_CONTENT) if value >> bit & 1]
+        return self._choices(name).get(value, value)
+
+    def _choices(self, name: str) -> Mapping[int, float]:
+        """Return what a register's numbers mean; nothing where they mean themselves."""
+        return {"rate": RATES_HZ, "baud": self._bauds}.get(name, {})
+
+    def _meant(self, name: str, value: Any) -> int:
+        """Return what to write. Raises ``DeviceError``."""
+        register = REGISTERS_BY_NAME.get(name)
+        if register is None or not register.is_writable:
+            can = ", ".join(name for name, each in REGISTERS_BY_NAME.items() if each.is_writable)
+            raise DeviceError(f"'{name}' cannot be set on a WitMotion device; what can: {can}")
+        if name == "content":
+            words = value if isinstance(value, list) else str(value).split(",")
+            if strange := [word for word in words if word not in _CONTENT]:
+                raise DeviceError(f"content={','.join(strange)}: unknown; there is: {', '.join(_CONTENT)}")
+            return sum(1 << _CONTENT.index(word) for word in set(words))
+        choices = self._choices(name)
+        number = next(
+            (number for number, each in choices.items() if each == value), None if choices else value
+        )
+        if not isinstance(number, int) or not register.least <= number <= register.most:
+            can = (
+                ", ".join(f"{each:.10g}" for each in choices.values())
+                or f"{register.least} to {register.most}"
+            )
+            raise DeviceError(f"{name}={value}: can be {can}")
+        return number
 
 
-def _meant(name: str, value: Any) -> int:
-    """Return what to write. Raises ``DeviceError``."""
-    register = REGISTERS_BY_NAME.get(name)
-    if register is None or not register.is_writable:
-        can = ", ".join(name for name, each in REGISTERS_BY_NAME.items() if each.is_writable)
-        raise DeviceError(f"'{name}' cannot be set on a WitMotion device; what can: {can}")
-    if name == "content":
-        words = value if isinstance(value, list) else str(value).split(",")
-        if strange := [word for word in words if word not in _CONTENT]:
-            raise DeviceError(f"content={','.join(strange)}: unknown; there is: {', '.join(_CONTENT)}")
-        return sum(1 << _CONTENT.index(word) for word in set(words))
-    choices: Mapping[int, float] = {"rate": RATES_HZ, "baud": BAUDS}.get(name, {})
-    number = next((number for number, each in choices.items() if each == value), None if choices else value)
-    if not isinstance(number, int) or not register.least <= number <= register.most:
-        can = ", ".join(f"{each:g}" for each in choices.values()) or f"{register.least} to {register.most}"
-        raise DeviceError(f"{name}={value}: can be {can}")
-    return number
+class WitMotionCanCommands(WitMotionCommands):
+    """On a CAN bus the register of the bit rate means others."""
+
+    _bauds = CAN_BAUDS
+    _packet_bits = _CAN_FRAME_BITS
 
 
 async def _read(line: CommandLine, register: int) -> int:
