@@ -25,7 +25,7 @@ from gateway.reconstruction.optical.fitting import FitOptions, fit_body, sighted
 from gateway.reconstruction.optical.landmarks import measurements, to_world, vertical_axis
 from gateway.reconstruction.optical.marker_set import MarkerSet, load_marker_set
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
-from gateway.reconstruction.optical.published import solve_published
+from gateway.reconstruction.optical.published import Trial, solve_published
 from gateway.reconstruction.optical.published_trial import published_trial
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.reconstruction.optical.rule_body import from_rules
@@ -200,7 +200,7 @@ def _published(
     axes, root = learnt.places.axes[good], learnt.places.origins[good, 0]
     model = body_model(skeleton, markers)
     markers = replace(markers, positions=_first_frame_markers(model, seen[0], axes[0], root[0]))
-    taught = solve_published(skeleton, markers, seen, axes, root, held.rate_hz)
+    taught = solve_published(skeleton, markers, Trial(seen, held.rate_hz, axes, root))
     observed = to_world(held.columns(markers.labels), vertical)
     before = time.process_time()
     solved = published_trial(skeleton, taught.markers, observed, held.rate_hz, refine=False)

@@ -17,8 +17,8 @@ import numpy as np
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.bundle_kernels import back_substituted, eliminate
-from gateway.reconstruction.optical.pose_solver import BodyModel, Pose, solve_pose
+from gateway.reconstruction.optical.bundle_kernels import Reduced, back_substituted, eliminate
+from gateway.reconstruction.optical.pose_solver import BodyModel, Held, Pose, everyone, solve_pose
 
 INDEPENDENT_FRAMES = 2.0
 """Frames count as no more than so many independent ones: skin moves alike in frames near each other."""
@@ -55,7 +55,6 @@ def adjusted(
     joints = int((model.parents >= 0).sum())
     stiffness = _stiffness(model, trust)
     temper = min(1.0, INDEPENDENT_FRAMES / len(observed))
-    everyone = np.ones(observed.shape[1])
     now, steps = first.copy(), 0
     change = np.inf
     while steps < _STEPS and change > _CONVERGED:
@@ -71,7 +70,7 @@ def adjusted(
             for pose, turn in zip(poses, turns, strict=True)
         ]
         poses = [
-            solve_pose(model, seen, everyone, R, root, scale, 4, R, 0.0)
+            solve_pose(model, everyone(seen, scale), R, root, Held(R), 4)
             for seen, (R, root) in zip(observed, starts, strict=True)
         ]
     model = model._replace(stiffness=allowed.stiffness, limit_stiffness=allowed.limit_stiffness)
@@ -137,9 +136,9 @@ def _step(
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Changes of what is constant, and of every pose (3 + 3 S)."""
     schur, right = stiffness.copy(), pull.copy()
+    reduced = Reduced(schur, right)
     eliminated = [
-        eliminate(model, seen, pose.weights, pose.R, pose.root, schur, right, temper)
-        for seen, pose in zip(observed, poses, strict=True)
+        eliminate(model, seen, pose, reduced, temper) for seen, pose in zip(observed, poses, strict=True)
     ]
     schur[np.diag_indices_from(schur)] *= 1.0 + 1e-6
     if not kernels.cholesky(schur):

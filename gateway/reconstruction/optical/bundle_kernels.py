@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from gateway.frames import FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.pose_solver import BodyModel, normal_equations
+from gateway.reconstruction.optical.pose_solver import BodyModel, Pose, normal_equations
+
+
+class Reduced(NamedTuple):
+    """The equations of the constants alone: n = 3 (S − 1) + 3 M."""
+
+    schur: FloatArray  # (n, n), lower triangle
+    right: FloatArray  # (n,)
 
 
 @compiled
 def eliminate(
-    model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, root: FloatArray,
-    schur: FloatArray, right: FloatArray, temper: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Take one pose out of the equations: adds to ``schur`` (lower triangle) and ``right``.
+    model: BodyModel, observed: FloatArray, pose: Pose, reduced: Reduced, temper: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Take one pose out of the equations: adds to what is left of them.
 
     With H = L Lᵀ of the pose, C its coupling to the constants and g its gradient: X = L⁻¹ C and x = L⁻¹ g,
     schur += Jᵀ W J − Xᵀ X, right += Jᵀ W r − Xᵀ x. Returns L, X, x. (No BLAS: its threads cost more here.)
     """
-    p = kernels.places(model.parents, model.offsets, R, root)
+    say, R, schur, right = pose.weights, pose.R, reduced.schur, reduced.right
+    p = kernels.places(model.parents, model.offsets, R, pose.root)
     L, x, _ = normal_equations(model, observed, say, R, p)
     kernels.mirrored(L)
     n, m = len(x), len(right)

@@ -34,7 +34,7 @@ from gateway.reconstruction.optical.landmarks import (
     vertical_axis,
 )
 from gateway.reconstruction.optical.marker_set import MarkerSet
-from gateway.reconstruction.optical.pose_solver import BodyModel, Pose, body_model, solve_pose
+from gateway.reconstruction.optical.pose_solver import BodyModel, Held, Pose, body_model, everyone, solve_pose
 from gateway.reconstruction.optical.rule_body import (
     Sighting,
     facing_axes,
@@ -265,7 +265,7 @@ def _made_neutral(
     model, pose = done.model, done.poses[0]
     standing = []
     for seen in stood:
-        pose = solve_pose(model, seen, np.ones(len(seen)), pose.R, pose.root, _NEAR_AT_FIRST, 30, pose.R, 0.0)
+        pose = solve_pose(model, everyone(seen, _NEAR_AT_FIRST), pose.R, pose.root, Held(pose.R), 30)
         standing.append(pose)
     joints = [kernels.places(model.parents, model.offsets, each.R, each.root) for each in standing]
     upright = facing_axes(body, np.mean(joints, axis=0), standing[0].R[0])
@@ -287,7 +287,7 @@ def _begun(
 ) -> Pose:
     """From where rules find the body; from the markers alone where those do not know all of it."""
     if np.isfinite(axes).all() and np.isfinite(root).all():
-        return solve_pose(model, seen, np.ones(len(seen)), axes, root, _NEAR_AT_FIRST, 30, axes, 0.0)
+        return solve_pose(model, everyone(seen, _NEAR_AT_FIRST), axes, root, Held(axes), 30)
     pose = start_pose(model, seen, quaternion.to_matrix(skeleton.neutral))
     if pose is None:
         raise GatewayError(f"{name}: a frame with fewer than three markers: too few to fit a body to")

@@ -12,6 +12,7 @@ with p_a the joint of segment a: the Jacobian's blocks are the identity and −[
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,26 @@ from gateway.geometry.vectors import cross, dot, norm, vector
 
 _SINGULAR = 0.2
 """Sine between first and third axis of a joint under which its angles are not used."""
+
+
+class MarkerRow(NamedTuple):
+    """One marker of one frame, as the normal equations take it."""
+
+    segment: int
+    y: FloatArray  # (3,) m, virtual marker
+    r: FloatArray  # (3,) m, measured minus virtual
+    weight: float  # 1/m²
+
+
+class JointRow(NamedTuple):
+    """What one joint is allowed, by Cardan angles about axes of the moving segment."""
+
+    distal: int
+    axes: IntArray  # (3,)
+    signs: FloatArray  # (3,)
+    stiffness: FloatArray  # (3,) 1/rad²: draws each angle to zero
+    limits: FloatArray  # (3, 2) rad
+    limit_stiffness: float  # 1/rad², beyond them
 
 
 @compiled
@@ -43,18 +64,13 @@ def marker_places(segments: IntArray, positions: FloatArray, R: FloatArray, p: F
 
 
 @compiled
-def add_marker(
-    H: FloatArray, g: FloatArray, parents: IntArray, p: FloatArray, s: int, y: FloatArray, r: FloatArray,
-    weight: float,
-) -> None:  # fmt: skip
-    """Add one marker's normal equations: H ← H + w JᵀJ, g ← g + w Jᵀr.
-
-    y: (3,) virtual marker; r: (3,) measured minus virtual; s: its segment. Upper blocks of H only.
-    """
+def add_marker(H: FloatArray, g: FloatArray, parents: IntArray, p: FloatArray, marker: MarkerRow) -> None:
+    """Add one marker's normal equations: H ← H + w JᵀJ, g ← g + w Jᵀr. Upper blocks of H only."""
+    y, r, weight = marker.y, marker.r, marker.weight
     for i in range(3):
         H[i, i] += weight
         g[i] += weight * r[i]
-    a = s
+    a = marker.segment
     while a >= 0:
         d_a = y - p[a]
         at = 3 + 3 * a
@@ -82,18 +98,14 @@ def add_marker(
 
 
 @compiled
-def add_joint(
-    H: FloatArray, g: FloatArray, R_p: FloatArray, R_d: FloatArray, distal: int, axes: IntArray,
-    signs: FloatArray, stiffness: FloatArray, limits: FloatArray, limit_stiffness: float,
-) -> float:  # fmt: skip
+def add_joint(H: FloatArray, g: FloatArray, R_p: FloatArray, R_d: FloatArray, joint: JointRow) -> float:
     """Add what a joint is allowed: pulled to the neutral posture, and back inside its limits.
 
-    Angles are Cardan angles about ``axes`` (3,) of the moving segment; ``stiffness`` (3,) 1/rad² draws
-    each to zero, ``limit_stiffness`` beyond ``limits`` (3, 2) rad. Near the singularity only a turn as a
-    whole is drawn to zero. Returns the cost, ½ Σ k e².
+    Near the singularity only a turn as a whole is drawn to zero. Returns the cost, ½ Σ k e².
     """
-    found, E, is_regular = cardan(R_p, R_d, axes)
-    at = 3 + 3 * distal
+    stiffness, limits, limit_stiffness = joint.stiffness, joint.limits, joint.limit_stiffness
+    found, E, is_regular = cardan(R_p, R_d, joint.axes)
+    at = 3 + 3 * joint.distal
     cost = 0.0
     if not is_regular:
         turn = rm.rotate(R_p, rm.increment(R_p, R_d))
@@ -104,7 +116,7 @@ def add_joint(
         whole: float = 0.5 * weakest * dot(turn, turn)
         return whole
     for k in range(3):
-        angle = found[k] * signs[k]
+        angle = found[k] * joint.signs[k]
         pull = stiffness[k] * angle
         stiff = stiffness[k]
         cost += 0.5 * stiffness[k] * angle**2
@@ -113,7 +125,7 @@ def add_joint(
             pull += limit_stiffness * beyond
             stiff += limit_stiffness
             cost += 0.5 * limit_stiffness * beyond * beyond
-        row = E[k] * signs[k]
+        row = E[k] * joint.signs[k]
         for i in range(3):
             g[at + i] -= pull * row[i]
             for j in range(3):

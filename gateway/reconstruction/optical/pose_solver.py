@@ -51,6 +51,21 @@ class BodyModel(NamedTuple):
     limit_stiffness: float  # 1/rad²
 
 
+class Seen(NamedTuple):
+    """One frame of markers."""
+
+    observed: FloatArray  # (M, 3) m; NaN rows: not seen
+    trust: FloatArray  # (M,) 0 leaves a marker out, 1 takes it
+    scale: float  # m, distance at which a marker begins to lose its say
+
+
+class Held(NamedTuple):
+    """A pose to whose joints those of another are drawn."""
+
+    R: FloatArray  # (S, 3, 3)
+    stiffness: float = 0.0  # 1/rad²; 0: not drawn
+
+
 class Pose(NamedTuple):
     """A pose, and how well it explains the markers."""
 
@@ -91,6 +106,11 @@ def body_model(skeleton: Skeleton, markers: BodyMarkers) -> BodyModel:
     )  # fmt: skip
 
 
+def everyone(observed: FloatArray, scale: float) -> Seen:
+    """Return a frame of which all markers are trusted. scale: m."""
+    return Seen(observed, np.ones(len(observed)), scale)
+
+
 @compiled
 def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, p: FloatArray) -> float:
     """½ Σ w r² of the markers, with the weights of the step before, plus the joints."""
@@ -110,15 +130,13 @@ def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray
 
 
 @compiled
-def add_held(
-    H: FloatArray, g: FloatArray, model: BodyModel, R: FloatArray, held: FloatArray, stiffness: float
-) -> float:
-    """Draw every joint, by ``stiffness`` in 1/rad², to the rotation it has in a pose ``held`` (S, 3, 3).
-    Cost."""
+def add_held(H: FloatArray, g: FloatArray, model: BodyModel, R: FloatArray, held: Held) -> float:
+    """Draw every joint to the rotation it has in the pose held. Return the cost."""
+    stiffness = held.stiffness
     cost = 0.0
     for d in model.distals:
         parent = model.parents[d]
-        turned = rm.multiply(R[parent], rm.multiply(held[parent].T.copy(), held[d]))
+        turned = rm.multiply(R[parent], rm.multiply(held.R[parent].T.copy(), held.R[d]))
         apart = rm.rotate(R[d], rm.increment(turned, R[d]))
         for i in range(3):
             H[3 + 3 * d + i, 3 + 3 * d + i] += stiffness
@@ -138,57 +156,48 @@ def normal_equations(
     for m in range(len(observed)):
         if say[m] > 0.0:
             weight = say[m] / model.sigmas[m] ** 2
-            kernels.add_marker(H, g, model.parents, p, model.segments[m], y[m], observed[m] - y[m], weight)
+            marker = kernels.MarkerRow(model.segments[m], y[m], observed[m] - y[m], weight)
+            kernels.add_marker(H, g, model.parents, p, marker)
     cost = 0.0
     for j in range(len(model.distals)):
         d = model.distals[j]
-        cost += kernels.add_joint(
-            H, g, R[model.parents[d]], R[d], d, model.axes[j], model.signs[j],
-            model.stiffness[j], model.limits[j], model.limit_stiffness,
-        )  # fmt: skip
+        joint = kernels.JointRow(
+            d, model.axes[j], model.signs[j], model.stiffness[j], model.limits[j], model.limit_stiffness
+        )
+        cost += kernels.add_joint(H, g, R[model.parents[d]], R[d], joint)
     return H, g, cost
 
 
 @compiled
-def _say(
-    model: BodyModel, observed: FloatArray, trust: FloatArray, y: FloatArray, scale: float
-) -> FloatArray:
+def _say(model: BodyModel, seen: Seen, y: FloatArray) -> FloatArray:
     """Geman–McClure weights (1 + (r / c)²)⁻², times the trust given; 0 where a marker was not seen.
 
-    c: ``scale`` (m), and four times a marker's own σ at the least.
+    c: the scale, and four times a marker's own σ at the least.
     """
+    observed = seen.observed
     say = np.zeros(len(observed))
     for m in range(len(observed)):
-        if is_finite(observed[m]) and trust[m] > 0.0:
-            c = max(scale, 4.0 * model.sigmas[m])
+        if is_finite(observed[m]) and seen.trust[m] > 0.0:
+            c = max(seen.scale, 4.0 * model.sigmas[m])
             r = norm(observed[m] - y[m]) / c
-            say[m] = trust[m] / (1.0 + r * r) ** 2
+            say[m] = seen.trust[m] / (1.0 + r * r) ** 2
     return say
 
 
 @compiled
 def solve_pose(
-    model: BodyModel,
-    observed: FloatArray,
-    trust: FloatArray,
-    R: FloatArray,
-    root: FloatArray,
-    scale: float,
-    longest: int,
-    held: FloatArray,
-    stiffness: float,
+    model: BodyModel, seen: Seen, R: FloatArray, root: FloatArray, held: Held, longest: int
 ) -> Pose:
-    """The pose that explains the markers best, near the one given.
+    """Return the pose that explains the markers best, near the one given.
 
-    observed: (M, 3) m, NaN rows for markers not seen; trust: (M,) 0 leaves a marker out, 1 takes it.
-    R (S, 3, 3), root (3,): where to begin. scale: distance at which a marker begins to lose its say, m.
-    longest: most steps. held (S, 3, 3), stiffness 1/rad²: a pose whose joints these are drawn to (0: none).
+    R (S, 3, 3), root (3,) m: where to begin. longest: most steps.
     """
+    observed = seen.observed
     p = kernels.places(model.parents, model.offsets, R, root)
     y = kernels.marker_places(model.segments, model.positions, R, p)
-    say = _say(model, observed, trust, y, scale)
+    say = _say(model, seen, y)
     H, g, joints = normal_equations(model, observed, say, R, p)
-    joints += add_held(H, g, model, R, held, stiffness)
+    joints += add_held(H, g, model, R, held)
     damping = _FIRST_DAMPING
     steps = 0
     while steps < longest and damping < _WORST_DAMPING:
@@ -205,7 +214,7 @@ def solve_pose(
         p_new = kernels.places(model.parents, model.offsets, R_new, root_new)
         before = _cost(model, observed, say, R, p) + joints
         H_new, g_new, joints_new = normal_equations(model, observed, say, R_new, p_new)
-        joints_new += add_held(H_new, g_new, model, R_new, held, stiffness)
+        joints_new += add_held(H_new, g_new, model, R_new, held)
         after = _cost(model, observed, say, R_new, p_new) + joints_new
         if after > before * (1.0 + 1e-12):
             damping = max(10.0 * damping, 1e-4)
@@ -213,30 +222,34 @@ def solve_pose(
         R, root, p, joints = R_new, root_new, p_new, joints_new
         damping = max(_FIRST_DAMPING, 0.2 * damping)
         y = kernels.marker_places(model.segments, model.positions, R, p)
-        say = _say(model, observed, trust, y, scale)
+        say = _say(model, seen, y)
         H, g, joints = normal_equations(model, observed, say, R, p)
-        joints += add_held(H, g, model, R, held, stiffness)
+        joints += add_held(H, g, model, R, held)
         if np.max(np.abs(delta)) < _SMALLEST_STEP or before - after < _SMALLEST_GAIN * before:
             break
-    return _finished(model, observed, say, R, root, y, H, steps)
+    return Pose(R, root, _residuals(observed, y), say, _factor(H), steps)
 
 
 @compiled
-def _finished(
-    model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray, root: FloatArray, y: FloatArray,
-    H: FloatArray, steps: int,
-) -> Pose:  # fmt: skip
+def _residuals(observed: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the distances (M,) m of measured and virtual markers; NaN: not seen."""
     residuals = np.full(len(observed), np.nan)
     for m in range(len(observed)):
         if is_finite(observed[m]):
             residuals[m] = norm(observed[m] - y[m])
+    return residuals
+
+
+@compiled
+def _factor(H: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factor of a normal matrix (upper triangle); NaN where it has none."""
     L = H.copy()
     kernels.mirrored(L)
     for i in range(len(L)):
         L[i, i] += 1e-9
     if not kernels.cholesky(L):
         L[:] = np.nan
-    return Pose(R, root, residuals, say, L, steps)
+    return L
 
 
 @compiled

@@ -18,11 +18,11 @@ import numpy as np
 from devices.deferred import butter, minimize, sosfiltfilt
 from gateway.body.markers import BodyMarkers
 from gateway.body.skeleton import Skeleton
-from gateway.frames import FloatArray, IntArray
+from gateway.frames import FloatArray
 from gateway.geometry import rotation_matrix as rm
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
-from gateway.reconstruction.optical.published_chains import chain_gradient, chains_of
+from gateway.reconstruction.optical.published_chains import Chain, Turned, chain_gradient, chains_of
 
 GRADIENT = 0.05
 """Norm of the gradient at which a chain is solved, mm² per rad or mm."""
@@ -51,23 +51,31 @@ class PublishedMotion:
     """Summed over all markers and frames, after the last pass."""
 
 
+@dataclass(frozen=True)
+class Trial:
+    """F frames of markers, and poses to begin with."""
+
+    observed: FloatArray  # (F, M, 3) m
+    rate_hz: float
+    axes: FloatArray  # (F, S, 3, 3) by rules; the first frame's is used
+    root: FloatArray  # (F, 3) m, likewise
+
+
 def solve_published(
     skeleton: Skeleton,
     markers: BodyMarkers,
-    observed: FloatArray,
-    axes: FloatArray,
-    root: FloatArray,
-    rate_hz: float,
+    trial: Trial,
     *,
     refine: bool = True,
     progress: Progress | None = None,
 ) -> PublishedMotion:
-    """All frames. observed (F, M, 3) m; axes (F, S, 3, 3) and root (F, 3) m by rules, for the first frame.
+    """Solve all frames.
 
     refine: False keeps the virtual markers as they are given, for frames the body was not fitted to.
     """
     model = body_model(skeleton, markers)
-    R, places = axes.copy(), root.copy()
+    observed = trial.observed
+    R, places = trial.axes.copy(), trial.root.copy()
     before = np.inf
     distance = 0.0
     passes = 0
@@ -78,7 +86,7 @@ def solve_published(
             break
         before = distance
         model = model._replace(positions=_mean_places(model, observed, R, places))
-    smooth = _smoothed(R, rate_hz)
+    smooth = _smoothed(R, trial.rate_hz)
     found = BodyMarkers(markers.labels, markers.segments, model.positions, markers.sigmas, markers.vertical)
     return PublishedMotion(smooth, places, found, passes, distance)
 
@@ -96,7 +104,7 @@ def _one_pass(
     now_R, now_root = R[0].copy(), root[0].copy()
     for frame, seen in enumerate(observed):
         for chain in chains:
-            now_R, now_root = _solve_chain(model, seen, now_R, now_root, chain.segments, chain.moves_root)
+            now_R, now_root = _solve_chain(model, seen, now_R, now_root, chain)
         found_R[frame], found_root[frame] = now_R, now_root
         if progress is not None:
             progress(frame + 1, len(observed))
@@ -104,22 +112,23 @@ def _one_pass(
 
 
 def _solve_chain(
-    model: BodyModel, seen: FloatArray, R: FloatArray, root: FloatArray, segments: IntArray, moves_root: bool
+    model: BodyModel, seen: FloatArray, R: FloatArray, root: FloatArray, chain: Chain
 ) -> tuple[FloatArray, FloatArray]:
     """BFGS over the turns of a chain's joints, and the root's shift where the chain begins at the world."""
-    n = 3 * len(segments) + (3 if moves_root else 0)
+    segments = chain.segments
+    n = 3 * len(segments) + (3 if chain.moves_root else 0)
 
     def change(x: FloatArray) -> FloatArray:
         delta = np.zeros(3 + 3 * len(model.parents))
         for k, s in enumerate(segments):
             delta[3 + 3 * s : 6 + 3 * s] = x[3 * k : 3 * k + 3]
-        if moves_root:
+        if chain.moves_root:
             delta[:3] = x[-3:] / _MM
         return delta
 
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
         turned, moved = kernels.moved(model.parents, R, root, change(x))
-        return chain_gradient(model, seen, turned, moved, R, segments, moves_root, x)
+        return chain_gradient(model, seen, chain, Turned(turned, moved, R, x))
 
     found = minimize(
         cost,

@@ -41,26 +41,29 @@ def chains_of(skeleton: Skeleton) -> list[Chain]:
     return chains
 
 
+class Turned(NamedTuple):
+    """A pose after turns of some joints."""
+
+    R: FloatArray  # (S, 3, 3) segment to world
+    root: FloatArray  # (3,) m
+    R_start: FloatArray  # (S, 3, 3), before
+    turns: FloatArray  # 3 a segment of the chain, rad; where the root moves also its shift
+
+
 def chain_gradient(
-    model: BodyModel,
-    observed: FloatArray,
-    R: FloatArray,
-    root: FloatArray,
-    R_start: FloatArray,
-    segments: IntArray,
-    moves_root: bool,
-    turns: FloatArray,
+    model: BodyModel, observed: FloatArray, chain: Chain, pose: Turned
 ) -> tuple[float, FloatArray]:
     """Σ |virtual − real|² of the chain's markers, mm², and its gradient by the chain's turns (rad) and
     shift (mm).
 
-    R, root: the pose after ``turns`` (3 a segment) from R_start. The turn x of a joint is exp([x]×) in world
+    The turn x of a joint is exp([x]×) in world
     axes before the turns of the joints above it, so its derivative takes them along and the left Jacobian of
     the exponential (Solà et al. 2018, arXiv 1812.01537, eq. 145).
     """
-    p = kernels.places(model.parents, model.offsets, R, root)
+    segments, R = chain.segments, pose.R
+    p = kernels.places(model.parents, model.offsets, R, pose.root)
     y = kernels.marker_places(model.segments, model.positions, R, p)
-    gradient = np.zeros(3 * len(segments) + (3 if moves_root else 0))
+    gradient = np.zeros(3 * len(segments) + (3 if chain.moves_root else 0))
     total = 0.0
     carried = np.eye(3)
     inside = np.isin(model.segments, segments) & np.isfinite(observed).all(axis=1)
@@ -70,9 +73,9 @@ def chain_gradient(
         below = inside & np.isin(model.segments, segments[k:])
         arms = (y[below] - p[s]) * _MM
         torque = 2.0 * np.cross(arms, error[below]).sum(axis=0)
-        gradient[3 * k : 3 * k + 3] = left_jacobian(turns[3 * k : 3 * k + 3]).T @ carried.T @ torque
-        carried = R[s] @ R_start[s].T
-    if moves_root:
+        gradient[3 * k : 3 * k + 3] = left_jacobian(pose.turns[3 * k : 3 * k + 3]).T @ carried.T @ torque
+        carried = R[s] @ pose.R_start[s].T
+    if chain.moves_root:
         gradient[-3:] = 2.0 * error.sum(axis=0)
     return total, gradient
 

@@ -15,7 +15,7 @@ from gateway.frames import FloatArray, SkeletonFrame, Status
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model
-from gateway.reconstruction.optical.published import Progress, PublishedMotion, solve_published
+from gateway.reconstruction.optical.published import Progress, PublishedMotion, Trial, solve_published
 from gateway.reconstruction.optical.rates import Rates
 from gateway.reconstruction.optical.tracking import start_pose
 
@@ -68,7 +68,7 @@ def published_trial(
     n = len(observed)
     axes, root = np.tile(begun.R, (n, 1, 1, 1)), np.tile(begun.root, (n, 1))
     motion = solve_published(
-        skeleton, markers, observed, axes, root, rate_hz, refine=refine, progress=progress
+        skeleton, markers, Trial(observed, rate_hz, axes, root), refine=refine, progress=progress
     )
     return _explained(body_model(skeleton, motion.markers), motion, observed)
 

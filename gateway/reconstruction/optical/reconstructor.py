@@ -16,8 +16,10 @@ from gateway.reconstruction.optical.carrying import Carrying
 from gateway.reconstruction.optical.labelling import relabelled
 from gateway.reconstruction.optical.pose_solver import (
     HELD_SIGMA,
+    Held,
     Pose,
     body_model,
+    everyone,
     orientation_sigmas,
     solve_pose,
 )
@@ -77,9 +79,8 @@ class OpticalReconstructor:
     ) -> SkeletonFrame:
         """The pose of an instant from markers already named, with its joints drawn to those of a pose
         ``held`` (S, 3, 3), and begun from there. root: (3,) m; stiffness: 1/rad²."""
-        seen = np.ascontiguousarray(fit.positions)
-        everyone = np.ones(len(seen))
-        pose = solve_pose(self.model, seen, everyone, held, root, NEAR, _LONGEST, held, stiffness)
+        seen = everyone(np.ascontiguousarray(fit.positions), NEAR)
+        pose = solve_pose(self.model, seen, held, root, Held(held, stiffness), _LONGEST)
         self.last = self._explained(observation, pose, fit.renamed)
         return self._frame(observation, pose)
 
@@ -166,12 +167,11 @@ class OpticalReconstructor:
         return turned_on(before.R, now.R, ahead / step), now.root + (now.root - before.root) * (ahead / step)
 
     def _solved(self, time_ns: int, observed: FloatArray, R: FloatArray, root: FloatArray) -> Pose:
-        everyone = np.ones(len(observed))
-        held, stiffness = R, 0.0
+        held = Held(R)
         if self._now is not None:
-            held, stiffness = self._carrying.ahead(time_ns), HELD_SIGMA**-2
-        seen = np.ascontiguousarray(observed)
-        return solve_pose(self.model, seen, everyone, R, root, NEAR, _LONGEST, held, stiffness)
+            held = Held(self._carrying.ahead(time_ns), HELD_SIGMA**-2)
+        seen = everyone(np.ascontiguousarray(observed), NEAR)
+        return solve_pose(self.model, seen, R, root, held, _LONGEST)
 
     def _virtual(self, pose: Pose) -> FloatArray:
         p = kernels.places(self.model.parents, self.model.offsets, pose.R, pose.root)

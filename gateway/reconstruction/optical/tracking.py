@@ -12,7 +12,9 @@ from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.pose_solver import (
     LIMIT_SIGMA,
     BodyModel,
+    Held,
     Pose,
+    everyone,
     normal_equations,
     solve_pose,
 )
@@ -103,7 +105,7 @@ def laid_anew(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose | None
         if np.nanmax(rest) < NEAR:
             R[s] = turn
             root = shift if model.parents[s] < 0 else root
-    other = solve_pose(model, observed, np.ones(len(observed)), R, root, NEAR, _LONGEST, R, 0.0)
+    other = solve_pose(model, everyone(observed, NEAR), R, root, Held(R), _LONGEST)
     return other if _price(model, observed, other) < _price(model, observed, pose) else None
 
 
@@ -113,7 +115,7 @@ def _untwisted(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose:
     An elbow seen by one marker can be met with the upper arm turned round and the elbow bent backwards: a
     minimum of its own, that no small step leads out of.
     """
-    price, everyone = _price(model, observed, pose), np.ones(len(observed))
+    price = _price(model, observed, pose)
     for row, distal in enumerate(model.distals.tolist()):
         segment = int(model.parents[distal])
         length = float(np.linalg.norm(model.offsets[distal]))
@@ -122,7 +124,7 @@ def _untwisted(model: BodyModel, observed: FloatArray, pose: Pose) -> Pose:
         R, root = pose.R.copy(), pose.root
         R[segment] = R[segment] @ rm.from_rotation_vector(np.pi / length * model.offsets[distal])
         for scale in _SCALES[2:]:
-            other = solve_pose(model, observed, everyone, R, root, scale, _LONGEST, R, 0.0)
+            other = solve_pose(model, everyone(observed, scale), R, root, Held(R), _LONGEST)
             R, root = other.R, other.root
         cheaper = _price(model, observed, other)
         if cheaper < price:
@@ -141,12 +143,12 @@ def _is_bent(model: BodyModel, row: int, pose: Pose) -> bool:
 
 def _settled(model: BodyModel, observed: FloatArray, R: FloatArray) -> Pose:
     """From orientations (S, 3, 3), laid over the markers and then let loose."""
-    everyone, origin = np.ones(len(observed)), np.zeros(3)
+    origin = np.zeros(3)
     p = kernels.places(model.parents, model.offsets, R, origin)
     turn, shift = rigid(kernels.marker_places(model.segments, model.positions, R, p), observed)
     R, root = turn @ R, shift
     for scale in _SCALES:
-        pose = solve_pose(model, observed, everyone, R, root, scale, _LONGEST, R, 0.0)
+        pose = solve_pose(model, everyone(observed, scale), R, root, Held(R), _LONGEST)
         R, root = pose.R, pose.root
     return pose
 

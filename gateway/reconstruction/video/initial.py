@@ -15,7 +15,7 @@ import numpy as np
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import cross, dot
-from gateway.reconstruction.video.lattice import Maps, add_likelihood, best_points
+from gateway.reconstruction.video.lattice import Lattices, Maps, View, add_likelihood, best_points
 from gateway.reconstruction.video.projection import CameraModel, ray
 
 NEAR_RAYS = 0.020
@@ -155,7 +155,8 @@ def from_volume(
     total = np.zeros((n, (2 * k + 1) ** 3))
     for model, seen in zip(models, maps, strict=True):
         if seen is not None:
-            add_likelihood(total, model, seen.likelihood, seen.map_from_pixel, centres, spacing, k, False)
+            view = View(model, seen.likelihood, seen.map_from_pixel)
+            add_likelihood(total, view, Lattices(centres, spacing, k), False)
     return best_points(total, centres, spacing, k, False)
 
 

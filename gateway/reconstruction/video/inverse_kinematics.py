@@ -19,7 +19,7 @@ from gateway.geometry import rotation_matrix as rm
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import dot
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.pose_solver import BodyModel, add_held, body_model, normal_equations
+from gateway.reconstruction.optical.pose_solver import BodyModel, Held, add_held, body_model, normal_equations
 from gateway.reconstruction.video.freedom import DEGREES, Freedom, freedom_of, kept_free, turn_matrix
 
 FLOOR_SIGMA = 0.003
@@ -36,6 +36,16 @@ class VideoBody(NamedTuple):
     freedom: Freedom
     contact_segments: IntArray  # (n_contacts,)
     contacts: FloatArray  # (n_contacts, 3) m, own axes
+
+
+class Goal(NamedTuple):
+    """What a pose is to bring about."""
+
+    targets: FloatArray  # (n_keypoints, 3) m
+    weights: FloatArray  # (n_keypoints,) W_n; 0 leaves a keypoint out
+    held: Held
+    """The pose that joints are drawn to: what no keypoint tells stays."""
+    floor: float  # m, its height; -inf: none
 
 
 class VideoBodyPose(NamedTuple):
@@ -65,16 +75,9 @@ def keypoint_places(model: BodyModel, R: FloatArray, root: FloatArray) -> FloatA
 
 
 @compiled
-def solve(
-    body: VideoBody, targets: FloatArray, weights: FloatArray, R: FloatArray, root: FloatArray,
-    held: FloatArray, stiffness: float, floor: float, longest: int,
-) -> VideoBodyPose:  # fmt: skip
-    """The pose near (R, root) that brings keypoints to targets (n_keypoints, 3) m.
-
-    weights: (n_keypoints,) W_n; 0 leaves a keypoint out. held: (S, 3, 3) pose that the joints are drawn to
-    with stiffness, 1/rad²: what no keypoint tells stays. floor: its height, m; -inf: none.
-    """
-    H, g, cost = _equations(body, targets, weights, R, root, held, stiffness, floor)
+def solve(body: VideoBody, goal: Goal, R: FloatArray, root: FloatArray, longest: int) -> VideoBodyPose:
+    """Return the pose near (R, root) that brings keypoints to their targets. longest: most steps."""
+    H, g, cost = _equations(body, goal, R, root)
     damping, steps = _FIRST_DAMPING, 0
     while steps < longest and damping < _WORST_DAMPING:
         steps += 1
@@ -88,7 +91,7 @@ def solve(
         delta = T @ kernels.substituted(L, T.T @ g)
         R_new, root_new = kernels.moved(body.model.parents, R, root, delta)
         R_new = kept_free(body.freedom, body.model.parents, R_new)
-        H_new, g_new, cost_new = _equations(body, targets, weights, R_new, root_new, held, stiffness, floor)
+        H_new, g_new, cost_new = _equations(body, goal, R_new, root_new)
         if cost_new > cost:
             damping = max(10.0 * damping, 1e-4)
             continue
@@ -112,7 +115,8 @@ def orientation_sigmas(
     """
     model = body.model
     places = keypoint_places(model, pose.R, pose.root)
-    H, _, _ = _equations(body, places, weights, pose.R, pose.root, pose.R, stiffness, -np.inf)
+    goal = Goal(places, weights, Held(pose.R, stiffness), -np.inf)
+    H, _, _ = _equations(body, goal, pose.R, pose.root)
     T = turn_matrix(body.freedom, model.parents, pose.R)
     A = T.T @ (H @ T)
     for i in range(len(A)):
@@ -142,14 +146,13 @@ def _variance(model: BodyModel, candidates: FloatArray, weights: FloatArray, pla
 
 @compiled
 def _equations(
-    body: VideoBody, targets: FloatArray, weights: FloatArray, R: FloatArray, root: FloatArray,
-    held: FloatArray, stiffness: float, floor: float,
-) -> tuple[FloatArray, FloatArray, float]:  # fmt: skip
+    body: VideoBody, goal: Goal, R: FloatArray, root: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
     """H (whole), g and the cost of a pose, in the changes of ``optical.kernels``."""
-    model = body.model
+    model, targets, weights = body.model, goal.targets, goal.weights
     p = kernels.places(model.parents, model.offsets, R, root)
     H, g, cost = normal_equations(model, targets, weights, R, p)
-    cost += add_held(H, g, model, R, held, stiffness)
+    cost += add_held(H, g, model, R, goal.held)
     for m in range(len(targets)):
         if weights[m] > 0.0:
             s = model.segments[m]
@@ -158,11 +161,12 @@ def _equations(
     for c in range(len(body.contacts)):
         s = body.contact_segments[c]
         y = p[s] + rm.rotate(R[s], body.contacts[c])
-        below = floor - y[2]
+        below = goal.floor - y[2]
         if below > 0.0:
             up = np.zeros(3)
             up[2] = below
-            kernels.add_marker(H, g, model.parents, p, s, y, up, FLOOR_SIGMA**-2)
+            marker = kernels.MarkerRow(s, y, up, FLOOR_SIGMA**-2)
+            kernels.add_marker(H, g, model.parents, p, marker)
             cost += 0.5 * (below / FLOOR_SIGMA) ** 2
     kernels.mirrored(H)
     return H, g, cost

@@ -8,6 +8,8 @@ neighbours) with the largest sum.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,23 @@ from gateway.reconstruction.video.projection import CameraModel, pixel
 Maps = NDArray[np.float32]
 _NEARER = 0.01
 """Summed PCM by which the middle of a face may be likelier than that of the lattice, without being taken."""
+
+
+class View(NamedTuple):
+    """What one camera sees."""
+
+    camera: CameraModel
+    maps: Maps  # (n_keypoints, rows, columns)
+    affine: FloatArray  # (2, 3) pixel of the distorted picture to column and row
+
+
+class Lattices(NamedTuple):
+    """A lattice of points for each keypoint."""
+
+    centres: FloatArray  # (n_keypoints, 3) m; NaN: none
+    spacing: FloatArray  # (n_keypoints,) m
+    k: int
+    """Points to either side of the middle."""
 
 
 @compiled
@@ -55,16 +74,14 @@ def smooth(values: Maps, column: float, row: float) -> float:
 
 
 @compiled
-def add_likelihood(
-    total: FloatArray, camera: CameraModel, maps: Maps, affine: FloatArray, centres: FloatArray,
-    spacing: FloatArray, k: int, is_fine: bool,
-) -> None:  # fmt: skip
+def add_likelihood(total: FloatArray, view: View, lattices: Lattices, is_fine: bool) -> None:
     """Add what one camera says to the likelihoods of all lattices.
 
-    total: (n_keypoints, (2 k + 1)³), x slowest, changed. maps: (n_keypoints, rows, columns).
-    affine: (2, 3) pixel of the distorted picture to column and row. centres: (n_keypoints, 3) m; NaN: no
-    lattice. spacing: (n_keypoints,) m. is_fine: by ``smooth`` values, else ``bilinear`` ones.
+    total: (n_keypoints, (2 k + 1)³), x slowest, changed. is_fine: by ``smooth`` values, else ``bilinear``
+    ones.
     """
+    camera, maps, affine = view.camera, view.maps, view.affine
+    centres, spacing, k = lattices.centres, lattices.spacing, lattices.k
     n = 2 * k + 1
     R = camera.rotation
     for m in range(len(centres)):

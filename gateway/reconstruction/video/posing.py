@@ -10,9 +10,15 @@ from numpy.typing import NDArray
 from gateway.frames import FloatArray, SkeletonFrame, Status
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.pose_solver import HELD_SIGMA
+from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held
 from gateway.reconstruction.optical.rates import Rates
-from gateway.reconstruction.video.inverse_kinematics import VideoBody, VideoBodyPose, keypoint_places, solve
+from gateway.reconstruction.video.inverse_kinematics import (
+    Goal,
+    VideoBody,
+    VideoBodyPose,
+    keypoint_places,
+    solve,
+)
 from gateway.reconstruction.video.low_pass import DELAY, LowPass
 
 _STEPS = 8
@@ -95,9 +101,8 @@ class SmoothedPoses:
 
     def _smooth(self, targets: FloatArray, body: VideoBody, floor: float) -> SkeletonFrame:
         frame, pose = self._waiting[0]
-        smooth = solve(
-            body, targets, np.ones(len(targets)), pose.R, pose.root, pose.R, HELD_SIGMA**-2, floor, _STEPS
-        )
+        goal = Goal(targets, np.ones(len(targets)), Held(pose.R, HELD_SIGMA**-2), floor)
+        smooth = solve(body, goal, pose.R, pose.root, _STEPS)
         p_w = kernels.places(body.model.parents, body.model.offsets, smooth.R, smooth.root)
         rate, acceleration = self._rates.add(frame.time_ns, smooth.R, p_w)
         q_wb = np.stack([quaternion.from_matrix(each) for each in smooth.R])

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from gateway.frames import CameraHeatMaps, FloatArray
 from gateway.geometry import quaternion
-from gateway.reconstruction.optical.pose_solver import HELD_SIGMA
+from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held
 from gateway.reconstruction.optical.tracking import rigid
 from gateway.reconstruction.video import initial, lattice, one_camera
 from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.inverse_kinematics import (
+    Goal,
     VideoBody,
     VideoBodyPose,
     keypoint_places,
@@ -157,10 +158,9 @@ class KeypointTracker:
         """Inverse kinematics from the last pose, which what is not seen is drawn to."""
         assert self.pose is not None
         weights = sighting.likelihood if self.options.weighted else np.ones(len(sighting.likelihood))
-        self.pose = solve(
-            self.body, sighting.candidates, np.where(sighting.lost, 0.0, weights), self.pose.R,
-            self.pose.root, self.pose.R, HELD_SIGMA**-2, self.floor, steps,
-        )  # fmt: skip
+        held = Held(self.pose.R, HELD_SIGMA**-2)
+        goal = Goal(sighting.candidates, np.where(sighting.lost, 0.0, weights), held, self.floor)
+        self.pose = solve(self.body, goal, self.pose.R, self.pose.root, steps)
 
     def orientation_sigmas(self, sighting: Sighting) -> FloatArray:
         """(S,) rad of the last pose, by what is seen of it."""
@@ -238,13 +238,13 @@ class KeypointTracker:
         self, maps: CameraMaps, centres: FloatArray, spacing: FloatArray, is_fine: bool
     ) -> Sighting:
         total = np.zeros((len(centres), (2 * HALF_WIDTH + 1) ** 3))
+        lattices = lattice.Lattices(centres, spacing, HALF_WIDTH)
         n_cameras = 0
         for model, seen in zip(self._models, maps, strict=True):
             if seen is not None:
                 n_cameras += 1
-                lattice.add_likelihood(
-                    total, model, seen.likelihood, seen.map_from_pixel, centres, spacing, HALF_WIDTH, is_fine
-                )
+                view = lattice.View(model, seen.likelihood, seen.map_from_pixel)
+                lattice.add_likelihood(total, view, lattices, is_fine)
         found, likelihood = lattice.best_points(total, centres, spacing, HALF_WIDTH, self.options.cluster)
         found[likelihood < LEAST_MEAN * max(n_cameras, 1)] = np.nan
         return Sighting(found, likelihood)

@@ -25,7 +25,7 @@ from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.landmarks import landmarks_of, measurements, to_world, vertical_axis
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.pose_solver import BodyModel, body_model, normal_equations
-from gateway.reconstruction.optical.published_chains import chain_gradient, chains_of
+from gateway.reconstruction.optical.published_chains import Turned, chain_gradient, chains_of
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 from gateway.recording.optical import optical_settings
 from gateway.recording.snapshot import body_of
@@ -200,7 +200,7 @@ def test_published_gradient_and_chains() -> None:
             if chain.moves_root:
                 delta[:3] = x[-3:] * 1e-3
             R, root = kernels.moved(model.parents, R0, root0, delta)
-            return chain_gradient(model, seen, R, root, R0, chain.segments, chain.moves_root, x)
+            return chain_gradient(model, seen, chain, Turned(R, root, R0, x))
 
         numeric = np.array([(at(x + d)[0] - at(x - d)[0]) / 2e-6 for d in 1e-6 * np.eye(n)])
         np.testing.assert_allclose(at(x)[1], numeric, rtol=1e-4, atol=1e-3 * np.abs(numeric).max())

@@ -8,8 +8,9 @@ from gateway.emulation.video_truth import walking
 from gateway.errors import SettingsError
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
+from gateway.reconstruction.optical.pose_solver import Held
 from gateway.reconstruction.video.freedom import DEGREES, freedom_of, kept_free, turn_matrix
-from gateway.reconstruction.video.inverse_kinematics import keypoint_places, solve, video_body
+from gateway.reconstruction.video.inverse_kinematics import Goal, keypoint_places, solve, video_body
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.networks.keypoints import BLAZEPOSE, OPENPOSE
 from gateway.reconstruction.video.proportions import PARTS, part_lengths, sized, standard_lengths
@@ -66,7 +67,7 @@ def test_a_pose_is_found_again_from_its_keypoints():
     start, root = PERSON.R[0], PERSON.joints[0, 0]
     everyone = np.ones(len(KEYPOINTS.names))
     for f in (2, 6):
-        found = solve(BODY, PERSON.keypoints[f], everyone, start, root, start, 0.0, -np.inf, 60)
+        found = solve(BODY, Goal(PERSON.keypoints[f], everyone, Held(start), -np.inf), start, root, 60)
         places = keypoint_places(BODY.model, found.R, found.root)
         assert np.linalg.norm(places - PERSON.keypoints[f], axis=1).max() < 0.002
 
@@ -78,9 +79,10 @@ def test_what_is_not_seen_is_held_and_the_floor_is_not_passed():
     targets = PERSON.keypoints[3].copy()
     weights[hand] = 0.0
     targets[hand] = 9.0
-    held = solve(BODY, targets, weights, R, root, R, 30.0, -np.inf, 20)
+    held = solve(BODY, Goal(targets, weights, Held(R, 30.0), -np.inf), R, root, 20)
     np.testing.assert_allclose(held.R, R, atol=0.01)
-    sunk = solve(BODY, PERSON.keypoints[3] - [0, 0, 0.1], np.ones_like(weights), R, root, R, 0.0, 0.0, 60)
+    below = Goal(PERSON.keypoints[3] - [0, 0, 0.1], np.ones_like(weights), Held(R), 0.0)
+    sunk = solve(BODY, below, R, root, 60)
     p = kernels.places(BODY.model.parents, BODY.model.offsets, sunk.R, sunk.root)
     for segment, point in zip(BODY.contact_segments, BODY.contacts, strict=True):
         assert (p[segment] + sunk.R[segment] @ point)[2] > -0.02

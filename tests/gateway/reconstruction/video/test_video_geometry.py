@@ -59,9 +59,8 @@ def test_lattices_close_in_on_a_keypoint(cluster):
         total, spacing = np.zeros((3, 11**3)), np.full(3, s)
         for camera, model in zip(CAMERAS, MODELS, strict=True):
             maps = maps_of(camera, np.nan_to_num(points))
-            lattice.add_likelihood(
-                total, model, maps.likelihood, maps.map_from_pixel, centres, spacing, 5, is_fine
-            )
+            view = lattice.View(model, maps.likelihood, maps.map_from_pixel)
+            lattice.add_likelihood(total, view, lattice.Lattices(centres, spacing, 5), is_fine)
         found, likelihood = lattice.best_points(total, centres, spacing, 5, cluster)
         centres = found
     np.testing.assert_allclose(found[:2], points[:2], atol=0.005)
