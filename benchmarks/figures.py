@@ -101,14 +101,18 @@ def write_docs(report: Report, page: Path, summary: Path) -> None:
 
     summary: a page that has the suite's figures alone, if it has markers for them.
     """
-    if not _replace(page, report.suite, report.markdown()):
+    if not replace_section(page, report.suite, report.markdown()):
         raise SystemExit(f"{page}: the markers of '{report.suite}' are missing or out of order")
     if report.also:
-        _replace(page.with_name(report.also), f"{report.suite} tables", "\n\n".join([*report.tables, ""]))
-    _replace(summary, f"{report.suite} figures", f"{report.figures_table()}\n\nMachine: {machine()}.\n")
+        replace_section(
+            page.with_name(report.also), f"{report.suite} tables", "\n\n".join([*report.tables, ""])
+        )
+    replace_section(
+        summary, f"{report.suite} figures", f"{report.figures_table()}\n\nMachine: {machine()}.\n"
+    )
 
 
-def _replace(page: Path, name: str, section: str) -> bool:
+def replace_section(page: Path, name: str, section: str) -> bool:
     """Put a section between the markers of that name; False where they are not."""
     begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
     text = page.read_text(encoding="utf-8")

@@ -5,6 +5,9 @@ not those for types alone. A knot is a set of rooms each of which imports, by wa
 
 Named too is what tests and benchmarks alone use; what they share belongs to the emulators.
 
+A maker of modules is a protocol, a source and an emulator; ``--write-docs`` puts their lines into
+docs/architecture.md.
+
 A frame of the emulated suit is followed from ``Pipeline.feed`` to its MQTT payload, by the calls of Python
 functions and the files they stand in.
 """
@@ -17,11 +20,12 @@ import re
 import statistics
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
 
+from benchmarks.figures import replace_section, table
 from devices.emulators import Imperfections, SuitSettings, SuitTraffic
 from devices.emulators.motions import generic_motion
 from devices.link import Chunk, Framing
@@ -31,6 +35,8 @@ from gateway.emulation.rig import dress
 from gateway.outputs.pose_encoding import PosePublications
 from gateway.outputs.settings import MqttSettings
 from gateway.pipeline import Pipeline
+from gateway.sources.makers import OthersLinkSettings
+from gateway.sources.registry import SOURCES
 from gateway.stages.frame_assembler import AssemblyParams
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -248,6 +254,75 @@ def _sources(package: str) -> list[Path]:
     return sorted((REPOSITORY / package).rglob("*.py"))
 
 
+class Maker(NamedTuple):
+    """What one maker's modules take, in lines."""
+
+    carries: str
+    """Words of the configuration for it."""
+    protocol: int
+    """Bytes to values and back."""
+    source: int
+    """Values to readings, settings of the link, commands, advice of the doctor."""
+    voice: int
+    """The emulator."""
+    registered: int
+    """In the lists of sources, of voices and of what campaigns damage."""
+    tests: int
+    """Beside those that go through all makers."""
+
+
+MAKERS_SHARE = (
+    *("devices/vendor_protocols/plausibility.py", "devices/vendor_protocols/rotations.py"),
+    *("gateway/sources/makers.py", "gateway/modules/makers.py", "gateway/cli/emulate_makers.py"),
+    *("devices/emulators/voice.py", "devices/emulators/voices.py", "devices/emulators/makers_campaign.py"),
+)
+"""What all makers have in common."""
+_LISTS = "gateway/sources/registry.py", "devices/emulators/voices.py", "devices/emulators/makers_campaign.py"
+
+
+def makers() -> list[Maker]:
+    """Return what each maker takes, the largest first."""
+    found: defaultdict[str, list[str]] = defaultdict(list)
+    for carries, kind in SOURCES.items():
+        if issubclass(kind.settings, OthersLinkSettings):
+            found[kind.settings.__module__.rpartition(".")[2]].append(carries)
+    told = [_maker(name, words) for name, words in found.items()]
+    return sorted(told, key=lambda each: -(each.protocol + each.source + each.voice))
+
+
+def _maker(name: str, words: Sequence[str]) -> Maker:
+    protocols = REPOSITORY / "devices" / "vendor_protocols"
+    sources = [REPOSITORY / "gateway" / "sources" / f"{name}.py"]
+    sources += [REPOSITORY / "gateway" / "sources" / "unfused.py"] * (name == "slimevr")
+    own = re.compile(rf"\b_?(of_)?{name}|{name.replace('_', '')}", re.IGNORECASE)
+    listed = sum(len(own.findall(line)) > 0 for path in _LISTS for line in _lines(REPOSITORY / path))
+    tests = (REPOSITORY / "tests").rglob(f"test_{name}*.py")
+    return Maker(
+        ", ".join(words),
+        _count(protocols.glob(f"{name}*.py")),
+        _count(sources),
+        _count((REPOSITORY / "devices" / "emulators").glob(f"{name}_voice.py")),
+        listed,
+        _count(tests),
+    )
+
+
+def _lines(path: Path) -> list[str]:
+    return path.read_text().splitlines()
+
+
+def _count(paths: Iterable[Path]) -> int:
+    return sum(len(_lines(path)) for path in paths)
+
+
+def makers_table() -> str:
+    """Return the lines that each maker takes, as Markdown."""
+    rows = [[each.carries, *map(str, each[1:])] for each in makers()]
+    shared = _count(REPOSITORY / path for path in MAKERS_SHARE)
+    heads = ["carries", "protocol", "source", "emulator", "lines that name it in lists", "tests of its own"]
+    return f"{table(heads, rows)}\n\nWhat all have in common: {shared} lines.\n"
+
+
 def calls_of_a_frame() -> tuple[float, int]:
     """Count calls per frame of the project's functions, and their files, from bytes to the MQTT payload.
 
@@ -281,7 +356,12 @@ def calls_of_a_frame() -> tuple[float, int]:
 def main() -> None:
     """Print how the tree stands."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.structure", description=__doc__)
-    parser.parse_args()
+    parser.add_argument(
+        "--write-docs", action="store_true", help="Put the makers' lines into docs/architecture.md, and end."
+    )
+    if parser.parse_args().write_docs:
+        replace_section(REPOSITORY / "docs" / "architecture.md", "makers", f"\n{makers_table()}\n")
+        return
     for package in PACKAGES:
         lines = [len(path.read_text().splitlines()) for path in _sources(package)]
         print(
@@ -296,6 +376,7 @@ def main() -> None:
         print(f"{name}: {count} conditions name a kind of source")
     for found in used_by_tests_alone():
         print(f"used by tests alone: {found}")
+    print(makers_table())
     for name in READ_BESIDE_EQUATIONS:
         counts = bulk(REPOSITORY / "gateway" / "reconstruction" / name)
         print(
