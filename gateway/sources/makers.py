@@ -48,6 +48,11 @@ class OthersLinkSettings(LinkSettings):
         """Numbers under which the rig knows those on the link."""
         raise NotImplementedError
 
+    @property
+    def own_numbers(self) -> tuple[int, ...]:
+        """Those of them that no device of another link can have."""
+        return self.modules
+
     @classmethod
     def unknown(cls, name: str, content: str) -> Self:
         """Return what is said of a link of a recording whose configuration says nothing of it."""
@@ -271,14 +276,19 @@ class StampCounter:
     def __init__(self) -> None:
         self.newest = -1
         """Number of the newest sample."""
-        self._stamp_us = 0
+        self._stamp_us: int | None = 0
         self._intervals: deque[int] = deque(maxlen=_INTERVALS)
+
+    def restart(self) -> None:
+        """Take the next sample, whatever its stamp, for the one that follows: nothing was sent in between."""
+        self._stamp_us = None
 
     def number(self, stamp_us: int) -> int:
         """Return the number of the next sample; of one that is no later than the one before, the next."""
-        interval = stamp_us - self._stamp_us
+        follows = self._stamp_us is None
+        interval = 0 if self._stamp_us is None else stamp_us - self._stamp_us
         self._stamp_us = stamp_us
-        if interval <= 0:
+        if interval <= 0 and not follows:
             self._intervals.clear()
         step = 1
         if len(self._intervals) >= _FEWEST_INTERVALS:

@@ -112,8 +112,13 @@ class MtiDevice(MakersDevice):
 
     def _note(self, reply: Reply, modules: ModuleTable) -> None:
         record = modules.records.get(self.module)
-        if record is not None and reply.mid == Mid.REQUEST_DEVICE_ID + 1 and reply.data:
+        if record is None:
+            return
+        if reply.mid == Mid.REQUEST_DEVICE_ID + 1 and reply.data:
             record.info = identity(reply.data[-12:])
+        elif reply.mid == Mid.GO_TO_MEASUREMENT + 1:  # what it did not measure meanwhile is not lost
+            record.counter(InertialSample.KIND).restart()
+            self._by_stamp.restart()
 
 
 class MtiSource(MakersSource):
@@ -164,10 +169,11 @@ class MtiCommands:
         raise cannot_blink("an MTi has no light to blink")
 
     async def read(self, line: CommandLine) -> dict[str, Any]:
-        """Return what it sends, with the rates in Hz."""
+        """Return the rates in Hz of all that it can send; 0: it does not."""
 
         async def ask() -> dict[str, Any]:
-            return dict(read_output_configuration(await _answered(line, Mid.OUTPUT_CONFIGURATION)))
+            sent = read_output_configuration(await _answered(line, Mid.OUTPUT_CONFIGURATION))
+            return dict(sent) | {name: 0 for name in ITEMS if name not in sent}
 
         return await _configuring(line, ask)
 
