@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 import operator
+from collections.abc import Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
-    AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
@@ -34,7 +35,8 @@ from gateway.reconstruction import (
     refuse_unreadable,
 )
 from gateway.sources.clock_mode import ClockMode
-from gateway.sources.link_settings import LinkSettings
+from gateway.sources.link_settings import LinkSettings, has_credentials
+from gateway.sources.makers import OthersLinkSettings
 from gateway.sources.registry import SOURCES, refuse_unsuited
 from gateway.support.credentials import AccessToken, token_for
 from gateway.support.log_format import LogFormat
@@ -54,10 +56,27 @@ def _settings_class(given: Any) -> str:
     return SOURCES.get(str(carries), SOURCES[SUIT]).settings.__name__
 
 
-def _is_carried(link: LinkSettings) -> LinkSettings:
-    if link.carries not in SOURCES:
-        raise ValueError(f"carries: no source reads '{link.carries}'{nearest(link.carries, SOURCES)}")
-    return link
+def _is_carried(given: Any) -> Any:
+    """Refuse a link that carries what nothing reads, or has settings of links that carry something else.
+
+    This comes first, since ``carries`` says which settings there are.
+    """
+    told = given.model_dump() if isinstance(given, LinkSettings) else given
+    if not isinstance(told, dict) or has_credentials(told.get("url")):  # refused without being shown
+        return given
+    carries = str(told.get("carries", SUIT))
+    if carries not in SOURCES:
+        raise ValueError(f"carries: no source reads '{carries}'{nearest(carries, SOURCES)}")
+    foreign = told.keys() - _fields(carries)
+    others = [each for each in SOURCES if foreign and foreign <= _fields(each)]
+    if others:
+        what = ", ".join(sorted(foreign))
+        raise ValueError(f"'{what}' goes with carries: {', '.join(others)}; this link carries {carries}")
+    return given
+
+
+def _fields(carries: str) -> Set[str]:
+    return SOURCES[carries].settings.model_fields.keys()
 
 
 if TYPE_CHECKING:
@@ -71,7 +90,7 @@ else:
     AnyLinkSettings = Annotated[
         functools.reduce(operator.or_, _tagged),
         Discriminator(_settings_class),
-        AfterValidator(_is_carried),
+        BeforeValidator(_is_carried),
     ]
 """Those of the source that reads what the link carries."""
 
@@ -322,6 +341,21 @@ class GatewaySettings(_Strict):
         names = [link.name for link in value]
         if len(set(names)) < len(names):
             raise ValueError("every link needs a name of its own")
+        return value
+
+    @field_validator("links")
+    @classmethod
+    def _modules_differ(cls, value: list[LinkSettings]) -> list[LinkSettings]:
+        """Refuse two devices of one number; modules of our own bear theirs, so that nothing is known yet."""
+        known: dict[int, str] = {}
+        for link in value:
+            for module in link.own_numbers if isinstance(link, OthersLinkSettings) else ():
+                if module in known:
+                    raise ValueError(
+                        f"'{known[module]}' and '{link.name}' both have module {module}: every device "
+                        "needs a number of its own"
+                    )
+                known[module] = link.name
         return value
 
     def solved_by(self, reconstructor: str | None, delay_ms: float | None = None) -> GatewaySettings:

@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, urlsplit
 
 from devices.device_errors import DeviceError
@@ -27,7 +27,7 @@ from gateway.modules.session import suit_session
 from gateway.modules.summary import ModuleList, ModuleSummary
 from gateway.reconstruction import FUSED
 from gateway.sources.link_settings import LinkSettings
-from gateway.sources.makers import ANOTHER_SENDER, Advice
+from gateway.sources.makers import ANOTHER_SENDER, Advice, OthersLinkSettings
 
 LONGEST_LATENCY_MS = 2
 _UDEV_RULE = "docker/udev/60-mocap-gateway.rules"
@@ -248,7 +248,7 @@ async def listen(
                 *_others_readability(others, operations.makers),
                 *_usable(others, operations.makers, method),
                 *_others_settings(await operations.makers.advice(rate_hz)),
-                *_presence(found, suit),
+                *_presence(_without_unworn(found, others, operations.makers), suit, OWN if own else OTHERS),
             ]
     except (GatewayError, LinkError, DeviceError) as error:
         what, _, remedy = str(error).partition("; ")
@@ -271,7 +271,7 @@ def _others_readability(links: Sequence[LinkSettings], makers: MakersModules) ->
     for link in links:
         heard = makers.heard(link.name)
         unread = {reason: count for reason, count in heard.dropped.items() if reason != ANOTHER_SENDER}
-        yield from _line(f"{link.name}: data", link.url, sum(unread.values()), heard.received)
+        yield from _line(f"{link.name}: data", link.url, sum(unread.values()), heard.received, link.carries)
         if strangers := heard.dropped.get(ANOTHER_SENDER):
             found = f"{strangers:,} datagrams came from a second device"
             yield bad(f"{link.name}: senders", found, "let every device send to a port and a link of its own")
@@ -302,10 +302,13 @@ def _others_settings(advice: Sequence[tuple[str, Advice]]) -> Iterator[Finding]:
         yield warning(f"{link}: settings", each.found, each.remedy)
 
 
-def _line(subject: str, url: str, garbled: int, received: int) -> Iterator[Finding]:
+def _line(subject: str, url: str, garbled: int, received: int, carries: str = SUIT) -> Iterator[Finding]:
     total = garbled + received
+    is_suit = carries == SUIT
+    kind = "" if is_suit else f", or carries: nothing says that it is a device of '{carries}'"
     if total < _LEAST_FRAMES:
-        remedy = "switch the suit on; check the wiring (RX and TX exchanged?) and that this is its port"
+        what = "the suit" if is_suit else "it"
+        remedy = f"switch {what} on; check the wiring (RX and TX exchanged?) and that this is its port{kind}"
         yield bad(subject, f"nothing readable comes ({total} wire frames)", remedy)
         return
     share = garbled / total
@@ -313,9 +316,9 @@ def _line(subject: str, url: str, garbled: int, received: int) -> Iterator[Findi
     rate = line_rate(url)
     if share > GARBAGE and (isinstance(rate, UartRate) or url.startswith("/dev/")):
         baud = f" (it is read at {rate.baud:,})" if isinstance(rate, UartRate) else ""
-        yield bad(subject, f"{found}: the baud rate is wrong{baud}", "write the suit's own: url: …?baud=…")
+        yield bad(subject, f"{found}: the baud rate is wrong{baud}", f"write its own: url: …?baud=…{kind}")
     elif share > GARBAGE:
-        yield bad(subject, f"{found}: something else is at the other end", "correct url")
+        yield bad(subject, f"{found}: something else is at the other end", f"correct url{kind}")
     elif share > MOST_DAMAGED:
         remedy = "a shorter or shielded cable, common ground, a lower baud rate"
         yield warning(subject, found, remedy)
@@ -331,16 +334,39 @@ def _signatures(subject: str, unverified: Mapping[Defect, int]) -> Iterator[Find
             yield warning(subject, f"{count:,} wire frames dropped ({defect.name}): {defect.value}", remedy)
 
 
-def _presence(found: ModuleList, suit: WornSuit) -> Iterator[Finding]:
+def _without_unworn(found: ModuleList, links: Sequence[LinkSettings], makers: MakersModules) -> ModuleList:
+    """Leave out what a stream of a whole body has and the rig does not wear: that is nothing to find."""
+    whole = [link for link in links if isinstance(link, OthersLinkSettings) and not link.own_numbers]
+    parts = {module for link in whole for module in makers.modules_of(link.name)}
+    modules = tuple(each for each in found.modules if each.segment is not None or each.module not in parts)
+    return found.model_copy(update={"modules": modules})
+
+
+class Numbering(NamedTuple):
+    """What gives modules their numbers, for those that have none of the rig."""
+
+    silent: str
+    stranger: str
+
+
+OWN = Numbering(
+    "or give them these ids: mocap-gateway modules assign",
+    "correct the rig, or give them its ids: mocap-gateway modules assign",
+)
+OTHERS = Numbering(
+    "see the findings about their links, and correct 'module' there where another number is meant",
+    "correct 'module' at their links, or the rig",
+)
+
+
+def _presence(found: ModuleList, suit: WornSuit, numbering: Numbering) -> Iterator[Finding]:
     heard = {module.module: module for module in found.modules}
     if not heard:
         return
     segments = {module: segment for segment, module in found.segments.items()}
     silent = [f"{module} ({segments[module]})" for module in suit.module_ids if module not in heard]
     if silent:
-        remedy = (
-            "switch them on, check battery and plug; or give them these ids: mocap-gateway modules assign"
-        )
+        remedy = f"switch them on, check battery and plug; {numbering.silent}"
         yield bad("modules: heard", f"never heard: {', '.join(silent)}", remedy)
     else:
         yield good("modules: heard", f"all {len(suit.module_ids)} modules of the rig are heard")
@@ -354,8 +380,7 @@ def _presence(found: ModuleList, suit: WornSuit) -> Iterator[Finding]:
     strangers = [m for m in found.modules if m.segment is None and m.rate_hz]
     if strangers:
         ids = ", ".join(str(module.module) for module in strangers)
-        remedy = "correct the rig, or give them its ids: mocap-gateway modules assign"
-        yield warning("modules: rig", f"send, but the rig does not name them: {ids}", remedy)
+        yield warning("modules: rig", f"send, but the rig does not name them: {ids}", numbering.stranger)
     yield from _losses(found.modules)
 
 

@@ -12,6 +12,11 @@ _CARRIED = {"qtm": "markers", "markers": "markers", "mqtt": "heat_maps"}
 """What links of some schemes carry, and nothing else."""
 
 
+def has_credentials(url: object) -> bool:
+    """Whether a URL names a user, or a password."""
+    return isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]
+
+
 class LinkSettings(BaseModel):
     """One serial port, CAN bus, socket or recording."""
 
@@ -38,8 +43,7 @@ class LinkSettings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _has_no_credentials(cls, given: Any) -> Any:
-        url = given.get("url") if isinstance(given, dict) else None
-        if isinstance(url, str) and "@" in url.partition("://")[2].partition("/")[0]:
+        if isinstance(given, dict) and has_credentials(given.get("url")):
             # Raised without the value: it would stand in the message otherwise.
             del given["url"]
             raise ValueError("url: a link takes no user name or password: leave out what stands before the @")

@@ -29,16 +29,21 @@ class MocopiLinkSettings(MakersLinkSettings):
         default=0, ge=0, le=37, description="for mocopi: added to the numbers of its bones to give modules'"
     )
 
+    @property
+    def modules(self) -> tuple[int, ...]:
+        """One a bone."""
+        return tuple(self.module + bone for bone in range(len(PARENTS)))
+
+    @property
+    def own_numbers(self) -> tuple[int, ...]:
+        """None: not every bone is worn."""
+        return ()
+
 
 class MocopiDevice(MakersDevice):
     """The app numbers its instants and stamps them in steps of 1 ms; all bones share both."""
 
     new_decoder = MocopiDecoder
-
-    @property
-    def modules(self) -> tuple[int, ...]:
-        """One a bone."""
-        return tuple(self.module + bone for bone in range(len(PARENTS)))
 
     def readings(self, message: Frame, modules: ModuleTable, chunk: Chunk) -> Iterator[FusedReading]:
         """Yield the orientation of each bone in the world."""

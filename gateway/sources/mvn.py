@@ -52,6 +52,11 @@ class MvnLinkSettings(MakersLinkSettings):
     )
     character: int = Field(default=0, ge=0, le=255, description="for mvn: number of the person in the stream")
 
+    @property
+    def own_numbers(self) -> tuple[int, ...]:
+        """None: not every stream has every segment."""
+        return ()
+
 
 class MvnDevice(MakersDevice):
     """A streamer numbers its samples and stamps them in steps of 1 ms; all segments share both."""
