@@ -127,7 +127,8 @@ def show(suit: SuitChoice, device: Device) -> None:
     async def work(operations: Operations) -> int:
         read = await operations.perform("read", {"device": device})
         typer.echo(f"# module {read['module']}, unique id {read['unique_id']}")
-        typer.echo(_yaml(read["settings"]), nl=False)
+        for name, value in read["settings"].items():
+            typer.echo(f"{name}: {_on_a_line(value)}")
         return 0
 
     run_with_suit(suit, work)
@@ -239,6 +240,8 @@ def _print_change(unique_id: str, before: dict[str, Any], after: dict[str, Any])
 
 
 def _brief(value: Any) -> str:
+    if value is None:
+        return "?"
     text = f"{value:.6g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
 
@@ -260,6 +263,11 @@ def _yaml(content: Any) -> str:
         content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
     )
     return text
+
+
+def _on_a_line(value: Any) -> str:
+    text: str = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True, width=sys.maxsize)
+    return text.removesuffix("...\n").rstrip()
 
 
 def _write(file: Path, text: str) -> None:

@@ -167,13 +167,13 @@ def modules_screen(listed: Mapping[str, Any], is_wide: bool = False) -> Renderab
         justify: JustifyMethod = "left" if column in _TEXT_COLUMNS else "right"
         table.add_column(column, justify=justify, no_wrap=column not in _FOLDED_COLUMNS, overflow="fold")
     for module in listed["modules"]:
-        cells = _cells(module)
+        cells = _cells(module, takes_commands=module["module"] not in listed.get("without_commands", ()))
         style = "bold red" if module["module"] in shared else ""
         table.add_row(*(cells[column] for column in columns), style=style)
     return Group(table, *_remarks(listed))
 
 
-def _cells(module: Mapping[str, Any]) -> dict[str, Text]:
+def _cells(module: Mapping[str, Any], *, takes_commands: bool) -> dict[str, Text]:
     battery, rate, loss = module["battery_percent"], module["rate_hz"], module["loss_percent"]
     is_relay = module["module"] == RELAY
     ppm, residual, offset = _clock_cells(module["clock"])
@@ -182,7 +182,10 @@ def _cells(module: Mapping[str, Any]) -> dict[str, Text]:
         "segment": Text(
             module["segment"] or ("" if is_relay else "not in the rig"), "" if module["segment"] else "dim"
         ),
-        "unique id": Text(module["unique_id"] or "does not answer", "" if module["answers"] else "yellow"),
+        "unique id": Text(
+            module["unique_id"] or ("does not answer" if takes_commands else _UNKNOWN),
+            "yellow" if takes_commands and not module["answers"] else "",
+        ),
         "battery": Text(
             _number(battery, ".0f", " %"), "red" if battery is not None and battery < _LOW_BATTERY else ""
         ),
@@ -220,7 +223,11 @@ def _remarks(listed: Mapping[str, Any]) -> list[Text]:
         )
         for conflict in listed["conflicts"]
     ]
-    deaf = [str(module["module"]) for module in listed["modules"] if not module["answers"]]
+    mute = set(listed.get("without_commands", ()))  # a gateway of an older version says nothing
+    silent = [module["module"] for module in listed["modules"] if not module["answers"]]
+    if quiet := [str(module) for module in silent if module in mute]:
+        remarks.append(Text(f"take no commands: {', '.join(quiet)}: they cannot be identified or set here"))
+    deaf = [str(module) for module in silent if module not in mute]
     if deaf:
         remarks.append(
             Text(

@@ -164,6 +164,16 @@ class MakersModules:
         self._known = {(module.link, module.module): module for module in found if module is not None}
         return sorted(self._known.values(), key=lambda module: module.module)
 
+    @property
+    def without_commands(self) -> dict[int, str]:
+        """What those that take none are, by module id: the configuration's word for them."""
+        return {
+            module: source.carries
+            for link, source in self._sources.items()
+            if source_kind(source.carries).commands is None
+            for module in source.devices[link].modules
+        }
+
     async def find(self, name: str) -> MakersModule | None:
         """Return the device of a module id or the beginning of a serial number; None: no such one.
 
@@ -174,6 +184,10 @@ class MakersModules:
             if found is None and name.strip() == str(module):
                 found = await self._asked((link, module))
         return found or _meant(await self.discover(), name)
+
+    def modules_of(self, link: str) -> tuple[int, ...]:
+        """Return the numbers of the devices on a link."""
+        return self._sources[link].devices[link].modules
 
     def heard(self, link: str) -> Heard:
         """Return what came over a link."""

@@ -30,7 +30,7 @@ from gateway.errors import GatewayError, nearest
 from gateway.modules.journal import Entry, Journal, JournalError
 from gateway.modules.makers import MakersModule, MakersModules, changed
 from gateway.modules.motion import MotionWatch
-from gateway.modules.summary import count_samples, segments_of, summarise
+from gateway.modules.summary import Counts, count_samples, segments_of, summarise
 from gateway.sources.stream import Stream
 
 _log = logging.getLogger(__name__)
@@ -126,8 +126,8 @@ class ModuleOperations:
 
     async def _list(self, request: requests.ListRequest) -> Plain:
         before = count_samples(self._stream, gateway_time_ns())
-        (roster, makers), _ = await asyncio.gather(
-            self._in_turn(self._discover_all), asyncio.sleep(request.listen_s)
+        (roster, makers), before = await asyncio.gather(
+            self._in_turn(self._discover_all), self._counted_from(before, request.listen_s)
         )
         await self._hear_descriptions({device.module for device in roster.devices} | makers.keys())
         after = count_samples(self._stream, gateway_time_ns())
@@ -136,7 +136,18 @@ class ModuleOperations:
             **listed.model_dump(mode="json"),
             "allows_writes": self._client.allow_writes,
             "assigns": self._has_own,
+            "without_commands": sorted(self.makers.without_commands),
         }
+
+    async def _counted_from(self, before: Counts, listen_s: float) -> Counts:
+        """Wait; return the counts at the begin, or half-way where modules were heard only since.
+
+        Some give no samples until their interval is known.
+        """
+        await asyncio.sleep(0.5 * listen_s)
+        half_way = count_samples(self._stream, gateway_time_ns())
+        await asyncio.sleep(0.5 * listen_s)
+        return before if before.samples.keys() >= half_way.samples.keys() else half_way
 
     async def _hear_descriptions(self, known: Collection[int]) -> None:
         """Wait, as long as one may take, for what those that answer no commands say of themselves."""
@@ -353,6 +364,12 @@ class ModuleOperations:
             except DeviceError:
                 _log.debug("%s is not known yet", name)
         if not self._has_own:
+            mute = {str(module): carries for module, carries in self.makers.without_commands.items()}
+            if (carries := mute.get(name.strip())) is not None:
+                raise UnknownDeviceError(
+                    f"module {name} takes no commands, as nothing does that speaks {carries}; to see which "
+                    "it is, shake it and watch `mocap-gateway view`"
+                )
             there = ", ".join(f"{other.module} ({other.unique_id})" for other in await self.makers.discover())
             raise UnknownDeviceError(f"no device '{name}' answers; there are: {there or 'none'}")
         return (await self._discover()).find(name)
