@@ -58,6 +58,8 @@ class Voice:
     """Whether all devices send to one port, where each is known by its own ``link_settings``."""
     is_fused: ClassVar[bool] = False
     """Whether it sends orientations and nothing else."""
+    shares_bus: ClassVar[bool] = False
+    """Whether several devices can be told apart on one CAN bus."""
     speaks_as_one: ClassVar[bool] = False
     """Whether all of a body send as one, over one link."""
 

@@ -1,4 +1,7 @@
-"""The voices by the word that the configuration has for what their links carry. A maker is a line here."""
+"""The voices by the word that the configuration has for what their links carry. A maker is a line here.
+
+A voice is imported when a module first speaks with it.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,8 @@ import asyncio
 import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from devices.emulators.bno08x_voice import Bno08xVoice
-from devices.emulators.mocopi_voice import mocopi_voices
-from devices.emulators.mti_voice import MtiCanVoice, MtiVoice
-from devices.emulators.mvn_voice import mvn_voices
-from devices.emulators.slimevr_voice import SlimevrVoice
+from devices.deferred import Deferred
 from devices.emulators.voice import Voice
-from devices.emulators.witmotion_voice import WitMotionCanVoice, WitMotionVoice
-from devices.emulators.ximu3_voice import Ximu3Voice
-from devices.vendor_protocols import ximu3
 
 _ANNOUNCED_EVERY_S = 1.0
 
@@ -22,25 +18,27 @@ _ANNOUNCED_EVERY_S = 1.0
 _Voices = Mapping[int, Voice]
 
 
-def _each(make: Callable[[int, float], Voice]) -> Callable[[Sequence[int], float], _Voices]:
-    return lambda modules, field_ut: {module: make(module, field_ut) for module in modules}
+def _each(module: str, voice: str) -> Callable[[Sequence[int], float], _Voices]:
+    """Return what makes voices of devices that know nothing of each other."""
+    make: Callable[[int, float], Voice] = Deferred(f"devices.emulators.{module}", voice)
+    return lambda modules, field_ut: {each: make(each, field_ut) for each in modules}
 
 
-def _ximu3(modules: Sequence[int], field_ut: float) -> _Voices:
-    ports = enumerate(modules, start=ximu3.COMMAND_PORT)
-    return {module: Ximu3Voice(module, field_ut, port) for port, module in ports}
+def _together(module: str, voices: str) -> Callable[[Sequence[int], float], _Voices]:
+    """Return what makes voices of devices that share a link, an instant or numbers."""
+    return Deferred(f"devices.emulators.{module}", voices)
 
 
 VOICES: Mapping[str, Callable[[Sequence[int], float], Mapping[int, Voice]]] = {
-    "ximu3": _ximu3,
-    "mti": _each(MtiVoice),
-    "mti_can": _each(MtiCanVoice),
-    "witmotion": _each(WitMotionVoice),
-    "witmotion_can": _each(WitMotionCanVoice),
-    "slimevr": _each(SlimevrVoice),
-    "mvn": mvn_voices,
-    "bno08x_rvc": _each(Bno08xVoice),
-    "mocopi": mocopi_voices,
+    "ximu3": _together("ximu3_voice", "ximu3_voices"),
+    "mti": _each("mti_voice", "MtiVoice"),
+    "mti_can": _each("mti_voice", "MtiCanVoice"),
+    "witmotion": _each("witmotion_voice", "WitMotionVoice"),
+    "witmotion_can": _together("witmotion_voice", "witmotion_can_voices"),
+    "slimevr": _each("slimevr_voice", "SlimevrVoice"),
+    "mvn": _together("mvn_voice", "mvn_voices"),
+    "bno08x_rvc": _each("bno08x_voice", "Bno08xVoice"),
+    "mocopi": _together("mocopi_voice", "mocopi_voices"),
 }
 """By what a link carries: makes voices from the numbers of devices and the strength of the field, µT."""
 

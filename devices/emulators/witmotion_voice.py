@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 from devices.emulators.emulated_device import EmulatedDevice
 from devices.emulators.voice import GRAVITY, Sensed, Voice, degrees, shares
@@ -30,6 +30,7 @@ from devices.vendor_protocols.witmotion import (
 )
 from firmware_protocol import unpack_can_records
 
+_ADDRESS = REGISTERS_BY_NAME["address"].address
 _CELSIUS = 3125
 _CAN_BAUD = 4  # 250 kbit/s
 _FIELD_COUNTS_UT = 120.0
@@ -90,16 +91,30 @@ class WitMotionCanVoice(WitMotionVoice):
     """The same as CAN frames."""
 
     framing = Framing.CAN
+    shares_bus = True
 
-    def __init__(self, module: int, field_ut: float = 49.0) -> None:
+    def __init__(self, module: int, field_ut: float = 49.0, identifier: int = IDENTIFIER) -> None:
+        """identifier: of its frames."""
         super().__init__(module, field_ut)
-        self.registers[REGISTERS_BY_NAME["baud"].address] = _CAN_BAUD
+        self.registers |= {REGISTERS_BY_NAME["baud"].address: _CAN_BAUD, _ADDRESS: identifier}
+
+    @property
+    def link_settings(self) -> Mapping[str, object]:
+        """The identifier of its frames, if that is not the usual one."""
+        identifier = self.registers[_ADDRESS]
+        return {} if identifier == IDENTIFIER else {"identifier": identifier}
 
     def hear(self, data: bytes, device: EmulatedDevice) -> bytes:
         """Obey frames of its identifier."""
         frames = unpack_can_records(data)
-        own = b"".join(each.data for each in frames if each.identifier == self.registers[0x1A])
+        own = b"".join(each.data for each in frames if each.identifier == self.registers[_ADDRESS])
         return super().hear(own, device)
 
     def _encoded(self, kind: int, numbers: list[int]) -> bytes:
-        return encode_can(kind, numbers, self.registers[0x1A])
+        return encode_can(kind, numbers, self.registers[_ADDRESS])
+
+
+def witmotion_can_voices(modules: Sequence[int], field_ut: float) -> Mapping[int, Voice]:
+    """Return the voices of devices that may share a bus: each has an identifier of its own."""
+    identifiers = enumerate(modules, start=IDENTIFIER)
+    return {each: WitMotionCanVoice(each, field_ut, identifier) for identifier, each in identifiers}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from devices.emulators.emulated_device import EmulatedDevice
@@ -136,3 +136,9 @@ class Ximu3Voice(Voice):
 
 def _percent(rssi_dbm: float) -> int:
     return round(min(max(2.0 * (rssi_dbm + 100.0), 0.0), 100.0))
+
+
+def ximu3_voices(modules: Sequence[int], field_ut: float) -> Mapping[int, Voice]:
+    """Return the voices of devices that take commands each on a port of its own."""
+    ports = enumerate(modules, start=COMMAND_PORT)
+    return {module: Ximu3Voice(module, field_ut, port) for port, module in ports}

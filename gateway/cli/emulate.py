@@ -442,6 +442,7 @@ def _transport(wanted: Emulation) -> Transport:
 
 def _transport_of_each(wanted: Emulation, spoken: SpokenSuit) -> LinkPerDevice:
     """A link a module: ports one after the other, links to pseudo-terminals named for the modules."""
+    _refuse_medium(wanted, spoken)
     if all(voice.speaks_as_one for voice in spoken.voices.values()):
         return LinkPerDevice(dict.fromkeys(spoken.voices, _transport(wanted)))
     single = len(spoken.voices) == 1
@@ -452,13 +453,26 @@ def _transport_of_each(wanted: Emulation, spoken: SpokenSuit) -> LinkPerDevice:
             link = link.with_name(f"{link.name}-{module}")
         beside = 0 if voice.shares_link else place
         one = replace(wanted, port=wanted.port and wanted.port + beside, link=link)
-        if voice.shares_link and wanted.on is not Medium.UDP:
-            raise GatewayError(f"--speaks {wanted.speaks} --on {wanted.on}: these speak over udp: --on udp")
         if wanted.on is Medium.UDP:
             links[module] = UdpTransport(one.port, one.host, voice.from_port)
         else:
             links[module] = _transport(one)
     return LinkPerDevice(links)
+
+
+def _refuse_medium(wanted: Emulation, spoken: SpokenSuit) -> None:
+    """Raise ``GatewayError`` where devices do not speak on what is asked for, or not several of them."""
+    voice = next(iter(spoken.voices.values()))
+    told = f"--speaks {wanted.speaks} --on {wanted.on}"
+    is_bus = wanted.on in {Medium.CAN, Medium.SLCAN}
+    if voice.shares_link and wanted.on is not Medium.UDP:
+        raise GatewayError(f"{told}: these speak over udp: --on udp")
+    if voice.framing is Framing.CAN and not is_bus:
+        raise GatewayError(f"{told}: these speak on CAN: --on slcan, or --on can")
+    if is_bus and voice.framing is not Framing.CAN:
+        raise GatewayError(f"{told}: these do not speak on CAN: --on pty, tcp or udp")
+    if wanted.on is Medium.CAN and len(spoken.voices) > 1 and not voice.shares_bus:
+        raise GatewayError(f"{told}: there can be one of these on a bus: --on slcan gives each its own")
 
 
 def _signed_transport(wanted: Emulation, key_file: Path) -> Transport:
