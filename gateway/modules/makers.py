@@ -24,6 +24,7 @@ from gateway.sources.source import Source
 
 _ATTEMPTS = 3
 _ANSWER_S = 0.5
+_LATE_S = 1.0
 _WRITE_S = 1.0
 _IDLE_S = 1.0
 
@@ -89,26 +90,37 @@ class MakersLine:
 
         Raises ``LinkError``, and ``NoAnswerError`` where none comes.
         """
-        answered: asyncio.Future[_Found] = asyncio.get_running_loop().create_future()
+        answers: asyncio.Queue[_Found] = asyncio.Queue()
 
         def take(message: Any) -> None:
             found = meant(message)
-            if found is not None and not answered.done():
-                answered.set_result(found)
+            if found is not None:
+                answers.put_nowait(found)
 
         self._source.listen(self._link.name, self.module, take)
         try:
-            for _ in range(_ATTEMPTS):
+            for repeated in range(_ATTEMPTS):
                 await self.tell(data)
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(_ANSWER_S):
-                        return await asyncio.shield(answered)
+                        found = await answers.get()
+                    await _passed_over(answers, repeated)
+                    return found
         finally:
             self._source.stop_listening(self._link.name, self.module, take)
         raise NoAnswerError(
             f"the device on link '{self._link.name}' does not answer '{what}' (asked {_ATTEMPTS} times): is "
             "it switched on, and does it take commands there?"
         )
+
+
+async def _passed_over(answers: asyncio.Queue[_Found], n: int) -> None:
+    """Wait for so many answers more, as far as they come: to a question repeated too early there are several,
+    and where they do not say to what, the next question would take them for its own."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(_LATE_S):
+            for _ in range(n):
+                await answers.get()
 
 
 class MakersModules:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from types import SimpleNamespace
 
 import pytest
@@ -10,14 +11,19 @@ from devices.device_errors import DeviceError, NoAnswerError, UnfinishedError
 from devices.emulators.mti_voice import MtiVoice
 from devices.emulators.witmotion_voice import WitMotionCanVoice, WitMotionVoice
 from devices.emulators.ximu3_voice import Ximu3Voice
+from devices.link import Chunk
 from devices.vendor_protocols.mti import MtiDecoder
 from devices.vendor_protocols.witmotion import IDENTIFIER, WitMotionCanDecoder, WitMotionDecoder
 from devices.vendor_protocols.ximu3 import Ximu3Decoder
 from firmware_protocol import CanFrame, pack_can_records
-from gateway.modules.makers import MakersModule, changed
+from gateway.body.rig import load_rig
+from gateway.modules import makers
+from gateway.modules.makers import MakersLine, MakersModule, changed
 from gateway.sources.makers import Description
+from gateway.sources.module_table import ModuleTable
 from gateway.sources.mti import MtiCommands
-from gateway.sources.witmotion import WitMotionCanCommands, WitMotionCommands
+from gateway.sources.source import SourceContext
+from gateway.sources.witmotion import WitMotionCanCommands, WitMotionCommands, WitMotionSource
 from gateway.sources.ximu3 import Ximu3Commands
 
 DEVICE = SimpleNamespace(adopt=lambda _settings: None, blink=lambda _seconds: None)
@@ -164,3 +170,29 @@ async def test_an_mti_that_is_left_in_configuration_mode_is_told(mti):
     mti.line.commands_left = 5  # configuration mode, three reads; then it is unplugged
     with pytest.raises(UnfinishedError, match="it may still be in its configuration mode"):
         await changed(mti, {"acceleration": 50})
+
+
+class LateLink:
+    """A link whose device answers so late that every question is asked again."""
+
+    name = "link"
+
+    def __init__(self, source, voice):
+        self._source, self._voice = source, voice
+
+    async def write(self, data, to=()):
+        said = self._voice.hear(data, DEVICE)
+        if said:
+            asyncio.get_running_loop().call_later(0.03, self._say, said)
+
+    def _say(self, said):
+        self._source.receive(Chunk(said, 10**18, self.name))
+
+
+async def test_answers_to_a_question_that_was_repeated_are_not_taken_for_those_to_the_next(monkeypatch):
+    monkeypatch.setattr(makers, "_ANSWER_S", 0.02)
+    source = WitMotionSource(SourceContext(load_rig("arm_3"), ModuleTable()))
+    source.add_link("link", "witmotion")
+    line = MakersLine(LateLink(source, WitMotionVoice(0)), source, 0, lambda _sent: None)
+    expected = await WitMotionCommands().read(Wire(WitMotionVoice(0), WitMotionDecoder()))
+    assert await WitMotionCommands().read(line) == expected
