@@ -24,7 +24,7 @@ from gateway.cli.terminal import progress_bar
 from gateway.contract.topics import ANY_GATEWAY
 from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
-from gateway.support.credentials import AccessToken, token_for
+from gateway.support.credentials import AccessToken, CredentialError, read_secret, token_for
 from gateway.viewer.printable import printable
 
 if TYPE_CHECKING:
@@ -194,6 +194,8 @@ def watch(
 LOOPBACK = "127.0.0.1"
 PAGE_TOKEN_VARIABLE = "MOCAP_PAGE_TOKEN"
 """Environment variable that may hold the token of the page."""
+LOOKING_TOKEN_VARIABLE = "MOCAP_PAGE_LOOKING_TOKEN"
+"""Environment variable that may hold the token of who may only look at it."""
 
 
 @with_broker
@@ -215,6 +217,13 @@ def view(
         Path | None,
         typer.Option(help="File with the token that opens the page; else MOCAP_PAGE_TOKEN is taken."),
     ] = None,
+    looking_token_file: Annotated[
+        Path | None,
+        typer.Option(
+            help="File with another token, which opens the page without its buttons; else "
+            "MOCAP_PAGE_LOOKING_TOKEN is taken."
+        ),
+    ] = None,
     muscles: Annotated[
         float | None,
         typer.Option(
@@ -233,12 +242,25 @@ def view(
     """
     settings = broker.settings()
     token = token_for("the page", page_host, token_file, PAGE_TOKEN_VARIABLE, "--token-file")
-    place = _Place(page_host, page_port, token)
+    looking = looking_token(token, looking_token_file)
+    place = _Place(page_host, page_port, token, looking)
     with contextlib.suppress(KeyboardInterrupt):
         if recording is None:
             asyncio.run(_serve_live(settings, gateway, place, wait, muscles))
         else:
             asyncio.run(_serve_recording(recording, place, muscles))
+
+
+def looking_token(token: AccessToken | None, file: Path | None) -> AccessToken | None:
+    """The token of who may only look; None: nobody only looks. Raises ``CredentialError``."""
+    text = read_secret(file, LOOKING_TOKEN_VARIABLE, "--looking-token-file")
+    if text is None:
+        return None
+    if token is None:
+        raise CredentialError(
+            "--looking-token-file: without a token of who may write, everybody may: give --token-file, too"
+        )
+    return AccessToken(text)
 
 
 class _Place(NamedTuple):
@@ -247,10 +269,19 @@ class _Place(NamedTuple):
     host: str
     port: int
     token: AccessToken | None
+    looking: AccessToken | None
+
+
+class _Servers(NamedTuple):
+    """Pages behind the gate."""
+
+    writing: viser.ViserServer
+    looking: viser.ViserServer | None
+    """Without buttons; None: nobody only looks."""
 
 
 @contextlib.asynccontextmanager
-async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
+async def _page(place: _Place) -> AsyncIterator[_Servers]:
     """A page behind its gate, while it is wanted. Raises ``GatewayError`` without the extra."""
     try:
         import viser
@@ -260,23 +291,33 @@ async def _page(place: _Place) -> AsyncIterator[viser.ViserServer]:
 
     with contextlib.redirect_stdout(io.StringIO()):  # it would name the port behind the gate
         server = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
+        looking = None
+        if place.looking is not None:
+            looking = viser.ViserServer(LOOPBACK, 0, label="mocap-gateway", verbose=False)
     try:
-        async with Gate(place.host, place.port, server.get_port(), Door(place.token)):
+        door = Door(place.token, looking=place.looking)
+        looking_port = None if looking is None else looking.get_port()
+        async with Gate(place.host, place.port, server.get_port(), door, looking_port):
             shown = "/?token=… (the token's own text)" if place.token is not None else ""
             typer.echo(f"live page: http://{place.host}:{place.port}{shown}")
-            yield server
+            yield _Servers(server, looking)
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
+            if looking is not None:
+                looking.stop()
 
 
 async def _serve_live(
     settings: MqttSettings, gateway: str, place: _Place, waits: bool, muscles_kg: float | None
 ) -> None:
-    async with _page(place) as server:
+    async with _page(place) as servers:
         from gateway.viewer.live import LiveViewer
 
-        await LiveViewer(server, settings, gateway, muscles_kg).run(waits)
+        viewers = [LiveViewer(servers.writing, settings, gateway, muscles_kg)]
+        if servers.looking is not None:
+            viewers.append(LiveViewer(servers.looking, settings, gateway, muscles_kg, may_write=False))
+        await asyncio.gather(*(viewer.run(waits) for viewer in viewers))
 
 
 async def _serve_recording(recording: Path, place: _Place, muscles_kg: float | None) -> None:
@@ -285,9 +326,14 @@ async def _serve_recording(recording: Path, place: _Place, muscles_kg: float | N
     with progress_bar(f"reading {recording.name}") as tell:
         opened = open_recording(recording)
         arrays = opened.skeleton_arrays(tell)
-    async with _page(place) as server:
+    async with _page(place) as servers:
         from gateway.viewer.marker_points import recorded_markers
         from gateway.viewer.playback import Playback
 
         markers = recorded_markers(opened, arrays)
-        await Playback(server, arrays, recording.stem, markers, muscles_kg).run()
+        await asyncio.gather(
+            *(
+                Playback(server, arrays, recording.stem, markers, muscles_kg).run()
+                for server in filter(None, servers)
+            )
+        )

@@ -5,6 +5,8 @@ passes on what may pass:
 
 * With a token: ``http://HOST:PORT/?token=TOKEN`` once, or ``Authorization: Bearer TOKEN``. The answer sets a
   cookie that stands for it, so that the token does not stay in the browser's address line.
+* A second token lets in to look only: whoever shows it is passed on to another server, whose page has no
+  buttons that ask anything of the gateway, and no code behind any.
 * A WebSocket only from the page itself: any other site open in the same browser could otherwise press its
   buttons (``Origin`` and ``Host`` must name the same place).
 * In no frame of another site.
@@ -20,11 +22,12 @@ import logging
 import secrets
 import urllib.parse
 from collections.abc import Coroutine
+from enum import Enum
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
 from gateway.errors import OutputError
-from gateway.support.credentials import AccessToken, is_loopback
+from gateway.support.credentials import AccessToken, CredentialError, is_loopback
 from gateway.support.crowd import Crowd, CrowdedError
 
 LARGEST_HEAD = 16 * 1024
@@ -92,53 +95,93 @@ class Request:
         return self.headers.get("upgrade", "").lower() == "websocket"
 
 
+class Right(Enum):
+    """What somebody may do who is let in."""
+
+    LOOK = "look"
+    WRITE = "write"
+    """Press buttons that ask something of the gateway, too."""
+
+
+class _Key(NamedTuple):
+    """A token, and the cookie that stands for it."""
+
+    right: Right
+    token: AccessToken
+    session: str
+
+
 class Door:
     """Decides about requests. No I/O."""
 
-    def __init__(self, token: AccessToken | None, session: str | None = None) -> None:
-        """session: what the cookie holds; none: made up, so that a new start asks for the token again."""
-        self._token = token
-        self._session = session or secrets.token_urlsafe(32)
-        self._sessions = AccessToken(self._session)
+    def __init__(
+        self,
+        token: AccessToken | None,
+        session: str | None = None,
+        looking: AccessToken | None = None,
+    ) -> None:
+        """token: of who may write. looking: of who may only look; without it nobody only looks.
+        session: what the writer's cookie holds; none: made up, so that a new start asks for the token again.
 
-    def admit(self, request: Request) -> None:
-        """Raises ``Refused`` for whoever may not come in, and to set the cookie for who shows the token."""
-        if self._token is None:
-            if not is_loopback(request.host_name):
-                raise Refused(
-                    "403 Forbidden", "without a token this page is served as localhost and 127.0.0.1 only"
-                )
-        else:
-            self._identify(request, self._token)
+        Raises ``CredentialError`` where both tokens are the same.
+        """
+        if token is not None and looking is not None and looking.matches(token.reveal()):
+            raise CredentialError("who may look would also write: make the two tokens of the page differ")
+        self._keys = [
+            _Key(right, each, secrets.token_urlsafe(32))
+            for right, each in ((Right.WRITE, token), (Right.LOOK, looking))
+            if each is not None
+        ]
+        if session is not None:
+            self._keys = [
+                key._replace(session=session) if key.right is Right.WRITE else key for key in self._keys
+            ]
+
+    def admit(self, request: Request) -> Right:
+        """What may be done. Raises ``Refused`` for whoever may not come in, and to set the cookie for who
+        shows a token."""
+        is_open = not self._keys and is_loopback(request.host_name)
+        right = Right.WRITE if is_open else self._identify(request)
         origin = request.headers.get("origin", request.host).lower()
         if request.is_websocket and origin.rpartition("/")[2] != request.host:
             raise Refused("403 Forbidden", "another site may not use this page")
+        return right
 
-    def _identify(self, request: Request, token: AccessToken) -> None:
-        kind, _, shown = request.headers.get("authorization", "").partition(" ")
-        if kind.lower() == "bearer" and token.matches(shown.strip()):
-            return
+    def _identify(self, request: Request) -> Right:
+        if not self._keys:
+            raise Refused(
+                "403 Forbidden", "without a token this page is served as localhost and 127.0.0.1 only"
+            )
+        kind, _, bearer = request.headers.get("authorization", "").partition(" ")
         cookie = http.cookies.SimpleCookie()
         with contextlib.suppress(http.cookies.CookieError):
             cookie.load(request.headers.get("cookie", ""))
-        if (kept := cookie.get(self._cookie_name(request))) and self._sessions.matches(kept.value):
-            return
+        kept = cookie.get(self._cookie_name(request))
         path, _, query = request.path.partition("?")
         (shown, *_) = urllib.parse.parse_qs(query).get("token", [""])
-        if token.matches(shown):
-            name = self._cookie_name(request)
-            raise Refused(
-                "303 See Other",
-                "welcome",
-                "Location: /" + urllib.parse.quote(path.lstrip("/\\")),  # two slashes would be another host
-                f"Set-Cookie: {name}={self._session}; HttpOnly; SameSite=Strict; Path=/",
-                "Referrer-Policy: no-referrer",
-                "Cache-Control: no-store",
-            )
+        for key in self._keys:
+            if kind.lower() == "bearer" and key.token.matches(bearer.strip()):
+                return key.right
+        for key in self._keys:  # before the cookie: another token is shown to have another right
+            if key.token.matches(shown):
+                raise self._welcome(request, path, key.session)
+        for key in self._keys:
+            if kept and AccessToken(key.session).matches(kept.value):
+                return key.right
         raise Refused(
             "401 Unauthorized",
             "this page needs its token: open it as …/?token=TOKEN",
             'WWW-Authenticate: Bearer realm="mocap-gateway"',
+        )
+
+    def _welcome(self, request: Request, path: str, session: str) -> Refused:
+        return Refused(
+            "303 See Other",
+            "welcome",
+            "Location: /" + urllib.parse.quote(path.lstrip("/\\")),  # two slashes would be another host
+            f"Set-Cookie: {self._cookie_name(request)}={session}; HttpOnly; SameSite=Strict; Path=/",
+            "Referrer-Policy: no-referrer",
+            "Cache-Control: no-store",
         )
 
     def _cookie_name(self, request: Request) -> str:
@@ -147,11 +190,15 @@ class Door:
 
 
 class Gate:
-    """Listens at ``host:port`` and lets through to ``inner_port`` on loopback. Belongs to one event loop."""
+    """Listens at ``host:port`` and lets through to a server on loopback. Belongs to one event loop."""
 
-    def __init__(self, host: str, port: int, inner_port: int, door: Door) -> None:
+    def __init__(
+        self, host: str, port: int, inner_port: int, door: Door, looking_port: int | None = None
+    ) -> None:
+        """inner_port: of the page with its buttons. looking_port: of the one without, for who may only look;
+        None: there is none, and who may only look is let in nowhere."""
         self._address = host, port
-        self._inner_port = inner_port
+        self._inner_ports = {Right.WRITE: inner_port, Right.LOOK: looking_port}
         self._door = door
         self._clients: set[asyncio.Task[None]] = set()
         self._crowd: Crowd[asyncio.Task[None]] = Crowd(MOST_CLIENTS, MOST_OF_ONE_ADDRESS)
@@ -219,8 +266,10 @@ class Gate:
         client = asyncio.current_task()
         assert client is not None
         self._crowd.speak(client)
-        self._door.admit(request)
-        inner_reader, inner_writer = await asyncio.open_connection("127.0.0.1", self._inner_port)
+        inner_port = self._inner_ports[self._door.admit(request)]
+        if inner_port is None:
+            raise Refused("403 Forbidden", "there is no page to only look at here")
+        inner_reader, inner_writer = await asyncio.open_connection("127.0.0.1", inner_port)
         try:
             inner_writer.write(head)
             if request.is_websocket:

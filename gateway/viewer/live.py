@@ -46,9 +46,16 @@ class LiveViewer:
     """Draws the latest pose thirty times a second; poses in between go into the plot and to muscles only."""
 
     def __init__(
-        self, server: viser.ViserServer, settings: MqttSettings, gateway: str, muscles_kg: float | None = None
+        self,
+        server: viser.ViserServer,
+        settings: MqttSettings,
+        gateway: str,
+        muscles_kg: float | None = None,
+        *,
+        may_write: bool = True,
     ) -> None:
-        """muscles_kg: mass of the person whose muscles are shown; None: none are."""
+        """muscles_kg: mass of the person whose muscles are shown; None: none are. may_write: false leaves the
+        buttons out that ask something of the gateway; nothing that a page sends then reaches it."""
         self._muscles_kg = muscles_kg
         self._wires: MuscleWires | None = None
         self._undrawn: deque[ReceivedPose] = deque(maxlen=MOST_UNDRAWN)
@@ -70,7 +77,9 @@ class LiveViewer:
         self._instant: MarkerInstant | None = None
         self._panel = Panel(
             server,
-            (
+            ()
+            if not may_write
+            else (
                 ButtonRow("Recording", ("start", "stop"), lambda verb: self._ask("recording", verb, {})),
                 ButtonRow("Reset", RESETS, lambda kind: self._ask("reset", kind, {})),
             ),

@@ -26,6 +26,8 @@ pytestmark = pytest.mark.system
 SKELETON = load_rig("suit_17").skeleton
 GATEWAY = "lab"
 TOKEN = "a-token-of-this-test"
+LOOKING = "a-token-for-looking-only"
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 @contextlib.asynccontextmanager
@@ -36,9 +38,8 @@ async def page_of(settings, unused_port, chromium):
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     showing = asyncio.create_task(LiveViewer(server, settings, GATEWAY).run())
     gate = Gate("127.0.0.1", unused_port, server.get_port(), Door(AccessToken(TOKEN)))
-    flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     async with gate, playwright_api.async_playwright() as play:
-        browser = await play.chromium.launch(executable_path=chromium, args=flags)
+        browser = await play.chromium.launch(executable_path=chromium, args=FLAGS)
         page = await browser.new_page(viewport={"width": 800, "height": 600})
         page.set_default_timeout(40_000)
         outside = []
@@ -87,6 +88,32 @@ async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitt
                 url for url in requested if url.startswith("blob:")
             }
         await publishing
+
+
+async def test_who_may_only_look_finds_no_button_that_asks_anything(
+    mosquitto, unused_port, chromium, command, tmp_path
+):
+    for name, token in (("writing", TOKEN), ("looking", LOOKING)):
+        (tmp_path / name).write_text(token)
+    topics = Topics("mocap", GATEWAY)
+    tokens = ["--token-file", tmp_path / "writing", "--looking-token-file", tmp_path / "looking"]
+    where = ["--port", mosquitto.port, "--gateway", GATEWAY, "--page-port", unused_port]
+    async with aiomqtt.Client("127.0.0.1", mosquitto.port) as client:
+        await client.publish(topics.bridge_state, BridgeState(state="online").payload(), retain=True)
+        await client.publish(topics.body, describe_body(SKELETON).payload(), retain=True)
+        view = command("view", *where, *tokens)
+        await view.until_it_says("live page")
+        async with playwright_api.async_playwright() as play:
+            browser = await play.chromium.launch(executable_path=chromium, args=FLAGS)
+            for token, buttons in ((LOOKING, 0), (TOKEN, 1)):
+                page = await (await browser.new_context()).new_page()
+                page.set_default_timeout(40_000)
+                await page.goto(f"http://127.0.0.1:{unused_port}/?token={token}")
+                await page.get_by_text(f"{GATEWAY}: online").wait_for()
+                for button in ("start", "stop", "heading", "full", "mounting"):
+                    assert await page.get_by_role("button", name=button, exact=True).count() == buttons
+                assert await page.get_by_role("button", name="front", exact=True).count() == 1
+            await browser.close()
 
 
 @pytest.mark.parametrize("maker", ["ximu3", "mti", "slimevr"])

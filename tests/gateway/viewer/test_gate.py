@@ -7,9 +7,9 @@ import contextlib
 
 import pytest
 
-from gateway.support.credentials import AccessToken
+from gateway.support.credentials import AccessToken, CredentialError
 from gateway.viewer import gate
-from gateway.viewer.gate import Door, Gate, Refused, Request
+from gateway.viewer.gate import Door, Gate, Refused, Request, Right
 from tests.patience import PATIENCE_S
 
 TOKEN = "abcdefghijklmnop-_09"
@@ -65,6 +65,59 @@ def test_the_token_is_shown_once_and_leaves_the_address_line():
     assert TOKEN not in answer
     GUARDED.admit(request(Cookie=f"other=1; mocap_page_8080={SESSION}"))
     GUARDED.admit(request(Authorization=f"bearer {TOKEN}"))
+
+
+LOOKING = "only-looks-at-the-page"
+
+
+def test_who_shows_the_token_for_looking_may_only_look():
+    door = Door(AccessToken(TOKEN), SESSION, looking=AccessToken(LOOKING))
+    assert door.admit(request(Authorization=f"Bearer {TOKEN}")) is Right.WRITE
+    assert door.admit(request(Authorization=f"Bearer {LOOKING}")) is Right.LOOK
+    answer = refusal(door, request(f"/?token={LOOKING}"))
+    (cookie,) = [line for line in answer.split("\r\n") if line.startswith("Set-Cookie:")]
+    kept = cookie.removeprefix("Set-Cookie: ").partition(";")[0]
+    assert SESSION not in kept
+    assert door.admit(request(Cookie=kept)) is Right.LOOK
+    assert door.admit(request(Cookie=f"mocap_page_8080={SESSION}")) is Right.WRITE
+    raised = refusal(door, request(f"/?token={TOKEN}", Cookie=kept))  # who looked shows the other token
+    assert SESSION in raised
+    assert refusal(door, request(host="localhost:8080")).startswith("HTTP/1.1 401"), "this machine's too"
+    foreign = request(Upgrade="websocket", Origin="https://evil.example", Cookie=kept)
+    assert refusal(door, foreign).startswith("HTTP/1.1 403")
+
+
+def test_one_token_cannot_have_two_rights():
+    with pytest.raises(CredentialError, match="differ"):
+        Door(AccessToken(TOKEN), looking=AccessToken(TOKEN))
+
+
+async def test_who_only_looks_never_reaches_the_page_with_the_buttons():
+    async with (
+        await asyncio.start_server(answering("with buttons"), "127.0.0.1", 0) as writing,
+        await asyncio.start_server(answering("without"), "127.0.0.1", 0) as looking,
+    ):
+        inner, without = (server.sockets[0].getsockname()[1] for server in (writing, looking))
+        door = Door(AccessToken(TOKEN), looking=AccessToken(LOOKING))
+        async with Gate("127.0.0.1", 0, inner, door, without) as opened:
+            for token, expected in ((TOKEN, "with buttons"), (LOOKING, "without")):
+                for kind in ("", "Upgrade: websocket\r\n"):
+                    head = f"Host: 127.0.0.1:{opened.port}\r\nAuthorization: Bearer {token}\r\n{kind}"
+                    assert (await ask(opened.port, f"GET / HTTP/1.1\r\n{head}\r\n")).endswith(expected)
+        async with Gate("127.0.0.1", 0, inner, door) as opened:
+            head = f"Host: 127.0.0.1:{opened.port}\r\nAuthorization: Bearer {LOOKING}"
+            assert (await ask(opened.port, f"GET / HTTP/1.1\r\n{head}\r\n\r\n")).startswith("HTTP/1.1 403")
+
+
+def answering(text):
+    """What serves a page that consists of the text."""
+
+    async def serve(reader, writer):
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(b"HTTP/1.1 200 OK\r\n\r\n" + text.encode())
+        writer.close()
+
+    return serve
 
 
 def test_a_new_start_asks_for_the_token_again():
