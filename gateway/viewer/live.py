@@ -19,6 +19,7 @@ from gateway.modules.remote import remote_suit
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
 from gateway.viewer.appearance import silent_segments, status_summary
+from gateway.viewer.assistant import Assistant
 from gateway.viewer.live_markers import LiveMarkers
 from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import RecentLosses, module_rows, module_table, warnings_of
@@ -86,6 +87,9 @@ class LiveViewer:
             self._stage,
         )
         self._losses = RecentLosses()
+        self._assistant: Assistant | None = None
+        if may_write:
+            self._assistant = Assistant(server, self._panel.tabs, self._answer_of, self._mark)
 
     async def run(self, waits: bool = False) -> None:
         """For ever. Raises ``BrokerUnreachableError`` if there is no broker at the start, unless it waits."""
@@ -133,7 +137,9 @@ class LiveViewer:
             self._scene.remove()
         skeleton = skeleton_of(body)
         self._body, self._drawn = body, None
-        self._scene, self._keeper = BodyScene(self._server, self._stage, skeleton), PostureKeeper(skeleton)
+        clicked = None if self._assistant is None else self._assistant.choose_segment
+        self._scene = BodyScene(self._server, self._stage, skeleton, clicked)
+        self._keeper = PostureKeeper(skeleton)
         self._scene.draw(self._keeper.before_any(), is_stale=True)
         if self._wires is not None:
             self._wires.remove()
@@ -239,6 +245,15 @@ class LiveViewer:
         request = asyncio.run_coroutine_threadsafe(self._request(family, verb, data), self._loop)
         self._requests.add(request)
         request.add_done_callback(self._requests.discard)
+
+    async def _answer_of(self, family: str, verb: str, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The gateway's answer. Raises ``GatewayError``."""
+        async with remote_suit(self._settings, self._gateway, family) as remote:
+            return await remote.perform(verb, data)
+
+    def _mark(self, segment: str) -> None:
+        if self._scene is not None:
+            self._scene.marked = segment
 
     async def _request(self, family: str, verb: str, data: Mapping[str, Any]) -> None:
         wish = f"{family} {verb}"

@@ -44,7 +44,7 @@ class Panel:
             gui.add_button_group(row.label, row.options).on_click(_calls(row.pressed))
         self._answer = gui.add_html("")
         gui.add_button_group("Camera", VIEWS).on_click(lambda event: self._look(event, stage))
-        tabs = gui.add_tab_group()
+        self.tabs = tabs = gui.add_tab_group()
         with tabs.add_tab("View"):
             self.bones = gui.add_checkbox("Bones", False)
             self.light = gui.add_checkbox("Light", False)

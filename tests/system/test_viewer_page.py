@@ -31,7 +31,7 @@ FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 
 
 @contextlib.asynccontextmanager
-async def page_of(settings, unused_port, chromium):
+async def page_of(settings, unused_port, chromium, size=(800, 600)):
     """The viewer, and a browser's page that shows it; ``page.outside`` are requests to elsewhere."""
     from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
 
@@ -40,7 +40,7 @@ async def page_of(settings, unused_port, chromium):
     gate = Gate("127.0.0.1", unused_port, server.get_port(), Door(AccessToken(TOKEN)))
     async with gate, playwright_api.async_playwright() as play:
         browser = await play.chromium.launch(executable_path=chromium, args=FLAGS)
-        page = await browser.new_page(viewport={"width": 800, "height": 600})
+        page = await browser.new_page(viewport={"width": size[0], "height": size[1]})
         page.set_default_timeout(40_000)
         outside = []
         page.on("request", lambda request: outside.append(request.url))
@@ -114,6 +114,58 @@ async def test_who_may_only_look_finds_no_button_that_asks_anything(
                     assert await page.get_by_role("button", name=button, exact=True).count() == buttons
                 assert await page.get_by_role("button", name="front", exact=True).count() == 1
             await browser.close()
+
+
+@pytest.mark.parametrize("size", [(1100, 800), (390, 780)], ids=["desktop", "phone"])
+async def test_modules_that_share_an_id_are_set_up_on_the_page(
+    mosquitto, unused_port, chromium, command, tmp_path, size
+):
+    """Heard, told apart, given ids, assigned and taken back, without a terminal."""
+    emulated = command("emulate", "--rig", "arm_3", "--id-conflict", "--on", "pty", "--json",
+                       "--link", tmp_path / "suit")  # fmt: skip
+    await emulated.until_it_says('"url"')
+    config = tmp_path / "gateway.yaml"
+    settings = {
+        "gateway": GATEWAY,
+        "links": [{"name": "suit", "url": str(tmp_path / "suit")}],
+        "rig": "arm_3",
+        "reconstructor": "independent",
+        "allow_device_writes": True,
+        "mqtt": {"port": mosquitto.port},
+    }
+    config.write_text(yaml.safe_dump(settings))
+    command("run", "-c", config)
+    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, size) as (page, _):
+        await page.get_by_text(f"{GATEWAY}: online").wait_for()
+        await page.get_by_role("tab", name="Set up").click()
+        await page.get_by_role("button", name="Look for modules").click()
+        await page.get_by_text("2 modules have id").wait_for()
+        separate = page.get_by_role("button", name="Give them ids of their own")
+        await separate.click()
+        await page.get_by_text("Nothing is written yet").wait_for()
+        await page.get_by_role("checkbox", name="Write to the modules").click()
+        await separate.click()
+        await page.get_by_text("modules have ids of their own now").wait_for()
+        await page.get_by_text("2 modules have id").wait_for(state="detached")
+        await choose(page, 1, "63 · ")
+        await choose(page, 2, "right_forearm")
+        assign = page.get_by_role("button", name="Assign", exact=True)
+        await assign.click()
+        await page.get_by_text("written: right forearm: module 63 becomes 9").wait_for()
+        await page.get_by_text("not heard:").wait_for(state="detached")
+        await page.get_by_role("button", name="Take back").click()
+        await page.get_by_text("not heard: right forearm").wait_for()
+        await choose(page, 0, "Deutsch")
+        await page.get_by_role("button", name="Module suchen").wait_for()
+        await page.get_by_text("nicht gehört: right forearm").wait_for()
+
+
+async def choose(page, which, option):
+    """Choose from a list of the tab that is open."""
+    chooser = page.locator("input[role=combobox]").filter(visible=True).nth(which)
+    await chooser.click()
+    await chooser.fill(option)
+    await page.get_by_role("option", name=option).click()
 
 
 @pytest.mark.parametrize("maker", ["ximu3", "mti", "slimevr"])

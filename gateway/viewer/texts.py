@@ -1,0 +1,23 @@
+"""What the set-up assistant says, in each language: all of it stands in ``texts.json``."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+LANGUAGES = {"English": "en", "Deutsch": "de"}
+"""Name of a language in itself, and its texts."""
+_FILE = Path(__file__).with_name("texts.json")
+
+
+@cache
+def texts(language: str) -> dict[str, str]:
+    """All texts of a language, by key."""
+    found: dict[str, str] = json.loads(_FILE.read_text(encoding="utf-8"))[language]
+    return found
+
+
+def say(language: str, key: str, **values: object) -> str:
+    """One text with its values filled in. Raises ``KeyError`` for an unknown one."""
+    return texts(language)[key].format(**values)

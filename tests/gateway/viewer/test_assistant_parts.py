@@ -1,0 +1,80 @@
+"""What the set-up assistant says, without a page."""
+
+from __future__ import annotations
+
+import string
+
+import pytest
+
+from gateway.modules.assignment import Wardrobe
+from gateway.viewer.assistant import conflict_lines, devices_of, found_table, told
+from gateway.viewer.texts import LANGUAGES, say, texts
+
+
+def device(module, unique_id, segment, **more):
+    return {
+        "module": module,
+        "unique_id": unique_id,
+        "segment": segment,
+        "answers": True,
+        "battery_percent": 80,
+        "rate_hz": 100.0,
+        "loss_percent": 0.25,
+        "clock": {"residual_us": 41.0},
+    } | more
+
+
+FIRST, SECOND, THIRD = "aa" * 12, "bb" * 12, "cc" * 12
+LISTED = {
+    "modules": [
+        device(0, FIRST, "upper_arm"),
+        device(1, SECOND, "<b>"),
+        device(7, None, None, answers=False, battery_percent=None, loss_percent=None, clock=None),
+    ],
+    "conflicts": [],
+    "segments": {"upper_arm": 0, "<b>": 1, "hand": 2},
+}
+
+
+def placeholders(text):
+    return {name for _, name, _, _ in string.Formatter().parse(text) if name}
+
+
+@pytest.mark.parametrize("language", LANGUAGES.values())
+def test_every_language_says_everything_with_the_same_values(language):
+    english = texts("en")
+    assert texts(language).keys() == english.keys()
+    for key, text in texts(language).items():
+        assert placeholders(text) == placeholders(english[key]), key
+        assert text.strip()
+
+
+def test_languages_differ():
+    same = [key for key, text in texts("de").items() if text == texts("en")[key]]
+    assert set(same) <= {"clock"}
+
+
+def test_only_devices_that_answer_can_be_chosen():
+    assert list(devices_of(LISTED).values()) == [FIRST, SECOND]
+    assert next(iter(devices_of(LISTED))) == "0 · upper_arm · …aaaaaa"
+
+
+@pytest.mark.parametrize("language", LANGUAGES.values())
+def test_the_table_names_who_is_silent_and_who_shares_an_id(language):
+    table = found_table(LISTED, language)
+    assert "80 %" in table
+    assert say(language, "silent") in table
+    assert say(language, "missing", segments="hand") in table
+    assert "<b>" not in table
+    shared = LISTED | {"conflicts": [{"module": 1, "unique_ids": [SECOND, THIRD]}]}
+    (line,) = conflict_lines(shared, language)
+    assert "…bbbbbb, …cccccc" in line
+    assert "…bbbbbb, …cccccc" in found_table(shared, language)
+
+
+def test_what_would_be_written_is_told_before():
+    wardrobe = Wardrobe(LISTED)
+    assert told(wardrobe.propose("upper_arm", FIRST), "en") == "upper arm: it is module 0 already"
+    assert told(wardrobe.propose("hand", FIRST), "en") == "hand: module 0 becomes 2"
+    exchange = told(wardrobe.propose("<b>", FIRST), "en")
+    assert exchange == "<b>: module 0 becomes 1, and the one that is 1 becomes 0"
