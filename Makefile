@@ -114,7 +114,7 @@ golden-renew: install-dev
 attack: install-dev system-tools
 	$(BIN)/python -m pytest tests/attack
 
-test-socketcan: install-dev
+test-socketcan: install-dev firmware
 	@PYTHON=$(BIN)/python tests/socketcan/run.sh
 
 # What the firmware is built with, and run in; without a C compiler and the right to install one, a wheel has it.

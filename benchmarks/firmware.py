@@ -4,8 +4,8 @@
 
     make firmware-sizes
 
-The machine code for a Cortex-M3 runs in QEMU, where an instruction takes 32 ns of the module's time whatever it
-is: what is counted are instructions, not cycles.
+The machine code for a Cortex-M3 runs in QEMU, where an instruction takes 32 ns of the module's time, whatever
+it is: what is counted are instructions, not cycles.
 """
 
 from __future__ import annotations
@@ -81,9 +81,7 @@ def main() -> None:
     print(f"RAM     {size['data'] + size['bss']:6} bytes  data {size['data']}, bss {size['bss']}")
     print(f"stack   {told['stack, most bytes in use']:6} bytes  the deepest until now")
     per_sample = awake_us * 1000 / 2**_SHIFT / _RATE_HZ
-    print(
-        f"awake   {awake_us / 1e4:6.2f} %      {per_sample:.0f} instructions a sample, all else shared out among them"
-    )
+    print(f"awake   {awake_us / 1e4:6.2f} %      {per_sample:.0f} instructions a sample, with all else")
 
 
 if __name__ == "__main__":

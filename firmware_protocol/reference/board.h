@@ -5,6 +5,9 @@
  *     samples_on_timer()   the alarm of board_wake_at has come
  *     inbox_on_byte()      the line brought a byte
  *     outbox_on_sent()     the line has sent all that board_uart_send was given
+ *     can_on_frame()       the bus brought a frame
+ *     can_on_sent()        a mailbox for frames is free again
+ *     can_on_bus_off()     the controller has left the bus, and all that it was given is lost
  *
  * Interrupts of the same board do not interrupt each other.
  */
@@ -35,6 +38,11 @@ void board_uart_send(const uint8_t *data, size_t size);
 
 /* How long so many bytes take on the line, us. */
 uint32_t board_uart_time_us(size_t size);
+
+/* ---- The bus, of a module that is linked with wire_can.c instead of wire_uart.c ---- */
+
+/* Hands a frame to the controller; false where its mailboxes are full. */
+bool board_can_send(const mocap_can_frame *frame);
 
 /* ---- Memory that stays ---- */
 

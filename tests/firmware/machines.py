@@ -39,6 +39,18 @@ def host_compiler() -> str:
     raise NotHere("no C compiler: apt install gcc, or pip install ziglang")
 
 
+def broken_copy(folder: Path, file: str, right: str, wrong: str) -> Path:
+    """Copy the firmware's source with one thing changed; return where it can be built."""
+    copied = folder / "firmware_protocol"
+    shutil.copytree(REFERENCE, copied / "reference")
+    shutil.copytree(REFERENCE.parent / "c", copied / "c", ignore=shutil.ignore_patterns("__pycache__"))
+    source = copied / "reference" / file
+    text = source.read_text()
+    assert right in text, f"{file} has no {right}"
+    source.write_text(text.replace(right, wrong))
+    return copied / "reference"
+
+
 def build(board: str, folder: Path, source: Path = REFERENCE, flags: str = "") -> Path:
     """Build the firmware for a board with its own Makefile; return the program. Raises ``NotHere``."""
     if shutil.which("make") is None:

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import os
-import shutil
 from typing import NamedTuple
 
 import pytest
@@ -23,7 +22,7 @@ from devices.link import Framing
 from gateway.body.rig import load_rig
 from gateway.cli.main import app
 from gateway.emulation.rig import dress, move
-from tests.firmware.machines import POSIX, REFERENCE, Machine, NotHere, build, switched_on
+from tests.firmware.machines import POSIX, Machine, NotHere, broken_copy, build, switched_on
 from tests.running_suit import running
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(200)]
@@ -139,15 +138,9 @@ def _worth_testing(wrong: Break) -> list[str]:
 @pytest.mark.parametrize("name", BREAKS)
 async def test_what_is_broken_is_named(name, tmp_path):
     wrong = BREAKS[name]
-    folder = tmp_path / "firmware_protocol"
-    shutil.copytree(REFERENCE, folder / "reference")
-    shutil.copytree(REFERENCE.parent / "c", folder / "c", ignore=shutil.ignore_patterns("__pycache__"))
-    source = folder / "reference" / wrong.file
-    text = source.read_text()
-    assert wrong.right in text
-    source.write_text(text.replace(wrong.right, wrong.wrong))
+    source = broken_copy(tmp_path, wrong.file, wrong.right, wrong.wrong)
     try:
-        program = build(POSIX, tmp_path / "built", folder / "reference")
+        program = build(POSIX, tmp_path / "built", source)
     except NotHere as missing:
         pytest.skip(str(missing))
     memory = FirmwareMemory.fresh(tmp_path / "m.img", bytes(range(12)), settings={"module_id": 3})

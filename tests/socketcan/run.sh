@@ -4,7 +4,7 @@
 set -uo pipefail
 here=$(dirname "$0")
 python=${PYTHON:-.venv/bin/python}
-tests="$python -m pytest -p no:cacheprovider --color=no -m '' --confcutdir=$here $here/test_kernel_bus.py"
+tests="$python -m pytest -p no:cacheprovider --color=no -m '' --confcutdir=$here $here/test_kernel_bus.py $here/test_firmware_on_bus.py"
 
 if [ -e /sys/class/net/vcan0 ] && [ -e /sys/class/net/vcan1 ]; then
     eval "exec $tests"

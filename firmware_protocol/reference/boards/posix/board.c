@@ -1,8 +1,9 @@
-/* A process of this computer as a module: a pseudo-terminal as its line, a file as its memory, a signal as its timer.
+/* A process of this computer as a module: a file as its memory, a signal as its timer, a line (line.h).
  *
- *     module_posix MEMORY [LINK]
+ *     module_posix MEMORY [LINK]          on a pseudo-terminal: its name is printed, and LINK is a symbolic link to it
+ *     module_posix_can MEMORY INTERFACE   on a CAN bus of Linux, such as vcan0
  *
- * MEMORY is made where there is none. The name of the pseudo-terminal is printed, and LINK is a symbolic link to it.
+ * MEMORY is made where there is none.
  * `led on` and `led off` are printed as the light changes. SIGALRM is the timer interrupt and interrupts the main loop anywhere,
  * as on a microcontroller; SIGVTALRM, after three seconds of computing, is the watchdog, and starts the program anew.
  */
@@ -14,32 +15,24 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/mman.h>
-#include <sys/select.h>
 #include <sys/stat.h>
 #include <sys/time.h>
-#include <termios.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "image.h"
-#include "inbox.h"
+#include "line.h"
 #include "module.h"
-#include "outbox.h"
 #include "samples.h"
 
-#define NOBODY_LOOKS_AGAIN_US 5000u
 #define WATCHDOG_S 3
 
 static uint8_t *memory;
-static int line = -1;
-static const uint8_t *to_send;
-static size_t left_to_send;
-static bool has_reader; /* of the other side */
 static struct timespec started;
 static char **arguments;
 static const char *reset_cause = "started";
 
-static void fail(const char *what) {
+void fail(const char *what) {
     perror(what);
     exit(1);
 }
@@ -85,77 +78,6 @@ void board_interrupts_on(uint32_t before) {
     if (before == 0u) {
         (void)sigprocmask(SIG_UNBLOCK, &alarm, NULL);
     }
-}
-
-/* ---- The line: what a microcontroller does in interrupts and DMA is done while the main loop sleeps ---- */
-
-/* Nobody has the other side open: what is sent is lost, as on a cable that is plugged in nowhere. */
-static void send_on(void) {
-    while (left_to_send > 0u) {
-        const ssize_t sent = has_reader ? write(line, to_send, left_to_send) : (ssize_t)left_to_send;
-        if (sent < 0) {
-            return;
-        }
-        to_send += sent;
-        left_to_send -= (size_t)sent;
-        if (left_to_send == 0u) {
-            outbox_on_sent(); /* which may give the next stretch */
-        }
-    }
-}
-
-void board_uart_send(const uint8_t *data, size_t size) {
-    to_send = data;
-    left_to_send = size;
-}
-
-uint32_t board_uart_time_us(size_t size) {
-    (void)size; /* a pseudo-terminal takes no time */
-    return 0u;
-}
-
-/* What a reader left unread is gone once it has closed its side. */
-static void forget_unread(void) {
-    const int other = open(ptsname(line), O_RDWR | O_NOCTTY | O_CLOEXEC);
-    if (other >= 0) {
-        (void)tcflush(other, TCIFLUSH);
-        (void)close(other);
-    }
-}
-
-static void receive(void) {
-    uint8_t bytes[256];
-    const bool had_reader = has_reader;
-    const ssize_t size = read(line, bytes, sizeof bytes);
-    ssize_t i;
-    has_reader = size >= 0 || errno == EAGAIN || errno == EINTR;
-    if (had_reader && !has_reader) {
-        forget_unread();
-    }
-    for (i = 0; i < size; ++i) {
-        inbox_on_byte(bytes[i]);
-    }
-}
-
-void board_idle(uint32_t most_us) {
-    sigset_t none;
-    fd_set readable, writable;
-    struct timespec most = {0, (long)most_us * 1000};
-    (void)sigemptyset(&none);
-    FD_ZERO(&readable);
-    FD_ZERO(&writable);
-    send_on();
-    if (has_reader) {
-        FD_SET(line, &readable);
-        if (left_to_send > 0u) {
-            FD_SET(line, &writable);
-        }
-    } else if (most_us > NOBODY_LOOKS_AGAIN_US) {
-        most.tv_nsec = NOBODY_LOOKS_AGAIN_US * 1000; /* a line without a reader is always "readable" */
-    }
-    (void)pselect(line + 1, &readable, &writable, NULL, &most, &none);
-    receive();
-    send_on();
 }
 
 /* ---- Memory and all else ---- */
@@ -231,31 +153,6 @@ static void open_memory(const char *path) {
     }
 }
 
-static void open_line(const char *link) {
-    struct termios settings;
-    int other;
-    line = posix_openpt(O_RDWR | O_NOCTTY);
-    if (line < 0 || grantpt(line) != 0 || unlockpt(line) != 0 || fcntl(line, F_SETFD, FD_CLOEXEC) != 0 ||
-        fcntl(line, F_SETFL, O_NONBLOCK) != 0) {
-        fail("pseudo-terminal");
-    }
-    other = open(ptsname(line), O_RDWR | O_NOCTTY);
-    if (other < 0 || tcgetattr(other, &settings) != 0) {
-        fail(ptsname(line));
-    }
-    cfmakeraw(&settings);
-    (void)tcsetattr(other, TCSANOW, &settings);
-    (void)close(other); /* only so can it be told whether somebody has it open */
-    if (link != NULL) {
-        (void)unlink(link);
-        if (symlink(ptsname(line), link) != 0) {
-            fail(link);
-        }
-    }
-    (void)printf("%s\n", ptsname(line));
-    (void)fflush(stdout);
-}
-
 static void handle(int number, void (*handler)(int)) {
     struct sigaction action;
     memset(&action, 0, sizeof action);
@@ -269,7 +166,7 @@ int main(int count, char **given) {
     sigset_t every;
     arguments = given;
     if (count < 2) {
-        (void)fprintf(stderr, "usage: %s MEMORY [LINK]\n", given[0]);
+        (void)fprintf(stderr, "usage: %s MEMORY [LINK or CAN interface]\n", given[0]);
         return 2;
     }
     if (getenv("MODULE_RESET_CAUSE") != NULL) {
@@ -277,7 +174,7 @@ int main(int count, char **given) {
     }
     (void)clock_gettime(CLOCK_MONOTONIC, &started);
     open_memory(given[1]);
-    open_line(count > 2 ? given[2] : NULL);
+    line_open(count > 2 ? given[2] : NULL);
     handle(SIGALRM, on_alarm);
     handle(SIGVTALRM, on_watchdog);
     (void)sigfillset(&every); /* a restart by the watchdog leaves its own signal blocked */
