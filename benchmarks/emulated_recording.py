@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from devices.emulators.bodies import EmulatedBody
 from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.faulty_suit import FaultySuit
 from devices.emulators.imperfections import TYPICAL
+from devices.emulators.motions import BodyMotion
 from devices.emulators.suit_traffic import SuitSettings, SuitTraffic
 from devices.link import Chunk, Framing, gateway_time_ns
 from gateway.body.rig import load_rig
@@ -37,10 +39,17 @@ def write_session(files: SessionFiles, handled: Iterable[tuple[Chunk, list[Skele
     files.close()
 
 
-def record_walk(folder: Path, seconds: float, settings: GatewaySettings, plan: FaultPlan, seed: int) -> Path:
+def record_walk(
+    folder: Path,
+    seconds: float,
+    settings: GatewaySettings,
+    plan: FaultPlan,
+    seed: int,
+    motion: Callable[[EmulatedBody, str, int], BodyMotion] = move,
+) -> Path:
     """A person walks in the rig of the settings, what the plan says goes wrong; the recording of it all."""
     suit = load_rig(settings.rig)
-    traffic = SuitTraffic(move(dress(suit), suit.skeleton.name, seed), SuitSettings(), TYPICAL, seed)
+    traffic = SuitTraffic(motion(dress(suit), suit.skeleton.name, seed), SuitSettings(), TYPICAL, seed)
     pipeline = Pipeline.from_settings(settings, suit)
     pipeline.add_link(LINK, Framing.BYTE_STREAM)
     chunks = _chunks(FaultySuit(traffic, plan), seconds)

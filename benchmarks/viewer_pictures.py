@@ -21,6 +21,7 @@ from benchmarks.emulated_recording import LINK, record_walk
 from benchmarks.viewer_browser import browser_page
 from devices.emulators.fault_plan import FaultPlan
 from devices.emulators.local_broker import free_port, mosquitto
+from gateway.emulation.rig import perform
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.settings import GatewaySettings
@@ -60,7 +61,7 @@ def _record(folder: Path, broker_port: int) -> Path:
     begin_s, end_s = UNPLUGGED_S
     fault = {"kind": "reset", "module": MODULE, "at": begin_s, "lasts": end_s - begin_s}
     plan = FaultPlan.model_validate({"seed": SEED, "faults": [fault]})
-    return record_walk(folder, SECONDS, settings, plan, SEED)
+    return record_walk(folder, SECONDS, settings, plan, SEED, perform)
 
 
 async def _live(url: str, broker_port: int) -> None:

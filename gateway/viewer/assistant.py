@@ -7,7 +7,6 @@ is written to a module before a switch says so.
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
 import html
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any
@@ -16,10 +15,9 @@ import viser
 
 from gateway.errors import GatewayError
 from gateway.modules.assignment import Proposal, Wardrobe
+from gateway.viewer.body_steps import Ask, BodySteps, Errands, line
 from gateway.viewer.texts import LANGUAGES, say
 
-Ask = Callable[[str, str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
-"""Family, verb and data to the gateway's answer. Raises ``GatewayError``."""
 NOTHING = "–"
 LISTEN_S, BLINK_S, SHAKEN_S = 2.0, 5, 20.0
 
@@ -37,13 +35,14 @@ class Assistant:
         """chosen: told which segment is meant, to be shown on the body."""
         self._server, self._ask, self._chosen = server, ask, chosen
         self._loop = asyncio.get_running_loop()
-        self._work: set[concurrent.futures.Future[None]] = set()
+        self._errands = Errands(self._loop)
         self._listed: Mapping[str, Any] | None = None
         self._handles: list[Any] = []
         self._tab = tabs.add_tab(say("en", "tab"))
         self._language = "en"
         with self._tab:
             choice = server.gui.add_dropdown("Language / Sprache", tuple(LANGUAGES))
+        self._body = BodySteps(server, tabs, ask, self._loop)
         choice.on_update(lambda _: self._speak(LANGUAGES[choice.value]))
         self._build()
 
@@ -61,6 +60,7 @@ class Assistant:
             handle.remove()
         self._build()
         self._show_listed()
+        self._body.speak(language)
 
     def _say(self, key: str, **values: object) -> str:
         return say(self._language, key, **values)
@@ -73,7 +73,7 @@ class Assistant:
             self._separate = gui.add_button(self._say("separate"), visible=False)
             self._device = gui.add_dropdown(self._say("device"), (NOTHING,))
             identify = gui.add_button(self._say("identify"))
-            hint = gui.add_html(_line(self._say("hint")))
+            hint = gui.add_html(line(self._say("hint")))
             self._segment = gui.add_dropdown(self._say("segment"), (NOTHING,))
             shake = gui.add_button(self._say("shake"))
             self._write = gui.add_checkbox(self._say("write"), False)
@@ -99,19 +99,10 @@ class Assistant:
     def start(self, deed: Callable[[], Awaitable[str]]) -> None:
         """Do what a button asks for, in the loop; what became of it, or what is wrong, is shown."""
 
-        async def work() -> None:
-            try:
-                said = await deed()
-            except GatewayError as error:
-                said = str(error)
-            self._answer.content = _line(said)
-
-        future = asyncio.run_coroutine_threadsafe(work(), self._loop)
-        self._work.add(future)
-        future.add_done_callback(self._work.discard)
+        self._errands.start(deed, lambda said: setattr(self._answer, "content", line(said)))
 
     async def _look(self) -> str:
-        self._answer.content = _line(self._say("looking"))
+        self._answer.content = line(self._say("looking"))
         self._listed = await self._ask("modules", "list", {"listen_s": LISTEN_S})
         self._show_listed()
         count = len(self._listed["modules"])
@@ -134,7 +125,7 @@ class Assistant:
         return self._say("blinks", id=answer["module"])
 
     async def _await_shake(self) -> str:
-        self._answer.content = _line(self._say("waiting"))
+        self._answer.content = line(self._say("waiting"))
         answer = await self._ask("modules", "motion", {"seconds": SHAKEN_S})
         if answer["module"] is None:
             return self._say("none_moved")
@@ -196,10 +187,6 @@ class Assistant:
 
 def _pressed(assistant: Assistant, deed: Callable[[], Awaitable[str]]) -> Callable[[object], None]:
     return lambda _event: assistant.start(deed)
-
-
-def _line(text: str) -> str:
-    return f'<div role="status" style="padding:2px 12px 4px;font-size:12px">{html.escape(text)}</div>'
 
 
 def devices_of(listed: Mapping[str, Any]) -> dict[str, str]:

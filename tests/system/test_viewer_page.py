@@ -160,6 +160,40 @@ async def test_modules_that_share_an_id_are_set_up_on_the_page(
         await page.get_by_text("nicht gehört: right forearm").wait_for()
 
 
+async def test_a_body_is_calibrated_on_the_page(
+    mosquitto, unused_port, chromium, command, tmp_path, monkeypatch
+):
+    """The steps with what to do and how long, a score for each module; a step again; and in use."""
+    monkeypatch.chdir(tmp_path)
+    emulated = command("emulate", "--rig", "suit_lower_7", "--strap-on", "random", "--on", "pty", "--json",
+                       "--link", tmp_path / "suit")  # fmt: skip
+    await emulated.until_it_says('"url"')
+    config = tmp_path / "gateway.yaml"
+    settings = {
+        "gateway": GATEWAY,
+        "links": [{"name": "suit", "url": str(tmp_path / "suit")}],
+        "rig": "suit_lower_7",
+        "reconstructor": "independent",
+        "mqtt": {"port": mosquitto.port},
+    }
+    config.write_text(yaml.safe_dump(settings))
+    command("run", "-c", config)
+    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
+        await page.get_by_text(f"{GATEWAY}: online").wait_for()
+        await page.get_by_role("tab", name="Body").click()
+        await page.get_by_role("button", name="Do this step").click()
+        await page.get_by_text("press «4 · Begin with the poses» first").wait_for()
+        await page.get_by_role("button", name="Begin with the poses").click()
+        await page.get_by_text("steps: do them one after another").wait_for()
+        await page.get_by_role("button", name="Do this step").click()
+        await page.get_by_text("Begins in").wait_for()
+        await page.get_by_text("Hold on for").wait_for()
+        await page.get_by_text("done: n_pose").wait_for()
+        await page.get_by_role("button", name="Work out how modules sit").click()
+        await page.get_by_text("of 7 modules are good").wait_for()
+        assert await page.get_by_role("cell", name="left thigh", exact=True).count() == 1
+
+
 async def choose(page, which, option):
     """Choose from a list of the tab that is open."""
     chooser = page.locator("input[role=combobox]").filter(visible=True).nth(which)

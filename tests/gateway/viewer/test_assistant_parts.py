@@ -6,8 +6,10 @@ import string
 
 import pytest
 
+from gateway.calibration.procedure import PROCEDURE
 from gateway.modules.assignment import Wardrobe
 from gateway.viewer.assistant import conflict_lines, devices_of, found_table, told
+from gateway.viewer.body_steps import instruction_of, progress, result_table
 from gateway.viewer.texts import LANGUAGES, say, texts
 
 
@@ -78,3 +80,37 @@ def test_what_would_be_written_is_told_before():
     assert told(wardrobe.propose("hand", FIRST), "en") == "hand: module 0 becomes 2"
     exchange = told(wardrobe.propose("<b>", FIRST), "en")
     assert exchange == "<b>: module 0 becomes 1, and the one that is 1 becomes 0"
+
+
+def status_of(phase, **modules):
+    return {
+        "phase": phase,
+        "left_s": 2.6,
+        "done": [],
+        "modules": [
+            {"segment": name, "heard": heard, "still": still, "turning_deg_s": 1.0}
+            for name, (heard, still) in modules.items()
+        ],
+    }
+
+
+def test_progress_tells_what_to_do_for_how_long_and_who_spoils_it():
+    status = status_of("recording n_pose", head=(True, True), left_hand=(True, False), pelvis=(False, False))
+    said = progress(status, "Stand still", "en")
+    assert said == "Stand still. Hold on for 3 s · not heard: pelvis · not still: left hand"
+    ready = progress(status_of("get ready for squat", head=(True, False)), "Squat", "de")
+    assert ready == "Squat. Beginnt in 3 s"  # in a movement nobody has to be still
+
+
+@pytest.mark.parametrize("language", LANGUAGES.values())
+def test_every_step_of_the_gateway_has_its_instruction(language):
+    for step in PROCEDURE:
+        assert instruction_of(step.name, "?", language) != "?"
+    assert instruction_of("dance", "as told", language) == "as told"
+
+
+def test_the_result_names_reasons():
+    module = {"module": 3, "segment": "left_foot", "score": 0.31, "quality": "poor", "reasons": ["a < b"]}
+    table = result_table({"modules": [module]}, "en")
+    assert "0.31" in table
+    assert "a &lt; b" in table
