@@ -73,6 +73,11 @@ size_t store_read(uint8_t key, uint8_t *value, size_t capacity) {
 mocap_result store_stage(uint8_t key, const uint8_t *value, size_t size) {
     mocap_settings wanted = is_staged ? staged : active;
     const mocap_result result = mocap_settings_write(&wanted, key, value, size);
+#ifdef STORE_FIXED_ID /* of a relay */
+    if (key == MOCAP_SETTING_MODULE_ID) {
+        return MOCAP_RESULT_NOT_SUPPORTED;
+    }
+#endif
     if (result == MOCAP_RESULT_DONE && wanted.mode == MOCAP_SETTINGS_MODE_ORIENTATION_FUSED_ON_THE_MODULE) {
         return MOCAP_RESULT_NOT_SUPPORTED; /* the gateway fuses */
     }

@@ -4,6 +4,11 @@
 
 #include "mocap_protocol.h"
 
+/* Longest body that can be sent; a relay is compiled with room for its batches. */
+#ifndef WIRE_MOST_BODY
+#define WIRE_MOST_BODY MOCAP_ACKNOWLEDGEMENT_MAX_SIZE
+#endif
+
 void wire_begin(void);
 
 /* Sends a wire frame under a number of its own; false where the line is full. */

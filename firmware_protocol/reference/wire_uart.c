@@ -15,7 +15,7 @@ void wire_begin(void) {
 }
 
 bool wire_send(uint8_t kind, uint16_t sequence, uint32_t time_us, const uint8_t *body, size_t size) {
-    uint8_t sent[MOCAP_SENT_SIZE(MOCAP_ACKNOWLEDGEMENT_MAX_SIZE)];
+    uint8_t sent[MOCAP_SENT_SIZE(WIRE_MOST_BODY)];
     const mocap_wire_frame frame = {MOCAP_PROTOCOL_VERSION, kind, wire_module(), sequence, time_us, body, size};
     return outbox_put(sent, mocap_encode_frame(&frame, sent, sizeof sent));
 }

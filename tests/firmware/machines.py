@@ -18,9 +18,9 @@ from devices.emulators.firmware_memory import FirmwareMemory
 from tests.patience import PATIENCE_S
 
 REFERENCE = Path(__file__).resolve().parents[2] / "firmware_protocol" / "reference"
-POSIX, QEMU = "posix", "qemu"
+POSIX, QEMU, RELAY = "posix", "qemu", "relay"
 BOARDS = (POSIX, QEMU)
-PROGRAMS = {POSIX: "module_posix", QEMU: "module_qemu.elf"}
+PROGRAMS = {POSIX: "module_posix", QEMU: "module_qemu.elf", RELAY: "relay_posix"}
 
 
 class NotHere(Exception):
@@ -56,7 +56,7 @@ def build(board: str, folder: Path, source: Path = REFERENCE, flags: str = "") -
     if shutil.which("make") is None:
         raise NotHere("no make: apt install make")
     variables = [f"BUILD={folder}", f"CFLAGS={flags}"]
-    if board == POSIX:
+    if board != QEMU:
         variables.append(f"CC={host_compiler()}")
     elif shutil.which("arm-none-eabi-gcc") is None or shutil.which("qemu-system-arm") is None:
         raise NotHere("no Cortex-M here: apt install gcc-arm-none-eabi qemu-system-arm")
@@ -85,6 +85,8 @@ class Machine:
     link: Path
     """Symbolic link to the pseudo-terminal."""
     more: tuple[str, ...] = ()
+    environment: dict[str, str] = field(default_factory=dict)
+    """Besides that of the tests."""
     _process: subprocess.Popen[str] | None = field(default=None, repr=False)
     _log: IO[str] | None = field(default=None, repr=False)
 
@@ -110,7 +112,8 @@ class Machine:
         before = len(self.printed) if self._log_path.exists() else 0
         with self._log_path.open("a") as log:
             command = command_of(self.program, self.memory, *self.more)
-            self._process = subprocess.Popen(command, stdout=log, stderr=log, text=True)
+            environment = {**os.environ, **self.environment}
+            self._process = subprocess.Popen(command, stdout=log, stderr=log, text=True, env=environment)
         end = time.monotonic() + PATIENCE_S
         while (found := re.search(r"/dev/pts/\d+", self.printed[before:])) is None:
             assert time.monotonic() < end, self.printed
