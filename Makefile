@@ -129,7 +129,7 @@ firmware: firmware-tools
 	@$(MAKE) -C firmware_protocol/reference CC="$(HOST_CC)"
 
 test-firmware: install-dev system-tools firmware-tools
-	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 5 tests/firmware
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations 5 tests/firmware
 
 firmware-sizes: firmware
 	@$(BIN)/python -m benchmarks.firmware
