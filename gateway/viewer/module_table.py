@@ -135,7 +135,7 @@ def recorded_table(rows: list[tuple[str, ...]]) -> str:
 
 def _row(module: str, segment: str, summary: JsonValue) -> tuple[str, ...]:
     if not isinstance(summary, dict):
-        return (module, segment, "", "silent", "", "")
+        return (module, segment.replace("_", " "), "", "silent", "", "")
     received, lost = _number(summary, "received"), _number(summary, "lost")
     share = 100.0 * lost / (received + lost) if received + lost else 0.0
     battery = summary.get("battery_percent")
