@@ -126,7 +126,7 @@ firmware-tools: $(VENV)/pyvenv.cfg
 	@command -v cc gcc clang >/dev/null || $(BIN)/python -c 'import ziglang' 2>/dev/null || $(BIN)/python -m pip install -q "ziglang>=0.13,<1"
 
 firmware: firmware-tools
-	@$(MAKE) -C firmware_protocol/reference CC="$(HOST_CC)"
+	@$(MAKE) --no-print-directory -C firmware_protocol/reference CC="$(HOST_CC)"
 
 test-firmware: install-dev system-tools firmware-tools
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations 5 tests/firmware
