@@ -1,4 +1,7 @@
-"""Instants of samples that bear no stamp, from when they arrived and how many there were."""
+"""Instants of samples that bear no stamp, from when they arrived and how many there were.
+
+Their numbers must be known: of samples that bear none ``gateway.sources.arrival_counter`` finds those first.
+"""
 
 from __future__ import annotations
 

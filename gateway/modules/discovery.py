@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+from collections import Counter
 from collections.abc import Sequence
 
 from devices.udp_link import UdpLink
@@ -31,7 +32,16 @@ async def discovered(seconds: float, host: str = EVERYWHERE) -> list[Announced]:
     await asyncio.gather(*waiting, return_exceptions=True)
     for task in done:
         task.result()
-    return sorted(found.values(), key=lambda each: (each.carries, each.name, each.unique_id))
+    return _told_apart(sorted(found.values(), key=lambda each: (each.carries, each.name, each.unique_id)))
+
+
+def _told_apart(found: Sequence[Announced]) -> list[Announced]:
+    """Add their numbers to names that several have, as from the factory: links need names of their own."""
+    names = Counter(each.name for each in found if each.entry is None)
+    return [
+        each._replace(name=f"{each.name} {each.unique_id}") if names[each.name] > 1 else each
+        for each in found
+    ]
 
 
 def by_link(found: Sequence[Announced]) -> list[list[Announced]]:

@@ -3,6 +3,9 @@
 Samples are taken at even intervals, and what delays them on their way only ever does so for a while. So the
 least of ``arrival − number × interval`` over a few samples stays what it is, and rises by whole intervals
 where samples were lost. A burst after a stall does not count: in it that value falls from sample to sample.
+
+The stamps then go through the clock of any module. Where packets bear numbers, so that losses are known, and
+pings tell the way, ``gateway.clocks.ArrivalLine`` gives instants straight away.
 """
 
 from __future__ import annotations

@@ -261,6 +261,7 @@ def test_devices_in_the_network_are_found_with_the_lines_for_them(emulated, comm
     assert {link["url"].partition("?")[0].rpartition(":")[2] for link in found} >= {
         link["url"].rpartition(":")[2] for link in links
     }
+    assert len({link["name"] for link in found}) == len(found)  # as links must be
     assert all(link["carries"] == "ximu3" and "peers=127.0.0.1" in link["url"] for link in found)
 
 
