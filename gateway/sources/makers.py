@@ -37,6 +37,11 @@ LEAST_RATE_SHARE = 0.9
 _INTERVALS, _FEWEST_INTERVALS = 31, 8
 """Between stamps: of so many the lower quartile is the interval of the samples, once there are some."""
 
+LEAP_IN_NUMBER = "leap_in_number"
+"""Reason for which what bears a number far from those before is dropped."""
+_OVERTAKEN, _MISSED = 64, 10_000
+"""By how much a number may be behind the newest one, and before it."""
+
 _Found = TypeVar("_Found")
 
 
@@ -268,6 +273,31 @@ class MakersSource(ListeningSource):
         others = sum(device.without_reading for device in self.devices.values())
         yield Balance("packets_decoded", self._accepted + others, {})
         yield Balance("readings", self._accepted, {})
+
+
+class StreamCounter:
+    """Continues the numbers of a stream that begins anew, as when a program is started again.
+
+    A number that is far from all before is believed when the next one follows on it.
+    """
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+        self._strange: int | None = None
+        self._shift = 0
+
+    def number(self, told: int) -> int | None:
+        """Return the number of an instant, from one that goes on; None: it is not believed yet."""
+        if self._newest is None or -_OVERTAKEN <= told - self._newest <= _MISSED:
+            self._newest = told if self._newest is None else max(told, self._newest)
+        elif self._strange is not None and 0 <= told - self._strange <= _OVERTAKEN:
+            self._shift += self._newest + 1 - told
+            self._newest = told
+        else:
+            self._strange = told
+            return None
+        self._strange = None
+        return told + self._shift
 
 
 class StampCounter:

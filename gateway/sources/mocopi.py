@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
@@ -12,7 +12,13 @@ from devices.vendor_protocols.mocopi import PARENTS, Frame, MocopiDecoder
 from devices.vendor_protocols.rotations import Quaternion, multiply
 from firmware_protocol import FusedSample
 from gateway.frames import FusedReading
-from gateway.sources.makers import MakersDevice, MakersLinkSettings, MakersSource
+from gateway.sources.makers import (
+    LEAP_IN_NUMBER,
+    MakersDevice,
+    MakersLinkSettings,
+    MakersSource,
+    StreamCounter,
+)
 
 if TYPE_CHECKING:
     from gateway.sources.module_table import ModuleTable
@@ -45,6 +51,10 @@ class MocopiDevice(MakersDevice):
 
     new_decoder = MocopiDecoder
 
+    def __init__(self, settings: Any) -> None:
+        super().__init__(settings)
+        self._numbers = StreamCounter()
+
     def readings(self, message: Frame, modules: ModuleTable, chunk: Chunk) -> Iterator[FusedReading]:
         """Yield the orientation of each bone in the world."""
         found: dict[int, Quaternion] = {-1: _FROM_Y_UP}
@@ -52,14 +62,16 @@ class MocopiDevice(MakersDevice):
             if bone < len(PARENTS) and PARENTS[bone] in found:
                 found[bone] = multiply(found[PARENTS[bone]], turned)
         del found[-1]
-        if not found:
+        told = self._numbers.number(message.number) if found else None
+        if told is None:
+            self._strange[LEAP_IN_NUMBER] += bool(found)
             return
         ids, losses = [self.module + bone for bone in found], modules.losses(chunk.link)
         stamp_us = message.time_ms * 1000 % 2**32
         records, time_ns = modules.timed_together(ids, self.module, stamp_us, chunk)
         together = list(zip(records, found.values(), strict=True))
         for record, q_ws in reversed(together):  # the root last: it is whom fused frames wait for
-            number = record.counter(FusedSample.KIND).count_unwrapped(message.number, losses)
+            number = record.counter(FusedSample.KIND).count_unwrapped(told, losses)
             if number is not None:
                 yield FusedReading(record.module, number, time_ns, q_ws)
 

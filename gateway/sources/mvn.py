@@ -26,7 +26,14 @@ from devices.vendor_protocols.mvn import (
 from devices.vendor_protocols.rotations import Quaternion, in_turn, multiply
 from firmware_protocol import FusedSample, InertialSample
 from gateway.frames import NOT_READ, FusedReading, Sample
-from gateway.sources.makers import MakersDevice, MakersLinkSettings, MakersSource, scaled
+from gateway.sources.makers import (
+    LEAP_IN_NUMBER,
+    MakersDevice,
+    MakersLinkSettings,
+    MakersSource,
+    StreamCounter,
+    scaled,
+)
 
 if TYPE_CHECKING:
     from gateway.sources.module_table import ModuleTable
@@ -67,6 +74,7 @@ class MvnDevice(MakersDevice):
         super().__init__(settings)
         self._character: int = getattr(settings, "character", 0)
         self._heard: set[int] = set()
+        self._numbers = StreamCounter()
         self._has_poses = False
         self._leader: int | None = None
         """Module whose clock all share."""
@@ -85,6 +93,10 @@ class MvnDevice(MakersDevice):
             self._strange[ANOTHER_CHARACTER] += 1
             return
         self._has_poses |= any(isinstance(item, SegmentPose) for item in message.items)
+        told = self._numbers.number(message.sample)
+        if told is None:
+            self._strange[LEAP_IN_NUMBER] += 1
+            return
         losses = modules.losses(chunk.link)
         joints = [item for item in message.items if isinstance(item, JointRotation)]
         if joints and self._has_poses:
@@ -92,12 +104,12 @@ class MvnDevice(MakersDevice):
             return
         fused = [(item.segment, item.orientation) for item in message.items if isinstance(item, SegmentPose)]
         for record, q in self._dated([*fused, *_chained(joints).items()], message, modules, chunk):
-            number = record.counter(FusedSample.KIND).count_unwrapped(message.sample, losses)
+            number = record.counter(FusedSample.KIND).count_unwrapped(told, losses)
             if number is not None:
                 yield FusedReading(record.module, number, self._time_ns, q)
         raw = [(item.segment, item) for item in message.items if isinstance(item, Tracker)]
         for record, item in self._dated(raw, message, modules, chunk):
-            number = record.counter(InertialSample.KIND).count_unwrapped(message.sample, losses)
+            number = record.counter(InertialSample.KIND).count_unwrapped(told, losses)
             if number is not None:
                 field = scaled(item.field, self.settings.field_ut) if any(item.field) else NOT_READ
                 measured = item.specific_force, item.angular_rate, field
