@@ -78,6 +78,19 @@ SUITS = [
 """Maker, medium, rig, method, and what the emulator must be told: several modules a link, or fused ones."""
 
 
+def moves(command, port):
+    """Whether all modules are heard and the forearm moves, in one of a few looks: devices without stamps are
+    timed by their arrival, and a machine that holds everything up for a while spoils it for as long."""
+    for _ in range(4):
+        watched = command("watch", "--port", port, "--count", 400, "--json", "--timeout", 2 * PATIENCE_S)
+        poses = [json.loads(line) for line in ended(watched).splitlines()]
+        hands = np.array([pose["segments"]["right_forearm"] for pose in poses[100:]])
+        is_heard = not any("missing" in pose["status"].values() for pose in poses[-50:])
+        if is_heard and np.abs(np.diff(hands, axis=0)).max() > 1e-3:
+            return True
+    return False
+
+
 @pytest.mark.parametrize(("maker", "medium"), WAYS)
 def test_plugged_in_listed_run_recorded_and_verified(
     emulated, configured, command, mosquitto, maker, medium, tmp_path
@@ -97,13 +110,7 @@ def test_plugged_in_listed_run_recorded_and_verified(
         if maker in ("ximu3", "slimevr"):
             assert module["battery_percent"] > 90
     gateway = command("record", "-c", config, "--folder", tmp_path, "--name", "walk", "--quiet")
-    watched = command(
-        "watch", "--port", mosquitto.port, "--count", 400, "--json", "--timeout", 2 * PATIENCE_S
-    )
-    poses = [json.loads(line) for line in ended(watched).splitlines()]
-    assert not any("missing" in pose["status"].values() for pose in poses[-50:])
-    hands = np.array([pose["segments"]["right_forearm"] for pose in poses[100:]])
-    assert np.abs(np.diff(hands, axis=0)).max() > 1e-3  # it moves
+    assert moves(command, mosquitto.port)
     gateway.terminate()
     gateway.wait()
     (recorded,) = tmp_path.glob("*walk.mcap")
