@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import socket
 
 import aiomqtt
 import pytest
 import yaml
 
+from devices.emulators.local_broker import free_port
 from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeState, PoseMessage, describe_body
 from gateway.contract.topics import Topics
@@ -202,26 +202,40 @@ async def choose(page, which, option):
     await page.get_by_role("option", name=option).click()
 
 
-@pytest.mark.parametrize("maker", ["ximu3", "mti", "slimevr"])
-async def test_the_page_shows_a_body_that_modules_of_another_maker_move(
-    mosquitto, unused_port, chromium, command, tmp_path, maker
+@pytest.mark.parametrize(
+    ("maker", "medium", "rig", "method", "more"),
+    [
+        ("ximu3", "udp", "arm_3", "joint", []),
+        ("mti", "pty", "arm_3", "joint", []),
+        ("mti_can", "slcan", "arm_3", "joint", []),
+        ("slimevr", "udp", "arm_3", "joint", []),
+        ("witmotion", "pty", "arm_3", "joint", []),
+        ("witmotion_can", "slcan", "arm_3", "joint", []),
+        ("mvn", "tcp", "mvn_17", "joint", []),
+        ("mvn", "udp", "mvn_fused_23", "fused", ["--mode", "fused"]),
+        ("bno08x_rvc", "pty", "arm_3", "fused_neutral", []),
+        ("mocopi", "udp", "mocopi_23", "fused", []),
+    ],
+)
+async def test_a_body_that_modules_of_another_maker_move_is_seen_subscribed_to_and_replayed(
+    mosquitto, unused_port, chromium, command, tmp_path, maker, medium, rig, method, more
 ):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    where = ["udp", "--port", port] if maker == "slimevr" else ["pty", "--link", tmp_path / "imu"]
-    emulated = command("emulate", "--speaks", maker, "--rig", "arm_3", "--on", *where, "--json")
+    """On the page in a browser, by a subscriber that is none of ours, and bit for bit from the recording."""
+    where = ["--link", tmp_path / "imu"] if medium in ("pty", "slcan") else ["--port", free_port()]
+    emulated = command("emulate", "--speaks", maker, "--rig", rig, "--on", medium, *where, *more, "--json")
     links = json.loads(await emulated.until_it_says('"links"'))["links"]
     config = tmp_path / "gateway.yaml"
-    settings = {"gateway": GATEWAY, "links": links, "rig": "arm_3", "mqtt": {"port": mosquitto.port}}
-    config.write_text(yaml.safe_dump(settings))
-    gateway = command("run", "-c", config)
-    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
+    settings = {"gateway": GATEWAY, "links": links, "rig": rig, "reconstructor": method}
+    config.write_text(yaml.safe_dump(settings | {"mqtt": {"port": mosquitto.port}}))
+    gateway = command("record", "-c", config, "--folder", tmp_path, "--name", "walk", "--quiet")
+    small = (700, 450)  # every pixel is drawn on the processor, which the gateway needs too
+    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, small) as (page, _):
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
         seen = await picture_of(page)
         async with asyncio.timeout(PATIENCE_S):
             while await picture_of(page) == seen:
                 await asyncio.sleep(0.2)
+        assert await subscriber_sees_motion(mosquitto.port)
         gateway.terminate()
         await gateway.ended()
         await page.get_by_text("NO DATA for").or_(page.get_by_text("offline")).first.wait_for()
@@ -229,9 +243,33 @@ async def test_the_page_shows_a_body_that_modules_of_another_maker_move(
         async with asyncio.timeout(PATIENCE_S):  # what moved was the body
             while (seen := await picture_of(page)) != still:
                 still = seen
-                await asyncio.sleep(1.0)
+                await asyncio.sleep(0.5)
+    emulated.terminate()
+    (recorded,) = tmp_path.glob("*walk.mcap")
+    verified = command("replay", recorded, "--verify")
+    assert await verified.ended() == 0
+    assert "identical" in verified.output
 
 
 async def picture_of(page):
     """What the page shows left of its panel, which tells times."""
-    return await page.screenshot(clip={"x": 0, "y": 100, "width": 400, "height": 500})
+    return await page.screenshot(clip={"x": 0, "y": 100, "width": 350, "height": 350})
+
+
+async def subscriber_sees_motion(port):
+    """Whether some segment turns, within the patience of a test, for one who knows the topics alone."""
+    first = {}
+    async with asyncio.timeout(PATIENCE_S), aiomqtt.Client("127.0.0.1", port) as client:
+        await client.subscribe(f"mocap/{GATEWAY}/pose")
+        async for message in client.messages:
+            segments = json.loads(message.payload)["segments"]
+            known = {name: q_wb for name, q_wb in segments.items() if q_wb is not None}
+            both = known.keys() & first.keys()
+            if any(
+                abs(now - then) > 0.05
+                for name in both
+                for now, then in zip(known[name], first[name], strict=True)
+            ):
+                return True
+            first = known | first
+    return False
