@@ -21,7 +21,8 @@ _AT_REST = (1.0, 0.0, 0.0, 0.0)
 class FusedAssembler:
     """Gathers orientations; gives frames. One call of ``add`` a reading.
 
-    While the reference is silent for longer than ``hold_ns``, another module takes its place.
+    While the reference is silent for longer than ``hold_ns``, another module takes its place: one that has
+    spoken since. After a pause of all of them the reference is about to go on.
     """
 
     def __init__(self, module_ids: tuple[int, ...], params: AssemblyParams, reference: int) -> None:
@@ -64,7 +65,7 @@ class FusedAssembler:
             self.late[module] += 1
             return []
         self.taken += 1
-        if self._is_reference_silent(datum.time_us):
+        if newest is not None and self._is_reference_silent(newest.time_us):
             self.reference = module
             self._gather = self._begin()
         self._newest[module] = datum
@@ -87,6 +88,7 @@ class FusedAssembler:
         return gather
 
     def _is_reference_silent(self, now_us: float) -> bool:
+        """Whether it has said nothing for so long, at an instant when another module spoke."""
         heard = self._newest.get(self.reference)
         if heard is None:
             return now_us * 1e3 > self._params.start_wait_ns

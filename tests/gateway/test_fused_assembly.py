@@ -98,3 +98,15 @@ def test_every_reading_is_counted_as_taken_or_as_no_use():
     assert assembler.add(FusedReading(2, 1, 13 * MS, orientation(0)), 60 * MS) == []
     assert assembler.lost == {Lost.UNKNOWN_MODULE: 1, Lost.LATE: 1}
     assert assembler.taken == 3 * 5
+
+
+def test_after_a_pause_of_all_the_reference_stays_and_late_frames_hold_all_that_came_with_it():
+    """As when an app, or the machine it runs on, is held up: one datagram with all of them, the reference last."""
+    assembler = FusedAssembler((1, 2, 3), PARAMS, 1)
+    frames, late = [], 2 * PARAMS.max_wait_ns
+    for k in (*range(20), *range(20 + PARAMS.hold_ns // (10 * MS), 100)):
+        at = 10 * k * MS
+        for module in (3, 2, 1):
+            frames += assembler.add(FusedReading(module, k, at, orientation(at)), at + late)
+    assert assembler.reference == 1
+    assert {tuple(frame.status.tolist()) for frame in frames} == {(Status.MEASURED,) * 3}
