@@ -15,12 +15,14 @@ from collections.abc import Sequence
 
 from gateway.clocks import unwrap
 
-_LEARNT = 48
-"""Samples from which the interval is told; nothing is made from them."""
+_HALF = 24
+"""Samples that are held against as many after them to measure an interval; none of them is made use of."""
+_AGREED = 1.05
+"""Two intervals measured one after the other may differ by so much to be believed."""
 _EVEN = 1.25
 """The upper quartile of the intervals learnt from over the lower one; beyond it samples came in bursts."""
 _BURSTS = 16
-"""So many times more samples are waited for, half of them new, that do not come in bursts."""
+"""So many times more half of the samples are new, until they come neither in bursts nor at another rate."""
 _SHORTEST_NS = 100_000.0
 """No device samples faster: what came in less had waited somewhere."""
 _KNOWN = 0.92, 1.15
@@ -56,6 +58,8 @@ class ArrivalCounter:
         self._rates_hz, self._bits = rates_hz, counter_bits
         self._first: list[tuple[int, int]] = []  # (arrival, number) of the samples learnt from
         self._bursts = 0
+        self._measured_ns: float | None = None
+        """Interval of the samples before, which those that follow on them are to confirm."""
         self._number = -1
         self._shift = 0
         """Added to the counts of a device that counts from anew."""
@@ -139,17 +143,16 @@ class ArrivalCounter:
         elif count is not None:
             number = count
         self._first.append((arrived_ns, number))
-        if len(self._first) < _LEARNT:
+        if len(self._first) < 2 * _HALF:
             return
-        half = _LEARNT // 2
-        pairs = zip(self._first[:half], self._first[half:], strict=True)
-        spans = sorted((late - early) / max(b - a, 1) for (early, a), (late, b) in pairs)
-        measured_ns, upper_ns = spans[half // 4], spans[3 * half // 4]
-        shortest_ns = max(_SHORTEST_NS, _KNOWN[0] * 1e9 / max(self._rates_hz, default=math.inf))
-        is_uneven = upper_ns > _EVEN * measured_ns and self._bursts < _BURSTS
-        if measured_ns < shortest_ns or is_uneven:
-            self._bursts += measured_ns >= shortest_ns
-            del self._first[:half]
+        before_ns, measured_ns = self._measured_ns, self._measured()
+        self._measured_ns = measured_ns
+        del self._first[:_HALF]
+        if measured_ns is None:
+            return
+        near_ns, far_ns = sorted((measured_ns, before_ns or math.inf))
+        if far_ns > _AGREED * near_ns and self._bursts < _BURSTS:
+            self._bursts += 1
             return
         near = (1e9 / rate_hz for rate_hz in self._rates_hz)
         known = (each for each in near if _KNOWN[0] * each <= measured_ns < _KNOWN[1] * each)
@@ -158,4 +161,16 @@ class ArrivalCounter:
             self._number = number
         else:
             self._stamped = self._number, arrived_ns - self._delay_ns
-        self._first, self._bursts = [], 0
+        self._first, self._bursts, self._measured_ns = [], 0, None
+
+    def _measured(self) -> float | None:
+        """Return the interval between both halves; None where they are seen to have come in bursts."""
+        pairs = zip(self._first[:_HALF], self._first[_HALF:], strict=True)
+        spans = sorted((late - early) / max(b - a, 1) for (early, a), (late, b) in pairs)
+        lower_ns, upper_ns = spans[_HALF // 4], spans[3 * _HALF // 4]
+        if lower_ns < max(_SHORTEST_NS, _KNOWN[0] * 1e9 / max(self._rates_hz, default=math.inf)):
+            return None
+        if upper_ns > _EVEN * lower_ns and self._bursts < _BURSTS:
+            self._bursts += 1
+            return None
+        return lower_ns
