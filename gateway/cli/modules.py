@@ -41,7 +41,7 @@ def list_modules(
     wide: Wide = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
 ) -> None:
-    """List the modules that can be heard. Ends with 1 when two of them share an id."""
+    """List the modules that can be heard. Ends with 1 when two share an id, or a link is not there."""
 
     async def work(operations: Operations) -> int:
         listed = await operations.perform("list", {"listen_s": listen})
@@ -49,9 +49,9 @@ def list_modules(
             typer.echo(json.dumps(listed))
         else:
             wide_console(WIDEST if wide else 0).print(modules_screen(listed, wide))
-        return 1 if listed["conflicts"] else 0
+        return 1 if listed["conflicts"] or listed.get("absent") else 0
 
-    run_with_suit(suit, work)
+    run_with_suit(suit, work, needs_all=False)
 
 
 def discover_modules(
@@ -97,7 +97,7 @@ def watch_modules(
                 shown += 1
         return 0
 
-    run_with_suit(suit, work)
+    run_with_suit(suit, work, needs_all=False)
 
 
 @with_suit

@@ -82,8 +82,11 @@ with_suit = with_options(SuitChoice)
 
 
 @contextlib.asynccontextmanager
-async def operations_of(choice: SuitChoice) -> AsyncIterator[Operations]:
-    """The suit, opened. Raises ``GatewayError`` or ``LinkError``."""
+async def operations_of(choice: SuitChoice, needs_all: bool = True) -> AsyncIterator[Operations]:
+    """The suit, opened; needs_all: whether all its links must be there, or only one of them.
+
+    Raises ``GatewayError`` or ``LinkError``.
+    """
     from gateway.body.rig import load_rig
     from gateway.modules.journal import Journal, default_journal_path
     from gateway.modules.remote import remote_suit
@@ -113,15 +116,21 @@ async def operations_of(choice: SuitChoice) -> AsyncIterator[Operations]:
         allow_writes=choice.allow_writes or settings.allow_device_writes,
         journal=journal,
         clock_mode=settings.clock.mode,
+        needs_all=needs_all,
     ) as local:
         yield local
 
 
-def run_with_suit(choice: SuitChoice, work: Callable[[Operations], Awaitable[int]]) -> None:
-    """Open the suit, do the work, end with its exit code. Ends by Ctrl-C without a word."""
+def run_with_suit(
+    choice: SuitChoice, work: Callable[[Operations], Awaitable[int]], needs_all: bool = True
+) -> None:
+    """Open the suit, do the work, end with its exit code. Ends by Ctrl-C without a word.
+
+    needs_all: whether all its links must be there, or only one of them.
+    """
 
     async def run() -> int:
-        async with operations_of(choice) as operations:
+        async with operations_of(choice, needs_all) as operations:
             return await work(operations)
 
     try:
@@ -223,7 +232,9 @@ def _remarks(listed: Mapping[str, Any]) -> list[Text]:
         )
         for conflict in listed["conflicts"]
     ]
-    mute = set(listed.get("without_commands", ()))  # a gateway of an older version says nothing
+    # a gateway of an older version says neither
+    absent, mute = listed.get("absent", {}), set(listed.get("without_commands", ()))
+    remarks += [Text(f"link '{name}' is not open: {reason}", "bold red") for name, reason in absent.items()]
     silent = [module["module"] for module in listed["modules"] if not module["answers"]]
     if quiet := [str(module) for module in silent if module in mute]:
         remarks.append(Text(f"take no commands: {', '.join(quiet)}: they cannot be identified or set here"))

@@ -170,6 +170,11 @@ class MakersModules:
         """Whether there is any such link."""
         return bool(self._sources)
 
+    @property
+    def links(self) -> Mapping[str, Link]:
+        """Those links, by name."""
+        return self._links
+
     async def discover(self) -> list[MakersModule]:
         """Return those that say who they are, by module id."""
         found = await asyncio.gather(*map(self._describe, self._lines))

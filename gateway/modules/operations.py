@@ -16,8 +16,8 @@ from devices.configure import Change, Configurator
 from devices.device_backup import Restored, read_backup, restore_backup
 from devices.device_errors import DeviceError, UnfinishedError, UnknownDeviceError, WritesLockedError
 from devices.id_plan import plan_moves, spare_id
-from devices.link import LinkError, gateway_time_ns
-from devices.reconnect import ReconnectingLink
+from devices.link import Link, LinkError, gateway_time_ns
+from devices.reconnect import LinkState, ReconnectingLink
 from devices.roster import Device, Roster
 from devices.setting_values import encoded_setting
 from firmware_protocol import Defect
@@ -137,6 +137,7 @@ class ModuleOperations:
             "allows_writes": self._client.allow_writes,
             "assigns": self._has_own,
             "without_commands": sorted(self.makers.without_commands),
+            "absent": _absent(self._client.links) | _absent(self.makers.links),
         }
 
     async def _counted_from(self, before: Counts, listen_s: float) -> Counts:
@@ -346,7 +347,8 @@ class ModuleOperations:
     async def _discover_all(self) -> tuple[Roster, dict[int, MakersModule]]:
         """Return who answers: our own, and those of others by module id."""
         others = {module.module: module for module in await self.makers.discover()}
-        return await self._discover() if self._has_own else Roster(()), others
+        is_heard = len(_absent(self._client.links)) < len(self._client.links) or not self.makers.has_links
+        return await self._discover() if is_heard else Roster(()), others
 
     @property
     def _has_own(self) -> bool:
@@ -373,6 +375,12 @@ class ModuleOperations:
             there = ", ".join(f"{other.module} ({other.unique_id})" for other in await self.makers.discover())
             raise UnknownDeviceError(f"no device '{name}' answers; there are: {there or 'none'}")
         return (await self._discover()).find(name)
+
+
+def _absent(links: Mapping[str, Link]) -> dict[str, str]:
+    """Return why those links are not open that are kept open, by name."""
+    kept = {name: link for name, link in links.items() if isinstance(link, ReconnectingLink)}
+    return {name: link.status.reason for name, link in kept.items() if link.state is LinkState.DOWN}
 
 
 def _named(device: Device | MakersModule) -> Plain:

@@ -10,8 +10,8 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from devices.command_client import LISTENS_TO, CommandClient
 from devices.endpoints import link_from_url
 from devices.link import SUIT, Chunk, Link, LinkError, SentChunk, gateway_time_ns
-from devices.reconnect import ReconnectingLink
-from devices.replay_link import contents_of
+from devices.reconnect import LinkState, ReconnectingLink
+from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.modules.journal import Journal
 from gateway.modules.makers import MakersModules
@@ -41,16 +41,17 @@ async def suit_session(
     allow_writes: bool,
     journal: Journal,
     clock_mode: ClockMode = ClockMode.ESTIMATED,
+    needs_all: bool = True,
 ) -> AsyncIterator[ModuleOperations]:
     """Open the links of modules and read them until the end. Raises ``LinkError`` for one that is absent.
+
+    needs_all: False: those that are absent are opened once they come, as long as any is there.
 
     A link that is lost later is opened again: a module on USB goes away when it restarts. Links with no
     modules at the other end are left alone.
     """
     asked = [link for link in links if source_kind(link.carries).has_modules]
-    opened = {
-        each.name: ReconnectingLink(link_from_url(each.url, name=each.name), strict=True) for each in asked
-    }
+    opened = {each.name: _link(each, needs_all) for each in asked}
     context = SourceContext(suit, ModuleTable(clock_mode), links={link.name: link for link in links})
     sources = _Sources(context)
     client = CommandClient(
@@ -69,9 +70,12 @@ async def suit_session(
                 if name == link.name:
                     makers.add_link(link, source)
             readers.append(asyncio.create_task(_read(link, routes), name=f"link {link.name}"))
+        there = [each for each in asked if opened[each.name].state is LinkState.UP]
+        if asked and not there:
+            raise LinkError(_with_hint("; ".join(opened[each.name].status.reason for each in asked)))
         readers.append(asyncio.create_task(makers.talk(), name="talk"))
         stack.push_async_callback(_end, readers)
-        await sources.heard(asked)
+        await sources.heard(there)
         yield ModuleOperations(sources.stream, client, suit, journal, makers)
 
 
@@ -126,14 +130,23 @@ def connect_client(client: CommandClient, stream: Stream) -> None:
         stream.listen(packet_class, client.take)
 
 
+def _link(settings: LinkSettings, needs_all: bool) -> ReconnectingLink:
+    """Return a link that, where it must be there, as a recording must, raises ``LinkError`` if it is not."""
+    link = link_from_url(settings.url, name=settings.name)
+    return ReconnectingLink(link, strict=needs_all or isinstance(link, ReplayLink))
+
+
 async def _open(link: ReconnectingLink) -> None:
     try:
         with _unsaid(logging.getLogger(ReconnectingLink.__module__)):
             await link.open()
     except LinkError as error:
-        # A link says no more than a sentence why it was not opened.
-        hint = _THROUGH_A_GATEWAY if " is busy" in str(error) else ""
-        raise LinkError(f"{error}{hint}") from error
+        raise LinkError(_with_hint(str(error))) from error
+
+
+def _with_hint(reason: str) -> str:
+    """Return the sentence that says why a link was not opened, and what would do."""
+    return reason + _THROUGH_A_GATEWAY * (" is busy" in reason)
 
 
 @contextlib.contextmanager
