@@ -20,8 +20,8 @@ from gateway.sources.module_table import ModuleTable
 from gateway.sources.registry import source_kind
 from gateway.sources.source import SourceContext
 
-_SINGLE = ("ximu3", "mti", "mti_can", "witmotion", "witmotion_can", "bno08x_rvc", "slimevr")
-MAKERS = {**dict.fromkeys(_SINGLE, "single"), "mvn": "mvn_17", "mocopi": "mocopi_23"}
+_RIGS = {"mvn": "mvn_17", "mocopi": "mocopi_23"}
+MAKERS = {maker: _RIGS.get(maker, "single") for maker in VOICES}
 """With the rig whose modules speak."""
 SECONDS = 30.0
 REPEATS = 5

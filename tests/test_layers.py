@@ -6,6 +6,9 @@ import sys
 
 import pytest
 
+from gateway.sources.makers import OthersLinkSettings
+from gateway.sources.registry import SOURCES
+
 ROOT = pathlib.Path(__file__).parent.parent
 LAYERS = ["firmware_protocol", "devices", "gateway"]  # each may import those before it
 ROOMS = [
@@ -81,3 +84,36 @@ def test_only_tests_of_benchmarks_import_benchmarks():
             continue
         for line, name in imported_roots(path):
             assert name != "benchmarks", f"{path}:{line} imports {name}"
+
+
+MAKERS = [word for word, kind in SOURCES.items() if issubclass(kind.settings, OthersLinkSettings)]
+"""Words of the configuration for other makers' modules."""
+OF_MAKERS = {SOURCES[word].settings.__module__.removeprefix("gateway.sources.") for word in MAKERS}
+LISTS = {"gateway/sources/registry.py", "devices/emulators/voices.py", "devices/emulators/makers_campaign.py"}
+"""Where they are entered: by the gateway, by ``emulate``, by what damages their messages."""
+
+
+def is_own(path, word):
+    """Whether a file is that maker's alone, or makes or reads something else of the same name."""
+    elsewhere = ("outputs", "imports", "vendor_formats")
+    return word.partition("_")[0] in path.stem or any(folder in path.parts for folder in elsewhere)
+
+
+def test_a_maker_is_entered_in_one_place_of_the_gateway_one_of_the_emulator_and_one_of_the_campaign():
+    listed = {word: set() for word in MAKERS}
+    for package in LAYERS:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text())):
+                word = node.value if isinstance(node, ast.Constant) else None
+                if word in listed and not is_own(path, word):
+                    listed[word].add(path.relative_to(ROOT).as_posix())
+    assert listed == dict.fromkeys(MAKERS, LISTS)
+
+
+def test_only_the_registry_imports_the_source_of_a_maker():
+    for path in (ROOT / "gateway").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            name = getattr(node, "module", None) or ""
+            if name.startswith("gateway.sources.") and path.name != "registry.py":
+                word = name.removeprefix("gateway.sources.")
+                assert word not in OF_MAKERS or is_own(path, word), f"{path}:{node.lineno}"

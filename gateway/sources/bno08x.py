@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Bno08xLinkSettings(MakersLinkSettings):
-    """One BNO08x on a serial line."""
+    """One BNO08x in UART-RVC mode on a serial line."""
 
     carries: Literal["bno08x_rvc"] = "bno08x_rvc"
 

@@ -32,10 +32,7 @@ class LinkSettings(BaseModel):
     )
     carries: str = Field(
         default=SUIT,
-        description="suit: packets of modules; ximu3: an x-IMU3 of x-io; mti, mti_can: an MTi of Xsens on a "
-        "serial line, on a CAN bus; witmotion, witmotion_can: a device of WitMotion; "
-        "slimevr: all SlimeVR trackers that send to a port; mvn: the network streamer of Xsens MVN; "
-        "bno08x_rvc: a BNO08x in UART-RVC mode; mocopi: Sony's app; "
+        description="suit: packets of modules; the word of another maker's modules, such as ximu3; "
         "gnss: NMEA 0183 or UBX of a satellite receiver; "
         "markers: messages of an optical system; heat_maps: those of `mocap-gateway video serve-camera`",
     )

@@ -28,7 +28,7 @@ _FROM_Y_UP = (0.5, 0.5, 0.5, 0.5)
 
 
 class MocopiLinkSettings(MakersLinkSettings):
-    """What one app sends."""
+    """What Sony's mocopi app sends."""
 
     carries: Literal["mocopi"] = "mocopi"
     module: int = Field(

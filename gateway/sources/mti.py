@@ -55,13 +55,13 @@ _Found = TypeVar("_Found")
 
 
 class MtiLinkSettings(MakersLinkSettings):
-    """One MTi on a serial line."""
+    """One MTi of Xsens on a serial line."""
 
     carries: Literal["mti"] = "mti"
 
 
 class MtiCanLinkSettings(MakersLinkSettings):
-    """One MTi on a CAN bus."""
+    """One MTi of Xsens on a CAN bus."""
 
     carries: Literal["mti_can"] = "mti_can"
 

@@ -47,7 +47,7 @@ ANOTHER_CHARACTER = "another_character"
 
 
 class MvnLinkSettings(MakersLinkSettings):
-    """One stream of MVN."""
+    """What the network streamer of Xsens MVN sends."""
 
     carries: Literal["mvn"] = "mvn"
     module: int = Field(

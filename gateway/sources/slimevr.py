@@ -71,7 +71,7 @@ _new_sensor: Callable[[], UnfusedSensor] = Deferred("gateway.sources.unfused", "
 
 
 class SlimevrLinkSettings(OthersLinkSettings):
-    """All SlimeVR trackers on a UDP port."""
+    """All SlimeVR trackers that send to a UDP port."""
 
     carries: Literal["slimevr"] = "slimevr"
     trackers: Mapping[str, int] = Field(

@@ -57,7 +57,7 @@ _RATE_SETTING = "inertial_message_rate_divisor"
 
 
 class Ximu3LinkSettings(MakersLinkSettings):
-    """One x-IMU3."""
+    """One x-IMU3 of x-io."""
 
     carries: Literal["ximu3"] = "ximu3"
     command_port: int = Field(
