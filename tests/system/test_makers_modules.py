@@ -79,16 +79,12 @@ SUITS = [
 
 
 def moves(command, port):
-    """Whether all modules are heard and the forearm moves, in one of a few looks: devices without stamps are
-    timed by their arrival, and a machine that holds everything up for a while spoils it for as long."""
-    for _ in range(4):
-        watched = command("watch", "--port", port, "--count", 400, "--json", "--timeout", 2 * PATIENCE_S)
-        poses = [json.loads(line) for line in ended(watched).splitlines()]
-        hands = np.array([pose["segments"]["right_forearm"] for pose in poses[100:]])
-        is_heard = not any("missing" in pose["status"].values() for pose in poses[-50:])
-        if is_heard and np.abs(np.diff(hands, axis=0)).max() > 1e-3:
-            return True
-    return False
+    """Whether in the end all modules are heard, and the forearm has moved."""
+    watched = command("watch", "--port", port, "--count", 400, "--json", "--timeout", 2 * PATIENCE_S)
+    poses = [json.loads(line) for line in ended(watched).splitlines()]
+    hands = np.array([pose["segments"]["right_forearm"] for pose in poses[100:]])
+    is_heard = not any("missing" in pose["status"].values() for pose in poses[-50:])
+    return is_heard and np.abs(np.diff(hands, axis=0)).max() > 1e-3
 
 
 @pytest.mark.parametrize(("maker", "medium"), WAYS)
@@ -335,6 +331,36 @@ def test_a_bad_line_costs_samples_and_nothing_else(
     begun = int(np.argmax(known))  # the interval of those that stamp nothing is learnt first
     assert begun < 300
     assert known[begun:].mean() > 0.8  # a busy machine may stop the emulator for a moment
+
+
+@pytest.mark.parametrize("name", ["arm", "right_upper_arm"])
+def test_where_one_port_is_absent_the_others_are_listed_and_it_is_named(
+    emulated, configured, command, tmp_path, name
+):
+    links = emulated("mti", "pty")
+    if name == "arm":  # modules of our own, which are asked together
+        links.append({"name": name, "url": str(tmp_path / "nothing")})
+    else:
+        next(link for link in links if link["name"] == name)["url"] = str(tmp_path / "nothing")
+    config = configured(links)
+    listing = command("modules", "list", "-c", config)
+    assert listing.wait() == 1
+    assert f"link '{name}' is not open: {tmp_path / 'nothing'}" in listing.output.replace("\n", " ")
+    listing = command("modules", "list", "-c", config, "--json")
+    assert listing.wait() == 1
+    listed = json.loads(listing.output)
+    assert list(listed["absent"]) == [name]
+    there = {link["module"] for link in links if link["name"] != name}
+    assert {module["module"] for module in listed["modules"] if module["answers"]} == there
+
+
+def test_where_no_port_is_there_the_listing_says_why(emulated, configured, command, tmp_path):
+    links = emulated("mti", "pty")
+    config = configured([link | {"url": str(tmp_path / link["name"])} for link in links])
+    listing = command("modules", "list", "-c", config)
+    assert listing.wait() == 1
+    assert listing.output == ""
+    assert all(str(tmp_path / link["name"]) in listing.errors for link in links)
 
 
 @pytest.mark.parametrize(
