@@ -144,10 +144,13 @@ class Configurator:
             raise _unverified(unique_id, missing, after, failure)
         return Change(unique_id, before, after)
 
-    async def assign_ids(self, wanted: Mapping[bytes, int], reserved: Collection[int] = ()) -> list[Change]:
+    async def assign_ids(
+        self, wanted: Mapping[bytes, int], reserved: Collection[int] = (), *, may_share: bool = False
+    ) -> list[Change]:
         """Give devices their module ids, by unique id, in an order in which no two share one.
 
         reserved: ids of modules that may be switched off just now, not to be used in passing.
+        may_share: as in ``plan_moves``.
         Every round looks at what the devices really hold, so that one which restarted in the middle
         is taken up where it is; one that refuses ends it. Afterwards the ids are right, or
         ``UnfinishedError`` says who has which. Raises ``ValueError`` for ids that cannot all be given,
@@ -160,7 +163,7 @@ class Configurator:
         for _ in range(_ATTEMPTS + 1):
             try:
                 present = await self._present_ids(wanted)
-                moves = plan_moves(present, wanted, reserved)
+                moves = plan_moves(present, wanted, reserved, may_share=may_share)
             except (DeviceError, LinkError, ValueError) as error:
                 if not before:
                     raise

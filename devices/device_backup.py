@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from devices.configure import Change, Configurator
@@ -34,10 +35,15 @@ async def read_backup(configurator: Configurator, roster: Roster) -> dict[str, d
 
 
 async def restore_backup(
-    configurator: Configurator, backup: Mapping[str, Mapping[str, Any]], reserved: Collection[int] = ()
+    configurator: Configurator,
+    backup: Mapping[str, Mapping[str, Any]],
+    reserved: Collection[int] = (),
+    *,
+    may_share: bool = False,
 ) -> Restored:
     """Write back what differs; ids last and in a safe order. One device that fails does not stop the others.
 
+    may_share: as in ``plan_moves``.
     Raises ``ValueError``, before anything is sent, for a unique id, a value or ids that cannot be,
     ``WritesLockedError`` where writing is not allowed, and ``LinkError`` when no link is up at the start.
     """
@@ -54,7 +60,7 @@ async def restore_backup(
         for uid, settings in wanted.items()
         if uid in present and "module_id" in settings
     }
-    plan_moves(present, ids, reserved)  # refuses ids that cannot all be given
+    plan_moves(present, ids, reserved, may_share=may_share)  # refuses ids that cannot all be given
     for uid, settings in wanted.items():
         if uid in present and settings:
             try:
@@ -63,7 +69,10 @@ async def restore_backup(
                 restored.failures[uid] = str(error)
             else:
                 _note(restored, change)
-    await _restore_ids(configurator, restored, ids, {uid: present[uid] for uid in ids}, reserved)
+    before = {uid: present[uid] for uid in ids}
+    await _restore_ids(
+        restored, ids, before, partial(configurator.assign_ids, ids, reserved, may_share=may_share)
+    )
     touched = {change.unique_id for change in restored.changes}
     restored.unchanged = [
         uid for uid in wanted if uid in present and uid not in {*touched, *restored.failures}
@@ -72,16 +81,15 @@ async def restore_backup(
 
 
 async def _restore_ids(
-    configurator: Configurator,
     restored: Restored,
     ids: Mapping[bytes, int],
     before: Mapping[bytes, int],
-    reserved: Collection[int],
+    assign: Callable[[], Awaitable[list[Change]]],
 ) -> None:
     """Give the ids, and note what came of it."""
     held: dict[bytes, int | None] = dict(before)
     try:
-        restored.changes += await configurator.assign_ids(ids, reserved)
+        restored.changes += await assign()
         return
     except UnfinishedError as error:
         reason, held = error.reason, error.present

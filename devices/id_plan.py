@@ -18,7 +18,11 @@ class Move(NamedTuple):
 
 
 def plan_moves(
-    present: Mapping[bytes, int], wanted: Mapping[bytes, int], reserved: Collection[int] = ()
+    present: Mapping[bytes, int],
+    wanted: Mapping[bytes, int],
+    reserved: Collection[int] = (),
+    *,
+    may_share: bool = False,
 ) -> list[Move]:
     """The changes that lead from the present ids to the wanted ones, in a safe order.
 
@@ -27,15 +31,18 @@ def plan_moves(
     spare id, if there is one that is neither present, wanted nor reserved. Without a spare, and only
     then, two devices share an id for the time of one change.
 
-    Raises ``ValueError`` for an id that is wanted twice, or held by a device that is to keep it.
+    may_share: ids that several devices have at the end are wanted, to take a separation of them back.
+    Raises ``ValueError`` otherwise for an id that is wanted twice, or held by a device that is to keep it.
     """
-    _refuse_impossible(present, wanted)
+    if not may_share:
+        _refuse_impossible(present, wanted)
     held = dict(present)
     occupants = Counter(held.values())
     pending = {uid: wanted[uid] for uid in sorted(wanted) if held.get(uid, wanted[uid]) != wanted[uid]}
     moves: list[Move] = []
     while pending:
-        uid, after = _next_change(pending, occupants, {*wanted.values(), *reserved})
+        settled = {held[each] for each in held if each not in pending} if may_share else set()
+        uid, after = _next_change(pending, occupants, {*wanted.values(), *reserved}, settled)
         moves.append(Move(uid, held[uid], after))
         occupants[held[uid]] -= 1
         occupants[after] += 1
@@ -51,10 +58,11 @@ def spare_id(taken: Collection[int]) -> int | None:
 
 
 def _next_change(
-    pending: Mapping[bytes, int], occupants: Counter[int], reserved: set[int]
+    pending: Mapping[bytes, int], occupants: Counter[int], reserved: set[int], shared: Collection[int]
 ) -> tuple[bytes, int]:
+    """Return who takes which id next. shared: ids that are taken although somebody has and keeps them."""
     for uid, after in pending.items():
-        if not occupants[after]:
+        if not occupants[after] or after in shared:
             return uid, after
     uid, after = next(iter(pending.items()))
     spare = spare_id({*reserved, *(each for each, n in occupants.items() if n)})

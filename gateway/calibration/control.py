@@ -112,12 +112,7 @@ class CalibrationControl:
         self._session = BodySession(self._pipeline.suit, request.field)
         self._pipeline.module_stage.on_frame = self._session.add
         self._phase = "ready"
-        return {
-            "steps": [
-                {"step": s.name, "kind": s.kind.value, "seconds": s.seconds, "instruction": s.instruction}
-                for s in self._session.steps
-            ]
-        }
+        return {"steps": _told(self._session)}
 
     def _needed(self) -> BodySession:
         if self._session is None:
@@ -160,6 +155,7 @@ class CalibrationControl:
             "phase": self._phase,
             "left_s": round(left, 1),
             "done": self._session.done,
+            "steps": _told(self._session),
             "modules": [
                 {
                     "segment": names[m],
@@ -213,6 +209,14 @@ class CalibrationControl:
         version = restore(self.target, request.version)
         await self._wear(mounting_event(_as_modules(load_rig(str(self.target)))))
         return {"file": str(self.target), "version": version.stem}
+
+
+def _told(session: BodySession) -> list[dict[str, Any]]:
+    """Its steps, for whoever begins it or goes on with it."""
+    return [
+        {"step": s.name, "kind": s.kind.value, "seconds": s.seconds, "instruction": s.instruction}
+        for s in session.steps
+    ]
 
 
 def _as_modules(suit: WornSuit) -> list[ModuleResult]:

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from firmware_protocol import MAX_MODULE
-from gateway.contract.names import RECORDING_NAME
+from gateway.contract.names import KEPT_FILE, RECORDING_NAME
 
 
 class Request(BaseModel):
@@ -29,10 +29,15 @@ class ReloadRequest(Request):
     """Read the configuration anew. A wrong one is told, and the old one stays."""
 
 
+class ExamineRequest(Request):
+    """What `mocap-gateway doctor` finds of the running gateway, and which ports its computer has."""
+
+
 GATEWAY_REQUESTS: dict[str, type[Request]] = {
     "info": InfoRequest,
     "health": HealthRequest,
     "reload": ReloadRequest,
+    "examine": ExamineRequest,
 }
 """Verb to the data it takes."""
 
@@ -180,10 +185,50 @@ class RecordingStatusRequest(Request):
     """Whether and where is being recorded, and how it goes."""
 
 
+FileName = Annotated[
+    str,
+    Field(pattern=KEPT_FILE, description="name of a file in the folder of the recordings"),
+]
+
+LARGEST_PIECE = 128 * 1024
+"""Most bytes of a recording in one answer."""
+
+
+class ListRecordingsRequest(Request):
+    """The recordings, newest first: begun, how long, size, loss, what the body did half-way."""
+
+    most: int = Field(default=20, ge=1, le=100, description="only so many")
+
+
+class ExportRecordingRequest(Request):
+    """Write the poses of a recording in a format of other programs, into the same folder."""
+
+    file: FileName
+    to: str = Field(max_length=20, description="one of the formats that `recording/list` told")
+
+
+class ReadRecordingRequest(Request):
+    """A piece of a recording, or of what was exported."""
+
+    file: FileName
+    offset: int = Field(ge=0, lt=2**63)
+    length: int = Field(default=LARGEST_PIECE, ge=1, le=LARGEST_PIECE)
+
+
+class MarkRequest(Request):
+    """Mark this instant: an event in the recording under way."""
+
+    text: str = Field(default="", max_length=200, description="what is to be found again")
+
+
 RECORDING_REQUESTS: dict[str, type[Request]] = {
     "start": StartRecordingRequest,
     "stop": StopRecordingRequest,
     "status": RecordingStatusRequest,
+    "mark": MarkRequest,
+    "list": ListRecordingsRequest,
+    "export": ExportRecordingRequest,
+    "read": ReadRecordingRequest,
 }
 """Verb to the data it takes."""
 

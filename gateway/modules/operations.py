@@ -211,7 +211,7 @@ class ModuleOperations:
             raise RequestError("there is no change to undo")
         self._refuse_unless_allowed("taking changes back")
         earlier = {change.unique_id.hex(): change.before for change in entry.changes}
-        restored = await restore_backup(self.configurator, earlier, self._rig_ids)
+        restored = await restore_backup(self.configurator, earlier, self._rig_ids, may_share=True)
         await self._settle(entry, await self._left_over(entry.changes, restored))
         return _restored(restored)
 

@@ -47,6 +47,7 @@ class ModuleSummary(_Plain):
     firmware: str | None = None
     protocol: int | None = Field(default=None, description="version spoken; none: none in common")
     battery_percent: int | None = None
+    rssi_dbm: int | None = Field(default=None, description="strength of its radio signal; none: not told")
     rate_hz: float = Field(description="samples a second, measured")
     loss_percent: float | None = Field(description="packets lost since the link is read")
     clock: ModuleClockState | None = Field(default=None, description="none: never heard sending")
@@ -155,6 +156,7 @@ def _summary(
         firmware=".".join(map(str, info.firmware_version)) if info is not None else None,
         protocol=device.version if device is not None else None,
         battery_percent=health.battery_percent if health is not None else None,
+        rssi_dbm=health.rssi_dbm if health is not None else None,
         rate_hz=round(rates.get(module, 0.0), 1),
         loss_percent=_loss_percent(record),
         clock=None if record is None else clock_state(record),

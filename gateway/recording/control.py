@@ -6,6 +6,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import gateway
@@ -24,6 +25,7 @@ STATISTICS_INTERVAL_S = 5.0
 WATCH_INTERVAL_S = 0.5
 """How soon a restart of a module becomes an event."""
 _LONGEST_CLOSE_S = 10.0
+_LONGEST_MARK = 200
 
 log = logging.getLogger(__name__)
 
@@ -53,8 +55,15 @@ class RecordingControl:
         self._lasted_s = 0.0
         self._has_been_fed = False
         self._is_wanted = False
+        self.marks = 0
+        """Made in the recording under way, or in the last one."""
         self._watching: asyncio.Task[None] | None = None
-        self._verbs = {"start": self._asked_to_start, "stop": self._asked_to_stop, "status": self._asked}
+        self._verbs = {
+            "start": self._asked_to_start,
+            "stop": self._asked_to_stop,
+            "status": self._asked,
+            "mark": self._asked_to_mark,
+        }
 
     @property
     def is_recording(self) -> bool:
@@ -80,6 +89,7 @@ class RecordingControl:
         sink = Sink(files.write, files.flush, files.close, files.abandon)
         self._files, self._begun = files, time.monotonic()
         self._is_wanted = True
+        self.marks = 0
         self._recorder = Recorder(sink, self._settings.recording.flush_ms * 1e-3, self._say_why_it_ended)
         self.event("recording_begun", {"from_start": begins_whole})
         self._watching = asyncio.get_running_loop().create_task(
@@ -161,6 +171,7 @@ class RecordingControl:
             "queued_bytes": recorder.queued_bytes,
             "stalls": counts.stalls,
             "stalled_s": round(counts.stalled_s, 3),
+            "marks": self.marks,
         }
         if recorder.ended is not None:
             status["ended"] = recorder.ended
@@ -174,10 +185,10 @@ class RecordingControl:
         return None if self._recorder is None else self._recorder.balance
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Requests ``recording/start`` (optional ``name``), ``recording/stop``, ``recording/status``."""
+        """Requests ``recording/start`` (optional ``name``), ``stop``, ``status``, ``mark`` (``text``)."""
         if verb not in self._verbs:
             raise GatewayError(f"there is no request 'recording/{verb}'{nearest(verb, self._verbs)}")
-        known = {"name"} if verb == "start" else set()
+        known = {"start": {"name"}, "mark": {"text"}}.get(verb, set())
         unknown = sorted(set(data) - known)
         if unknown:
             raise GatewayError(f"recording/{verb} takes {sorted(known) or 'no data'}, not '{unknown[0]}'")
@@ -194,6 +205,20 @@ class RecordingControl:
         if not self.is_recording:
             raise GatewayError("nothing is being recorded")
         await self.stop()
+
+    async def _asked_to_mark(self, data: Mapping[str, Any]) -> None:
+        text = data.get("text", "")
+        if not isinstance(text, str) or len(text) > _LONGEST_MARK:
+            raise GatewayError(f"recording/mark: 'text' is a text of at most {_LONGEST_MARK} characters")
+        if not self.is_recording:
+            raise GatewayError("nothing is being recorded: start a recording, then mark instants of it")
+        self.marks += 1
+        self.event("mark", {"number": self.marks, "text": text})
+
+    @property
+    def file(self) -> Path | None:
+        """The file that is being written; None: nothing is recorded."""
+        return self._files.path if self.is_recording and self._files is not None else None
 
     async def _asked(self, _data: Mapping[str, Any]) -> None:
         """The status is the answer."""

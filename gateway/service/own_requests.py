@@ -1,4 +1,4 @@
-"""Requests about the gateway itself: ``gateway/info``, ``gateway/health``, ``gateway/reload``."""
+"""Requests about the gateway itself: ``gateway/info``, ``health``, ``reload``, ``examine``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from gateway.errors import GatewayError, nearest
 from gateway.outputs.mqtt import MqttOutput
 
 Reload = Callable[[], Awaitable[None]]
+Examine = Callable[[], Awaitable[dict[str, Any]]]
 
 
 class OwnRequests:
@@ -19,6 +20,8 @@ class OwnRequests:
     def __init__(self, mqtt: MqttOutput) -> None:
         self.on_reload: Reload | None = None
         """Reads the configuration; raises ``GatewayError`` for a wrong one. None: there is no file of it."""
+        self.on_examine: Examine | None = None
+        """What the doctor finds of this gateway. None: nobody is there to look."""
         self._mqtt = mqtt
         self._reloading = asyncio.Lock()
 
@@ -30,6 +33,10 @@ class OwnRequests:
             raise GatewayError(f"gateway/{verb} takes no data, not '{next(iter(data))}'")
         if verb == "reload":
             return await self._reload()
+        if verb == "examine":
+            if self.on_examine is None:
+                raise GatewayError("this gateway cannot be examined from within: use `mocap-gateway doctor`")
+            return await self.on_examine()
         told = self._mqtt.info if verb == "info" else self._mqtt.health()
         return told.model_dump(mode="json")
 

@@ -44,6 +44,7 @@ from gateway.outputs.requests import RequestResponder, in_turn
 from gateway.outputs.side_outputs import SideOutputs
 from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, LOAD_EVENT, Pipeline, Worn
 from gateway.recording.control import RecordingControl
+from gateway.recording.shelf import Shelf
 from gateway.service.accounting import balances_of
 from gateway.service.host_sender import HostSender
 from gateway.service.observability import Observer
@@ -145,10 +146,11 @@ class Service:
         self._askers = list(_askers(settings, self._announced, sender, stream))
         self.own_requests = OwnRequests(self.mqtt)
         self.calibration = CalibrationControl(self.pipeline, settings.rig, self._calibrated)
+        self.shelf = Shelf(settings.recording, lambda: self.recording.file)
         families = {
             "gateway": self.own_requests.perform,
             "modules": operations.perform,
-            "recording": in_turn(self.recording.perform),
+            "recording": self.shelf.beside(in_turn(self.recording.perform)),
             "calibration": in_turn(self.calibration.perform),
             "reset": in_turn(ResetControl(self._apply_event).perform),
         }

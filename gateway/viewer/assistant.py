@@ -8,22 +8,21 @@ from __future__ import annotations
 
 import asyncio
 import html
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import viser
 
 from gateway.errors import GatewayError
 from gateway.modules.assignment import Proposal, Wardrobe
-from gateway.viewer.body_steps import Ask, BodySteps, Errands, line
+from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, table
 from gateway.viewer.texts import LANGUAGES, say
 
-NOTHING = "–"
 LISTEN_S, BLINK_S, SHAKEN_S = 2.0, 5, 20.0
 
 
-class Assistant:
-    """One tab of the panel. Buttons are pressed in threads of the page's server; work is done in the loop."""
+class Assistant(StepTab):
+    """One tab of the panel, and the others of the set-up, which speak its language."""
 
     def __init__(
         self,
@@ -33,18 +32,19 @@ class Assistant:
         chosen: Callable[[str], None],
     ) -> None:
         """chosen: told which segment is meant, to be shown on the body."""
-        self._server, self._ask, self._chosen = server, ask, chosen
-        self._loop = asyncio.get_running_loop()
-        self._errands = Errands(self._loop)
+        super().__init__(server, tabs, "tab", ask, asyncio.get_running_loop())
+        self._chosen = chosen
         self._listed: Mapping[str, Any] | None = None
-        self._handles: list[Any] = []
-        self._tab = tabs.add_tab(say("en", "tab"))
-        self._language = "en"
+        self._examined: Mapping[str, Any] | None = None
+        self._others: list[StepTab] = []
         with self._tab:
             choice = server.gui.add_dropdown("Language / Sprache", tuple(LANGUAGES))
-        self._body = BodySteps(server, tabs, ask, self._loop)
-        choice.on_update(lambda _: self._speak(LANGUAGES[choice.value]))
-        self._build()
+        choice.on_update(lambda _: self.speak(LANGUAGES[choice.value]))
+        self.build()
+
+    def leads(self, *tabs: StepTab) -> None:
+        """Have other tabs speak the language that is chosen here."""
+        self._others += tabs
 
     def choose_segment(self, segment: str) -> None:
         """A limb was clicked."""
@@ -52,57 +52,45 @@ class Assistant:
             # the library's property has a setter, which the type checker does not see
             self._segment.value = segment  # type: ignore[misc]
 
-    def _speak(self, language: str) -> None:
-        if language == self._language:
-            return
-        self._language = language
-        for handle in self._handles:
-            handle.remove()
-        self._build()
+    def speak(self, language: str) -> None:
+        """Say everything in that language from now on, on all tabs of the set-up."""
+        super().speak(language)
         self._show_listed()
-        self._body.speak(language)
+        for other in self._others:
+            other.speak(language)
 
-    def _say(self, key: str, **values: object) -> str:
-        return say(self._language, key, **values)
-
-    def _build(self) -> None:
+    def _add_parts(self) -> list[Any]:
         gui = self._server.gui
-        with self._tab:
-            look = gui.add_button(self._say("look"))
-            self._found = gui.add_html("")
-            self._separate = gui.add_button(self._say("separate"), visible=False)
-            self._device = gui.add_dropdown(self._say("device"), (NOTHING,))
-            identify = gui.add_button(self._say("identify"))
-            hint = gui.add_html(line(self._say("hint")))
-            self._segment = gui.add_dropdown(self._say("segment"), (NOTHING,))
-            shake = gui.add_button(self._say("shake"))
-            self._write = gui.add_checkbox(self._say("write"), False)
-            assign = gui.add_button(self._say("assign"))
-            undo = gui.add_button(self._say("undo"))
-            self._answer = gui.add_html("")
-        self._segment.on_update(lambda _: self._chosen(self._segment.value))
-        deeds = (
-            (look, self._look),
-            (self._separate, self._give_own_ids),
-            (identify, self._blink),
-            (shake, self._await_shake),
-            (assign, self._assign),
-            (undo, self._undo),
+        examine = self._button("examine", self._examine)
+        self._findings = gui.add_html(
+            "" if self._examined is None else findings(self._examined, self._language)
         )
-        for button, deed in deeds:
-            button.on_click(_pressed(self, deed))
-        self._handles = [
-            *(button for button, _ in deeds),
-            *(self._found, self._device, hint, self._segment, self._write, self._answer),
+        look = self._button("look", self._look)
+        self._found = gui.add_html("")
+        self._separate = self._button("separate", self._give_own_ids, visible=False)
+        self._device = gui.add_dropdown(self._say("device"), (NOTHING,))
+        identify = self._button("identify", self._blink)
+        hint = gui.add_html(line(self._say("hint")))
+        self._segment = gui.add_dropdown(self._say("segment"), (NOTHING,))
+        self._segment.on_update(lambda _: self._chosen(self._segment.value))
+        shake = self._button("shake", self._await_shake)
+        self._write = gui.add_checkbox(self._say("write"), False)
+        assign, undo = self._button("assign", self._assign), self._button("undo", self._undo)
+        return [
+            *(examine, self._findings, look, self._found, self._separate, self._device, identify, hint),
+            *(self._segment, shake, self._write, assign, undo, self._add_answer()),
         ]
 
-    def start(self, deed: Callable[[], Awaitable[str]]) -> None:
-        """Do what a button asks for, in the loop; what became of it, or what is wrong, is shown."""
-
-        self._errands.start(deed, lambda said: setattr(self._answer, "content", line(said)))
+    async def _examine(self) -> str:
+        self._tell(self._say("examining"))
+        self._examined = await self._ask("gateway", "examine", {})
+        self._findings.content = findings(self._examined, self._language)
+        verdicts = [one["verdict"] for one in self._examined["findings"]]
+        bad, warnings = verdicts.count("bad"), verdicts.count("warning")
+        return self._say("examined", bad=bad, warnings=warnings) if bad or warnings else self._say("all_well")
 
     async def _look(self) -> str:
-        self._answer.content = line(self._say("looking"))
+        self._tell(self._say("looking"))
         self._listed = await self._ask("modules", "list", {"listen_s": LISTEN_S})
         self._show_listed()
         count = len(self._listed["modules"])
@@ -125,7 +113,7 @@ class Assistant:
         return self._say("blinks", id=answer["module"])
 
     async def _await_shake(self) -> str:
-        self._answer.content = line(self._say("waiting"))
+        self._tell(self._say("waiting"))
         answer = await self._ask("modules", "motion", {"seconds": SHAKEN_S})
         if answer["module"] is None:
             return self._say("none_moved")
@@ -166,6 +154,10 @@ class Assistant:
             return refused
         answer = await self._ask("modules", "undo", {})
         await self._look()
+        failures = [f"…{uid[-6:]}: {why}" for uid, why in answer["failures"].items()]
+        failures += [f"…{uid[-6:]}: {self._say('silent')}" for uid in answer["absent"]]
+        if failures:
+            return self._say("undone_partly", count=len(answer["changes"]), failures="; ".join(failures))
         return self._say("undone", count=len(answer["changes"]))
 
     def _unwritable(self, what: str) -> str | None:
@@ -183,10 +175,6 @@ class Assistant:
         if self._listed is None:
             raise GatewayError(self._say("first_look"))
         return self._listed
-
-
-def _pressed(assistant: Assistant, deed: Callable[[], Awaitable[str]]) -> Callable[[object], None]:
-    return lambda _event: assistant.start(deed)
 
 
 def devices_of(listed: Mapping[str, Any]) -> dict[str, str]:
@@ -224,9 +212,10 @@ def conflict_lines(listed: Mapping[str, Any], language: str) -> list[str]:
 
 def found_table(listed: Mapping[str, Any], language: str) -> str:
     """The answer of ``modules list`` as HTML: devices, conflicts, and segments of which nothing is heard."""
-    keys = ("id", "segment", "battery", "rate", "lost", "clock")
-    head = "".join(f'<th style="text-align:left;padding:1px 4px">{say(language, key)}</th>' for key in keys)
-    rows = "".join(_row(one, language) for one in listed["modules"])
+    keys = ["id", "segment", "battery", "rate", "lost", "clock"]
+    if any(one.get("rssi_dbm") is not None for one in listed["modules"]):
+        keys.append("signal")
+    rows = [("inherit", _cells(one, language)[: len(keys)]) for one in listed["modules"]]
     lines = conflict_lines(listed, language)
     heard = {one["segment"] for one in listed["modules"]}
     if silent := [name.replace("_", " ") for name in listed["segments"] if name not in heard]:
@@ -235,20 +224,31 @@ def found_table(listed: Mapping[str, Any], language: str) -> str:
         f'<div style="color:rgb(225,60,50);font-weight:600;padding:3px 4px">{html.escape(line)}</div>'
         for line in lines
     )
-    return (
-        '<div style="padding:0 8px;overflow-x:auto;font-size:11px">'
-        f'{alarms}<table style="border-collapse:collapse;width:100%"><tr>{head}</tr>{rows}</table></div>'
+    return f'<div style="padding:0 8px;font-size:11px">{alarms}</div>' + table(
+        [say(language, key) for key in keys], rows
     )
 
 
-def _row(one: Mapping[str, Any], language: str) -> str:
-    clock, loss = one.get("clock"), one.get("loss_percent")
-    cells: Sequence[str] = (
+def _cells(one: Mapping[str, Any], language: str) -> Sequence[str]:
+    clock, loss, signal = one.get("clock"), one.get("loss_percent"), one.get("rssi_dbm")
+    return (
         str(one["module"]),
         (one["segment"] or NOTHING).replace("_", " "),
         "" if one.get("battery_percent") is None else f"{one['battery_percent']} %",
         f"{one['rate_hz']:.0f}" if one["answers"] else say(language, "silent"),
         "" if loss is None else f"{loss:.1f} %",
         "" if clock is None else f"{clock['residual_us']:.0f}",
+        "" if signal is None else f"{signal} dBm",
     )
-    return "<tr>" + "".join(f'<td style="padding:1px 4px">{html.escape(c)}</td>' for c in cells) + "</tr>"
+
+
+def findings(examined: Mapping[str, Any], language: str) -> str:
+    """The answer of ``gateway/examine`` as HTML: ports, then what was found, the worst first."""
+    ports = [
+        ("inherit", (port["name"], port["link"] or say(language, "unused"))) for port in examined["ports"]
+    ]
+    order = ("bad", "warning", "good")
+    found = sorted(examined["findings"], key=lambda one: order.index(one["verdict"]))
+    rows = [(COLOURS[one["verdict"]], (one["subject"], one["found"], one["remedy"])) for one in found]
+    head = [say(language, key) for key in ("subject", "found", "remedy")]
+    return table((say(language, "ports"), ""), ports) + table(head, rows)

@@ -6,51 +6,18 @@ It asks the gateway the requests of the family ``calibration``, as any program m
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
-import html
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import viser
 
-from gateway.errors import GatewayError
+from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, table
 from gateway.viewer.texts import say, texts
 
-Ask = Callable[[str, str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
-"""Family, verb and data to the gateway's answer. Raises ``GatewayError``."""
-NOTHING = "–"
 COUNTDOWN_S, LOOK_S = 3.0, 0.4
-_COLOURS = {"good": "rgb(40,150,80)", "fair": "rgb(200,140,0)", "poor": "rgb(225,60,50)"}
 
 
-def line(text: str) -> str:
-    """What became of a button, as HTML that a screen reader tells."""
-    return f'<div role="status" style="padding:2px 12px 4px;font-size:12px">{html.escape(text)}</div>'
-
-
-class Errands:
-    """What buttons ask for, done in the loop while threads of the page's server go on."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
-        self._work: set[concurrent.futures.Future[None]] = set()
-
-    def start(self, deed: Callable[[], Awaitable[str]], tell: Callable[[str], object]) -> None:
-        """Do it, and tell what became of it, or what is wrong."""
-
-        async def work() -> None:
-            try:
-                said = await deed()
-            except GatewayError as error:
-                said = str(error)
-            tell(said)
-
-        future = asyncio.run_coroutine_threadsafe(work(), self._loop)
-        self._work.add(future)
-        future.add_done_callback(self._work.discard)
-
-
-class BodySteps:
+class BodySteps(StepTab):
     """One tab of the panel."""
 
     def __init__(
@@ -60,53 +27,46 @@ class BodySteps:
         ask: Ask,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
-        self._server, self._ask, self._errands = server, ask, Errands(loop)
-        self._tab = tabs.add_tab(say("en", "body"))
-        self._language = "en"
+        super().__init__(server, tabs, "body", ask, loop)
         self._steps: dict[str, str] = {}
         """Instructions by step."""
         self._result: Mapping[str, Any] | None = None
-        self._handles: list[Any] = []
-        self._build()
+        self.build()
 
-    def speak(self, language: str) -> None:
-        """Say everything in that language from now on."""
-        self._language = language
-        for handle in self._handles:
-            handle.remove()
-        self._build()
-
-    def _say(self, key: str, **values: object) -> str:
-        return say(self._language, key, **values)
-
-    def _build(self) -> None:
+    def _add_parts(self) -> list[Any]:
         gui = self._server.gui
-        with self._tab:
-            begin = gui.add_button(self._say("begin"))
-            self._step = gui.add_dropdown(self._say("step"), (*self._steps,) or (NOTHING,))
-            do = gui.add_button(self._say("do"))
-            self._answer = gui.add_html("")
-            result = gui.add_button(self._say("result"))
-            found = None if self._result is None else result_table(self._result, self._language)
-            self._table = gui.add_html(found or "")
-            accept = gui.add_button(self._say("accept"))
-        deeds = ((begin, self._begin), (do, self._do), (result, self._find), (accept, self._accept))
-        for button, deed in deeds:
-            button.on_click(self._pressed(deed))
-        self._handles = [*(button for button, _ in deeds), self._step, self._answer, self._table]
-
-    def _pressed(self, deed: Callable[[], Awaitable[str]]) -> Callable[[object], None]:
-        return lambda _event: self._errands.start(deed, self._tell)
-
-    def _tell(self, said: str) -> None:
-        self._answer.content = line(said)
+        parts = [self._button("begin", self._begin), self._button("resume", self._resume)]
+        self._step = gui.add_dropdown(self._say("step"), (*self._steps,) or (NOTHING,))
+        parts += [self._step, self._button("do", self._do), self._add_answer()]
+        parts.append(self._button("result", self._find))
+        found = None if self._result is None else result_table(self._result, self._language)
+        self._table = gui.add_html(found or "")
+        return [*parts, self._table, self._button("accept", self._accept)]
 
     async def _begin(self) -> str:
-        steps = (await self._ask("calibration", "begin", {}))["steps"]
+        self._take_steps((await self._ask("calibration", "begin", {}))["steps"])
+        return self._say("begun", count=len(self._steps))
+
+    async def _resume(self) -> str:
+        """Go on with what was begun on another page, in the terminal, or before this page was closed."""
+        status = await self._ask("calibration", "status", {})
+        if status["phase"] == "idle":
+            return self._say("nothing_begun", begin=self._say("begin"))
+        self._take_steps(status["steps"])
+        return self._next_of(status)
+
+    def _take_steps(self, steps: Sequence[Mapping[str, Any]]) -> None:
         self._steps = {one["step"]: one["instruction"] for one in steps}
         self._step.options = tuple(self._steps)
         self._result, self._table.content = None, ""
-        return self._say("begun", count=len(steps))
+
+    def _next_of(self, status: Mapping[str, Any]) -> str:
+        """Choose the first step that is not done yet; tell those that are."""
+        done = status.get("done", ())
+        left = [step for step in self._steps if step not in done]
+        if left:
+            self._step.value = left[0]  # type: ignore[misc]  # as in Playback
+        return self._say("done", steps=", ".join(done) or NOTHING)
 
     async def _do(self) -> str:
         name = self._step.value
@@ -117,10 +77,7 @@ class BodySteps:
         while (status := await self._ask("calibration", "status", {}))["phase"] not in ("ready", "idle"):
             self._tell(progress(status, instruction, self._language))
             await asyncio.sleep(LOOK_S)
-        left = [step for step in self._steps if step not in status.get("done", ())]
-        if left:
-            self._step.value = left[0]  # type: ignore[misc]  # as in Playback
-        return self._say("done", steps=", ".join(status.get("done", ())))
+        return self._next_of(status)
 
     async def _find(self) -> str:
         self._tell(self._say("works"))
@@ -160,18 +117,8 @@ def _named(status: Mapping[str, Any], is_meant: Callable[[Mapping[str, Any]], bo
 
 def result_table(result: Mapping[str, Any], language: str) -> str:
     """A score for each module with its reasons, as HTML."""
-    keys: Sequence[str] = ("module", "segment", "score", "why")
-    head = "".join(f'<th style="text-align:left;padding:1px 4px">{say(language, key)}</th>' for key in keys)
-    rows = "".join(
-        f'<tr style="color:{_COLOURS.get(one["quality"], "inherit")}">'
-        + "".join(f'<td style="padding:1px 4px">{html.escape(cell)}</td>' for cell in _cells(one))
-        + "</tr>"
-        for one in result["modules"]
-    )
-    return (
-        '<div style="padding:0 8px;overflow-x:auto;font-size:11px"><table style="border-collapse:collapse">'
-        f"<tr>{head}</tr>{rows}</table></div>"
-    )
+    head = [say(language, key) for key in ("module", "segment", "score", "why")]
+    return table(head, ((COLOURS.get(one["quality"], "inherit"), _cells(one)) for one in result["modules"]))
 
 
 def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:

@@ -18,18 +18,23 @@ from gateway.errors import GatewayError
 from gateway.modules.remote import remote_suit
 from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import BrokerUnreachableError, PoseSubscriber, ReceivedPose
+from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.assistant import Assistant
+from gateway.viewer.body_steps import BodySteps
+from gateway.viewer.check_tab import CheckTab
 from gateway.viewer.live_markers import LiveMarkers
 from gateway.viewer.marker_points import MarkerInstant
-from gateway.viewer.module_table import RecentLosses, module_rows, module_table, warnings_of
+from gateway.viewer.module_table import RecentLosses, RecordingStatus, module_rows, module_table, warnings_of
 from gateway.viewer.muscle_wires import MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.pose_table import STALE_AFTER_S, PoseView
 from gateway.viewer.posture import PostureKeeper, skeleton_of
+from gateway.viewer.replaying import ReplayedTake
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.stage import Stage
+from gateway.viewer.takes import TakesTab
 
 RETRY_S = 0.5
 RECORDED_AFTER_S = 10.0
@@ -68,6 +73,7 @@ class LiveViewer:
         self._latest: ReceivedPose | None = None
         self._drawn: ReceivedPose | None = None
         self._was_stale = False
+        self._was_red: frozenset[str] = frozenset()
         self._body: BodyMessage | None = None
         self._scene: BodyScene | None = None
         self._keeper: PostureKeeper | None = None
@@ -87,9 +93,20 @@ class LiveViewer:
             self._stage,
         )
         self._losses = RecentLosses()
+        self._recording = RecordingStatus()
+        self._replayed: ReplayedTake | None = None
         self._assistant: Assistant | None = None
+        self._check: CheckTab | None = None
         if may_write:
-            self._assistant = Assistant(server, self._panel.tabs, self._answer_of, self._mark)
+            self._add_assistant(server)
+
+    def _add_assistant(self, server: viser.ViserServer) -> None:
+        """The tabs that lead from nothing to a recording, in the order of their steps."""
+        tabs, ask, loop = self._panel.tabs, self._answer_of, self._loop
+        self._assistant = Assistant(server, tabs, ask, self._mark)
+        body = BodySteps(server, tabs, ask, loop)
+        self._check = CheckTab(server, tabs, ask, loop, lambda: self._worn)
+        self._assistant.leads(body, self._check, TakesTab(server, tabs, ask, loop, self._replay))
 
     async def run(self, waits: bool = False) -> None:
         """For ever. Raises ``BrokerUnreachableError`` if there is no broker at the start, unless it waits."""
@@ -117,7 +134,10 @@ class LiveViewer:
                 self._undrawn.append(received)
                 self._view.add(received)
                 self._markers.add(received)
-                self._panel.add_pose(received.pose)
+                if self._check is not None:
+                    self._check.add(received.pose)
+                if self._replayed is None:
+                    self._panel.add_pose(received.pose)
 
     async def _draw_for_ever(self, poses: PoseSubscriber) -> None:
         picture = 0
@@ -150,26 +170,52 @@ class LiveViewer:
             self._panel.show_answer(str(error))
 
     def _draw(self, markers: MarkersMessage | None) -> None:
+        if self._replayed is not None:
+            self._draw_replayed(self._replayed)
+            return
         if self._latest is None or self._scene is None or self._keeper is None:
             return
         latest, instant = self._markers.pose_of(markers, self._latest)
         is_stale = self._is_stale()
-        if latest is self._drawn and is_stale == self._was_stale:
+        red = self._red()
+        if latest is self._drawn and is_stale == self._was_stale and red == self._was_red:
             return
-        self._drawn, self._was_stale = latest, is_stale
+        self._drawn, self._was_stale, self._was_red = latest, is_stale, red
         if self._wires is not None:
             self._add_undrawn(self._wires, self._keeper, latest)
         posture = self._keeper.take(latest.pose)
         if self._panel.follow.value:
             self._stage.follow(posture.place, latest.pose.t_ns * 1e-9)
         self._stage.face(posture.q_wb[0])
-        self._scene.draw(posture, is_stale, self._silent())
+        self._scene.draw(posture, is_stale, self._silent(), red)
         if self._wires is not None:
             self._wires.draw(latest.pose.t_ns * 1e-9, posture)
         self._markers.draw(instant)
         self._instant = instant
         if instant is not None:
             self._panel.add_markers(latest.pose.t_ns, instant)
+
+    def _red(self) -> frozenset[str]:
+        """Segments that did not follow in the check."""
+        return frozenset() if self._check is None else self._check.red
+
+    def _replay(self, arrays: SkeletonArrays | None, name: str) -> None:
+        """Play a recording in place of what comes; None: what comes again. Raises ``GatewayError``."""
+        shown = None if self._body is None else skeleton_of(self._body)
+        self._replayed = None if arrays is None else ReplayedTake(arrays, name, shown)
+        self._drawn = None
+
+    def _draw_replayed(self, take: ReplayedTake) -> None:
+        if self._scene is None or self._keeper is None:
+            return
+        now_s = self._loop.time()
+        pose = take.at(now_s)
+        posture = self._keeper.take(pose)
+        if self._panel.follow.value:
+            self._stage.follow(posture.place, now_s)
+        self._stage.face(posture.q_wb[0])
+        self._scene.draw(posture, is_stale=False)
+        self._panel.add_pose(pose)
 
     def _add_undrawn(self, wires: MuscleWires, keeper: PostureKeeper, latest: ReceivedPose) -> None:
         """Poses that came between two pictures, up to the one that is drawn."""
@@ -191,7 +237,10 @@ class LiveViewer:
         state = poses.states.get(self._gateway, "state unknown")
         age = self._view.age_s(gateway_time_ns())
         name = "no gateway heard yet" if self._gateway == ANY_GATEWAY else f"{self._gateway}: {state}"
-        if not poses.is_connected:
+        if self._replayed is not None:
+            told = self._replayed.told(self._loop.time())
+            self._panel.show_status(f"REPLAY {self._replayed.name}", told, is_alarm=False)
+        elif not poses.is_connected:
             self._panel.show_status("NO BROKER", "trying to get it back", is_alarm=True)
         elif age is None:
             self._panel.show_status("NO DATA", f"{name}; no pose has come yet", is_alarm=True)
@@ -205,8 +254,9 @@ class LiveViewer:
         self._losses.add(health)
         comes = age is not None and age <= STALE_AFTER_S and poses.is_connected
         self._panel.show_warnings(self._warnings() if comes else ())
-        recording = None if health is None else health.statistics.get("recording")
-        self._panel.show_recording(recording if isinstance(recording, dict) else {})
+        if health is not None:
+            self._recording.take(health.statistics.get("recording"), health.t_ns)
+        self._panel.show_recording(self._recording.now(gateway_time_ns()))
         info = poses.infos.get(self._gateway)
         self._worn = frozenset() if info is None else frozenset(module.segment for module in info.modules)
         rows = module_rows(health, info, self._silent())
@@ -249,7 +299,10 @@ class LiveViewer:
     async def _answer_of(self, family: str, verb: str, data: Mapping[str, Any]) -> Mapping[str, Any]:
         """The gateway's answer. Raises ``GatewayError``."""
         async with remote_suit(self._settings, self._gateway, family) as remote:
-            return await remote.perform(verb, data)
+            answer = await remote.perform(verb, data)
+        if family == "recording" and "state" in answer:
+            self._recording.take(answer, gateway_time_ns())
+        return answer
 
     def _mark(self, segment: str) -> None:
         if self._scene is not None:
@@ -263,8 +316,7 @@ class LiveViewer:
                 await asyncio.sleep(1.0)
         self._panel.show_answer(f"{wish} …")
         try:
-            async with remote_suit(self._settings, self._gateway, family) as remote:
-                answer = await remote.perform(verb, data)
+            answer = await self._answer_of(family, verb, data)
         except GatewayError as error:
             self._panel.show_answer(f"{wish}: {error}")
             return

@@ -89,6 +89,26 @@ class RecentLosses:
         return new_lost / max(1.0, received_now - received + new_lost)
 
 
+class RecordingStatus:
+    """What the gateway said last of its recording; the clock goes on until it says more."""
+
+    def __init__(self) -> None:
+        self._status: Mapping[str, object] = {}
+        self._told_ns = 0
+
+    def take(self, status: object, told_ns: int) -> None:
+        """Of a health message or an answer, told at this gateway time, ns; an older one changes nothing."""
+        if isinstance(status, Mapping) and told_ns > self._told_ns:
+            self._status, self._told_ns = status, told_ns
+
+    def now(self, now_ns: int) -> Mapping[str, object]:
+        """The status, with the seconds of now."""
+        seconds = self._status.get("seconds")
+        if self._status.get("state") != "recording" or not isinstance(seconds, int | float):
+            return self._status
+        return {**self._status, "seconds": seconds + max(0, now_ns - self._told_ns) * 1e-9}
+
+
 def warnings_of(lost: float, latency_s: float) -> tuple[str, ...]:
     """What is to be told loudly, with what would do. lost: share of the samples, 0 to 1."""
     found = []

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import bisect
-
 import viser
 
-from gateway.body.joint_angles import JointAngles
-from gateway.contract.messages import PoseMessage
-from gateway.frames import SkeletonFrame, Status
-from gateway.outputs.pose_encoding import PoseEncoder
-from gateway.outputs.settings import PoseMap
+from gateway.frames import Status
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
 from gateway.viewer.marker_points import MarkerScene, ReceivedMarkers, RecordedMarkers
@@ -19,6 +13,7 @@ from gateway.viewer.muscle_wires import ENOUGH_S, MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
 from gateway.viewer.posture import PostureKeeper
+from gateway.viewer.replaying import RecordedPoses
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.stage import Stage
 
@@ -39,14 +34,14 @@ class Playback:
     ) -> None:
         """muscles_kg: mass of the person whose muscles are shown; None: none are."""
         self._arrays = arrays
-        self._times_s = arrays.time_s.tolist()
+        self._times_s: list[float] = arrays.time_s.tolist()
         self._position_s = 0.0
         self._is_playing = True
         self._name = name
         measured = (arrays.status == Status.MEASURED).any(axis=0)
         self._worn = {segment for segment, was in zip(arrays.segment_names, measured, strict=True) if was}
         skeleton = arrays.skeleton
-        self._encoder = PoseEncoder(skeleton.segment_names, None, frozenset(PoseMap), JointAngles(skeleton))
+        self._poses = RecordedPoses(arrays)
         self._stage = Stage(server)
         self._scene, self._keeper = BodyScene(server, self._stage, skeleton), PostureKeeper(skeleton)
         self._wires = muscle_wires(server, self._stage, skeleton, muscles_kg)
@@ -76,7 +71,7 @@ class Playback:
             if self._position_s > self._times_s[-1]:
                 self._position_s = 0.0
         self._take_choices()
-        self._draw(max(0, bisect.bisect_right(self._times_s, self._position_s) - 1))
+        self._draw(self._poses.index_at(self._position_s))
 
     @property
     def position_s(self) -> float:
@@ -91,7 +86,7 @@ class Playback:
         if index == self._drawn:
             return
         before, self._drawn = self._drawn, index
-        pose = PoseMessage.model_validate_json(self._encoder.encode(self._frame(index)))
+        pose = self._poses.pose(index)
         posture = self._keeper.take(pose)
         silent = silent_segments(pose.status, self._worn)
         if self._panel.follow.value:
@@ -132,17 +127,3 @@ class Playback:
     def _move_line(self, position_s: float) -> None:
         # the library's property has a setter, which the type checker does not see
         self._line.value = position_s  # type: ignore[misc]
-
-    def _frame(self, index: int) -> SkeletonFrame:
-        arrays = self._arrays
-        return SkeletonFrame(
-            sequence=int(arrays.sequence[index]),
-            time_ns=int(arrays.time_ns[index]),
-            q_wb=arrays.q_wb[index],
-            angular_rate=arrays.angular_rate[index],
-            joint_acceleration=arrays.joint_acceleration[index],
-            p_w=arrays.p_w[index],
-            sigma=arrays.sigma[index],
-            status=arrays.status[index],
-            root=0,
-        )

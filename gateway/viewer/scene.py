@@ -14,7 +14,7 @@ from gateway.body.mannequin import SPINDLE_FACES, SPINDLE_VERTICES, Mannequin, m
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
-from gateway.viewer.appearance import FACE, MOST_NAMED, segment_colours, side_of
+from gateway.viewer.appearance import COLOURS, FACE, MOST_NAMED, segment_colours, side_of
 from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
 
@@ -98,10 +98,18 @@ class BodyScene:
         """Segment axes, or none."""
         self._axes.visible = is_wanted
 
-    def draw(self, posture: Posture, is_stale: bool, silent: Collection[str] = ()) -> None:
-        """Bring the page to a posture; the silent segments are named."""
+    def draw(
+        self,
+        posture: Posture,
+        is_stale: bool,
+        silent: Collection[str] = (),
+        red: Collection[str] = (),
+    ) -> None:
+        """Bring the page to a posture; the silent segments are named, those in ``red`` are red."""
         p_w = posture.p_w - self._stage.middle
         colours = segment_colours(posture.status, posture.sigma_rad, is_stale, self._sides)
+        for name in red:
+            colours[self._skeleton.index(name)] = COLOURS["missing"]
         with self._server.atomic():
             if self.shows_bones:
                 self._draw_bones(posture, p_w, colours)

@@ -71,3 +71,13 @@ def test_one_id_for_two_is_refused():
 def test_a_spare_is_the_highest_free_one():
     assert spare_id({63, 61}) == 62
     assert spare_id(range(64)) is None
+
+
+@given(
+    st.lists(st.integers(0, 8), min_size=1, max_size=8), st.lists(st.integers(0, 8), min_size=1, max_size=8)
+)
+def test_ids_that_several_had_are_given_back_where_that_is_wanted(ids, earlier):
+    present = {uid(i): module for i, module in enumerate(ids)}
+    wanted = {uid(i): module for i, module in enumerate(earlier[: len(ids)])}
+    held, _ = carried_out(present, plan_moves(present, wanted, may_share=True))
+    assert held == present | wanted

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 
 import aiomqtt
@@ -15,44 +14,12 @@ from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeState, PoseMessage, describe_body
 from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
-from gateway.support.credentials import AccessToken
-from gateway.viewer.gate import Door, Gate
 from tests.patience import PATIENCE_S
-
-viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
-playwright_api = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
+from tests.shown_page import GATEWAY, SIZES, TOKEN, browser_of, choose, new_page, page_of
 
 pytestmark = pytest.mark.system
 SKELETON = load_rig("suit_17").skeleton
-GATEWAY = "lab"
-TOKEN = "a-token-of-this-test"
 LOOKING = "a-token-for-looking-only"
-FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-
-
-@contextlib.asynccontextmanager
-async def page_of(settings, unused_port, chromium, size=(800, 600)):
-    """The viewer, and a browser's page that shows it; ``page.outside`` are requests to elsewhere."""
-    from gateway.viewer.live import LiveViewer  # noqa: PLC0415 - needs the extra
-
-    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
-    showing = asyncio.create_task(LiveViewer(server, settings, GATEWAY).run())
-    gate = Gate("127.0.0.1", unused_port, server.get_port(), Door(AccessToken(TOKEN)))
-    async with gate, playwright_api.async_playwright() as play:
-        browser = await play.chromium.launch(executable_path=chromium, args=FLAGS)
-        page = await browser.new_page(viewport={"width": size[0], "height": size[1]})
-        page.set_default_timeout(40_000)
-        outside = []
-        page.on("request", lambda request: outside.append(request.url))
-        stranger = await page.goto(f"http://127.0.0.1:{unused_port}")
-        assert stranger.status == 401
-        await page.goto(f"http://127.0.0.1:{unused_port}/?token={TOKEN}")
-        assert TOKEN not in page.url
-        yield page, outside
-        await browser.close()
-    showing.cancel()
-    await asyncio.gather(showing, return_exceptions=True)
-    server.stop()
 
 
 async def publish_poses(client, topics, is_ended):
@@ -103,20 +70,17 @@ async def test_who_may_only_look_finds_no_button_that_asks_anything(
         await client.publish(topics.body, describe_body(SKELETON).payload(), retain=True)
         view = command("view", *where, *tokens)
         await view.until_it_says("live page")
-        async with playwright_api.async_playwright() as play:
-            browser = await play.chromium.launch(executable_path=chromium, args=FLAGS)
+        async with browser_of(chromium) as browser:
             for token, buttons in ((LOOKING, 0), (TOKEN, 1)):
-                page = await (await browser.new_context()).new_page()
-                page.set_default_timeout(40_000)
+                page = await new_page(browser)
                 await page.goto(f"http://127.0.0.1:{unused_port}/?token={token}")
                 await page.get_by_text(f"{GATEWAY}: online").wait_for()
                 for button in ("start", "stop", "heading", "full", "mounting"):
                     assert await page.get_by_role("button", name=button, exact=True).count() == buttons
                 assert await page.get_by_role("button", name="front", exact=True).count() == 1
-            await browser.close()
 
 
-@pytest.mark.parametrize("size", [(1100, 800), (390, 780)], ids=["desktop", "phone"])
+@pytest.mark.parametrize("size", SIZES, ids=["desktop", "phone"])
 async def test_modules_that_share_an_id_are_set_up_on_the_page(
     mosquitto, unused_port, chromium, command, tmp_path, size
 ):
@@ -155,6 +119,9 @@ async def test_modules_that_share_an_id_are_set_up_on_the_page(
         await page.get_by_text("not heard:").wait_for(state="detached")
         await page.get_by_role("button", name="Take back").click()
         await page.get_by_text("not heard: right forearm").wait_for()
+        await page.get_by_role("button", name="Take back").click()
+        await page.get_by_text("taken back: 1 changes").wait_for()
+        await page.get_by_text("2 modules have id").wait_for()
         await choose(page, 0, "Deutsch")
         await page.get_by_role("button", name="Module suchen").wait_for()
         await page.get_by_text("nicht gehört: right forearm").wait_for()
@@ -182,7 +149,7 @@ async def test_a_body_is_calibrated_on_the_page(
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
         await page.get_by_role("tab", name="Body").click()
         await page.get_by_role("button", name="Do this step").click()
-        await page.get_by_text("press «4 · Begin with the poses» first").wait_for()
+        await page.get_by_text("press «5 · Begin with the poses» first").wait_for()
         await page.get_by_role("button", name="Begin with the poses").click()
         await page.get_by_text("steps: do them one after another").wait_for()
         await page.get_by_role("button", name="Do this step").click()
@@ -192,14 +159,6 @@ async def test_a_body_is_calibrated_on_the_page(
         await page.get_by_role("button", name="Work out how modules sit").click()
         await page.get_by_text("of 7 modules are good").wait_for()
         assert await page.get_by_role("cell", name="left thigh", exact=True).count() == 1
-
-
-async def choose(page, which, option):
-    """Choose from a list of the tab that is open."""
-    chooser = page.locator("input[role=combobox]").filter(visible=True).nth(which)
-    await chooser.click()
-    await chooser.fill(option)
-    await page.get_by_role("option", name=option).click()
 
 
 @pytest.mark.parametrize(

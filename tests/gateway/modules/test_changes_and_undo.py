@@ -103,6 +103,17 @@ async def test_ids_that_cannot_be_given_are_refused_before_any_setting_is_writte
         assert noted(journal) == {}
 
 
+async def test_a_separation_of_ids_is_taken_back(operated):
+    async with operated(stored_ids={2: 1}) as (suit, operations, journal):
+        assert (await operations.perform("list", {"listen_s": 0.5}))["conflicts"]
+        (change,) = (await operations.perform("separate", {}))["changes"]
+        assert bytes.fromhex(change["unique_id"]) in {suit.unique_id(1), suit.unique_id(2)}
+        done = await operations.perform("undo", {})
+        assert [each["after"] for each in done["changes"]] == [{"module_id": 1}]
+        assert len((await operations.perform("list", {"listen_s": 0.5}))["conflicts"]) == 1
+        assert noted(journal) == {}
+
+
 async def test_an_undo_that_one_module_refuses_can_be_asked_for_again(operated):
     async with operated() as (suit, operations, journal):
         ids = {suit.unique_id(n).hex(): n + 10 for n in range(3)}

@@ -1,0 +1,199 @@
+"""The folder of the recordings as requests see it: ``recording/list``, ``export`` and ``read``.
+
+Nothing outside of the folder is reached, and nothing is removed. Exports are made by a process of their own,
+so that poses go on meanwhile.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import sys
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from mcap.reader import SeekingReader
+from pydantic import ValidationError
+
+from devices import recording_format as fmt
+from devices.recording_file import DAMAGE, LARGEST_RECORD, RecordingError
+from gateway.contract.requests import (
+    RECORDING_REQUESTS,
+    ExportRecordingRequest,
+    ListRecordingsRequest,
+    ReadRecordingRequest,
+    Request,
+)
+from gateway.errors import GatewayError, nearest
+from gateway.frames import SkeletonFrame
+from gateway.geometry import quaternion
+from gateway.recording.exporters.formats import FORMATS
+from gateway.recording.files import free_bytes
+from gateway.recording.pose_encoding import decode_skeleton_frame
+from gateway.recording.reading import Recording
+from gateway.recording.summary import recordings_in, summarise
+from gateway.settings import RecordingSettings
+
+Perform = Callable[[str, Mapping[str, Any]], Awaitable[dict[str, Any]]]
+_ENDINGS = frozenset({fmt.SUFFIX, *(each.suffix for each in FORMATS.values())})
+_MB = 1e6
+_Asked = TypeVar("_Asked", bound=Request)
+
+
+class Shelf:
+    """Answers at any time, beside whatever is recorded."""
+
+    def __init__(self, settings: RecordingSettings, under_way: Callable[[], Path | None]) -> None:
+        """under_way: the file that is being written, which is not listed; None: nothing is recorded."""
+        self._folder = Path(settings.folder)
+        self._under_way = under_way
+        self._exporting = asyncio.Lock()
+        self._verbs: dict[str, Perform] = {"list": self._list, "export": self._export, "read": self._read}
+
+    def beside(self, others: Perform) -> Perform:
+        """All verbs of the family: these, and those that ``others`` carries out."""
+
+        async def perform(verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+            return await self._verbs.get(verb, others)(verb, data)
+
+        return perform
+
+    async def _list(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+        asked = _parsed(ListRecordingsRequest, verb, data)
+        return await asyncio.to_thread(self._listed, asked.most)
+
+    def _listed(self, most: int) -> dict[str, Any]:
+        formats = {name: each.meaning for name, each in FORMATS.items()}
+        answer: dict[str, Any] = {"folder": str(self._folder), "formats": formats, "recordings": []}
+        if not self._folder.is_dir():
+            return answer | {"problems": []}
+        found = list(recordings_in(self._folder))
+        recordings = [each for each in found if isinstance(each, Recording)]
+        under_way = self._under_way()
+        if under_way is not None:
+            recordings = [r for r in recordings if under_way not in {file.path for file in r.parts.files}]
+        recordings.sort(key=lambda each: each.meta.begun_utc_ns, reverse=True)
+        answer["recordings"] = [self._told(recording) for recording in islice(recordings, most)]
+        answer["problems"] = [str(each) for each in found if isinstance(each, RecordingError)]
+        answer["free_mb"] = round(free_bytes(self._folder) / _MB)
+        return answer
+
+    def _told(self, recording: Recording) -> dict[str, Any]:
+        summary, path = summarise(recording), recording.parts.path
+        beside = (path.with_suffix(each.suffix) for each in FORMATS.values())
+        return {
+            "file": path.name,
+            "files": [file.path.name for file in recording.parts.files],
+            "begun_utc_ns": summary.begun_utc_ns,
+            "duration_s": round(summary.duration_s, 2),
+            "bytes": summary.bytes,
+            "modules": len(summary.modules),
+            "loss_percent": summary.loss_percent,
+            "poses": summary.messages.get(fmt.SKELETON, 0),
+            "defect": summary.defect,
+            "exports": sorted(each.name for each in beside if each.is_file()),
+            "outline": outline_of(recording),
+        }
+
+    async def _export(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+        asked = _parsed(ExportRecordingRequest, verb, data)
+        if asked.to not in FORMATS:
+            raise GatewayError(f"there is no format '{asked.to}'{nearest(asked.to, FORMATS)}")
+        path = self._kept(asked.file)
+        command = ["export", str(path), "--to", asked.to, "--force", "--json"]
+        async with self._exporting:
+            written = json.loads(await _said_by(command))[0]
+        return {"file": path.with_suffix(FORMATS[asked.to].suffix).name} | {
+            key: written[key] for key in ("bytes", "frames", "rate_hz", "seconds")
+        }
+
+    async def _read(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
+        asked = _parsed(ReadRecordingRequest, verb, data)
+        path = self._kept(asked.file)
+        piece, size = await asyncio.to_thread(_piece, path, asked.offset, asked.length)
+        return {"file": path.name, "bytes": size, "data": base64.b64encode(piece).decode()}
+
+    def _kept(self, name: str) -> Path:
+        """A file of the folder. Raises ``RecordingError`` for anything else."""
+        path = self._folder / name
+        is_within = path.is_file() and path.resolve().parent == self._folder.resolve()
+        if path.suffix not in _ENDINGS or not is_within:
+            raise RecordingError(f"there is no recording {name} in {self._folder}: recording/list has them")
+        return path
+
+
+def outline_of(recording: Recording) -> list[list[float]]:
+    """The body half-way through, from the front: x, y to x, y of each segment, m; empty where none is known.
+
+    x to the body's right, as the reader sees it to the left; y up.
+    """
+    frame = _half_way(recording)
+    if frame is None or not recording.meta.has_suit:
+        return []
+    skeleton = recording.meta.skeleton
+    root = int(np.flatnonzero(skeleton.parents < 0)[0])
+    right = quaternion.rotate(frame.q_wb[root], np.array([0.0, 0.0, 1.0]))
+    across = np.array([-right[0], -right[1], 0.0]) / max(float(np.hypot(right[0], right[1])), 1e-6)
+    known = np.isfinite(frame.q_wb).all(axis=1) & np.isfinite(frame.p_w).all(axis=1)
+    lines = []
+    for s in np.flatnonzero(known):
+        begin = frame.p_w[s] - frame.p_w[root]
+        end = begin + quaternion.rotate(frame.q_wb[s], skeleton.tips[s])
+        lines.append([round(float(v), 3) for v in (across @ begin, begin[2], across @ end, end[2])])
+    return lines
+
+
+def _half_way(recording: Recording) -> SkeletonFrame | None:
+    """A pose from the middle of the first part; None where that has no index, or no poses."""
+    with suppress(*DAMAGE, OSError, StopIteration), recording.parts.path.open("rb") as stream:
+        reader = SeekingReader(stream, record_size_limit=LARGEST_RECORD)
+        summary = reader.get_summary()
+        if summary is None or summary.statistics is None:
+            return None
+        begun, ended = summary.statistics.message_start_time, summary.statistics.message_end_time
+        found = reader.iter_messages(fmt.SKELETON, start_time=(begun + ended) // 2)
+        return decode_skeleton_frame(next(iter(found))[2].data)
+    return None
+
+
+def _piece(path: Path, offset: int, length: int) -> tuple[bytes, int]:
+    """Bytes from there on, and how many there are in all."""
+    try:
+        with path.open("rb") as file:
+            file.seek(offset)
+            return file.read(length), path.stat().st_size
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}") from error
+
+
+async def _said_by(arguments: list[str]) -> str:
+    """What a command prints. Raises ``RecordingError`` with its error."""
+    command = ["nice", "-n", "10", sys.executable, "-m", "gateway", *arguments]
+    process = await asyncio.create_subprocess_exec(
+        *command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
+    )
+    try:
+        output, errors = await process.communicate()
+    except asyncio.CancelledError:
+        process.terminate()
+        raise
+    if process.returncode:
+        raise RecordingError(
+            (errors.decode(errors="replace").strip() or "the export failed").splitlines()[-1]
+        )
+    return output.decode()
+
+
+def _parsed(model: type[_Asked], verb: str, data: Mapping[str, Any]) -> _Asked:
+    assert RECORDING_REQUESTS[verb] is model
+    try:
+        return model.model_validate(dict(data))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise GatewayError(f"recording/{verb}: '{where}': {first['msg']}") from error

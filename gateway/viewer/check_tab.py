@@ -1,0 +1,129 @@
+"""The check on the page: five movements, and red where something does not follow."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Collection
+from typing import Any
+
+import numpy as np
+import viser
+
+from gateway.calibration.movement_check import MOVEMENTS, Movement, MovementCheck, Seen, Verdict
+from gateway.contract.messages import PoseMessage
+from gateway.errors import GatewayError
+from gateway.viewer.step_tab import GOOD, POOR, Ask, StepTab, table
+
+READY_S, WATCHED_S, LOOK_S = 3, 6.0, 0.25
+Worn = Callable[[], Collection[str]]
+"""Segments that modules are worn on, now."""
+
+
+class CheckTab(StepTab):
+    """One tab of the panel. It watches the poses that come; it asks the gateway nothing."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        tabs: viser.GuiTabGroupHandle,
+        ask: Ask,
+        loop: asyncio.AbstractEventLoop,
+        worn: Worn,
+    ) -> None:
+        super().__init__(server, tabs, "check", ask, loop)
+        self._worn = worn
+        self._found: dict[str, list[Seen]] = {}
+        """By movement, those done so far."""
+        self._watching: MovementCheck | None = None
+        self._is_busy = False
+        self.build()
+
+    @property
+    def red(self) -> frozenset[str]:
+        """Segments that did not follow when their movement was done last."""
+        return frozenset(
+            seen.segment
+            for found in self._found.values()
+            for seen in found
+            if seen.verdict != Verdict.FOLLOWS
+        )
+
+    def add(self, pose: PoseMessage) -> None:
+        """A pose that has come."""
+        if self._watching is not None and (root := pose.segments.get(pose.root)) is not None:
+            self._watching.add(pose.segments, pose.status, np.array(root, np.float64))
+
+    def _add_parts(self) -> list[Any]:
+        gui = self._server.gui
+        all_of_them = self._button("check_all", self._do_all)
+        names = tuple(self._say(f"move_{movement.name}") for movement in MOVEMENTS)
+        self._movement = gui.add_dropdown(self._say("movement"), names)
+        again = self._button("check_one", self._do_one)
+        parts = [all_of_them, self._movement, again, self._add_answer()]
+        self._table = gui.add_html(self._told())
+        return [*parts, self._table, self._button("check_clear", self._clear)]
+
+    def _told(self) -> str:
+        rows = [
+            (
+                GOOD if seen.verdict == Verdict.FOLLOWS else POOR,
+                (
+                    self._say(f"move_{name}"),
+                    seen.segment.replace("_", " "),
+                    self._say(f"verdict_{seen.verdict.value}"),
+                ),
+            )
+            for name, found in self._found.items()
+            for seen in found
+        ]
+        return (
+            table([self._say(key) for key in ("movement", "segment", "result_of_check")], rows)
+            if rows
+            else ""
+        )
+
+    async def _do_all(self) -> str:
+        self._found.clear()
+        for movement in MOVEMENTS:
+            await self._do(movement)
+        return self._summary()
+
+    async def _do_one(self) -> str:
+        which = self._movement.options.index(self._movement.value)
+        await self._do(MOVEMENTS[which])
+        return self._summary()
+
+    async def _clear(self) -> str:
+        self._found.clear()
+        self._table.content = ""
+        return self._say("check_cleared")
+
+    async def _do(self, movement: Movement) -> None:
+        """Tell what to do, count down, watch, and show how it went."""
+        if self._is_busy:
+            raise GatewayError(self._say("check_busy"))
+        check = MovementCheck(movement, tuple(self._worn()))
+        if not check.seen():
+            return  # nothing of it is worn
+        self._is_busy = True
+        instruction = self._say(f"do_{movement.name}")
+        try:
+            for left in range(READY_S, 0, -1):
+                self._tell(self._say("ready_in", instruction=instruction, left=left))
+                await asyncio.sleep(1.0)
+            self._watching = check
+            for left in range(round(WATCHED_S), 0, -1):
+                self._tell(self._say("records", instruction=instruction, left=left))
+                await asyncio.sleep(1.0)
+        finally:
+            self._watching, self._is_busy = None, False
+        self._found[movement.name] = check.seen()
+        self._table.content = self._told()
+
+    def _summary(self) -> str:
+        every = [seen for found in self._found.values() for seen in found]
+        if not every:
+            return self._say("check_nothing")
+        good = sum(seen.verdict == Verdict.FOLLOWS for seen in every)
+        key = "check_good" if good == len(every) else "check_bad"
+        return self._say(key, good=good, count=len(every))

@@ -1,0 +1,75 @@
+"""A recording played in the place of what comes live."""
+
+from __future__ import annotations
+
+import bisect
+
+from gateway.body.joint_angles import JointAngles
+from gateway.body.skeleton import Skeleton
+from gateway.contract.messages import PoseMessage
+from gateway.errors import GatewayError
+from gateway.frames import SkeletonFrame
+from gateway.outputs.pose_encoding import PoseEncoder
+from gateway.outputs.settings import PoseMap
+from gateway.recording import SkeletonArrays
+
+
+class RecordedPoses:
+    """The poses of a recording as messages, by the time since its beginning."""
+
+    def __init__(self, arrays: SkeletonArrays) -> None:
+        self._arrays = arrays
+        self.times_s: list[float] = arrays.time_s.tolist()
+        skeleton = arrays.skeleton
+        self._encoder = PoseEncoder(skeleton.segment_names, None, frozenset(PoseMap), JointAngles(skeleton))
+
+    def index_at(self, position_s: float) -> int:
+        """Of the last pose up to a time, s; of the first one before that."""
+        return max(0, bisect.bisect_right(self.times_s, position_s) - 1)
+
+    def pose(self, index: int) -> PoseMessage:
+        """One of them."""
+        return PoseMessage.model_validate_json(self._encoder.encode(self._frame(index)))
+
+    def _frame(self, index: int) -> SkeletonFrame:
+        arrays = self._arrays
+        return SkeletonFrame(
+            sequence=int(arrays.sequence[index]),
+            time_ns=int(arrays.time_ns[index]),
+            q_wb=arrays.q_wb[index],
+            angular_rate=arrays.angular_rate[index],
+            joint_acceleration=arrays.joint_acceleration[index],
+            p_w=arrays.p_w[index],
+            sigma=arrays.sigma[index],
+            status=arrays.status[index],
+            root=0,
+        )
+
+
+class ReplayedTake:
+    """Plays a recording over and over, at the pace at which it was made."""
+
+    def __init__(self, arrays: SkeletonArrays, name: str, shown: Skeleton | None) -> None:
+        """shown: the body on the page. Raises ``GatewayError`` where the recording is of another one."""
+        if shown is None or arrays.skeleton.segment_names != shown.segment_names:
+            raise GatewayError(
+                f"{name} is of body '{arrays.skeleton.name}', another one than is shown: "
+                f"`mocap-gateway view {name}` plays it"
+            )
+        self.name = name
+        self._poses = RecordedPoses(arrays)
+        self._begun_s: float | None = None
+
+    def at(self, now_s: float) -> PoseMessage:
+        """The pose to show. now_s: of any clock that runs evenly."""
+        if self._begun_s is None:
+            self._begun_s = now_s
+        return self._poses.pose(self._poses.index_at(self._position_s(now_s)))
+
+    def told(self, now_s: float) -> str:
+        """Where it is, and how long it is."""
+        return f"{self._position_s(now_s):.1f} s of {self._poses.times_s[-1]:.1f} s"
+
+    def _position_s(self, now_s: float) -> float:
+        length_s = max(self._poses.times_s[-1], 1e-3)
+        return (now_s - (self._begun_s or now_s)) % length_s

@@ -1,0 +1,118 @@
+"""What the tabs of the set-up assistant share: language, buttons that work in the loop, an answer."""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import html
+from abc import ABC, abstractmethod
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import viser
+
+from gateway.errors import GatewayError
+from gateway.viewer.texts import say
+
+Ask = Callable[[str, str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
+"""Family, verb and data to the gateway's answer. Raises ``GatewayError``."""
+Deed = Callable[[], Awaitable[str]]
+"""What a button asks for; the answer is what became of it."""
+NOTHING = "–"
+GOOD, FAIR, POOR = "rgb(40,150,80)", "rgb(200,140,0)", "rgb(225,60,50)"
+COLOURS = {"good": GOOD, "fair": FAIR, "poor": POOR, "warning": FAIR, "bad": POOR}
+
+
+def line(text: str) -> str:
+    """What became of a button, as HTML that a screen reader tells."""
+    return f'<div role="status" style="padding:2px 12px 4px;font-size:12px">{html.escape(text)}</div>'
+
+
+def table(head: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
+    """Rows, each a colour and its cells, as an HTML table. Cells are texts, not HTML."""
+    cell = "padding:1px 4px;text-align:left;vertical-align:top"
+    shown = "".join(
+        f'<tr style="color:{colour}">'
+        + "".join(f'<td style="{cell}">{html.escape(text)}</td>' for text in cells)
+        + "</tr>"
+        for colour, cells in rows
+    )
+    heads = "".join(f'<th style="{cell}">{html.escape(name)}</th>' for name in head)
+    return (
+        '<div style="padding:0 8px;overflow-x:auto;font-size:11px"><table style="border-collapse:collapse">'
+        f"<tr>{heads}</tr>{shown}</table></div>"
+    )
+
+
+class Errands:
+    """What buttons ask for, done in the loop while threads of the page's server go on."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._work: set[concurrent.futures.Future[None]] = set()
+
+    def start(self, deed: Deed, tell: Callable[[str], object]) -> None:
+        """Do it, and tell what became of it, or what is wrong."""
+
+        async def work() -> None:
+            try:
+                said = await deed()
+            except GatewayError as error:
+                said = str(error)
+            tell(said)
+
+        future = asyncio.run_coroutine_threadsafe(work(), self._loop)
+        self._work.add(future)
+        future.add_done_callback(self._work.discard)
+
+
+class StepTab(ABC):
+    """One tab of the panel; built anew when its language changes."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        tabs: viser.GuiTabGroupHandle,
+        name: str,
+        ask: Ask,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        """name: key of the tab's name in the texts."""
+        self._server, self._ask, self._errands = server, ask, Errands(loop)
+        self._tab = tabs.add_tab(say("en", name))
+        self._language = "en"
+        self._handles: list[Any] = []
+
+    def build(self) -> None:
+        """Put everything on the tab, in its language; whatever was there goes."""
+        for handle in self._handles:
+            handle.remove()
+        with self._tab:
+            self._handles = self._add_parts()
+
+    def speak(self, language: str) -> None:
+        """Say everything in that language from now on."""
+        if language != self._language:
+            self._language = language
+            self.build()
+
+    @abstractmethod
+    def _add_parts(self) -> list[Any]:
+        """Add buttons and the rest to the page; return all of them. Shows what is known already."""
+
+    def _say(self, key: str, **values: object) -> str:
+        return say(self._language, key, **values)
+
+    def _button(self, key: str, deed: Deed, **options: Any) -> Any:
+        """A button that does something; what became of it is told on this tab."""
+        button = self._server.gui.add_button(self._say(key), **options)
+        button.on_click(lambda _event: self._errands.start(deed, self._tell))
+        return button
+
+    def _add_answer(self) -> Any:
+        """The place where it is told."""
+        self._answer = self._server.gui.add_html("")
+        return self._answer
+
+    def _tell(self, said: str) -> None:
+        self._answer.content = line(said)
