@@ -78,7 +78,7 @@ class Assistant(StepTab):
         assign, undo = self._button("assign", self._assign), self._button("undo", self._undo)
         return [
             *(examine, self._findings, look, self._found, self._separate, self._device, identify, hint),
-            *(self._segment, shake, self._write, assign, undo, self._add_answer()),
+            *(self._segment, shake, self._write, assign, undo),
         ]
 
     async def _examine(self) -> str:
@@ -247,8 +247,15 @@ def findings(examined: Mapping[str, Any], language: str) -> str:
     ports = [
         ("inherit", (port["name"], port["link"] or say(language, "unused"))) for port in examined["ports"]
     ]
-    order = ("bad", "warning", "good")
-    found = sorted(examined["findings"], key=lambda one: order.index(one["verdict"]))
-    rows = [(COLOURS[one["verdict"]], (one["subject"], one["found"], one["remedy"])) for one in found]
-    head = [say(language, key) for key in ("subject", "found", "remedy")]
-    return table((say(language, "ports"), ""), ports) + table(head, rows)
+    found = sorted(examined["findings"], key=lambda one: ("bad", "warning", "good").index(one["verdict"]))
+    shown = "".join(
+        f'<div style="padding:2px 0;color:{COLOURS[one["verdict"]]}"><b>{html.escape(one["subject"])}</b>: '
+        f"{html.escape(one['found'])}"
+        + (f"<br>→ {html.escape(one['remedy'])}" if one["remedy"] else "")
+        + "</div>"
+        for one in found
+    )
+    return (
+        table((say(language, "ports"), ""), ports)
+        + f'<div style="padding:4px 12px;font-size:11px;overflow-wrap:anywhere">{shown}</div>'
+    )

@@ -37,7 +37,7 @@ class BodySteps(StepTab):
         gui = self._server.gui
         parts = [self._button("begin", self._begin), self._button("resume", self._resume)]
         self._step = gui.add_dropdown(self._say("step"), (*self._steps,) or (NOTHING,))
-        parts += [self._step, self._button("do", self._do), self._add_answer()]
+        parts += [self._step, self._button("do", self._do)]
         parts.append(self._button("result", self._find))
         found = None if self._result is None else result_table(self._result, self._language)
         self._table = gui.add_html(found or "")

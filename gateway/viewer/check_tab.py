@@ -59,7 +59,7 @@ class CheckTab(StepTab):
         names = tuple(self._say(f"move_{movement.name}") for movement in MOVEMENTS)
         self._movement = gui.add_dropdown(self._say("movement"), names)
         again = self._button("check_one", self._do_one)
-        parts = [all_of_them, self._movement, again, self._add_answer()]
+        parts = [all_of_them, self._movement, again]
         self._table = gui.add_html(self._told())
         return [*parts, self._table, self._button("check_clear", self._clear)]
 

@@ -87,7 +87,9 @@ class LiveViewer:
             ()
             if not may_write
             else (
-                ButtonRow("Recording", ("start", "stop"), lambda verb: self._ask("recording", verb, {})),
+                ButtonRow(
+                    "Recording", ("start", "stop", "mark"), lambda verb: self._ask("recording", verb, {})
+                ),
                 ButtonRow("Reset", RESETS, lambda kind: self._ask("reset", kind, {})),
             ),
             self._stage,

@@ -82,11 +82,16 @@ class StepTab(ABC):
         self._tab = tabs.add_tab(say("en", name))
         self._language = "en"
         self._handles: list[Any] = []
+        self._places: list[Any] = []
+        """Below each button: where it is told what became of it."""
+        self._place: Any = None
+        """Of the button that was pressed last."""
 
     def build(self) -> None:
         """Put everything on the tab, in its language; whatever was there goes."""
-        for handle in self._handles:
+        for handle in (*self._handles, *self._places):
             handle.remove()
+        self._places, self._place = [], None
         with self._tab:
             self._handles = self._add_parts()
 
@@ -104,15 +109,28 @@ class StepTab(ABC):
         return say(self._language, key, **values)
 
     def _button(self, key: str, deed: Deed, **options: Any) -> Any:
-        """A button that does something; what became of it is told on this tab."""
+        """A button that does something; what became of it is told below it."""
+        return self._button_for_page(key, lambda _client: deed(), **options)
+
+    def _button_for_page(
+        self, key: str, deed: Callable[[viser.ClientHandle | None], Awaitable[str]], **options: Any
+    ) -> Any:
+        """The same, for a deed that concerns the page on which it was pressed."""
         button = self._server.gui.add_button(self._say(key), **options)
-        button.on_click(lambda _event: self._errands.start(deed, self._tell))
+        place = self._server.gui.add_html("", visible=False)
+        self._places.append(place)
+
+        def pressed(event: viser.GuiEvent[Any]) -> None:
+            for other in self._places:
+                if other is not place:
+                    other.visible = False
+            self._place = place
+            self._errands.start(lambda: deed(event.client), self._tell)
+
+        button.on_click(pressed)
         return button
 
-    def _add_answer(self) -> Any:
-        """The place where it is told."""
-        self._answer = self._server.gui.add_html("")
-        return self._answer
-
     def _tell(self, said: str) -> None:
-        self._answer.content = line(said)
+        if self._place is not None:
+            self._place.content = line(said)
+            self._place.visible = True

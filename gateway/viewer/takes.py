@@ -45,19 +45,17 @@ class TakesTab(StepTab):
         self.build()
 
     def _add_parts(self) -> list[Any]:
-        gui = self._server.gui
         return [
             self._button("record", self._record),
             self._button("record_stop", self._stop),
             self._button("takes_list", self._look),
-            self._add_answer(),
             self._add_list(),
             self._add_choice(),
             self._button("replay", self._show),
             self._button("live", self._show_live),
             self._add_formats(),
-            self._client_button(gui, "export", self._export),
-            self._client_button(gui, "download", self._download),
+            self._button_for_page("export", self._export),
+            self._button_for_page("download", self._download),
         ]
 
     def _add_list(self) -> Any:
@@ -73,14 +71,6 @@ class TakesTab(StepTab):
         formats = tuple((self._listed or {}).get("formats", ())) or (USUAL_FORMAT,)
         self._format = self._server.gui.add_dropdown(self._say("format"), formats)
         return self._format
-
-    def _client_button(
-        self, gui: viser.GuiApi, key: str, deed: Callable[[viser.ClientHandle | None], Any]
-    ) -> Any:
-        """A button whose deed is for the page on which it was pressed."""
-        button = gui.add_button(self._say(key))
-        button.on_click(lambda event: self._errands.start(lambda: deed(event.client), self._tell))
-        return button
 
     def _files(self) -> dict[str, Mapping[str, Any]]:
         """What is listed, by file name."""

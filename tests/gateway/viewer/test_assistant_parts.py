@@ -8,8 +8,10 @@ import pytest
 
 from gateway.calibration.procedure import PROCEDURE
 from gateway.modules.assignment import Wardrobe
-from gateway.viewer.assistant import conflict_lines, devices_of, found_table, told
+from gateway.viewer.assistant import conflict_lines, devices_of, findings, found_table, told
 from gateway.viewer.body_steps import instruction_of, progress, result_table
+from gateway.viewer.module_table import RecordingStatus
+from gateway.viewer.takes import takes_list
 from gateway.viewer.texts import LANGUAGES, say, texts
 
 
@@ -114,3 +116,52 @@ def test_the_result_names_reasons():
     table = result_table({"modules": [module]}, "en")
     assert "0.31" in table
     assert "a &lt; b" in table
+
+
+TAKE = {
+    "file": "a<b>.mcap",
+    "begun_utc_ns": 1_700_000_000_000_000_000,
+    "duration_s": 65.0,
+    "bytes": 2_000_000,
+    "loss_percent": 3.0,
+    "defect": None,
+    "exports": ["a.bvh"],
+    "outline": [[0.0, 0.0, 0.1, 0.5]],
+}
+
+
+def test_a_take_is_told_with_its_length_size_loss_and_picture():
+    shown = takes_list({"recordings": [TAKE], "problems": ["<bad>"], "free_mb": 1500}, "en")
+    for part in (
+        "1:05",
+        "2.0 MB",
+        "3.00 % lost",
+        "a.bvh",
+        "1.5 GB free",
+        "<svg",
+        "&lt;bad&gt;",
+        "a&lt;b&gt;",
+    ):
+        assert part in shown
+    assert "<b>a<b>" not in shown
+
+
+def test_the_worst_finding_comes_first_and_says_what_to_do():
+    found = [
+        {"subject": "rig", "verdict": "good", "found": "<17>", "remedy": ""},
+        {"subject": "disk", "verdict": "bad", "found": "full", "remedy": "make room"},
+    ]
+    shown = findings({"findings": found, "ports": [{"name": "/dev/ttyUSB0", "link": None}]}, "en")
+    assert shown.index("disk") < shown.index("rig")
+    assert "→ make room" in shown
+    assert "&lt;17&gt;" in shown
+    assert "not used" in shown
+
+
+def test_a_recording_s_clock_goes_on_between_messages():
+    status = RecordingStatus()
+    status.take({"state": "recording", "seconds": 2.0}, 5_000_000_000)
+    status.take({"state": "off"}, 4_000_000_000)  # older
+    assert status.now(7_000_000_000)["seconds"] == 4.0
+    status.take({"state": "off", "seconds": 4.2}, 8_000_000_000)
+    assert status.now(9_000_000_000)["seconds"] == 4.2
