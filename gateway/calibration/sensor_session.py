@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -196,3 +197,59 @@ def combined(results: dict[str, Result | str], kept: SensorCalibration | None = 
     if isinstance(magnetic, EllipsoidResult):
         fields |= {"magnetometer_matrix": magnetic.fit.matrix, "magnetometer_bias": magnetic.fit.bias}
     return replace(kept, **fields)  # type: ignore[arg-type]  # the names are those of arrays
+
+
+class Advice(NamedTuple):
+    """What the suit as a whole wants next."""
+
+    key: str
+    """``listen``, ``rest``, ``hold``, ``other_side``, ``turn``, ``silent`` (of ``modules``), ``enough``."""
+    modules: tuple[int, ...] = ()
+
+
+def advice_on(session: SensorSession, progress: Mapping[int, Progress]) -> Advice:
+    """What to do next, by how far all modules are."""
+    heard = [one for one in progress.values() if one.samples]
+    if not heard:
+        return Advice("listen")
+    if "gyrometer" in session.sensors and any(one.rest_s < REST_S for one in heard):
+        return Advice("rest")
+    if "accelerometer" in session.sensors and any(
+        one.positions < session.wanted_positions or one.sides_missing for one in heard
+    ):
+        return Advice("other_side" if all(one.is_at_rest for one in heard) else "hold")
+    if "magnetometer" in session.sensors and any(one.coverage < ENOUGH_COVERAGE for one in heard):
+        return Advice("turn")
+    silent = tuple(module for module, one in progress.items() if not one.samples)
+    return Advice("silent", silent) if silent else Advice("enough")
+
+
+def usable(results: dict[str, Result | str], with_poor: bool) -> dict[str, Result | str]:
+    """Those results that may be used."""
+    return {
+        sensor: result
+        for sensor, result in results.items()
+        if not isinstance(result, str) and (with_poor or result.quality.verdict != "poor")
+    }
+
+
+def as_json(result: Result | str) -> dict[str, object]:
+    """A result for scripts and messages; SI units, µT."""
+    if isinstance(result, str):
+        return {"quality": "none", "reasons": [result]}
+    quality = {
+        "quality": result.quality.verdict,
+        "score": round(result.quality.score, 3),
+        "reasons": list(result.quality.reasons),
+    }
+    if isinstance(result, GyrometerResult):
+        return quality | {"bias": result.bias.tolist(), "rest_s": round(result.rest_s, 2)}
+    fit = result.fit
+    return quality | {
+        "bias": fit.bias.tolist(),
+        "matrix": fit.matrix.tolist(),
+        "used": result.used,
+        "coverage": round(fit.coverage, 3),
+        "spread_before": fit.spread_before,
+        "spread_after": fit.spread_after,
+    }

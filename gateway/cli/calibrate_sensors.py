@@ -5,12 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import math
 import signal
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -19,11 +17,21 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from devices.calibration import SensorCalibration
-from devices.link import Chunk, gateway_time_ns
-from firmware_protocol import InertialSample, InertialSampleFine, ReceivedPacket
+from devices.link import gateway_time_ns
 from gateway.body.skeleton import WornSuit, field_dip_deg
-from gateway.calibration.sensor_session import REST_S, SENSORS, Progress, Result, SensorSession, combined
+from gateway.calibration.sensor_control import flash as flash_to
+from gateway.calibration.sensor_feed import fed
+from gateway.calibration.sensor_session import (
+    REST_S,
+    SENSORS,
+    Progress,
+    Result,
+    SensorSession,
+    advice_on,
+    as_json,
+    combined,
+    usable,
+)
 from gateway.calibration.sensors import ENOUGH_COVERAGE, EllipsoidResult, GyrometerResult
 from gateway.cli.modules_suit import SuitChoice, with_suit
 from gateway.errors import GatewayError, nearest
@@ -32,7 +40,6 @@ from gateway.sources.link_settings import LinkSettings
 from gateway.support.settings_files import find_file
 
 if TYPE_CHECKING:
-    from gateway.frames import Sample
     from gateway.modules.operations import ModuleOperations
 
 
@@ -43,24 +50,19 @@ _SIDES_NAMED = 3
 
 def advice(session: SensorSession, progress: Mapping[int, Progress]) -> str:
     """What to do next, for the suit as a whole."""
-    heard = [one for one in progress.values() if one.samples]
-    if not heard:
-        return "waiting for the modules"
-    if "gyrometer" in session.sensors and any(one.rest_s < REST_S for one in heard):
-        return f"put all modules down and leave them untouched for {REST_S:.0f} s"
-    if "accelerometer" in session.sensors and any(
-        one.positions < session.wanted_positions or one.sides_missing for one in heard
-    ):
-        moving = not all(one.is_at_rest for one in heard)
-        return (
-            "hold still for two seconds"
-            if moving
-            else "now turn them to another side, and let them lie there"
-        )
-    if "magnetometer" in session.sensors and any(one.coverage < ENOUGH_COVERAGE for one in heard):
-        return "turn them slowly about all axes, away from iron, until the bars are full"
-    silent = [str(module) for module, one in progress.items() if not one.samples]
-    return f"waiting for module {', '.join(silent)}" if silent else "that is enough"
+    key, modules = advice_on(session, progress)
+    return _ADVICE[key].format(modules=", ".join(map(str, modules)))
+
+
+_ADVICE = {
+    "listen": "waiting for the modules",
+    "rest": f"put all modules down and leave them untouched for {REST_S:.0f} s",
+    "hold": "hold still for two seconds",
+    "other_side": "now turn them to another side, and let them lie there",
+    "turn": "turn them slowly about all axes, away from iron, until the bars are full",
+    "silent": "waiting for module {modules}",
+    "enough": "that is enough",
+}
 
 
 def progress_table(session: SensorSession, progress: Mapping[int, Progress]) -> Table:
@@ -101,28 +103,7 @@ def result_table(found: Mapping[int, Mapping[str, Result | str]]) -> Table:
 
 def results_as_json(found: Mapping[int, Mapping[str, Result | str]]) -> dict[str, object]:
     """The same for scripts; SI units, µT."""
-    return {str(module): {s: _plain(r) for s, r in results.items()} for module, results in found.items()}
-
-
-def _plain(result: Result | str) -> dict[str, object]:
-    if isinstance(result, str):
-        return {"quality": "none", "reasons": [result]}
-    quality = {
-        "quality": result.quality.verdict,
-        "score": round(result.quality.score, 3),
-        "reasons": list(result.quality.reasons),
-    }
-    if isinstance(result, GyrometerResult):
-        return quality | {"bias": result.bias.tolist(), "rest_s": round(result.rest_s, 2)}
-    fit = result.fit
-    return quality | {
-        "bias": fit.bias.tolist(),
-        "matrix": fit.matrix.tolist(),
-        "used": result.used,
-        "coverage": round(fit.coverage, 3),
-        "spread_before": fit.spread_before,
-        "spread_after": fit.spread_after,
-    }
+    return {str(module): {s: as_json(r) for s, r in results.items()} for module, results in found.items()}
 
 
 def _bias(sensor: str, result: Result) -> str:
@@ -235,15 +216,6 @@ def _about_the_field(dip_deg: float, worn: WornSuit, *, is_written: bool) -> str
     return f"{found}; the rig has {had:.1f}°: {remedy}"
 
 
-def usable(results: dict[str, Result | str], with_poor: bool) -> dict[str, Result | str]:
-    """Those results that may be used."""
-    return {
-        sensor: result
-        for sensor, result in results.items()
-        if not isinstance(result, str) and (with_poor or result.quality.verdict != "poor")
-    }
-
-
 async def _calibrate(
     suit: SuitChoice,
     links: Sequence[LinkSettings],
@@ -265,40 +237,20 @@ async def _calibrate(
         if flash:
             for module, results in found.items():
                 if kept := usable(results, poor):
-                    await _write(operations, module, kept)
+                    await flash_to(operations, module, kept)
     return found
 
 
 async def _listen(
     operations: ModuleOperations, session: SensorSession, seconds: float, is_quiet: bool
 ) -> None:
-    def take(received: ReceivedPacket, chunk: Chunk) -> None:
-        sample = received.packet
-        assert isinstance(sample, InertialSample | InertialSampleFine)
-        session.add(
-            received.module,
-            chunk.arrived_ns,
-            sample.specific_force,
-            sample.angular_rate,
-            sample.magnetic_field,
-        )
-
-    def take_others(samples: Sequence[Sample], chunk: Chunk) -> None:
-        for module, _, _, measured, _ in samples:
-            force, rate, field = (None if math.isnan(each[0]) else each for each in measured)
-            session.add(module, chunk.arrived_ns, force, rate, field)
-
-    for packet_class in (InertialSample, InertialSampleFine):
-        operations.stream.listen(packet_class, take)
     stop = asyncio.Event()
     asyncio.get_running_loop().add_signal_handler(signal.SIGINT, stop.set)
     try:
-        with operations.makers.watched(take_others):
+        with fed(session, operations.stream, operations.makers):
             await _show_until_done(session, seconds, stop, is_quiet)
     finally:
         asyncio.get_running_loop().remove_signal_handler(signal.SIGINT)
-        for packet_class in (InertialSample, InertialSampleFine):
-            operations.stream.stop_listening(packet_class, take)
 
 
 async def _show_until_done(
@@ -321,21 +273,6 @@ async def _show_until_done(
                 )
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), _REFRESH_S)
-
-
-async def _write(operations: ModuleOperations, module: int, results: dict[str, Result | str]) -> None:
-    """To the module's flash, on top of what it corrects already."""
-    read: dict[str, Any] = await operations.perform("read", {"device": str(module)})
-    if "calibration" not in read["settings"]:
-        raise GatewayError(
-            f"module {module} is another maker's and keeps no calibration of ours: leave --flash out, "
-            "and it is written to a rig file"
-        )
-    before = SensorCalibration.from_setting(read["settings"]["calibration"])
-    after = replace(combined(results).after(before), temperature_c=before.temperature_c)
-    await operations.perform(
-        "set", {"device": str(module), "settings": {"calibration": list(after.to_setting())}}
-    )
 
 
 def _rig_and_links(suit: SuitChoice) -> tuple[str, Sequence[LinkSettings]]:

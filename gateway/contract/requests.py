@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
@@ -301,6 +301,51 @@ CALIBRATION_REQUESTS: dict[str, type[Request]] = {
 """Verb to the data it takes."""
 
 
+class BeginSensorsRequest(Request):
+    """Begin to watch what modules in a box measure; one under way is given up."""
+
+    sensors: list[Literal["gyrometer", "accelerometer", "magnetometer"]] | None = Field(
+        default=None, min_length=1, description="only these; none: all"
+    )
+    modules: list[ModuleId] | None = Field(
+        default=None, min_length=1, max_length=64, description="only these; none: all of the rig"
+    )
+    cube: bool = Field(default=False, description="they lie on the six sides of a levelled cube")
+
+
+class SensorsStatusRequest(Request):
+    """What to do next, and how far every module is."""
+
+
+class SensorsResultRequest(Request):
+    """End watching; what was found by module and sensor: biases, scales, quality, and why when it is poor."""
+
+
+class AcceptSensorsRequest(Request):
+    """Keep the result, in a rig file or in the modules."""
+
+    flash: bool = Field(
+        default=False,
+        description="write to the modules, which `allow_device_writes` must allow; else to the rig file of "
+        "the configuration, or to `<rig>.worn.yaml` for a shipped one: used once that is read",
+    )
+    poor: bool = Field(default=False, description="take poor results too")
+
+
+class CancelSensorsRequest(Request):
+    """Give it up; nothing changes."""
+
+
+SENSOR_REQUESTS: dict[str, type[Request]] = {
+    "begin": BeginSensorsRequest,
+    "status": SensorsStatusRequest,
+    "result": SensorsResultRequest,
+    "accept": AcceptSensorsRequest,
+    "cancel": CancelSensorsRequest,
+}
+"""Verb to the data it takes."""
+
+
 class HeadingResetRequest(Request):
     """Turn the world so that the wearer faces a direction."""
 
@@ -333,5 +378,6 @@ REQUEST_FAMILIES: Mapping[str, Mapping[str, type[Request]]] = {
     "modules": MODULE_REQUESTS,
     "recording": RECORDING_REQUESTS,
     "calibration": CALIBRATION_REQUESTS,
+    "sensors": SENSOR_REQUESTS,
     "reset": RESET_REQUESTS,
 }

@@ -26,6 +26,7 @@ from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
+from gateway.calibration.sensor_control import SensorControl
 from gateway.cameras.broker_link import link_of
 from gateway.contract.balances import Balance
 from gateway.contract.messages import BridgeInfo, KernelsInfo, ModuleInfo
@@ -146,12 +147,14 @@ class Service:
         self._askers = list(_askers(settings, self._announced, sender, stream))
         self.own_requests = OwnRequests(self.mqtt)
         self.calibration = CalibrationControl(self.pipeline, settings.rig, self._calibrated)
+        sensors = SensorControl(lambda: self.pipeline.suit, settings.rig, stream, self._makers, operations)
         self.shelf = Shelf(settings.recording, lambda: self.recording.file)
         families = {
             "gateway": self.own_requests.perform,
             "modules": operations.perform,
             "recording": self.shelf.beside(in_turn(self.recording.perform)),
             "calibration": in_turn(self.calibration.perform),
+            "sensors": in_turn(sensors.perform),
             "reset": in_turn(ResetControl(self._apply_event).perform),
         }
         self.requests = RequestResponder(settings.mqtt, settings.gateway, families)

@@ -33,6 +33,7 @@ from gateway.viewer.pose_table import STALE_AFTER_S, PoseView
 from gateway.viewer.posture import PostureKeeper, skeleton_of
 from gateway.viewer.replaying import ReplayedTake
 from gateway.viewer.scene import BodyScene
+from gateway.viewer.sensor_tab import SensorTab
 from gateway.viewer.stage import Stage
 from gateway.viewer.takes import TakesTab
 
@@ -106,9 +107,10 @@ class LiveViewer:
         """The tabs that lead from nothing to a recording, in the order of their steps."""
         tabs, ask, loop = self._panel.tabs, self._answer_of, self._loop
         self._assistant = Assistant(server, tabs, ask, self._mark)
-        body = BodySteps(server, tabs, ask, loop)
+        sensors, body = SensorTab(server, tabs, ask, loop), BodySteps(server, tabs, ask, loop)
         self._check = CheckTab(server, tabs, ask, loop, lambda: self._worn)
-        self._assistant.leads(body, self._check, TakesTab(server, tabs, ask, loop, self._replay))
+        takes = TakesTab(server, tabs, ask, loop, self._replay)
+        self._assistant.leads(sensors, body, self._check, takes)
 
     async def run(self, waits: bool = False) -> None:
         """For ever. Raises ``BrokerUnreachableError`` if there is no broker at the start, unless it waits."""

@@ -1,0 +1,44 @@
+"""What modules measure, handed to a calibration of their sensors."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Sequence
+
+from devices.link import Chunk
+from firmware_protocol import InertialSample, InertialSampleFine, ReceivedPacket
+from gateway.calibration.sensor_session import SensorSession
+from gateway.frames import Sample
+from gateway.modules.makers import MakersModules
+from gateway.sources.stream import Stream
+
+
+@contextlib.contextmanager
+def fed(session: SensorSession, stream: Stream, makers: MakersModules) -> Iterator[None]:
+    """Have a session told of all samples meanwhile, of our modules and of other makers'."""
+
+    def take(received: ReceivedPacket, chunk: Chunk) -> None:
+        sample = received.packet
+        assert isinstance(sample, InertialSample | InertialSampleFine)
+        session.add(
+            received.module,
+            chunk.arrived_ns,
+            sample.specific_force,
+            sample.angular_rate,
+            sample.magnetic_field,
+        )
+
+    def take_others(samples: Sequence[Sample], chunk: Chunk) -> None:
+        for module, _, _, measured, _ in samples:
+            force, rate, field = (None if math.isnan(each[0]) else each for each in measured)
+            session.add(module, chunk.arrived_ns, force, rate, field)
+
+    for packet_class in (InertialSample, InertialSampleFine):
+        stream.listen(packet_class, take)
+    try:
+        with makers.watched(take_others):
+            yield
+    finally:
+        for packet_class in (InertialSample, InertialSampleFine):
+            stream.stop_listening(packet_class, take)

@@ -1,0 +1,125 @@
+"""The calibration of sensors on the page, by requests of ``sensors``."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any
+
+import viser
+
+from gateway.viewer.step_tab import COLOURS, GOOD, NOTHING, Ask, StepTab, line, table
+from gateway.viewer.texts import say
+
+LOOK_S = 1.0
+
+
+class SensorTab(StepTab):
+    """One tab of the panel. What was begun goes on in the gateway when the page is closed."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        tabs: viser.GuiTabGroupHandle,
+        ask: Ask,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        super().__init__(server, tabs, "sensors", ask, loop)
+        self._shown = ""
+        self._is_watched = False
+        self.build()
+
+    def _add_parts(self) -> list[Any]:
+        why = self._server.gui.add_html(line(self._say("sensors_why")))
+        begin, resume = self._button("sensors_begin", self._begin), self._button("resume", self._watch)
+        self._table = self._server.gui.add_html(self._shown)
+        deeds = {
+            "sensors_result": self._find,
+            "sensors_accept": self._keep_in_file,
+            "sensors_flash": self._keep_in_modules,
+            "sensors_cancel": self._cancel,
+        }
+        return [why, begin, resume, self._table, *(self._button(key, deed) for key, deed in deeds.items())]
+
+    def _show(self, content: str) -> None:
+        self._shown = self._table.content = content
+
+    async def _begin(self) -> str:
+        await self._ask("sensors", "begin", {})
+        return await self._watch()
+
+    async def _watch(self) -> str:
+        """Tell what to do until it is enough, or somebody ends it."""
+        if self._is_watched:
+            return self._say("check_busy")
+        self._is_watched = True
+        try:
+            while (status := await self._ask("sensors", "status", {}))["phase"] == "watching":
+                self._show(progress_table(status, self._language))
+                self._tell(self._advice(status))
+                if status["enough"]:
+                    return self._advice(status)
+                await asyncio.sleep(LOOK_S)
+        finally:
+            self._is_watched = False
+        return (
+            self._say("sensors_idle", begin=self._say("sensors_begin")) if status["phase"] == "idle" else ""
+        )
+
+    def _advice(self, status: Mapping[str, Any]) -> str:
+        modules = ", ".join(map(str, status["waited_for"]))
+        return self._say(f"advice_{status['advice']}", modules=modules, result=self._say("sensors_result"))
+
+    async def _find(self) -> str:
+        self._tell(self._say("works"))
+        found = (await self._ask("sensors", "result", {}))["modules"]
+        self._show(result_table(found, self._language))
+        good = sum(all(one["quality"] == "good" for one in each.values()) for each in found.values())
+        return self._say("scored", good=good, count=len(found))
+
+    async def _keep_in_file(self) -> str:
+        kept = await self._ask("sensors", "accept", {})
+        if not kept["is_configured"]:
+            return self._say("sensors_later", count=len(kept["accepted"]), where=kept["file"])
+        await self._ask("gateway", "reload", {})
+        return self._say("sensors_kept", count=len(kept["accepted"]), where=kept["file"])
+
+    async def _keep_in_modules(self) -> str:
+        kept = await self._ask("sensors", "accept", {"flash": True})
+        return self._say("sensors_kept", count=len(kept["accepted"]), where=self._say("in_modules"))
+
+    async def _cancel(self) -> str:
+        await self._ask("sensors", "cancel", {})
+        self._show("")
+        return self._say("sensors_given_up")
+
+
+def progress_table(status: Mapping[str, Any], language: str) -> str:
+    """How far every module is, as HTML; green: enough."""
+    rows = [
+        (
+            GOOD if one["enough"] else "inherit",
+            (
+                str(one["module"]),
+                (one["segment"] or NOTHING).replace("_", " "),
+                f"{one['rest_s']:.0f}" if one["heard"] else say(language, "silent"),
+                f"{one['positions']}/{one['wanted_positions']}",
+                f"{100 * one['coverage']:.0f} %",
+            ),
+        )
+        for one in status["modules"]
+    ]
+    return table([say(language, key) for key in ("id", "segment", "at_rest_s", "positions", "turned")], rows)
+
+
+def result_table(found: Mapping[str, Mapping[str, Mapping[str, Any]]], language: str) -> str:
+    """What was found of every module's sensors, how good it is, and why not better, as HTML."""
+    rows = [
+        (
+            COLOURS.get(one["quality"], COLOURS["bad"]),
+            (module, say(language, sensor), one["quality"], "; ".join(one["reasons"])),
+        )
+        for module, each in found.items()
+        for sensor, one in each.items()
+    ]
+    return table([say(language, key) for key in ("id", "sensor", "quality", "why")], rows)

@@ -1,0 +1,99 @@
+"""Sensors are calibrated by requests, and on the page, while the gateway runs."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+import yaml
+
+from gateway.body.rig import load_rig
+from gateway.modules.operations import RequestError
+from gateway.modules.remote import remote_suit
+from gateway.outputs.settings import MqttSettings
+from tests.patience import PATIENCE_S
+
+pytestmark = pytest.mark.system
+GATEWAY = "lab"
+
+
+@pytest.fixture
+def tumbled(command, mosquitto, tmp_path, monkeypatch):
+    """``await tumbled()``: the gateway of a suit that lies in a box and is turned."""
+    monkeypatch.chdir(tmp_path)
+
+    async def start():
+        emulated = command("emulate", "--rig", "arm_3", "--tumbling", "--imperfections", "uncalibrated",
+                           "--on", "pty", "--json", "--link", tmp_path / "suit")  # fmt: skip
+        await emulated.until_it_says('"url"')
+        config = tmp_path / "gateway.yaml"
+        settings = {
+            "gateway": GATEWAY,
+            "links": [{"name": "suit", "url": str(tmp_path / "suit")}],
+            "rig": "arm_3",
+            "reconstructor": "independent",
+            "allow_device_writes": True,
+            "mqtt": {"port": mosquitto.port},
+        }
+        config.write_text(yaml.safe_dump(settings))
+        gateway = command("run", "-c", config)
+        await gateway.until_it_says("connected to the MQTT broker")
+        return MqttSettings(port=mosquitto.port)
+
+    return start
+
+
+async def until(ask, condition):
+    async with asyncio.timeout(2 * PATIENCE_S):
+        while not condition(status := await ask.perform("status", {})):
+            await asyncio.sleep(0.3)
+    return status
+
+
+async def test_gyroscopes_are_calibrated_into_a_rig_file_and_into_modules(tumbled, tmp_path):
+    mqtt = await tumbled()
+    async with remote_suit(mqtt, GATEWAY, "sensors") as ask:
+        with pytest.raises(RequestError, match="sensors/begin first"):
+            await ask.perform("result", {})
+        with pytest.raises(RequestError, match="the rig has no module 40: it has 1, 8, 9"):
+            await ask.perform("begin", {"modules": [40]})
+        with pytest.raises(RequestError, match="sensors/begin"):
+            await ask.perform("begin", {"sensors": ["nose"]})
+        assert (await ask.perform("status", {}))["phase"] == "idle"
+        await ask.perform("begin", {"sensors": ["gyrometer"]})
+        status = await until(ask, lambda told: told["enough"])
+        assert status["advice"] == "enough"
+        assert {one["segment"] for one in status["modules"]} == {"thorax", "right_upper_arm", "right_forearm"}
+        found = (await ask.perform("result", {}))["modules"]
+        assert {one["gyrometer"]["quality"] for one in found.values()} <= {"good", "fair", "poor"}
+        kept = await ask.perform("accept", {"poor": True})
+        assert kept == {"accepted": [1, 8, 9], "file": "arm_3.worn.yaml", "is_configured": False}
+        worn = load_rig(str(tmp_path / kept["file"])).calibrations
+        for module, one in found.items():
+            bias = worn[int(module)].gyrometer_bias
+            assert abs(bias - one["gyrometer"]["bias"]).max() < 1e-5
+        await ask.perform("begin", {"sensors": ["gyrometer"], "modules": [8]})
+        await until(ask, lambda told: told["enough"])
+        assert (await ask.perform("accept", {"flash": True, "poor": True}))["accepted"] == [8]
+        assert (await ask.perform("status", {}))["phase"] == "idle"
+    async with remote_suit(mqtt, GATEWAY) as ask:
+        settings = (await ask.perform("read", {"device": "8"}))["settings"]
+        assert any(settings["calibration"])
+
+
+async def test_what_was_begun_on_a_page_is_gone_on_with_on_another(tumbled, unused_port, chromium):
+    from tests.shown_page import open_tab, page_of, press  # noqa: PLC0415 - needs the extra
+
+    mqtt = await tumbled()
+    for begins in (True, False):
+        async with page_of(mqtt, unused_port, chromium) as (page, _):
+            await page.get_by_text(f"{GATEWAY}: online").wait_for()
+            await open_tab(page, "Sensors")
+            if begins:
+                await press(page, "4 · Begin with the sensors")
+            else:
+                await press(page, "Go on with what was begun")
+            await page.get_by_role("cell", name="right forearm").wait_for()
+            if not begins:
+                await press(page, "Give it up")
+                await page.get_by_text("given up; nothing has changed").wait_for()
