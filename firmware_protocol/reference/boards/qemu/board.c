@@ -61,10 +61,12 @@ uint32_t board_time_us(void) {
     return FPGA_COUNTER;
 }
 
-/* Lets a timer interrupt once, after so many microseconds. */
+/* Lets a timer interrupt once, after so many microseconds. It counts on from the reload value, and is stopped long before
+ * that has passed: an emulator whose time leaps over what the processor sleeps through would else leap over two rounds. */
 static void run_once(uint32_t timer, uint32_t us) {
     TIMER_CTRL(timer) = 0u;
-    TIMER_RELOAD(timer) = TIMER_VALUE(timer) = us * CLOCK_MHZ;
+    TIMER_RELOAD(timer) = UINT32_MAX;
+    TIMER_VALUE(timer) = us * CLOCK_MHZ; /* after the reload value, which is taken over as the count too */
     TIMER_CTRL(timer) = TIMER_ON;
 }
 
