@@ -10,11 +10,13 @@ import asyncio
 import contextlib
 import os
 import random
+import select
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 import pytest
+import yaml
 
 from devices.command_client import CommandClient
 from devices.configure import Configurator
@@ -24,6 +26,7 @@ from devices.link import LinkError
 from devices.setting_values import SETTING_KEYS, encoded_setting
 from firmware_protocol.commands import Verb
 from tests.firmware.machines import POSIX, QEMU, Machine
+from tests.fixtures.commands import Command
 from tests.patience import PATIENCE_S
 
 pytestmark = [pytest.mark.system]
@@ -96,8 +99,8 @@ async def test_settings_are_the_old_or_the_new(module, board):
 
 @pytest.mark.slow(reason="500 cuts take some minutes")
 @pytest.mark.timeout(3000)
-async def test_five_hundred_cuts(module):
-    ended = await cut_again_and_again(module(POSIX, settings={"module_id": 63}, is_on=False), 500)
+async def test_five_hundred_cuts(module, board):
+    ended = await cut_again_and_again(module(board, settings={"module_id": 63}, is_on=False), 500)
     print(dict(ended))
     assert ended["old"] > 50
     assert ended["new"] > 50
@@ -142,3 +145,109 @@ async def assign_and_cut(pair, wanted, cut_s, which):
         await asyncio.gather(assigning, return_exceptions=True)
     for machine in pair:
         machine.cut_power()
+
+
+# As somebody types it.
+
+PAIR = (8, 9)
+"""Ids of the arm's two modules in rig arm_3."""
+
+
+def flash_of(machines: Iterable[Machine]) -> list[bytes]:
+    """What stands in the slots of settings of each."""
+    return [machine.memory.read(0, 0x1000) for machine in machines]
+
+
+def cut_as_it_writes(
+    process: Command, machines: list[Machine], which: int, after_s: float, n_changes: int
+) -> None:
+    """Cut the power of a module so long after flash was seen to change so often, or at the command's end."""
+    seen, changes = flash_of(machines), 0
+    while process.returncode is None and changes < n_changes:
+        now = flash_of(machines)
+        changes += now != seen
+        seen = now
+    time.sleep(after_s)
+    machines[which].cut_power()
+
+
+@contextlib.contextmanager
+def speaking(machine: Machine) -> Iterator[None]:
+    """Switch a module on and wait until it is heard: QEMU looks once a second whether its line was opened."""
+    machine.switch_on()
+    line = os.open(machine.url, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        assert select.select([line], [], [], PATIENCE_S)[0], "it says nothing"
+        yield
+    finally:
+        os.close(line)
+
+
+@pytest.fixture
+def _state_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+def cuts_of_typed_settings(command: Callable[..., Command], machine: Machine, n: int) -> Counter[str]:
+    """Type ``modules set``, and cut the power while it writes; how often the old and the new stood then."""
+    rng, ended = random.Random(SEED), Counter[str]()
+    for turn in range(n):
+        wanted = {"sampling_rate": 50 + turn % 100, "label": f"turn {turn}"}
+        new = {name: encoded_setting(name, value) for name, value in wanted.items()}
+        old = kept(machine, new)
+        words = [f"{name}={value}" for name, value in wanted.items()]
+        typed = ("01010101", *words, "--allow-writes", "--link", machine.url, "--rig", "single")
+        with speaking(machine):
+            process = command("modules", "set", *typed)
+            cut_as_it_writes(process, [machine], 0, rng.uniform(0.0, 0.03), rng.randrange(1, 60))
+        code = process.wait()
+        assert "Traceback" not in process.errors
+        now = kept(machine, new)
+        assert now in (old, new), f"turn {turn}: neither {old} nor {new} but {now}"
+        assert now == new or code != 0, f"turn {turn}: it ended well"
+        ended["new" if now == new else "old"] += 1
+    return ended
+
+
+@pytest.mark.usefixtures("_state_of_its_own")
+@pytest.mark.timeout(400)
+def test_modules_set_leaves_the_old_or_the_new(module, board, command):
+    machine = module(board, settings={"module_id": 63}, is_on=False)
+    print(dict(cuts_of_typed_settings(command, machine, 2)))
+    typed = ("63", "label=well", "--allow-writes", "--link", machine.url, "--rig", "single")
+    with speaking(machine):
+        process = command("modules", "set", *typed)
+        assert process.wait() == 0, process.errors
+
+
+@pytest.mark.usefixtures("_state_of_its_own")
+@pytest.mark.timeout(400)
+def test_modules_assign_never_loses_or_doubles_an_id(module, command, tmp_path):
+    rng = random.Random(SEED)
+    pair = [module(POSIX, number, settings={"module_id": number}, is_on=False) for number in PAIR]
+    config = tmp_path / "gateway.yaml"
+    links = [{"name": f"line {n}", "url": each.url} for n, each in zip(PAIR, pair, strict=True)]
+    config.write_text(yaml.safe_dump({"gateway": "lab", "rig": "arm_3", "links": links}))
+    for turn in range(2):
+        for machine in pair:
+            machine.switch_on()
+        holder = next(each for each in pair if each.memory.settings["module_id"] != PAIR[0])
+        uid = holder.memory.read(0x1800, 12).hex()
+        typed = ("modules", "assign", "--segment", "right_upper_arm", "--device", uid, "--yes",
+                 "--allow-writes", "-c", config)  # fmt: skip
+        process = command(*typed)
+        cut_as_it_writes(process, pair, rng.randrange(2), rng.uniform(0.0, 0.03), rng.randrange(1, 150))
+        process.wait()
+        assert "Traceback" not in process.errors
+        for machine in pair:
+            machine.cut_power()
+        ids = [machine.memory.settings["module_id"] for machine in pair]
+        assert len(set(ids)) == 2, f"turn {turn}: both are {ids[0]}"
+        for machine in pair:
+            machine.switch_on()
+        process = command(*typed)
+        assert process.wait() == 0, process.errors
+        assert holder.memory.settings["module_id"] == PAIR[0]
+        assert len({machine.memory.settings["module_id"] for machine in pair}) == 2
+        for machine in pair:
+            machine.cut_power()

@@ -28,7 +28,7 @@ JITTER_US = 3
 """A sample may be taken so much after its instant: another interrupt is under way, or the processor wakes."""
 SECOND_NS = 1_000_000_000
 FAST = 37e-6
-"""The gateway's clock against the module's."""
+"""By how much the gateway's clock is faster than the module's."""
 
 
 @contextlib.contextmanager
@@ -130,4 +130,4 @@ def test_two_hours_on_a_clock_that_wraps(program_of: Callable[[str], Path], tmp_
     assert np.abs(off).max() < 1000
     (record,) = stream.modules.values()
     assert record.clock.restarts == 0
-    assert record.clock.figures().skew_ppm == pytest.approx(1e6 * FAST, abs=1.0)
+    assert record.clock.figures().skew_ppm == pytest.approx(-1e6 * FAST, abs=1.0)
