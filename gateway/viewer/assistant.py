@@ -221,7 +221,7 @@ def found_table(listed: Mapping[str, Any], language: str) -> str:
     if silent := [name.replace("_", " ") for name in listed["segments"] if name not in heard]:
         lines.append(say(language, "missing", segments=", ".join(silent)))
     alarms = "".join(
-        f'<div style="color:rgb(225,60,50);font-weight:600;padding:3px 4px">{html.escape(line)}</div>'
+        f'<div style="color:var(--mocap-poor);font-weight:600;padding:3px 4px">{html.escape(line)}</div>'
         for line in lines
     )
     return f'<div style="padding:0 8px;font-size:11px">{alarms}</div>' + table(

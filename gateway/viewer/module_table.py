@@ -181,7 +181,7 @@ def _html_row(cells_and_doubt: tuple[str, ...]) -> str:
     *row, doubt = cells_and_doubt
     lost = row[_LOST_COLUMN]
     is_bad = bool(doubt) or lost == "silent" or float(lost) > _LOSSY_PERCENT
-    colour = "color:rgb(225,60,50)" if is_bad else ""
+    colour = "color:var(--mocap-poor)" if is_bad else ""
     cells = "".join(
         f'<td style="padding:1px 4px;white-space:nowrap">{html.escape(cell)}</td>' for cell in row
     )

@@ -15,7 +15,7 @@ from gateway.viewer.history import History
 from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude
-from gateway.viewer.stage import VIEWS, Stage
+from gateway.viewer.stage import STYLE, VIEWS, Stage
 
 PLOT_SPAN_S = 10.0
 _LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
@@ -37,6 +37,7 @@ class Panel:
 
     def __init__(self, server: viser.ViserServer, rows: Sequence[ButtonRow], stage: Stage) -> None:
         gui = server.gui
+        gui.add_html(STYLE)
         self._warnings = gui.add_html("")
         self._status = gui.add_html("")
         self._recording = gui.add_html("")
@@ -93,7 +94,7 @@ class Panel:
 
     def show_status(self, headline: str, *details: str, is_alarm: bool) -> None:
         """The lines on top; the first is red when it is an alarm."""
-        colour = "rgb(225,60,50)" if is_alarm else "inherit"
+        colour = "var(--mocap-poor)" if is_alarm else "inherit"
         lines = "<br>".join(map(html.escape, details))
         self._set(
             self._status,

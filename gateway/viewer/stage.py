@@ -105,6 +105,16 @@ class Stage:
         self._floor.cell_color, self._floor.section_color = FLOOR_COLOURS[is_dark]
 
 
+STYLE = """<style>
+:root { --mocap-good: #1b7a3d; --mocap-fair: #8a5a00; --mocap-poor: #c2261b; }
+[data-mantine-color-scheme=dark] { --mocap-good: #5ec98a; --mocap-fair: #e3a938; --mocap-poor: #ff8076; }
+[data-mantine-color-scheme=light] { --mantine-color-blue-filled: #1864ab !important;
+  --mantine-color-blue-outline: #1864ab !important; --mantine-primary-color-filled: #1864ab !important; }
+label, p:has(> label) { opacity: 1 !important; color: inherit !important; }
+</style>"""
+"""Colours that can be read on the panel, in the dark and in the light; labels as dark as other texts."""
+
+
 def _theme(server: viser.ViserServer, is_dark: bool) -> None:
     server.gui.configure_theme(dark_mode=is_dark, show_logo=False, show_share_button=False)
 

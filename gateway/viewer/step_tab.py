@@ -19,7 +19,8 @@ Ask = Callable[[str, str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 Deed = Callable[[], Awaitable[str]]
 """What a button asks for; the answer is what became of it."""
 NOTHING = "–"
-GOOD, FAIR, POOR = "rgb(40,150,80)", "rgb(200,140,0)", "rgb(225,60,50)"
+GOOD, FAIR, POOR = "var(--mocap-good)", "var(--mocap-fair)", "var(--mocap-poor)"
+"""Of texts: see ``stage.STYLE``."""
 COLOURS = {"good": GOOD, "fair": FAIR, "poor": POOR, "warning": FAIR, "bad": POOR}
 
 
