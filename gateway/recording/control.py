@@ -15,7 +15,7 @@ from devices.recording_file import RecordingError
 from gateway.body.skeleton import WornSuit
 from gateway.errors import GatewayError, nearest
 from gateway.frames import SkeletonFrame
-from gateway.recording.files import Contents, SessionFiles, prepare_folder
+from gateway.recording.files import Contents, SessionFiles, free_bytes, prepare_folder
 from gateway.recording.recorder import Recorder, RecorderBalance, Sink
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
@@ -26,6 +26,7 @@ WATCH_INTERVAL_S = 0.5
 """How soon a restart of a module becomes an event."""
 _LONGEST_CLOSE_S = 10.0
 _LONGEST_MARK = 200
+_MB = 1e6
 
 log = logging.getLogger(__name__)
 
@@ -156,7 +157,7 @@ class RecordingControl:
         """For the health message, the command line and requests."""
         recorder, files = self._recorder, self._files
         if recorder is None or files is None:
-            return {"state": "off"}
+            return {"state": "off", **self._room()}
         counts = recorder.counts
         if recorder.ended is None:
             self._lasted_s = time.monotonic() - self._begun
@@ -172,12 +173,22 @@ class RecordingControl:
             "stalls": counts.stalls,
             "stalled_s": round(counts.stalled_s, 3),
             "marks": self.marks,
+            **self._room(),
         }
         if recorder.ended is not None:
             status["ended"] = recorder.ended
         if files.warning is not None:
             status["warning"] = files.warning
         return status
+
+    def _room(self) -> dict[str, Any]:
+        """Of the disk that recordings go to; nothing where that cannot be told."""
+        folder = Path(self._settings.recording.folder).absolute()
+        try:
+            free_mb = free_bytes(next(each for each in (folder, *folder.parents) if each.exists())) / _MB
+        except OSError:
+            return {}
+        return {"free_mb": round(free_mb), "is_low": free_mb < self._settings.recording.warn_free_mb}
 
     @property
     def balance(self) -> RecorderBalance | None:

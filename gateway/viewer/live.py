@@ -25,7 +25,15 @@ from gateway.viewer.body_steps import BodySteps
 from gateway.viewer.check_tab import CheckTab
 from gateway.viewer.live_markers import LiveMarkers
 from gateway.viewer.marker_points import MarkerInstant
-from gateway.viewer.module_table import RecentLosses, RecordingStatus, module_rows, module_table, warnings_of
+from gateway.viewer.module_table import (
+    RecentLosses,
+    RecordingStatus,
+    clock_of,
+    health_line,
+    module_rows,
+    module_table,
+    warnings_of,
+)
 from gateway.viewer.muscle_wires import MuscleWires, muscle_wires
 from gateway.viewer.pace import pictures
 from gateway.viewer.panel import ButtonRow, Panel
@@ -161,6 +169,7 @@ class LiveViewer:
             self._scene.remove()
         skeleton = skeleton_of(body)
         self._body, self._drawn = body, None
+        self._panel.parents = {each.name: each.parent for each in body.segments if each.parent is not None}
         clicked = None if self._assistant is None else self._assistant.choose_segment
         self._scene = BodyScene(self._server, self._stage, skeleton, clicked)
         self._keeper = PostureKeeper(skeleton)
@@ -279,13 +288,15 @@ class LiveViewer:
         summary = status_summary(latest.pose.status, self._silent())
         # beside a warning the good word would be what is read
         told = () if self._warnings() and summary.startswith("all ") else (summary,)
-        return (pace, *told, *markers)
+        status = self._recording.now(gateway_time_ns())
+        stands = health_line(len(self._worn), len(self._silent()), self._losses.share, status)
+        return (pace, *told, stands, *markers)
 
     def _warnings(self) -> tuple[str, ...]:
         """What is amiss with poses that come."""
         latency_s = self._view.latency_s or 0.0
         late = latency_s if latency_s < RECORDED_AFTER_S else 0.0
-        return warnings_of(self._losses.share, late)
+        return warnings_of(self._losses.share, late, self._recording.now(gateway_time_ns()))
 
     def _silent(self) -> tuple[str, ...]:
         return () if self._latest is None else silent_segments(self._latest.pose.status, self._worn)
@@ -324,8 +335,15 @@ class LiveViewer:
         except GatewayError as error:
             self._panel.show_answer(f"{wish}: {error}")
             return
-        told = ", ".join(f"{name} {value}" for name, value in answer.items())
-        self._panel.show_answer(f"{wish}: done{'; ' + told if told else ''}")
+        self._panel.show_answer(f"{wish}: done{_told(family, answer)}")
+
+
+def _told(family: str, answer: Mapping[str, Any]) -> str:
+    """What came of a request, in short."""
+    if family == "recording":
+        named = str(answer.get("file", "")).rpartition("/")[2]
+        return f"; {named}, {clock_of(answer.get('seconds'))}, {answer.get('marks', 0)} marks"
+    return "".join(f"; {name} {value}" for name, value in answer.items())
 
 
 def _instant(received: ReceivedPose | None) -> str:

@@ -29,7 +29,8 @@ _SPAN_NS = 10_000_000_000
 def module_rows(
     health: BridgeHealth | None, info: BridgeInfo | None, silent: Collection[str] = ()
 ) -> list[tuple[str, ...]]:
-    """One row a module, as texts: of the rig, and others that were heard; why it is doubtful comes last.
+    """One row a module, as texts: of the rig, and others that were heard. Last comes why it is red, and what
+    would do; empty where it is not.
 
     silent: segments of which nothing comes now.
     """
@@ -40,10 +41,21 @@ def module_rows(
     worn = {str(m.module): m.segment for m in info.modules} if info is not None else {}
     names = sorted({*heard, *worn}, key=lambda name: (len(name), name))
     rows = ((name, worn.get(name, "relay" if name == RELAY_NAME else "not in the rig")) for name in names)
-    return [
-        (*_row(name, place, None if place in silent else heard.get(name)), str(why.get(name, "")))
-        for name, place in rows
-    ]
+    shown = ((name, _row(name, place, None if place in silent else heard.get(name))) for name, place in rows)
+    return [(*row, _why_red(row[_LOST_COLUMN], str(why.get(name, "")))) for name, row in shown]
+
+
+SILENT_REMEDY = "silent: charge it, switch it on, see its plug; Set up tells whether it has another id"
+LOSSY_REMEDY = "losses: bring the receiver nearer, see cable and plug, or sample at a lower rate"
+
+
+def _why_red(lost: str, doubt: str) -> str:
+    """What is amiss with a module, and what would do. lost: as in its row."""
+    if lost == "silent":
+        return SILENT_REMEDY
+    if doubt:
+        return f"doubtful: {doubt}"
+    return LOSSY_REMEDY if float(lost) > _LOSSY_PERCENT else ""
 
 
 def module_table(rows: list[tuple[str, ...]]) -> str:
@@ -109,7 +121,21 @@ class RecordingStatus:
         return {**self._status, "seconds": seconds + max(0, now_ns - self._told_ns) * 1e-9}
 
 
-def warnings_of(lost: float, latency_s: float) -> tuple[str, ...]:
+def health_line(worn: int, silent: int, lost: float, recording: Mapping[str, object]) -> str:
+    """How modules, losses and the disk stand: ``16 of 17 modules, 0.2 % lost, 80.9 GB free``.
+
+    lost: share of the samples, 0 to 1. recording: the gateway's status of it, which has the disk's room."""
+    parts = [f"{worn - silent} of {worn} modules"] if worn else []
+    parts.append(f"{100 * lost:.1f} % lost")
+    free_mb = recording.get("free_mb")
+    if isinstance(free_mb, int | float):
+        parts.append(f"{free_mb / 1e3:.1f} GB free")
+    return ", ".join(parts)
+
+
+def warnings_of(
+    lost: float, latency_s: float, recording: Mapping[str, object] | None = None
+) -> tuple[str, ...]:
     """What is to be told loudly, with what would do. lost: share of the samples, 0 to 1."""
     found = []
     if lost >= MUCH_LOST:
@@ -118,6 +144,8 @@ def warnings_of(lost: float, latency_s: float) -> tuple[str, ...]:
         )
     if latency_s >= LATE_S:
         found.append(f"poses are {latency_s:.1f} s late: the gateway, the broker or the network is too busy")
+    if (recording or {}).get("is_low"):
+        found.append("the disk for recordings is nearly full: move or delete some, or choose another folder")
     return tuple(found)
 
 
@@ -177,16 +205,14 @@ def _number(summary: Mapping[str, JsonValue], name: str) -> float:
         return 0.0
 
 
-def _html_row(cells_and_doubt: tuple[str, ...]) -> str:
-    *row, doubt = cells_and_doubt
-    lost = row[_LOST_COLUMN]
-    is_bad = bool(doubt) or lost == "silent" or float(lost) > _LOSSY_PERCENT
-    colour = "color:var(--mocap-poor)" if is_bad else ""
+def _html_row(cells_and_why: tuple[str, ...]) -> str:
+    *row, why = cells_and_why
+    colour = "color:var(--mocap-poor)" if why else ""
     cells = "".join(
         f'<td style="padding:1px 4px;white-space:nowrap">{html.escape(cell)}</td>' for cell in row
     )
     reason = (
         f'<tr style="{colour}"><td></td><td colspan="{len(_COLUMNS) - 1}" style="padding:0 4px 3px">'
-        f"doubtful: {html.escape(doubt)}</td></tr>"
+        f"{html.escape(why)}</td></tr>"
     )
-    return f'<tr style="{colour}">{cells}</tr>{reason if doubt else ""}'
+    return f'<tr style="{colour}">{cells}</tr>{reason if why else ""}'

@@ -14,7 +14,7 @@ from gateway.viewer.appearance import legend
 from gateway.viewer.history import History
 from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import clock_of
-from gateway.viewer.pose_table import attitude
+from gateway.viewer.pose_table import attitude, bend_deg
 from gateway.viewer.stage import STYLE, VIEWS, Stage
 
 PLOT_SPAN_S = 10.0
@@ -61,11 +61,17 @@ class Panel:
         self._shown: dict[int, str] = {}
         self._offered: tuple[str, ...] = ()
         self._has_markers = False
+        self.parents: Mapping[str, str] = {}
+        """Of the body's segments, for the bend of each against its parent."""
 
     def add_pose(self, pose: PoseMessage) -> None:
         """A pose for the plot: attitudes of segments, and of joints the angles where poses carry them."""
         joints = pose.joint_angles or {}
-        offered = (*(f"angles of {joint}" for joint in joints), *(f"attitude of {s}" for s in pose.segments))
+        offered = (
+            *(f"angles of {joint}" for joint in joints),
+            *(f"attitude of {s}" for s in pose.segments),
+            *(f"bend of {s}" for s in pose.segments if s in self.parents),
+        )
         if self._has_markers:
             offered += (_RESIDUALS,)
         if offered != self._offered:
@@ -75,6 +81,10 @@ class Panel:
             q_wb = pose.segments.get(name)
             angles = attitude(q_wb) if q_wb is not None else (_UNDEFINED,) * 3
             self._plot.add(f"{name} °", pose.t_ns, ("heading", "pitch", "roll"), angles)
+        elif kind == "bend" and name in self.parents:
+            parent = self.parents[name]
+            bend = bend_deg(pose.segments.get(parent), pose.segments.get(name))
+            self._plot.add(f"{name} against {parent} °", pose.t_ns, ("bend",), (bend,))
         elif kind == "angles" and joints.get(name):
             found = joints[name] or {}
             movements = [movement.replace("_", " ") for movement in found]

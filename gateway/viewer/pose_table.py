@@ -56,6 +56,14 @@ def attitude(q_wb: Quaternion) -> Attitude:
     )
 
 
+def bend_deg(parent: Quaternion | None, child: Quaternion | None) -> float:
+    """By how much a segment is turned against its parent, of the neutral posture 0; NaN where not known."""
+    if parent is None or child is None:
+        return float("nan")
+    along = abs(sum(p * c for p, c in zip(parent, child, strict=True)))
+    return math.degrees(2.0 * math.acos(min(1.0, along)))
+
+
 class PoseView:
     """The last pose of one gateway, with the rate and latency of those before it."""
 

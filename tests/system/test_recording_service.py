@@ -113,7 +113,7 @@ async def test_requests_start_and_stop_recordings(tmp_path, emulated, mosquitto,
 
         async with asyncio.timeout(2 * PATIENCE_S):
             await until(lambda: service.requests.is_connected)
-            assert (await ask("status"))["data"] == {"state": "off"}
+            assert (await ask("status"))["data"]["state"] == "off"
             begun = await ask("start", name="walk")
             assert begun["status"] == "ok"
             assert re.search(r"\d{8}T\d{6}Z_walk\.mcap$", begun["data"]["file"])

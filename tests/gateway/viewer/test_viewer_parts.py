@@ -35,14 +35,18 @@ from gateway.viewer.appearance import (
 )
 from gateway.viewer.history import History
 from gateway.viewer.module_table import (
+    LOSSY_REMEDY,
+    SILENT_REMEDY,
     RecentLosses,
     clock_of,
+    health_line,
     module_rows,
     module_table,
     recorded_rows,
     warnings_of,
 )
 from gateway.viewer.pace import pictures
+from gateway.viewer.pose_table import bend_deg
 from gateway.viewer.posture import PostureKeeper, skeleton_of
 from tests.simulated_time import in_simulated_time
 
@@ -240,15 +244,33 @@ def test_the_module_table_names_the_silent_and_the_lossy():
     )
     rows = module_rows(health, info)
     assert rows == [
-        ("1", "head", "77 %", "10.00", "-12.3", "56", ""),
-        ("2", "<b>", "", "silent", "", "", "worn <upside> down"),
+        ("1", "head", "77 %", "10.00", "-12.3", "56", LOSSY_REMEDY),
+        ("2", "<b>", "", "silent", "", "", SILENT_REMEDY),
     ]
     table = module_table(rows)
-    assert table.count("color:rgb") == 3
-    assert "doubtful: worn &lt;upside&gt; down" in table
+    assert table.count("color:var(--mocap-poor)") == 4
+    assert "charge it" in table
     assert "<b>" not in table
     assert module_rows(health, info, silent=["head"])[0][3] == "silent"
     assert module_rows(None, None) == []
+    good = {**summary, "lost": 0}
+    statistics = {"modules": {"1": good, "2": good}, "doubts": {"2": "worn <upside> down"}}
+    rows = module_rows(health.model_copy(update={"statistics": statistics}), info)
+    assert [row[-1] for row in rows] == ["", "doubtful: worn <upside> down"]
+    assert "doubtful: worn &lt;upside&gt; down" in module_table(rows)
+
+
+def test_the_strip_tells_modules_losses_and_disk():
+    assert health_line(17, 1, 0.0021, {"free_mb": 80_900}) == "16 of 17 modules, 0.2 % lost, 80.9 GB free"
+    assert health_line(0, 0, 0.0, {}) == "0.0 % lost"
+    assert "nearly full" in warnings_of(0.0, 0.0, {"is_low": True})[0]
+
+
+def test_a_bend_is_none_in_the_neutral_posture_and_grows_with_the_turn():
+    turned = (math.cos(math.radians(20)), 0.0, 0.0, math.sin(math.radians(20)))
+    assert bend_deg((1.0, 0.0, 0.0, 0.0), turned) == pytest.approx(40.0)
+    assert bend_deg(turned, turned) == pytest.approx(0.0, abs=1e-5)
+    assert math.isnan(bend_deg(None, turned))
 
 
 def test_a_body_far_away_stands_in_the_middle_and_so_does_its_name(unused_port):
