@@ -76,14 +76,15 @@ class Bench:
         Raises ``NoModuleError``.
         """
         infos: dict[bytes, int] = {}
+        chosen: list[bytes] = []
         for _ in range(_ATTEMPTS):
             await self.send_command(Verb.GET_INFO)
             await self.until(lambda: bool(self.of(DeviceInfo)), listen_s)
             await asyncio.sleep(_QUIET_S)
             infos = {each.packet.unique_id: each.received.module for each in self.of(DeviceInfo)}
-            if infos:
+            chosen = [uid for uid, module in infos.items() if device is None or _means(device, uid, module)]
+            if chosen:  # behind a relay others may answer first
                 break
-        chosen = [uid for uid, module in infos.items() if device is None or _means(device, uid, module)]
         if len(chosen) != 1:
             there = ", ".join(f"{module} ({uid.hex()})" for uid, module in infos.items())
             raise NoModuleError(

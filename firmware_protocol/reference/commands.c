@@ -1,10 +1,13 @@
 #include "commands.h"
 
 #include "board.h"
+#include "card.h"
 #include "module.h"
 #include "reports.h"
 #include "store.h"
 #include "wire.h"
+
+#define MOST_PAYLOAD MOCAP_CARD_READ_PAYLOAD_MAX_SIZE /* the longest; a list is cut off where it does not fit */
 
 static mocap_answer_memory memory;
 static uint8_t waiting; /* one bit for each answer of the memory: it is to be sent */
@@ -132,9 +135,28 @@ static mocap_result factory_reset(request *asked) {
     return result;
 }
 
-static mocap_result no_card(request *asked) {
-    (void)asked;
-    return MOCAP_RESULT_NOT_SUPPORTED;
+static mocap_result list_card(request *asked) {
+    mocap_card_list_arguments arguments;
+    if (mocap_decode_card_list_arguments(asked->arguments, asked->arguments_size, &arguments) != MOCAP_GOOD) {
+        return MOCAP_RESULT_BAD_ARGUMENTS;
+    }
+    return card_list(arguments.first, asked->payload, asked->payload_capacity, &asked->payload_size);
+}
+
+static mocap_result read_card(request *asked) {
+    mocap_card_read_arguments arguments;
+    if (mocap_decode_card_read_arguments(asked->arguments, asked->arguments_size, &arguments) != MOCAP_GOOD) {
+        return MOCAP_RESULT_BAD_ARGUMENTS;
+    }
+    return card_read(&arguments, asked->payload, asked->payload_capacity, &asked->payload_size);
+}
+
+static mocap_result erase_card(request *asked) {
+    mocap_card_erase_arguments arguments;
+    if (mocap_decode_card_erase_arguments(asked->arguments, asked->arguments_size, &arguments) != MOCAP_GOOD) {
+        return MOCAP_RESULT_BAD_ARGUMENTS;
+    }
+    return board_are_writes_locked() ? MOCAP_RESULT_REFUSED : card_erase(arguments.file);
 }
 
 static const struct {
@@ -151,9 +173,9 @@ static const struct {
     {MOCAP_VERB_COMMIT, commit},
     {MOCAP_VERB_DISCARD, discard},
     {MOCAP_VERB_FACTORY_RESET, factory_reset},
-    {MOCAP_VERB_CARD_LIST, no_card},
-    {MOCAP_VERB_CARD_READ, no_card},
-    {MOCAP_VERB_CARD_ERASE, no_card},
+    {MOCAP_VERB_CARD_LIST, list_card},
+    {MOCAP_VERB_CARD_READ, read_card},
+    {MOCAP_VERB_CARD_ERASE, erase_card},
 };
 
 static mocap_result act(uint8_t verb, request *asked) {
@@ -168,7 +190,7 @@ static mocap_result act(uint8_t verb, request *asked) {
 
 static const mocap_answer *obey(const mocap_command *command, const uint8_t unique_id[MOCAP_UNIQUE_ID_SIZE]) {
     mocap_acknowledgement answer = {0};
-    uint8_t payload[1u + MOCAP_MAX_SETTING_SIZE];
+    uint8_t payload[MOST_PAYLOAD];
     request asked = {command->arguments, command->arguments_size, payload, sizeof payload, 0u};
     answer.transaction = command->transaction;
     answer.verb = command->verb;

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import asyncio
+import json
+from collections import Counter, defaultdict
 
 import pytest
 
+from devices.card_download import Card, download
 from devices.command_client import CommandClient
 from devices.configure import Configurator
 from devices.conformance import Outcome, check_module
 from devices.conformance.bench import Bench, steps
 from devices.endpoints import link_from_url
 from firmware_protocol import RELAY as RELAY_ID
-from firmware_protocol import Health, InertialSample
+from firmware_protocol import FrameDecoder, Health, InertialSample, PacketDecoder
+from firmware_protocol.commands import Verb
 from tests.firmware.machines import POSIX, RELAY, Machine
 from tests.patience import PATIENCE_S
 
@@ -32,6 +36,7 @@ def relay(module) -> Machine:
     behind = [module(POSIX, number, settings={"module_id": number}) for number in MODULES]
     relay = module(RELAY, 99, is_on=False)
     relay.environment["RELAY_PORTS"] = ":".join(str(each.link) for each in behind)
+    relay.environment["RELAY_CARD"] = str(relay.memory.path.with_suffix(".card"))
     relay.switch_on()
     return relay
 
@@ -71,3 +76,64 @@ async def test_the_relay_obeys_and_its_id_is_fixed(relay):
             await Configurator(client).write(bytes([99] * 12), {"module_id": 7})
         await Configurator(client).write(bytes([99] * 12), {"label": "belt"})
     assert relay.memory.settings["label"] == "belt"
+
+
+def samples_in(path):
+    """Numbers of the samples in a file of the card, by module; nothing in it is damaged."""
+    decoder = PacketDecoder(FrameDecoder())
+    found = defaultdict(list)
+    for received in decoder.feed(path.read_bytes()):
+        if isinstance(received.packet, InertialSample):
+            found[received.module].append(received.sequence)
+    assert not decoder.dropped.total()
+    return found
+
+
+async def test_what_the_relay_recorded_is_listed_fetched_and_erased(relay, command, tmp_path):
+    async def typed(*words):
+        process = command("modules", "card", *words, "--link", relay.url, "--rig", "arm_3")
+        assert await process.ended() == 0, process.report()
+        return process.output
+
+    for _ in range(2):
+        await typed("start")
+        await asyncio.sleep(1.5)  # of recording
+    busy = command(
+        *("modules", "card", "erase", "--all", "--allow-writes", "--link", relay.url, "--rig", "arm_3")
+    )
+    assert await busy.ended() == 1
+    await typed("stop")
+    files = json.loads(await typed("list", "--json"))["files"]
+    assert [each["file"] for each in files] == [1, 2]
+    target = tmp_path / "walk"
+    for each in files:
+        await typed("download", each["file"], target, "--raw")
+        assert target.stat().st_size == each["size"]
+        found = samples_in(target)
+        assert found.keys() == set(MODULES)
+        for numbers in found.values():
+            assert len(numbers) > 80
+            assert Counter(steps(numbers, 2**16))[1] > 0.9 * (len(numbers) - 1)
+        target.unlink()
+    await typed("erase", "1", "--allow-writes")
+    relay.cut_power()
+    relay.switch_on()
+    assert [each["file"] for each in json.loads(await typed("list", "--json"))["files"]] == [2]
+
+
+async def test_a_file_that_was_cut_short_holds_all_but_the_last_second(relay, tmp_path):
+    uid = bytes([99] * 12)
+    client = CommandClient([link_from_url(relay.url)])
+    async with client.reading():
+        await client.ask(uid, Verb.START)
+        await asyncio.sleep(5.0)  # of recording
+        (before,) = await Card(client, uid).files()
+    relay.cut_power()
+    relay.switch_on()
+    client = CommandClient([link_from_url(relay.url)])
+    async with client.reading():
+        card = Card(client, uid)
+        (entry,) = await card.files()
+        await download(card.read, entry, tmp_path / "walk")
+    assert entry.size > before.size - 1.5 * before.size / 5.0
+    assert samples_in(tmp_path / "walk").keys() == set(MODULES)

@@ -8,6 +8,7 @@
 #include "module.h"
 #include "outbox.h"
 #include "ports.h"
+#include "recorder.h"
 #include "reports.h"
 #include "store.h"
 #include "wire.h"
@@ -24,11 +25,18 @@ static uint16_t batches;
 static uint32_t tick_due, blinks_since, blinks_us;
 static bool is_lit;
 
-/* A relay records on a card between START and STOP; this one has none. */
+static void say_full(void) {
+    reports_log(MOCAP_LOG_LINE_LEVEL_WARNING, "the card is full: nothing more is recorded", REPORTS_NO_NUMBER);
+}
+
 void module_start_sampling(void) {
+    if (recorder_has_card() && !recorder_begin(board_time_us())) {
+        say_full();
+    }
 }
 
 void module_stop_sampling(void) {
+    recorder_end();
 }
 
 void module_blink(uint8_t seconds) {
@@ -47,7 +55,15 @@ static void send_batch(void) {
     mocap_relay_begin(&batch, batch_body, sizeof batch_body);
 }
 
+static void record(const mocap_wire_frame *frame) {
+    uint8_t sent[MOCAP_SENT_SIZE(MOCAP_ACKNOWLEDGEMENT_MAX_SIZE)];
+    if (!recorder_write(sent, mocap_encode_frame(frame, sent, sizeof sent))) {
+        say_full();
+    }
+}
+
 static void pass_on(const mocap_wire_frame *frame) {
+    record(frame);
     if (frame->kind == MOCAP_KIND_SYNC_RESPONSE || frame->kind == MOCAP_KIND_ACKNOWLEDGEMENT) {
         uint8_t sent[MOCAP_SENT_SIZE(MOCAP_ACKNOWLEDGEMENT_MAX_SIZE)];
         (void)outbox_put(sent, mocap_encode_frame(frame, sent, sizeof sent));
@@ -110,6 +126,7 @@ void module_begin(void) {
     static const imu_setup none;
     uint8_t port;
     store_begin();
+    recorder_mount();
     wire_begin();
     wire_set_module(MOCAP_RELAY);
     for (port = 0u; port < PORTS_MOST; ++port) {
@@ -129,6 +146,7 @@ void module_work(void) {
         send_batch();
         tick_due += TICK_US;
     }
+    recorder_work(board_time_us());
     (void)commands_work();
     (void)reports_work();
     work_light();
