@@ -18,9 +18,14 @@ from devices.emulators.firmware_memory import FirmwareMemory
 from tests.patience import PATIENCE_S
 
 REFERENCE = Path(__file__).resolve().parents[2] / "firmware_protocol" / "reference"
-POSIX, QEMU, RELAY = "posix", "qemu", "relay"
+POSIX, QEMU, RELAY, STM32 = "posix", "qemu", "relay", "stm32f405"
 BOARDS = (POSIX, QEMU)
-PROGRAMS = {POSIX: "module_posix", QEMU: "module_qemu.elf", RELAY: "relay_posix"}
+PROGRAMS = {
+    POSIX: "module_posix",
+    QEMU: "module_qemu.elf",
+    RELAY: "relay_posix",
+    STM32: "module_stm32f405.elf",
+}
 
 
 class NotHere(Exception):
@@ -56,9 +61,10 @@ def build(board: str, folder: Path, source: Path = REFERENCE, flags: str = "") -
     if shutil.which("make") is None:
         raise NotHere("no make: apt install make")
     variables = [f"BUILD={folder}", f"CFLAGS={flags}"]
-    if board != QEMU:
+    needed = {QEMU: ("arm-none-eabi-gcc", "qemu-system-arm"), STM32: ("arm-none-eabi-gcc",)}.get(board)
+    if needed is None:
         variables.append(f"CC={host_compiler()}")
-    elif shutil.which("arm-none-eabi-gcc") is None or shutil.which("qemu-system-arm") is None:
+    elif not all(map(shutil.which, needed)):
         raise NotHere("no Cortex-M here: apt install gcc-arm-none-eabi qemu-system-arm")
     command = ["make", "-s", "-C", str(source), board, *variables]
     done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)

@@ -4,12 +4,11 @@
  *     qemu-system-arm -M mps2-an385,memory-backend=m -object memory-backend-file,id=m,size=16M,mem-path=FILE,share=on
  *                     -kernel module_qemu.elf -display none -serial pty
  */
-#include "board_qemu.h"
-
 #include "image.h"
 #include "inbox.h"
 #include "outbox.h"
 #include "samples.h"
+#include "start.h"
 
 #define REGISTER(address) (*(volatile uint32_t *)(address))
 #define CLOCK_MHZ 25u
@@ -81,12 +80,12 @@ void board_wake_at(uint32_t time_us) {
     run_once(TIMER0, left > 0 ? (uint32_t)left + 1u : 1u);
 }
 
-void on_sampling_timer(void) {
+static void on_sampling_timer(void) {
     stop(TIMER0);
     samples_on_timer();
 }
 
-void on_idle_timer(void) {
+static void on_idle_timer(void) {
     stop(TIMER1);
 }
 
@@ -114,7 +113,7 @@ void board_uart_send(const uint8_t *data, size_t size) {
     UART_DATA = *data; /* its interrupt sends the next */
 }
 
-void on_uart_sent(void) {
+static void on_uart_sent(void) {
     UART_CLEAR = UART_SENT;
     if (left_to_send > 0u) {
         --left_to_send;
@@ -124,7 +123,7 @@ void on_uart_sent(void) {
     }
 }
 
-void on_uart_received(void) {
+static void on_uart_received(void) {
     UART_CLEAR = UART_RECEIVED;
     while ((UART_STATE & UART_RECEIVED) != 0u) {
         inbox_on_byte((uint8_t)UART_DATA);
@@ -152,7 +151,7 @@ void board_led(bool is_on) {
 }
 
 /* The first warning: nothing is to be saved, so the second is waited for. */
-void on_watchdog(void) {
+static void on_watchdog(void) {
     watchdog_mark = BITTEN;
     for (;;) {
     }
@@ -182,3 +181,15 @@ void board_begin(void) {
     UART_CTRL = UART_ON;
     NVIC_ENABLE = INTERRUPTS;
 }
+
+#define INTERRUPTS_OF_BOARD 32
+
+__attribute__((section(".vectors"), used)) static const struct {
+    const uint32_t *stack;
+    void (*exceptions[15])(void);
+    void (*interrupts[INTERRUPTS_OF_BOARD])(void);
+} vectors = {
+    stack_high,
+    {reset, on_watchdog, stuck, stuck, stuck, stuck, 0, 0, 0, 0, stuck, stuck, 0, stuck, stuck},
+    {on_uart_received, on_uart_sent, stuck, stuck, stuck, stuck, stuck, stuck, on_sampling_timer, on_idle_timer},
+};

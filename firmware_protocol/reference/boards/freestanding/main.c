@@ -1,5 +1,5 @@
-#include "board_qemu.h"
 #include "module.h"
+#include "start.h"
 
 int main(void) {
     board_begin();
