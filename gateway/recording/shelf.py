@@ -109,7 +109,7 @@ class Shelf:
         async with self._exporting:
             written = json.loads(await _said_by(command))[0]
         return {"file": path.with_suffix(FORMATS[asked.to].suffix).name} | {
-            key: written[key] for key in ("bytes", "frames", "rate_hz", "seconds")
+            key: written[key] for key in ("bytes", "frames", "rate_hz", "seconds", "interpolated")
         }
 
     async def _read(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:

@@ -44,6 +44,7 @@ from gateway.viewer.scene import BodyScene
 from gateway.viewer.sensor_tab import SensorTab
 from gateway.viewer.stage import Stage
 from gateway.viewer.takes import TakesTab
+from gateway.viewer.trail import Trail
 
 RETRY_S = 0.5
 RECORDED_AFTER_S = 10.0
@@ -90,6 +91,7 @@ class LiveViewer:
         self._requests: set[concurrent.futures.Future[None]] = set()
         self._stage = Stage(server)
         self._markers = LiveMarkers(server, self._stage)
+        self._trail = Trail(server, self._stage)
         self._instant: MarkerInstant | None = None
         self._panel = Panel(
             server,
@@ -201,6 +203,7 @@ class LiveViewer:
             self._stage.follow(posture.place, latest.pose.t_ns * 1e-9)
         self._stage.face(posture.q_wb[0])
         self._scene.draw(posture, is_stale, self._silent(), red)
+        self._trail.draw(self._panel.trail.value, latest.pose.t_ns * 1e-9, posture.place)
         if self._wires is not None:
             self._wires.draw(latest.pose.t_ns * 1e-9, posture)
         self._markers.draw(instant)

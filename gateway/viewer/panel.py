@@ -51,6 +51,7 @@ class Panel:
             self.light = gui.add_checkbox("Light", False)
             self.axes = gui.add_checkbox("Segment axes", False)
             self.names = gui.add_checkbox("Segment names", False)
+            self.trail = gui.add_checkbox("Trail of the pelvis", False)
             self.follow = gui.add_checkbox("Follow the body", True)
             gui.add_html(legend())
         with tabs.add_tab("Plot"):

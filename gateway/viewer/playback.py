@@ -16,6 +16,7 @@ from gateway.viewer.posture import PostureKeeper
 from gateway.viewer.replaying import RecordedPoses
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.stage import Stage
+from gateway.viewer.trail import Trail
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 TIME_LINE_STEP_S = 0.01
@@ -52,6 +53,7 @@ class Playback:
         self._speed = server.gui.add_dropdown("Speed ×", SPEEDS, initial_value="1")
         end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
         self._line = server.gui.add_slider("Time s", 0.0, end_s, TIME_LINE_STEP_S, 0.0)
+        self._trail = Trail(server, self._stage)
         self._line_shown_s = 0.0
         self._drawn = -1
         self._markers = markers
@@ -93,6 +95,7 @@ class Playback:
             self._stage.follow(posture.place, self._times_s[index])
         self._stage.face(posture.q_wb[0])
         self._scene.draw(posture, is_stale=False, silent=silent)
+        self._trail.draw(self._panel.trail.value, self._times_s[index], posture.place)
         if self._wires is not None:
             self._add_undrawn(self._wires, before, index)
             self._wires.draw(self._times_s[index], posture)

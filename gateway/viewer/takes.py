@@ -118,7 +118,12 @@ class TakesTab(StepTab):
         made = await self._ask("recording", "export", {"file": take["file"], "to": to})
         await self._send(client, str(made["file"]))
         await self._look()
-        return self._say("exported", file=made["file"], frames=made["frames"], rate=f"{made['rate_hz']:g}")
+        told = self._say("exported", file=made["file"], frames=made["frames"], rate=f"{made['rate_hz']:g}")
+        guessed = [name for name, count in made["interpolated"].items() if count == made["frames"]]
+        if not guessed:
+            return told
+        named = ", ".join(name.replace("_", " ") for name in guessed)
+        return f"{told}; {self._say('never_known', segments=named)}"
 
     async def _download(self, client: viser.ClientHandle | None) -> str:
         take = self._chosen()

@@ -100,23 +100,29 @@ def rotation(q: FloatArray) -> Rotation:
 
 
 def take_of(arrays: SkeletonArrays, name: str, axes: Axes) -> Take:
-    """A take of a recorded result. Raises ``GatewayError`` where a segment is never known, or with one frame.
+    """A take of a recorded result. Raises ``GatewayError`` where the root is never known, or with one frame.
 
+    A segment that is never known, as its module was dead, keeps the neutral posture against its parent.
     Frames that were not recorded, and orientations that were not known, are interpolated between their
     neighbours in time; before the first and after the last known one it is repeated.
     """
     if len(arrays.time_ns) < 2:
         raise GatewayError(f"{name} has {len(arrays.time_ns)} frame(s): a motion needs two at least")
-    never = [n for s, n in enumerate(arrays.segment_names) if np.isnan(arrays.q_wb[:, s, 0]).all()]
-    if never:
-        raise GatewayError(
-            f"{name}: {', '.join(never)} never had an orientation: leave out what does not work with "
-            "another rig (replay --with), or record it again"
-        )
+    never = np.isnan(arrays.q_wb[:, :, 0]).all(axis=0)
+    known = arrays.q_wb.copy()
+    for s in np.flatnonzero(never):  # parents come first
+        parent = int(arrays.skeleton.parents[s])
+        if parent < 0:
+            raise GatewayError(
+                f"{name}: {arrays.segment_names[s]} never had an orientation, and all other segments hang "
+                "from it: leave it out with another rig (replay --with), or record it again"
+            )
+        known[:, s] = known[:, parent]
     rate_hz = arrays.rate_hz
     index = np.round((arrays.time_ns - arrays.time_ns[0]) * 1e-9 * rate_hz).astype(np.int64)
     grid = np.arange(index[-1] + 1)
-    q_wb, filled = _filled_orientations(arrays.q_wb, index, grid)
+    q_wb, filled = _filled_orientations(known, index, grid)
+    filled[:, never] = True
     turn = Rotation.from_euler("x", _TURNS_DEG[axes], degrees=True)
     angles = joint_angles(arrays.skeleton, q_wb)
     world = (turn * rotation(q_wb)).as_quat(scalar_first=True).reshape(q_wb.shape)

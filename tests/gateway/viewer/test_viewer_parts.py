@@ -330,3 +330,25 @@ async def test_a_body_stands_on_the_floor_before_any_pose_has_come(unused_port):
         assert np.abs(joints[:, :2]).max() < 1.0, "where cameras look"
     finally:
         server.stop()
+
+
+def test_a_trail_keeps_the_last_seconds_and_goes_when_it_is_not_wanted(unused_port):
+    viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+    from gateway.viewer.stage import Stage  # noqa: PLC0415 - needs the extra
+    from gateway.viewer.trail import SPACING_S, SPAN_S, Trail  # noqa: PLC0415 - needs the extra
+
+    server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
+    try:
+        trail = Trail(server, Stage(server))
+        for time_s in np.arange(0.0, 2 * SPAN_S, 0.01):
+            trail.draw(True, time_s, np.array([time_s, 0.0, 1.0]))
+        points = trail._points.points
+        assert abs(len(points) - SPAN_S / SPACING_S) <= 2
+        assert points[-1, 0] > 2 * SPAN_S - 2 * SPACING_S
+        assert (points[:, 2] < 0.01).all()
+        trail.draw(False, 2 * SPAN_S, np.zeros(3))
+        assert trail._points is None
+        trail.draw(True, 0.0, np.zeros(3))
+        assert len(trail._points.points) == 1
+    finally:
+        server.stop()

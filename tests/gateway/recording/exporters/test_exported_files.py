@@ -92,12 +92,23 @@ def test_both_world_axes_are_the_same_motion():
     np.testing.assert_allclose(up.tips_w[..., 0], east.tips_w[..., 0], atol=1e-12)
 
 
-def test_a_segment_that_was_never_known_is_refused():
+def never_known(segment):
     q_wb = ARRAYS.q_wb.copy()
-    q_wb[:, 3] = np.nan
-    broken = SkeletonArrays(**{**vars(ARRAYS), "q_wb": q_wb})
-    with pytest.raises(GatewayError, match=f"{ARRAYS.segment_names[3]} never had an orientation"):
-        take_of(broken, "walk", Axes.Z_UP)
+    q_wb[:, segment] = np.nan
+    return SkeletonArrays(**{**vars(ARRAYS), "q_wb": q_wb})
+
+
+def test_a_segment_that_was_never_known_stays_with_its_parent_and_that_is_told():
+    take = take_of(never_known(3), "walk", Axes.Z_UP)
+    parent = int(ARRAYS.skeleton.parents[3])
+    np.testing.assert_allclose(take.q_wb[:, 3], take.q_wb[:, parent], atol=1e-12)
+    assert take.filled[:, 3].all()
+    assert not take.filled[:, parent].all()
+
+
+def test_a_root_that_was_never_known_is_refused():
+    with pytest.raises(GatewayError, match=f"{ARRAYS.segment_names[0]} never had an orientation"):
+        take_of(never_known(0), "walk", Axes.Z_UP)
 
 
 def test_bvh_read_by_bvhio(tmp_path):
