@@ -131,6 +131,7 @@ def demo(
     """
     from devices.emulators.imperfections import PRESETS
     from gateway.body.rig import load_rig
+    from gateway.doctor.inside import examined
     from gateway.service.service import Service
 
     # However it is ended, also in the background of a script, the emulated suit and the page end with it.
@@ -160,6 +161,7 @@ def demo(
         with told_when_compiling(tell):
             awaited = usual if settings.reconstructor != usual else None
             service = Service(settings, suit, awaited=awaited)
+        service.own_requests.on_examine = partial(examined, service)
         with contextlib.ExitStack() as beside:
             beside.enter_context(_live_page(settings, _free_port(page_port) if page else None, console))
             running = _run(service, settings, truth, imperfections, None if keep else seconds, beside)

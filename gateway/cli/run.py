@@ -248,6 +248,7 @@ def record(
     recording had to end before that.
     """
     from gateway.body.rig import load_rig
+    from gateway.doctor.inside import examined
     from gateway.service.service import Service
 
     settings = load_gateway_settings(config)
@@ -260,6 +261,7 @@ def record(
     make_ready(fitting_suit(settings, suit).reconstructor)
     with told_when_compiling(partial(typer.echo, err=True)):
         service = Service(settings, suit)
+    service.own_requests.on_examine = partial(examined, service)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))
     status = service.recording.status()
     typer.echo(

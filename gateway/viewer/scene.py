@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -133,20 +133,46 @@ class BodyScene:
             self._bodies.batched_colors = self._colours = colours
 
     def _name_segments(self, p_w: FloatArray, q_wb: FloatArray, silent: Collection[str]) -> None:
-        silent_so_far = 0
+        names = self._skeleton.segment_names
+        named = {name for k, name in enumerate(n for n in names if n in silent) if k < MOST_NAMED}
+        shown = [s for s, n in enumerate(names) if self.shows_names or n == self.marked or n in named]
+        places = {s: p_w[s] + quaternion.rotate(q_wb[s], 0.5 * self._skeleton.tips[s]) for s in shown}
+        heights = dict(zip(shown, apart([places[s][2] for s in shown], LABEL_M), strict=True))
         for s, label in enumerate(self._labels):
-            name = self._skeleton.segment_names[s]
-            is_silent = name in silent
-            shown = name.replace("_", " ")
-            text = f"{shown}: no data" if is_silent else shown
-            is_visible = self.shows_names or name == self.marked or (is_silent and silent_so_far < MOST_NAMED)
-            silent_so_far += is_silent
+            is_visible = s in places
             if label.visible != is_visible:
                 label.visible = is_visible
             if is_visible:
+                plain = names[s].replace("_", " ")
+                text = f"{plain}: no data" if names[s] in silent else plain
                 if label.text != text:
                     label.text = text
-                label.position = p_w[s] + quaternion.rotate(q_wb[s], 0.5 * self._skeleton.tips[s])
+                label.position = (*places[s][:2], heights[s])
+
+
+LABEL_M = 0.07
+"""Height of a name at the distance from which the body is usually seen."""
+
+
+def apart(heights: Sequence[float], least: float) -> list[float]:
+    """Heights moved as little as need be, so that any two differ by ``least`` at least; their order stays."""
+    order = np.argsort(heights, kind="stable")
+    groups: list[list[float]] = []  # middle, number: of names that stand close above each other
+    for height in np.asarray(heights, np.float64)[order].tolist():
+        groups.append([height, 1])
+        while len(groups) > 1 and _gap(groups[-2], groups[-1], least) < 0.0:
+            (upper, n), (lower, m) = groups.pop(), groups.pop()
+            groups.append([(upper * n + lower * m) / (n + m), n + m])
+    moved = [middle + (k - 0.5 * (n - 1)) * least for middle, n in groups for k in range(int(n))]
+    found = np.empty(len(moved))
+    found[order] = moved
+    placed: list[float] = found.tolist()
+    return placed
+
+
+def _gap(lower: list[float], upper: list[float], least: float) -> float:
+    """Between two groups, beyond what they need."""
+    return (upper[0] - lower[0]) - 0.5 * (lower[1] + upper[1]) * least
 
 
 DISC_M = 0.16

@@ -7,6 +7,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.body.kinematics import joint_positions, lowest_point
@@ -352,3 +354,18 @@ def test_a_trail_keeps_the_last_seconds_and_goes_when_it_is_not_wanted(unused_po
         assert len(trail._points.points) == 1
     finally:
         server.stop()
+
+
+@given(st.lists(st.floats(-2, 2), max_size=20))
+def test_names_stand_apart_in_their_order_and_are_moved_no_more_than_need_be(heights):
+    pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+    from gateway.viewer.scene import apart  # noqa: PLC0415 - needs the extra
+
+    moved = apart(heights, 0.1)
+    order = np.argsort(heights, kind="stable")
+    gaps = np.diff(np.array(moved)[order])
+    assert (gaps > 0.1 - 1e-9).all()
+    if (np.diff(np.sort(heights)) >= 0.1).all():
+        np.testing.assert_allclose(moved, heights, atol=1e-12)
+    if heights:
+        assert np.mean(moved) == pytest.approx(np.mean(heights), abs=1e-9)
