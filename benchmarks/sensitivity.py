@@ -124,7 +124,7 @@ RULES = {
     "vibration": Rule("vibration is measured", "(12)", {"vibration_memory_s": ENDLESS}),
     "second_order": Rule("second order as variance", "(21)", patch=_without_second_order),
     "disturbed_field": Rule(
-        "a field whose norm or dip is wrong counts less", "D of (33)",
+        "a field whose norm or dip is wrong counts less", "D of (31)",
         {"norm_tolerance": ENDLESS, "dip_tolerance": ENDLESS},
     ),
     "unaided": Rule("mean acceleration of an unaided body", "(39), (40)", patch=_without_unaided),

@@ -81,7 +81,7 @@ def test_turning_a_state_back_twice_keeps_what_it_knows():
 def known_of(state):
     """Some of what stays: records and the names in them."""
     segments = state.segments
-    watch = [(segments["field_watch"], name) for name in ("norm", "dip", "change_square", "error_square")]
+    watch = [(segments["field_watch"], name) for name in ("norm", "dip", "error_square")]
     own = [(segments, name) for name in ("bias", "force_bias", "C")]
     return [*own, *watch, (segments["arms"], "error"), (state.devices, "shift")]
 

@@ -82,6 +82,7 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
             density = _turn_as_measured(segment, now, tuning, dt)
         else:
             density = _coast(segment, now, tuning, dt)
+        now.density = density
         if segment.silent_s > tuning.longest_silence_s:
             segment.started = STARTS_AGAIN
         w, turn = now.mean_rate, work.shared.rotation
@@ -194,6 +195,7 @@ def turn_segments(body: Body, state: State, work: Work) -> None:
         now, segment = works[s], segments[s]
         if _is_turn(now.turn):
             E, averages = now.rotation, segment.averages
+            segment.compass.angle += now.turn[2]
             rotation_matrix.exponential_into(E, now.turn[0], now.turn[1], now.turn[2])
             rotation_matrix.turn_columns(E, segment.R)
             rotation_matrix.turn_columns(E, averages.lever_arm_matrix)
@@ -219,6 +221,7 @@ def correct(state: State, work: Work) -> None:
         for i in range(3):
             now.turn[i] = now.x[i]
             segments[s].bias[i] += now.x[3 + i]
+            segments[s].compass.rate -= segments[s].R[2, i] * now.x[3 + i]
 
 
 @compiled

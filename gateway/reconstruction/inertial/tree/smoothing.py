@@ -25,7 +25,7 @@ from gateway.reconstruction.inertial.tree.tuning import Tuning
 from gateway.reconstruction.inertial.tree.update import inverse_3_into
 
 KEPT = (
-    "R", "started", "heading", "silent_s", "force_bias", "compass_s", "field_watch", "field_offset", "sun",
+    "R", "started", "heading", "silent_s", "force_bias", "field_watch", "compass", "sun",
     "unaided_square", "zero_rate", "aids_s", "joint_nis", "vibration", "corrections",
 )  # fmt: skip
 
@@ -60,7 +60,10 @@ def turned_back(state: State, tuning: Tuning, gravity: FloatArray) -> State:
     back["C"][...] = before["C"] * np.outer(sign, sign)
     forgotten = np.array([tuning.start_tilt] * 2 + [tuning.start_heading] + [tuning.bias] * 3) ** 2
     back["P"][:, range(6), range(6)] += forgotten
-    back["field_offset"]["variance"][...] = tuning.heading**2
+    back["compass"]["rate"][...] *= -1.0
+    back["compass"]["covariance"][...] *= -1.0
+    back["compass"]["variance"][...] += tuning.start_heading**2
+    back["compass"]["settled_s"][...] = 0.0
     for s in range(len(back)):
         force, rate = before[s].averages.last_force, before[s].rate
         back[s].starting_square = tuning.starting_share * start_acceleration(gravity, force, rate, tuning)

@@ -20,6 +20,7 @@ from gateway.geometry.records import Records
 from gateway.geometry.vectors import dot, is_finite, norm
 from gateway.reconstruction.inertial.tree.state import (
     Body,
+    Compass,
     Heading,
     HeadingSums,
     Link,
@@ -79,7 +80,7 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
     _start_covariance(segment, min(tilt, tuning.unknown_heading**2), tuning)
     segment.started = STARTED
     segment.heading = UNOBSERVED if link.heading_observable else OBSERVED
-    segment.silent_s, segment.compass_s, segment.averages.seconds = 0.0, 0.0, 0.0
+    segment.silent_s, segment.averages.seconds = 0.0, 0.0
     segment.joint_nis = 0.0
     _start_watches(segment)
     for i in range(3):
@@ -103,7 +104,17 @@ def _start_covariance(segment: Segment, tilt: float, tuning: Tuning) -> None:
     for i in range(6):
         arms.covariance[i, i] = tuning.lever_arm_offset**2
     arms.since_s = np.inf
-    segment.field_offset.angle, segment.field_offset.variance = 0.0, tuning.heading**2
+    start_compass(segment.compass, tuning)
+
+
+@compiled
+def start_compass(compass: Compass, tuning: Tuning) -> None:
+    """Nothing is known of a heading's error."""
+    compass.angle, compass.rate, compass.covariance, compass.seconds = 0.0, 0.0, 0.0, 0.0
+    compass.variance, compass.rate_variance = tuning.unknown_heading**2, tuning.bias**2
+    compass.scatter, compass.offset_square = tuning.compass_scatter**2, tuning.start_heading**2
+    compass.error, compass.error_variance, compass.settled_s = 0.0, tuning.unknown_heading**2, 0.0
+    compass.share = 0.0
 
 
 @compiled
@@ -176,19 +187,14 @@ def gather_heading(
 
 
 @compiled
-def shown_heading(segment: Segment, tuning: Tuning) -> tuple[float, float]:
+def shown_heading(sums: HeadingSums, tuning: Tuning) -> tuple[float, float]:
     """(55): variance (rad²) and angle of a heading that motion has shown; variance 0: not yet."""
-    sums, prior = segment.heading_sums, 0.0
-    if segment.compass_s > tuning.compass_trusted_s:
-        # (56) κ_0 = 5 / σ_ψ0², where the field has been seen undisturbed
-        prior = tuning.heading_density / tuning.start_heading**2
-    along, across = sums.along + prior, sums.across
-    concentration = math.hypot(along, across)
+    concentration = math.hypot(sums.along, sums.across)
     if sums.seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
         return 0.0, 0.0
-    if concentration < tuning.heading_coherence * (sums.length + prior):
+    if concentration < tuning.heading_coherence * sums.length:
         return 0.0, 0.0
-    return tuning.heading_density / concentration, math.atan2(across, along)
+    return tuning.heading_density / concentration, math.atan2(sums.across, sums.along)
 
 
 @compiled
@@ -225,16 +231,8 @@ def lose_headings(links: Records[Link], segments: Records[Segment], tuning: Tuni
         is_left_behind = p >= 0 and _is_left_behind(segment, parent, above, tuning)
         if is_apart(segment, parent, p >= 0, tuning) and not is_left_behind:
             sums = segment.heading_sums
-            segment.heading, segment.compass_s = UNOBSERVED, 0.0
+            segment.heading = UNOBSERVED
             sums.along, sums.across, sums.length, sums.seconds = 0.0, 0.0, 0.0, 0.0
-
-
-@compiled
-def compass_turn(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
-    """Δψ of (56), rad, of an unobserved heading that the field sees off; a disturbed field counts less."""
-    segment.compass_s += dt / now.disturbance
-    memory_s: float = max(dt, min(segment.compass_s, tuning.compass_s))
-    return -now.field_off * min(1.0, dt / now.disturbance / memory_s)
 
 
 @compiled
@@ -252,7 +250,10 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
     """Turn segment s and all beyond it by ψ₀ (rad), up to those that have kept their own headings while it
     was lost; where these are known in the world and those before s are not, turn the others back."""
     links, segments, works = body.segments, state.segments, work.segments
-    first = links[s].parent
+    root, first = s, links[s].parent
+    while links[root].parent >= 0:
+        root = links[root].parent
+    segments[root].compass.settled_s = 0.0
     turns_back = first >= 0 and 2.0 * segments[s].P[2, 2] < segments[first].P[2, 2]
     for c in range(s, len(links)):
         now, p = works[c], links[c].parent

@@ -115,20 +115,27 @@ class FieldWatch(Record):
 
     norm: float  # mean, µT
     dip: float  # mean, rad
-    change_square: float  # mean square of the changes of both
     seconds: float  # for which it has been seen
-    norm_drift: float  # means of the changes: of the norm, relative
-    dip_drift: float  # and of the dip, rad
     norm_change: float  # of now
     dip_change: float
     error_square: float  # mean square of what both are wrong by
 
 
-class FieldOffset(Record):
-    """Heading by which the field is off throughout."""
+class Compass(Record):
+    """By what a segment's heading in the filter seems off, as its field shows; see ``compass``."""
 
     angle: float  # rad
-    variance: float  # rad²
+    rate: float  # by which that grows, rad/s
+    variance: float  # of both
+    covariance: float
+    rate_variance: float
+    scatter: float  # mean square of what a look differs by from what is expected, rad²
+    offset_square: float  # of what the field itself is off by throughout, rad²
+    seconds: float  # for which it has been seen
+    error: float  # by which the heading is taken to be off, by all compasses and the filter, rad
+    error_variance: float
+    settled_s: float  # of a root: for how long no heading of its chain has been shown anew
+    share: float  # of a root: of what its compasses say, where the filter says the rest
 
 
 class HeadingSums(Record):
@@ -194,9 +201,8 @@ class Segment(Record):
     averages: Averages
     arms: LeverArms
     joint_nis: float  # of the joint to the parent: mean of its residual's square over what is expected
-    compass_s: float  # for how long an undisturbed field has been seen
     field_watch: FieldWatch
-    field_offset: FieldOffset
+    compass: Compass
     heading_sums: HeadingSums
     sun: SunSums
     zero_rate: ZeroRateWatch
@@ -296,6 +302,12 @@ class SegmentWork(Record):
     is_before: int  # 1: turns back, since that segment is known better
     is_beyond: int  # 1: turns with the segment whose heading was shown
     is_settled: int  # 1: the sun has just shown its heading
+    density: float  # of the gyroscope's noise, (rad/s)²/Hz
+    told: float  # by compasses of the segment and those beyond, of its heading's error: weight, 1/rad²
+    told_angle: float  # and weight times angle, 1/rad
+    told_turn: float  # and weight times what corrections have just turned it by, 1/rad
+    unwrapped: float  # rad, of the compass, so that neighbours differ by less than half a turn
+    apart: float  # variance of the heading against the parent, rad²
     field_off: float  # heading by which the field is seen off, rad
     disturbance: float  # of the field, 1: none
     U: Vector  # specific force at the proximal joint as the segment sees it, world

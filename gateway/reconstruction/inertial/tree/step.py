@@ -19,8 +19,9 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records, array_of
 from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
+from gateway.reconstruction.inertial.tree.compass import follow_field
 from gateway.reconstruction.inertial.tree.devices import device_rows, has_spoken, take_reading
-from gateway.reconstruction.inertial.tree.headings import follow_field, follow_sun, take_sun
+from gateway.reconstruction.inertial.tree.headings import follow_sun, take_sun
 from gateway.reconstruction.inertial.tree.prediction import (
     average,
     correct,
@@ -41,6 +42,7 @@ from gateway.reconstruction.inertial.tree.state import (
     NEVER_NS,
     Body,
     Clock,
+    Compass,
     Device,
     Link,
     Mount,
@@ -229,6 +231,8 @@ def _advance(
         if len(covariance) > 0:
             for s in range(n):
                 rotation_matrix.copy_into(covariance[t, s], state.segments[s].P)
+                if body.world.uses_field:
+                    _published(covariance[t, s], state.segments[s].compass)
         _place(p_w, wearing, q_wb, inputs.root_position[t])
 
 
@@ -250,10 +254,8 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
     # section 4: averages
     average(state, tuning, work, dt)
 
-    # rows. Section 8: the field and the sun
+    # rows. Section 8: the sun
     _forget(work)
-    if body.world.uses_field:
-        follow_field(body, state, tuning, work, dt)
     if work.shared.sees_sun:
         follow_sun(body, state, tuning, work, dt)
 
@@ -277,6 +279,10 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
 
     # section 13: what the corrections say
     note_corrections(state, tuning, work, dt)
+
+    # section 8: what the field says of headings
+    if body.world.uses_field:
+        follow_field(body, state, tuning, work, dt)
 
 
 @compiled
@@ -372,16 +378,21 @@ def _outputs(
     nothing is known. (n, 4), (n, 3), (n, 3), (n,)."""
     q_wb[:], rate[:], acceleration[:], sigma[:] = np.nan, np.nan, np.nan, np.nan
     gravity, unknown = held.body.world.gravity, 2.0 * held.tuning.unknown_heading
+    uses_field, turned = held.body.world.uses_field == 1, np.zeros(4)
     segments, works = held.state.segments, held.work.segments
     parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
     for s in range(len(parents)):
         segment, now, p = segments[s], works[s], parents[s]
+        error = segment.compass.error if uses_field else 0.0
         if now.validity == FORCE:
-            for i in range(3):
-                acceleration[s, i] = now.U[i] + gravity[i]
+            c, d = math.cos(error), math.sin(error)
+            acceleration[s, 0] = c * now.U[0] + d * now.U[1] + gravity[0]
+            acceleration[s, 1] = c * now.U[1] - d * now.U[0] + gravity[1]
+            acceleration[s, 2] = now.U[2] + gravity[2]
         if segment.started != NOT_STARTED:
             P = segment.P
-            sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), unknown)
+            of_heading = segment.compass.error_variance if uses_field else P[2, 2]
+            sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + of_heading), unknown)
         if module_of_segment[s] < 0:
             if p >= 0:
                 for i in range(4):
@@ -390,8 +401,21 @@ def _outputs(
                     rate[s, i] = rate[p, i]
         elif segment.started != NOT_STARTED:
             quaternion.from_matrix_into(q_wb[s], segment.R)
+            if error != 0.0:
+                turned[0], turned[3] = math.cos(0.5 * error), -math.sin(0.5 * error)
+                q_wb[s] = quaternion.canonical(quaternion.multiply(turned, q_wb[s]))
             for i in range(3):
                 rate[s, i] = segment.rate[i] - segment.bias[i]
+
+
+@compiled
+def _published(P: FloatArray, compass: Compass) -> None:
+    """P (3, 3) ← with the heading's variance after its compass."""
+    if P[2, 2] > compass.error_variance:
+        share = math.sqrt(compass.error_variance / P[2, 2])
+        for i in range(3):
+            P[2, i] *= share
+            P[i, 2] *= share
 
 
 @compiled

@@ -132,7 +132,7 @@ class Tuning(Record):
     start_heading: float = constant(
         0.5,
         "rad",
-        "how far the field may be off throughout: what a first heading by it counts against the motion",
+        "how far the field may be off throughout, before any has been seen",
         "indoors",
     )
     heading_evidence: float = constant(
@@ -159,15 +159,6 @@ class Tuning(Record):
     )
 
     # the magnetic field
-    heading: float = constant(
-        0.1,
-        "rad",
-        "how far the field's heading is off at the most where it is the same from place to place",
-        "buildings",
-    )
-    heading_offset_s: float = constant(
-        300.0, "s", "within it that is another one; until then it is found", "walking through a building"
-    )
     heading_memory_s: float = constant(
         10.0, "s", "for how long changes stay off to the same side, and what is not yet found", JUDGED
     )
@@ -192,15 +183,17 @@ class Tuning(Record):
     least_horizontal: float = constant(
         0.1, "", "part of the field that counts as horizontal at least", "near the magnetic poles"
     )
-    first_look_s: float = constant(
-        0.5, "s", "a heading that nothing else can show is taken from the field within that time", JUDGED
+    compass_s: float = constant(10.0, "s", "over which a compass's scatter is averaged at first", JUDGED)
+    compass_settles_s: float = constant(
+        3.0, "s", "after the last heading was shown the body turns to the field at once", JUDGED
     )
-    compass_s: float = constant(
-        10.0, "s", "the field leads an unobserved heading with its mean over at most that long", JUDGED
+    compass_clean: float = constant(0.14, "rad", "a field off by that much is half believed", JUDGED)
+    compass_finds_s: float = constant(
+        60.0, "s", "within which a body turns back that was turned wrongly", JUDGED
     )
-    compass_trusted_s: float = constant(
-        0.3, "s", "having seen an undisturbed field for so long, its heading counts beside the motion", JUDGED
-    )
+    largest_offset: float = constant(1.0, "rad", "of the field, at the most", "near iron")
+    compass_scatter: float = constant(0.1, "rad", "of a compass, before any has been seen", "buildings")
+    compass_least: float = constant(0.01, "rad", "of a compass at the least", "tilts in motion")
 
     # the sun
     sun_memory_s: float = constant(

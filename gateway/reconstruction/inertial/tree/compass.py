@@ -1,0 +1,289 @@
+"""Headings by the magnetic field, beside the tree filter. Compiled.
+
+Motion shows how segments head against each other far better than any field in a building does, and a wrong
+field must not turn what motion has shown. So the filter itself does not see the field. Beside it each module
+has a compass: how far the filter's heading seems off by its field, and how fast that grows. What is published
+is the filter's heading less the error that compasses and filter together expect: the whole body turns with
+the mean of its compasses, a segment alone as far as the filter does not know its heading against its
+neighbours.
+"""
+
+from __future__ import annotations
+
+import math
+
+from gateway.frames import FloatArray
+from gateway.geometry.compiled import compiled
+from gateway.geometry.records import Records
+from gateway.geometry.vectors import dot
+from gateway.reconstruction.inertial.tree.rows import _horizontal_square
+from gateway.reconstruction.inertial.tree.state import (
+    Body,
+    Compass,
+    ExpectedField,
+    FieldWatch,
+    Heading,
+    Link,
+    Segment,
+    SegmentWork,
+    Started,
+    State,
+    Validity,
+    Work,
+    World,
+)
+from gateway.reconstruction.inertial.tree.tuning import Tuning
+from gateway.reconstruction.inertial.tree.update import Three
+
+UNOBSERVED = Heading.UNOBSERVED.value
+RATE = Validity.RATE.value
+STARTED = Started.YES.value
+LEAST_APART = 1e-9
+"""rad²."""
+
+
+@compiled
+def follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """Section 8: every module's compass, and ``compass.error`` of every segment ← by all of them."""
+    expected, world = work.shared.expected, body.world
+    segments, works = state.segments, work.segments
+    expect_field(expected, world, tuning, dt)
+    for s in range(len(segments)):
+        segment, now = segments[s], works[s]
+        compass, m = segment.compass, now.magnetic_field
+        if segment.started != STARTED:
+            continue
+        _drift(segment, now, tuning, dt)
+        # a saturated gyroscope has lost it: the field would seem disturbed
+        if now.validity >= RATE and math.isfinite(m[0] + m[1] + m[2]):
+            watch_field(segment, now, world, expected, tuning, dt)
+            shown = segment.field_watch.error_square / expected.horizontal
+            # (29) σ_o²
+            compass.offset_square = min(shown, tuning.largest_offset**2) + expected.by_tilt
+            bent = 0.5 * (segment.P[0, 0] + segment.P[1, 1]) * (1.0 / expected.horizontal - 1.0)
+            _look(compass, now, bent, tuning, dt)
+    _share(body, state, tuning, work, dt)
+
+
+@compiled
+def expect_field(expected: ExpectedField, world: World, tuning: Tuning, dt: float) -> None:
+    """For (27) to (31): ``expected`` ← for an instant dt (s) after the one before."""
+    h = world.magnetic_field
+    level, square = h[0] * h[0] + h[1] * h[1], dot(h, h)
+    horizontal = max(level / square, tuning.least_horizontal**2)
+    expected.norm = math.sqrt(square)
+    expected.dip = math.atan2(h[2], math.sqrt(level))
+    expected.horizontal = horizontal
+    gravity = world.gravity
+    expected.by_tilt = tuning.force_bias**2 / dot(gravity, gravity) * (1.0 / horizontal - 1.0)
+    expected.gain = 1.0 - math.exp(-dt / tuning.field_memory_s)
+    expected.change_gain = 1.0 - math.exp(-dt / tuning.field_change_s)
+    expected.smoothing_gain = 1.0 - math.exp(-dt / tuning.field_smoothing_s)
+
+
+@compiled
+def watch_field(
+    segment: Segment, now: SegmentWork, world: World, expected: ExpectedField, tuning: Tuning, dt: float
+) -> None:
+    """(27), (28), D of (31): ``now.field_off``, ``now.disturbance`` ← of a segment's field.
+
+    How far norm and dip are from what they should be goes to ``segment.field_watch``: soon where that is more
+    than before, with the turning of the module where it is less.
+    """
+    h, m, mean = world.magnetic_field, now.magnetic_field, segment.field_watch
+    seen = _seen(segment.R, m)
+    now.field_off = math.atan2(h[0] * seen[1] - h[1] * seen[0], h[0] * seen[0] + h[1] * seen[1])
+    length, dip = math.sqrt(dot(m, m)), math.atan2(seen[2], math.sqrt(_horizontal_square(seen)))
+    _watch_changes(mean, length, dip, expected, tuning, dt)
+    stronger = (1.0 + mean.norm_change) * mean.norm / expected.norm - 1.0
+    steeper = mean.dip_change + mean.dip - expected.dip
+    wrong, w, proof = stronger * stronger + steeper * steeper, segment.rate, expected.change_gain
+    if not wrong > mean.error_square:
+        proof = math.sqrt(dot(w, w)) * dt / tuning.field_proof
+    mean.error_square += min(proof, 1.0) * (wrong - mean.error_square)
+    steeper = (dip - expected.dip) / tuning.dip_tolerance
+    stronger = (length / expected.norm - 1.0) / tuning.norm_tolerance
+    now.disturbance = 1.0 + steeper * steeper + stronger * stronger
+
+
+@compiled
+def _seen(R: FloatArray, m: FloatArray) -> Three:
+    """R m."""
+    return (
+        R[0, 0] * m[0] + R[0, 1] * m[1] + R[0, 2] * m[2],
+        R[1, 0] * m[0] + R[1, 1] * m[1] + R[1, 2] * m[2],
+        R[2, 0] * m[0] + R[2, 1] * m[1] + R[2, 2] * m[2],
+    )
+
+
+@compiled
+def _watch_changes(
+    mean: FieldWatch, length: float, dip: float, expected: ExpectedField, tuning: Tuning, dt: float
+) -> None:
+    """n and d of (28): one norm (µT) and dip (rad) more."""
+    if mean.seconds == 0.0:
+        change = tuning.field_change
+        mean.norm, mean.dip = length, dip
+        mean.error_square = change**2
+    mean.seconds += dt
+    gain = max(expected.gain, dt / mean.seconds)
+    mean.norm += gain * (length - mean.norm)
+    mean.dip += gain * (dip - mean.dip)
+    mean.norm_change += expected.smoothing_gain * (length / mean.norm - 1.0 - mean.norm_change)
+    mean.dip_change += expected.smoothing_gain * (dip - mean.dip - mean.dip_change)
+
+
+@compiled
+def _drift(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> None:
+    """(30): the filter's heading drifts as its gyroscopes are off, about axes that turn with the module."""
+    compass, R, P, w = segment.compass, segment.R, segment.P, segment.rate
+    largest = 0.0  # variance of the bias about the vertical
+    for i in range(3):
+        for j in range(3):
+            largest += R[2, i] * P[3 + i, 3 + j] * R[2, j]
+    keep = math.exp(-math.sqrt(dot(w, w)) * dt)
+    compass.angle += compass.rate * dt
+    compass.variance += dt * (2.0 * compass.covariance + dt * compass.rate_variance + now.density)
+    compass.covariance = keep * (compass.covariance + dt * compass.rate_variance)
+    compass.rate *= keep
+    compass.rate_variance = keep * keep * compass.rate_variance + (1.0 - keep * keep) * largest
+    if compass.rate_variance > largest:
+        compass.covariance *= math.sqrt(largest / compass.rate_variance)
+        compass.rate_variance = largest
+    compass.variance = min(compass.variance, tuning.unknown_heading**2)
+
+
+@compiled
+def _look(compass: Compass, now: SegmentWork, bent: float, tuning: Tuning, dt: float) -> None:
+    """(31): one look at the field. How looks scatter about what is expected tells how much one is worth.
+
+    bent: rad², what an uncertain tilt adds in a field that dips.
+    """
+    if compass.seconds == 0.0:  # what stays off to the same side is as little off at the first look
+        compass.angle, compass.covariance, compass.seconds = now.field_off, 0.0, dt
+        first = (compass.scatter + bent) * now.disturbance
+        compass.variance = min(first, tuning.unknown_heading**2)
+        return
+    off = now.field_off - compass.angle
+    off = math.atan2(math.sin(off), math.cos(off))
+    compass.seconds += dt
+    weight = max(1.0, abs(off) / math.sqrt(compass.variance + compass.scatter) / tuning.huber)
+    noise = (compass.scatter + bent) * tuning.heading_memory_s / dt * weight * now.disturbance
+    gain = dt / min(compass.seconds + tuning.compass_s, 3.0 * tuning.compass_s)
+    compass.scatter += gain * (max(off * off - compass.variance, tuning.compass_least**2) - compass.scatter)
+    total = compass.variance + noise
+    gain, rate_gain = compass.variance / total, compass.covariance / total
+    compass.angle += gain * off
+    compass.rate += rate_gain * off
+    compass.rate_variance -= rate_gain * compass.covariance
+    compass.covariance -= gain * compass.covariance
+    compass.variance -= gain * compass.variance
+
+
+@compiled
+def _share(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """(32): ``compass.error`` ← of each segment: what its filter and all compasses together expect."""
+    links, segments, works = body.segments, state.segments, work.segments
+    _compare(links, segments, works, body.world.is_tree == 1, tuning)
+    variance = _compass_variance(links, segments, works, tuning)
+    if variance == 0.0:
+        for s in range(len(links)):
+            segments[s].compass.error_variance = segments[s].P[2, 2]
+        return
+    for s in range(len(links) - 1, -1, -1):
+        now, p = works[s], links[s].parent
+        compass = segments[s].compass
+        if compass.seconds > 0.0:
+            off = now.unwrapped - compass.error
+            weight = 1.0 / (variance + off * off)
+            now.told += weight
+            now.told_angle += weight * now.unwrapped
+            now.told_turn += weight * now.turn[2]
+        if p >= 0:
+            passed = 1.0 / (1.0 + now.apart * now.told)
+            works[p].told += passed * now.told
+            works[p].told_angle += passed * now.told_angle
+            works[p].told_turn += passed * now.told_turn
+    for s in range(len(links)):
+        now, p, compass = works[s], links[s].parent, segments[s].compass
+        if p >= 0:
+            total = 1.0 + now.apart * now.told
+            above = segments[p].compass
+            compass.error = (above.error + now.apart * now.told_angle) / total
+            compass.error_variance = now.apart / total + above.error_variance / (total * total)
+        elif now.told > 0.0:
+            _turn_root(compass, now, variance, tuning, dt)
+
+
+@compiled
+def _compare(
+    links: Records[Link],
+    segments: Records[Segment],
+    works: Records[SegmentWork],
+    is_tree: bool,
+    tuning: Tuning,
+) -> None:
+    """a of (32), ``apart``: variance of a heading against the parent as the filter has it. ``unwrapped``: the
+    compass, within half a turn of the parent's. Nothing is told yet."""
+    started, unknown = 0, tuning.unknown_heading**2
+    for s in range(len(links)):
+        started += segments[s].started == STARTED
+    for s in range(len(links)):
+        segment, now, p = segments[s], works[s], links[s].parent
+        before, now.told, now.told_angle, now.told_turn = 0.0, 0.0, 0.0, 0.0
+        if p >= 0:
+            before = works[p].unwrapped
+            shared = segment.C[2, 2] if is_tree else segments[p].P[2, 2]
+            now.apart = max(segment.P[2, 2] + segments[p].P[2, 2] - 2.0 * shared, LEAST_APART)
+            if segment.heading == UNOBSERVED:
+                now.apart = unknown
+        else:
+            # each segment began with a heading of which nothing is known; joined, they seem to know more
+            known = 1.0 / max(segment.P[2, 2], LEAST_APART) - started / unknown
+            now.apart = 1.0 / max(known, 1e-3 / unknown)
+        turn = segment.compass.angle - before
+        now.unwrapped = before + math.atan2(math.sin(turn), math.cos(turn))
+
+
+@compiled
+def _compass_variance(
+    links: Records[Link], segments: Records[Segment], works: Records[SegmentWork], tuning: Tuning
+) -> float:
+    """Return V of (33), the variance of a compass, rad², the same for all: with weights that change, the mean
+    of compasses that are off differently would wander. 0: there is none.
+
+    It is what norm and dip let expect, or more, where compasses differ that by the motion should not.
+    """
+    seen, square, weights, differences = 0, 0.0, 0.0, 0.0
+    for s in range(len(links)):
+        compass, p = segments[s].compass, links[s].parent
+        if compass.seconds > 0.0:
+            seen += 1
+            square += compass.variance + compass.offset_square
+            if p >= 0 and segments[p].compass.seconds > 0.0:
+                weight = 1.0 / (1.0 + works[s].apart / tuning.compass_clean**2)
+                weights += weight
+                differences += weight * (works[s].unwrapped - works[p].unwrapped) ** 2
+    if seen == 0:
+        return 0.0
+    return max(square / seen, 0.5 * differences / max(weights, 1.0))
+
+
+@compiled
+def _turn_root(compass: Compass, now: SegmentWork, variance: float, tuning: Tuning, dt: float) -> None:
+    """(34): ``compass.error`` ← of a root, so of all: at once while headings of its chain are found, then as
+    slowly as its gyroscope may drift; hardly at all where the field is wrong."""
+    # the building's field is off for all alike too
+    field = variance + 1.0 / now.told
+    # a correction of the filter turns what is published by the filter's share alone
+    wrong = variance / tuning.compass_clean**2
+    compass.error += compass.share / (1.0 + wrong) * now.told_turn / now.told
+    compass.share = now.apart / (now.apart + field)
+    compass.error_variance = compass.share * field
+    wanted = compass.share * now.told_angle / now.told
+    compass.settled_s += dt
+    if compass.settled_s > tuning.compass_settles_s:
+        off = wanted - compass.error
+        largest = (math.sqrt(compass.rate_variance) + abs(off) / tuning.compass_finds_s) / (1.0 + wrong) * dt
+        wanted = compass.error + min(max(off, -largest), largest)
+    compass.error = wanted

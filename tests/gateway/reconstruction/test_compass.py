@@ -1,0 +1,181 @@
+"""The field beside the filter: what it turns, what it may not turn, and how the error is shared out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.emulation.fast_arm import fast_arm, sampled
+from gateway.emulation.random_chains import drawn
+from gateway.geometry.rotation_matrix import from_rotation_vector
+from gateway.reconstruction.inertial.tree import compass as kernels
+from gateway.reconstruction.inertial.tree.reconstructor import JointReconstructor, OutwardReconstructor
+from gateway.reconstruction.inertial.tree.start import start_compass
+from gateway.reconstruction.inertial.tree.state import Heading, chain_body, initial_state, work_space
+from gateway.reconstruction.inertial.tree.tuning import tuning
+from gateway.reconstruction.reconstructor import update_many
+
+DT, SEGMENT = 0.05, 2
+BODY, TUNING = chain_body(fast_arm(), uses_field=True), tuning()
+N = len(BODY.segments)
+
+
+def turned(angle):
+    """The field as a building bends it, the same at all times."""
+    field = from_rotation_vector(np.array([0.0, 0.0, angle])) @ BODY.world.magnetic_field
+    return lambda _: field
+
+
+def watched(seconds, field_at, rate=0.0):
+    """The compass of a level segment whose heading is right; rate: at which it is taken to turn, rad/s."""
+    segment, work = initial_state(N, 1).segments[SEGMENT], work_space(N)
+    now, expected = work.segments[SEGMENT], work.shared.expected
+    segment.R[...], segment.rate[0] = np.eye(3), rate
+    segment.P[...] = np.diag([1e-6, 1e-6, 1.0, 1e-4, 1e-4, 1e-4])
+    start_compass(segment.compass, TUNING)
+    now.density = TUNING.gyroscope**2
+    kernels.expect_field(expected, BODY.world, TUNING, DT)
+    for k in range(round(seconds / DT)):
+        now.magnetic_field[...] = field_at(k * DT)
+        kernels._drift(segment, now, TUNING, DT)
+        kernels.watch_field(segment, now, BODY.world, expected, TUNING, DT)
+        segment.compass.offset_square = segment.field_watch.error_square / expected.horizontal
+        kernels._look(segment.compass, now, 0.0, TUNING, DT)
+    return segment.compass
+
+
+@pytest.mark.parametrize("angle", [-2.5, -0.1, 0.3, 3.0])
+def test_a_compass_finds_by_what_the_heading_is_off(angle):
+    compass = watched(20.0, turned(angle))
+    assert compass.angle == pytest.approx(angle, abs=0.01)
+    assert abs(compass.angle - angle) < 3.0 * np.sqrt(compass.variance)
+
+
+def test_the_longer_it_looks_the_surer_it_is():
+    variance = [watched(seconds, turned(0.1)).variance for seconds in (1.0, 5.0, 30.0)]
+    assert variance[0] > variance[1] > variance[2]
+
+
+def test_a_heading_that_drifts_is_followed_with_its_rate():
+    drift = np.radians(0.3)
+    compass = watched(60.0, lambda t: turned(drift * t)(t))
+    assert compass.angle == pytest.approx(60.0 * drift, abs=np.radians(3.0))
+
+
+def test_a_field_that_scatters_tells_less_than_one_that_does_not():
+    def scattered(t):
+        return turned(0.5 * np.sin(7.0 * t))(t)
+
+    assert watched(20.0, scattered).variance > 3.0 * watched(20.0, turned(0.0)).variance
+
+
+def test_a_field_that_is_as_it_should_be_while_the_module_turns_is_believed():
+    still, moving = (np.degrees(np.sqrt(watched(30.0, turned(0.0), w).offset_square)) for w in (0.0, 3.0))
+    assert moving < 0.5
+    assert still > 10.0
+
+
+@pytest.mark.parametrize("wrong", [lambda h: 1.1 * h, lambda h: h * [1.0, 1.0, 0.8]])
+def test_one_that_is_stronger_or_flatter_is_believed_no_more_for_turning(wrong):
+    offset = np.sqrt(watched(30.0, lambda _: wrong(BODY.world.magnetic_field), 3.0).offset_square)
+    assert np.degrees(offset) > 5.0
+
+
+@given(
+    parents=st.lists(st.integers(0, 100), min_size=1, max_size=7),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed):
+    """(32) beside one dense system; the root free to move at once."""
+    rng = np.random.default_rng(seed)
+    parents = [-1, *(p % (s + 1) for s, p in enumerate(parents))]
+    n = len(parents)
+    body, state, work = replace_parents(parents), initial_state(n, 0), work_space(n)
+    for s, segment in enumerate(state.segments):
+        segment.started, segment.heading = kernels.STARTED, Heading.OBSERVED.value
+        segment.P[2, 2] = rng.uniform(0.1, 0.2)
+        segment.C[2, 2] = rng.uniform(0.0, 0.09)
+        start_compass(segment.compass, TUNING)
+        segment.compass.seconds = 1.0 if rng.random() < 0.8 or s == 0 else 0.0
+        segment.compass.angle = rng.normal(0.0, 0.3)
+        segment.compass.error = rng.normal(0.0, 0.1)
+        segment.compass.variance = rng.uniform(0.001, 0.1)
+        segment.compass.offset_square = rng.uniform(0.0, 0.1)
+    before = np.array([segment.compass.error for segment in state.segments])
+    kernels._share(body, state, TUNING, work, DT)
+
+    compasses = [segment.compass for segment in state.segments]
+    seen = np.array([c.seconds > 0.0 for c in compasses])
+    apart = np.array([now.apart for now in work.segments])
+    angle = np.array([c.angle for c in compasses])
+    variance = kernels._compass_variance(body.segments, state.segments, work.segments, TUNING)
+    weight = np.where(seen, 1.0 / (variance + (angle - before) ** 2), 0.0)
+    # the mean of all as the chain hangs together; then a root between that and the filter
+    A, b = np.diag(weight), weight * angle
+    for s, p in enumerate(parents[1:], start=1):
+        A[np.ix_([s, p], [s, p])] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / apart[s]
+    spread = np.linalg.inv(A)
+    mean = spread @ b
+    share = apart[0] / (apart[0] + variance + spread[0, 0])
+    assert compasses[0].error == pytest.approx(share * mean[0])
+    if n > 1:  # given the root, the others
+        rest = np.linalg.solve(A[1:, 1:], b[1:] - A[1:, 0] * compasses[0].error)
+        np.testing.assert_allclose([c.error for c in compasses[1:]], rest, atol=1e-9)
+
+
+def replace_parents(parents):
+    """A body whose segments have these parents."""
+    body = chain_body(drawn(5001).suit, uses_field=True)
+    segments = np.zeros(len(parents), body.segments.dtype).view(type(body.segments))
+    segments["parent"] = parents
+    return body._replace(segments=segments)
+
+
+CHAIN = drawn(5001)
+
+
+def poses(method, bend=None, uses=True):
+    """The filter's orientations and the poses of a chain in a field that ``bend(t, segment)`` turns."""
+    frames = sampled(CHAIN.suit, CHAIN.motion, CHAIN.switches, CHAIN.seed, 100.0)[:1500]
+    if bend is not None:
+        frames = [replace(f, magnetic_field=bend(f)) for f in frames]
+    reconstructor = method(CHAIN.suit, 0.01)
+    found = update_many(reconstructor, frames)
+    return reconstructor, found
+
+
+@pytest.mark.parametrize("method", [JointReconstructor, OutwardReconstructor])
+def test_no_field_after_the_first_reaches_the_filter(method):
+    """Iron that comes near turns what is published, never what motion has shown."""
+
+    def bend(frame):
+        return frame.magnetic_field * 1.4 if frame.time_ns > 1e9 else frame.magnetic_field
+
+    plain, _ = poses(method)
+    bent, _ = poses(method, bend)
+    assert (plain.state()["segments"]["compass"] != bent.state()["segments"]["compass"]).any()
+    for one, other in zip(plain._state.segments, bent._state.segments, strict=True):
+        np.testing.assert_array_equal(one.R, other.R)
+        np.testing.assert_array_equal(one.P, other.P)
+        np.testing.assert_array_equal(one.bias, other.bias)
+
+
+def test_iron_beside_one_module_does_not_turn_it_against_its_neighbours():
+    """A quarter of a turn on one module, after its heading was shown by motion."""
+    turn = from_rotation_vector(np.array([0.0, 0.0, np.pi / 2]))
+
+    def bend(frame):
+        m = frame.magnetic_field.copy()
+        if frame.time_ns > 8e9:
+            m[1] = turn @ m[1]
+        return m
+
+    _, plain = poses(JointReconstructor)
+    _, bent = poses(JointReconstructor, bend)
+    apart = [
+        2.0 * np.degrees(np.arccos(np.clip(np.abs(np.sum(a.q_wb * b.q_wb, axis=1)), 0.0, 1.0)))
+        for a, b in zip(plain, bent, strict=True)
+    ]
+    assert np.nanmax(apart) < 3.0
