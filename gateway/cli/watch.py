@@ -233,6 +233,10 @@ def view(
             help="Show muscles coloured by activity, of a person of this mass (extra biomech).",
         ),
     ] = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option(metavar="RECORDING", help="Show another recording beside the one that is played, pale."),
+    ] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a broker that is not there yet.")] = False,
 ) -> None:
     """Show the moving body on a page in the browser, live or from a recording.
@@ -244,11 +248,13 @@ def view(
     token = token_for("the page", page_host, token_file, PAGE_TOKEN_VARIABLE, "--token-file")
     looking = looking_token(token, looking_token_file)
     place = _Place(page_host, page_port, token, looking)
+    if compare is not None and recording is None:
+        raise GatewayError("--compare: name the recording that is played, too: view ONE --compare OTHER")
     with contextlib.suppress(KeyboardInterrupt):
         if recording is None:
             asyncio.run(_serve_live(settings, gateway, place, wait, muscles))
         else:
-            asyncio.run(_serve_recording(recording, place, muscles))
+            asyncio.run(_serve_recording(recording, compare, place, muscles))
 
 
 def looking_token(token: AccessToken | None, file: Path | None) -> AccessToken | None:
@@ -320,12 +326,18 @@ async def _serve_live(
         await asyncio.gather(*(viewer.run(waits) for viewer in viewers))
 
 
-async def _serve_recording(recording: Path, place: _Place, muscles_kg: float | None) -> None:
+async def _serve_recording(
+    recording: Path, compare: Path | None, place: _Place, muscles_kg: float | None
+) -> None:
     from gateway.recording import open_recording
 
     with progress_bar(f"reading {recording.name}") as tell:
         opened = open_recording(recording)
         arrays = opened.skeleton_arrays(tell)
+    compared = None
+    if compare is not None:
+        with progress_bar(f"reading {compare.name}") as tell:
+            compared = open_recording(compare).skeleton_arrays(tell)
     async with _page(place) as servers:
         from gateway.viewer.marker_points import recorded_markers
         from gateway.viewer.playback import Playback
@@ -333,7 +345,7 @@ async def _serve_recording(recording: Path, place: _Place, muscles_kg: float | N
         markers = recorded_markers(opened, arrays)
         await asyncio.gather(
             *(
-                Playback(server, arrays, recording.stem, markers, muscles_kg).run()
+                Playback(server, arrays, recording.stem, markers, muscles_kg, compared).run()
                 for server in filter(None, servers)
             )
         )

@@ -7,6 +7,7 @@ import viser
 from gateway.frames import Status
 from gateway.recording import SkeletonArrays
 from gateway.viewer.appearance import silent_segments, status_summary
+from gateway.viewer.ghost import Ghost
 from gateway.viewer.marker_points import MarkerScene, ReceivedMarkers, RecordedMarkers
 from gateway.viewer.module_table import recorded_rows, recorded_table
 from gateway.viewer.muscle_wires import ENOUGH_S, MuscleWires, muscle_wires
@@ -32,8 +33,10 @@ class Playback:
         name: str,
         markers: RecordedMarkers | ReceivedMarkers | None = None,
         muscles_kg: float | None = None,
+        compared: SkeletonArrays | None = None,
     ) -> None:
-        """muscles_kg: mass of the person whose muscles are shown; None: none are."""
+        """muscles_kg: mass of the person whose muscles are shown; None: none are. compared: another
+        recording, shown as a pale body. Raises ``GatewayError`` where the two share no segment."""
         self._arrays = arrays
         self._times_s: list[float] = arrays.time_s.tolist()
         self._position_s = 0.0
@@ -54,6 +57,7 @@ class Playback:
         end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
         self._line = server.gui.add_slider("Time s", 0.0, end_s, TIME_LINE_STEP_S, 0.0)
         self._trail = Trail(server, self._stage)
+        self._ghost = None if compared is None else Ghost(server, self._stage, compared, arrays)
         self._line_shown_s = 0.0
         self._drawn = -1
         self._markers = markers
@@ -96,6 +100,8 @@ class Playback:
         self._stage.face(posture.q_wb[0])
         self._scene.draw(posture, is_stale=False, silent=silent)
         self._trail.draw(self._panel.trail.value, self._times_s[index], posture.place)
+        if self._ghost is not None:
+            self._ghost.draw(self._times_s[index], posture)
         if self._wires is not None:
             self._add_undrawn(self._wires, before, index)
             self._wires.draw(self._times_s[index], posture)
