@@ -19,7 +19,6 @@ from rich.text import Text
 
 from devices.link import gateway_time_ns
 from gateway.body.skeleton import WornSuit, field_dip_deg
-from gateway.calibration.sensor_control import flash as flash_to
 from gateway.calibration.sensor_feed import fed
 from gateway.calibration.sensor_session import (
     REST_S,
@@ -227,6 +226,7 @@ async def _calibrate(
     is_quiet: bool,
 ) -> dict[int, dict[str, Result | str]]:
     """Listen until it is enough; write to the modules where that is wanted."""
+    from gateway.calibration.sensor_control import flash as flash_to
     from gateway.modules.journal import Journal, default_journal_path
     from gateway.modules.session import suit_session
 
