@@ -19,7 +19,6 @@ from rich.text import Text
 
 from devices.link import gateway_time_ns
 from gateway.body.skeleton import WornSuit, field_dip_deg
-from gateway.calibration.sensor_feed import fed
 from gateway.calibration.sensor_session import (
     REST_S,
     SENSORS,
@@ -244,6 +243,8 @@ async def _calibrate(
 async def _listen(
     operations: ModuleOperations, session: SensorSession, seconds: float, is_quiet: bool
 ) -> None:
+    from gateway.calibration.sensor_feed import fed
+
     stop = asyncio.Event()
     asyncio.get_running_loop().add_signal_handler(signal.SIGINT, stop.set)
     try:

@@ -1,7 +1,7 @@
 """Headings by the magnetic field, beside the tree filter. Compiled.
 
 Motion shows how segments head against each other far better than any field in a building does, and a wrong
-field must not turn what motion has shown. So the filter itself does not see the field. Beside it each module
+field must not turn what motion has shown. So the filter has no row for the field. Beside it each module
 has a compass: how far the filter's heading seems off by its field, and how fast that grows. What is published
 is the filter's heading less the error that compasses and filter together expect: the whole body turns with
 the mean of its compasses, a segment alone as far as the filter does not know its heading against its

@@ -148,7 +148,7 @@ def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> b
     elif is_lost:
         uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
         gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, tuning, dt)
-        if shown_heading(child.heading_sums, tuning)[0] > 0.0:
+        if shown_heading(child, parent, True, tuning)[0] > 0.0:
             return True
     elif now.turn[2] != 0.0 or above.turn[2] != 0.0:
         return False  # this instant's averages are those before the turn
@@ -165,7 +165,8 @@ def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> b
 def _settle_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
     """(55): turn segment s to what motion has shown: against its parent its heading is that, to that
     variance."""
-    variance, angle = shown_heading(state.segments[s].heading_sums, tuning)
+    p = body.segments[s].parent
+    variance, angle = shown_heading(state.segments[s], state.segments[p], True, tuning)
     state.segments[s].heading = OBSERVED
     add_edge(work.segments[s].evidence, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.0, variance)
     turn_beyond(body, state, tuning, work, s, angle)
@@ -241,7 +242,7 @@ def joint_row(joint: Joint, is_unobserved: bool, tuning: Tuning, dt: float) -> N
 
 @compiled
 def _unobserved_joint_row(now: SegmentWork, residual: Three, variance: float) -> None:
-    """(13), (56), heading against the parent unknown: the horizontal parts are only equally long."""
+    """(13), heading against the parent unknown: the horizontal parts are only equally long."""
     u, u_p = now.u, now.u_parent
     H, H_p = skew(u), skew(u_p)
     wide = variance + _horizontal_square(u) + _horizontal_square(u_p)

@@ -187,14 +187,25 @@ def gather_heading(
 
 
 @compiled
-def shown_heading(sums: HeadingSums, tuning: Tuning) -> tuple[float, float]:
-    """(55): variance (rad²) and angle of a heading that motion has shown; variance 0: not yet."""
-    concentration = math.hypot(sums.along, sums.across)
+def shown_heading(segment: Segment, parent: Segment, has_parent: bool, tuning: Tuning) -> tuple[float, float]:
+    """(55), (56): variance (rad²) and angle of a heading that has been shown; variance 0: not yet."""
+    sums, compass, above = segment.heading_sums, segment.compass, parent.compass
+    along, across, length = sums.along, sums.across, sums.length
+    if compass.seconds > 0.0 and (above.seconds > 0.0 or not has_parent):
+        off, variance = compass.angle, compass.variance + compass.offset_square
+        if has_parent:
+            off -= above.angle
+            variance += above.variance + above.offset_square
+        by_field = tuning.heading_density / variance
+        along += by_field * math.cos(off)
+        across -= by_field * math.sin(off)
+        length += by_field
+    concentration = math.hypot(along, across)
     if sums.seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
         return 0.0, 0.0
-    if concentration < tuning.heading_coherence * sums.length:
+    if concentration < tuning.heading_coherence * length:
         return 0.0, 0.0
-    return tuning.heading_density / concentration, math.atan2(sums.across, sums.along)
+    return tuning.heading_density / concentration, math.atan2(across, along)
 
 
 @compiled
