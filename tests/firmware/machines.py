@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import re
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
+
+import pytest
 
 from devices.emulators.firmware_memory import FirmwareMemory
 from tests.patience import PATIENCE_S
@@ -42,6 +45,23 @@ def host_compiler() -> str:
 
         return f"{sys.executable} -m ziglang cc"
     raise NotHere("no C compiler: apt install gcc, or pip install ziglang")
+
+
+def shared_library(built: Path, folder: str, sources: Sequence[str], shim: str) -> ctypes.CDLL:
+    """Build sources of the firmware, and a shim beside the tests, into ``built``; return it, loaded.
+
+    Skips the test where there is no compiler.
+    """
+    try:
+        compiler = host_compiler().split()
+    except NotHere as missing:
+        pytest.skip(str(missing))
+    includes = [f"-I{each}" for each in (REFERENCE, REFERENCE / folder, REFERENCE.parent / "c")]
+    parts = [*(REFERENCE / folder / name for name in sources), Path(__file__).parent / shim]
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC"]
+    command = [*compiler, *strict, *includes, *map(str, parts), "-o", str(built)]
+    subprocess.run(command, check=True, timeout=100)
+    return ctypes.CDLL(str(built))
 
 
 def broken_copy(folder: Path, file: str, right: str, wrong: str) -> Path:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import random
-import subprocess
 import zlib
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from firmware_protocol.commands import ALL_FILES
-from tests.firmware.machines import REFERENCE, NotHere, host_compiler
+from tests.firmware.machines import shared_library
 
 BLOCK, HELD = 512, 484
 """Bytes of a block, and those of a file in it."""
@@ -127,15 +125,7 @@ class Card:
 @pytest.fixture(scope="session")
 def library(tmp_path_factory) -> ctypes.CDLL:
     built = tmp_path_factory.mktemp("recorder") / "recorder.so"
-    try:
-        compiler = host_compiler().split()
-    except NotHere as missing:
-        pytest.skip(str(missing))
-    includes = [f"-I{folder}" for folder in (REFERENCE, REFERENCE / "relay", REFERENCE.parent / "c")]
-    sources = [str(REFERENCE / "relay" / "recorder.c"), str(Path(__file__).parent / "blocks_shim.c")]
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC"]
-    subprocess.run([*compiler, *strict, *includes, *sources, "-o", str(built)], check=True, timeout=100)
-    return ctypes.CDLL(str(built))
+    return shared_library(built, "relay", ["recorder.c"], "blocks_shim.c")
 
 
 @pytest.mark.parametrize("size", [0, 1, HELD - 1, HELD, HELD + 1, 5 * HELD, 9000])

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import subprocess
 from math import radians
-from pathlib import Path
 
 import pytest
 
-from tests.firmware.machines import REFERENCE, NotHere, host_compiler
+from tests.firmware.machines import shared_library
 from tests.firmware.register_models import Felt
 from tests.firmware.shtp_model import COMMANDS, REPORTS, Bno085
 from tests.firmware.test_sensor_drivers import (
@@ -74,15 +72,7 @@ class Driver:
 @pytest.fixture(scope="session")
 def library(tmp_path_factory) -> ctypes.CDLL:
     built = tmp_path_factory.mktemp("hub") / "hub.so"
-    try:
-        compiler = host_compiler().split()
-    except NotHere as missing:
-        pytest.skip(str(missing))
-    includes = [f"-I{folder}" for folder in (REFERENCE, REFERENCE / "sensors", REFERENCE.parent / "c")]
-    sources = [str(REFERENCE / "sensors" / "imu_bno085.c"), str(Path(__file__).parent / "shtp_shim.c")]
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC"]
-    subprocess.run([*compiler, *strict, *includes, *sources, "-o", str(built)], check=True, timeout=100)
-    return ctypes.CDLL(str(built))
+    return shared_library(built, "sensors", ["imu_bno085.c"], "shtp_shim.c")
 
 
 @pytest.fixture

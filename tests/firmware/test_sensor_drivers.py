@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-import subprocess
-from pathlib import Path
 
 import pytest
 
 from firmware_protocol import InertialSample
 from firmware_protocol.device_settings import factory_settings
 from firmware_protocol.fields import layout_of
-from tests.firmware.machines import REFERENCE, NotHere, host_compiler
+from tests.firmware.machines import shared_library
 from tests.firmware.register_models import Felt, Icm42688, Mmc5983
 
 SOURCES = ("icm42688.c", "mmc5983.c", "imu_chips.c")
@@ -98,17 +96,7 @@ class Bus:
 @pytest.fixture(scope="session")
 def library(tmp_path_factory) -> ctypes.CDLL:
     built = tmp_path_factory.mktemp("drivers") / "drivers.so"
-    try:
-        compiler = host_compiler().split()
-    except NotHere as missing:
-        pytest.skip(str(missing))
-    includes = [f"-I{folder}" for folder in (REFERENCE, REFERENCE / "sensors", REFERENCE.parent / "c")]
-    sources = [REFERENCE / "sensors" / name for name in SOURCES] + [Path(__file__).parent / "spi_shim.c"]
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC"]
-    subprocess.run(
-        [*compiler, *strict, *includes, *map(str, sources), "-o", str(built)], check=True, timeout=100
-    )
-    return ctypes.CDLL(str(built))
+    return shared_library(built, "sensors", SOURCES, "spi_shim.c")
 
 
 @pytest.fixture

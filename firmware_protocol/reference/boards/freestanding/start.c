@@ -1,5 +1,6 @@
 /* From reset to main on a Cortex-M: memory set up, stack painted so that its deepest point can be found. */
 #include "start.h"
+#include "board.h"
 
 #include <stddef.h>
 
@@ -32,6 +33,16 @@ size_t board_stack_used(void) {
         ++deepest;
     }
     return (size_t)((const uint8_t *)stack_high - (const uint8_t *)deepest);
+}
+
+uint32_t board_interrupts_off(void) {
+    uint32_t before;
+    __asm__ volatile("mrs %0, primask\n\tcpsid i" : "=r"(before)::"memory");
+    return before;
+}
+
+void board_interrupts_on(uint32_t before) {
+    __asm__ volatile("msr primask, %0" ::"r"(before) : "memory");
 }
 
 void stuck(void) {

@@ -95,16 +95,6 @@ void board_idle(uint32_t most_us) {
     stop(TIMER1);
 }
 
-uint32_t board_interrupts_off(void) {
-    uint32_t before;
-    __asm__ volatile("mrs %0, primask\n\tcpsid i" : "=r"(before)::"memory");
-    return before;
-}
-
-void board_interrupts_on(uint32_t before) {
-    __asm__ volatile("msr primask, %0" ::"r"(before) : "memory");
-}
-
 /* ---- The line ---- */
 
 void board_uart_send(const uint8_t *data, size_t size) {

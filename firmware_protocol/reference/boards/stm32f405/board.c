@@ -124,16 +124,6 @@ void board_idle(uint32_t most_us) {
     TIM2_DIER &= ~BIT(WAKING);
 }
 
-uint32_t board_interrupts_off(void) {
-    uint32_t before;
-    __asm__ volatile("mrs %0, primask\n\tcpsid i" : "=r"(before)::"memory");
-    return before;
-}
-
-void board_interrupts_on(uint32_t before) {
-    __asm__ volatile("msr primask, %0" ::"r"(before) : "memory");
-}
-
 /* ---- The line: byte by byte; a board that has other things to do gives it to DMA2 stream 7 ---- */
 
 void board_uart_send(const uint8_t *data, size_t size) {
