@@ -24,7 +24,8 @@ from gateway.sources.source import Source
 
 _ATTEMPTS = 3
 _ANSWER_S = 0.5
-_LATE_S = 1.0
+_LATE_S = 3.0
+"""For answers to a question that was asked more than once: a busy machine gives all of them later still."""
 _WRITE_S = 1.0
 _IDLE_S = 1.0
 
