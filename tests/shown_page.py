@@ -12,11 +12,11 @@ import pytest
 from gateway.outputs.settings import MqttSettings
 from gateway.support.credentials import AccessToken
 from gateway.viewer.gate import Door, Gate
+from tests.suit_service import GATEWAY
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
 playwright_api = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
 
-GATEWAY = "lab"
 TOKEN = "a-token-of-this-test"
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WAIT_MS = 60_000

@@ -5,16 +5,15 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-import yaml
 
 from gateway.body.rig import load_rig
 from gateway.modules.operations import RequestError
 from gateway.modules.remote import remote_suit
 from gateway.outputs.settings import MqttSettings
 from tests.patience import PATIENCE_S
+from tests.suit_service import GATEWAY, started
 
 pytestmark = pytest.mark.system
-GATEWAY = "lab"
 
 
 @pytest.fixture
@@ -23,20 +22,8 @@ def tumbled(command, mosquitto, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     async def start():
-        emulated = command("emulate", "--rig", "arm_3", "--tumbling", "--imperfections", "uncalibrated",
-                           "--on", "pty", "--json", "--link", tmp_path / "suit")  # fmt: skip
-        await emulated.until_it_says('"url"')
-        config = tmp_path / "gateway.yaml"
-        settings = {
-            "gateway": GATEWAY,
-            "links": [{"name": "suit", "url": str(tmp_path / "suit")}],
-            "rig": "arm_3",
-            "reconstructor": "independent",
-            "allow_device_writes": True,
-            "mqtt": {"port": mosquitto.port},
-        }
-        config.write_text(yaml.safe_dump(settings))
-        gateway = command("run", "-c", config)
+        words = ["--tumbling", "--imperfections", "uncalibrated"]
+        gateway = await started(command, tmp_path, mosquitto.port, "arm_3", *words, allow_device_writes=True)
         await gateway.until_it_says("connected to the MQTT broker")
         return MqttSettings(port=mosquitto.port)
 

@@ -11,7 +11,8 @@ from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeState, describe_body
 from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
-from tests.shown_page import GATEWAY, SIZES, browser_of, new_page, open_tab, page_of
+from tests.shown_page import SIZES, browser_of, new_page, open_tab, page_of
+from tests.suit_service import GATEWAY
 
 pytest.importorskip("axe_playwright_python", reason="axe-playwright-python is not installed")
 

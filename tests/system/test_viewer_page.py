@@ -7,7 +7,6 @@ import json
 
 import aiomqtt
 import pytest
-import yaml
 
 from devices.emulators.local_broker import free_port
 from gateway.body.rig import load_rig
@@ -15,7 +14,8 @@ from gateway.contract.messages import BridgeState, PoseMessage, describe_body
 from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
 from tests.patience import PATIENCE_S
-from tests.shown_page import GATEWAY, SIZES, TOKEN, browser_of, choose, new_page, page_of
+from tests.shown_page import SIZES, TOKEN, browser_of, choose, new_page, page_of
+from tests.suit_service import GATEWAY, started, suit_config
 
 pytestmark = pytest.mark.system
 SKELETON = load_rig("suit_17").skeleton
@@ -85,20 +85,7 @@ async def test_modules_that_share_an_id_are_set_up_on_the_page(
     mosquitto, unused_port, chromium, command, tmp_path, size
 ):
     """Heard, told apart, given ids, assigned and taken back, without a terminal."""
-    emulated = command("emulate", "--rig", "arm_3", "--id-conflict", "--on", "pty", "--json",
-                       "--link", tmp_path / "suit")  # fmt: skip
-    await emulated.until_it_says('"url"')
-    config = tmp_path / "gateway.yaml"
-    settings = {
-        "gateway": GATEWAY,
-        "links": [{"name": "suit", "url": str(tmp_path / "suit")}],
-        "rig": "arm_3",
-        "reconstructor": "independent",
-        "allow_device_writes": True,
-        "mqtt": {"port": mosquitto.port},
-    }
-    config.write_text(yaml.safe_dump(settings))
-    command("run", "-c", config)
+    await started(command, tmp_path, mosquitto.port, "arm_3", "--id-conflict", allow_device_writes=True)
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, size) as (page, _):
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
         await page.get_by_role("tab", name="Set up").click()
@@ -132,19 +119,7 @@ async def test_a_body_is_calibrated_on_the_page(
 ):
     """The steps with what to do and how long, a score for each module; a step again; and in use."""
     monkeypatch.chdir(tmp_path)
-    emulated = command("emulate", "--rig", "suit_lower_7", "--strap-on", "random", "--on", "pty", "--json",
-                       "--link", tmp_path / "suit")  # fmt: skip
-    await emulated.until_it_says('"url"')
-    config = tmp_path / "gateway.yaml"
-    settings = {
-        "gateway": GATEWAY,
-        "links": [{"name": "suit", "url": str(tmp_path / "suit")}],
-        "rig": "suit_lower_7",
-        "reconstructor": "independent",
-        "mqtt": {"port": mosquitto.port},
-    }
-    config.write_text(yaml.safe_dump(settings))
-    command("run", "-c", config)
+    await started(command, tmp_path, mosquitto.port, "suit_lower_7", "--strap-on", "random")
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
         await page.get_by_role("tab", name="Body").click()
@@ -183,9 +158,7 @@ async def test_a_body_that_modules_of_another_maker_move_is_seen_subscribed_to_a
     where = ["--link", tmp_path / "imu"] if medium in ("pty", "slcan") else ["--port", free_port()]
     emulated = command("emulate", "--speaks", maker, "--rig", rig, "--on", medium, *where, *more, "--json")
     links = json.loads(await emulated.until_it_says('"links"'))["links"]
-    config = tmp_path / "gateway.yaml"
-    settings = {"gateway": GATEWAY, "links": links, "rig": rig, "reconstructor": method}
-    config.write_text(yaml.safe_dump(settings | {"mqtt": {"port": mosquitto.port}}))
+    config = suit_config(tmp_path, mosquitto.port, rig, links=links, reconstructor=method)
     gateway = command("record", "-c", config, "--folder", tmp_path, "--name", "walk", "--quiet")
     small = (700, 450)  # every pixel is drawn on the processor, which the gateway needs too
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, small) as (page, _):
