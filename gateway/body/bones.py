@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray
+from gateway.geometry import quaternion
 
 _SIDES = 6
 _AROUND = 2 * np.pi * np.arange(_SIDES) / _SIDES
@@ -44,6 +45,11 @@ class Bones:
     segment: IntArray  # (n,) the segment that carries it
     q_segment_from_bone: FloatArray  # (n, 4) takes the bone's x axis to its direction in the segment
     scale: FloatArray  # (n, 3) length and half widths, m
+
+    def turned(self, q_wb: FloatArray) -> FloatArray:
+        """Return how the bones stand, (n, 4), in a posture q_wb (s, 4)."""
+        pairs = zip(q_wb[self.segment], self.q_segment_from_bone, strict=True)
+        return np.array([quaternion.multiply(q_segment, q_bone) for q_segment, q_bone in pairs])
 
 
 def bones_of(skeleton: Skeleton) -> Bones:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
 
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
@@ -17,14 +16,14 @@ from gateway.calibration.body_session import BodySession
 from gateway.calibration.mounting import history, mounting_event, restore, worn_rig, write_mounted_rig
 from gateway.calibration.quality import Quality
 from gateway.contract.requests import (
-    CALIBRATION_REQUESTS,
-    RESET_REQUESTS,
     AcceptCalibrationRequest,
     BeginCalibrationRequest,
     CalibrationStepRequest,
+    Request,
     RestoreCalibrationRequest,
+    asked,
 )
-from gateway.errors import GatewayError, nearest
+from gateway.errors import GatewayError
 from gateway.pipeline import RESET_EVENT, Pipeline
 from gateway.support.settings_files import find_file
 
@@ -36,18 +35,6 @@ ApplyEvent = Callable[[str, Mapping[str, Any]], dict[str, object]]
 Wear = Callable[[Mapping[str, Any]], Awaitable[None]]
 """Has the suit worn as a ``calibrated`` event says, while poses go on."""
 
-_Model = TypeVar("_Model", bound=BaseModel)
-
-
-def parsed(model: type[_Model], verb: str, data: Mapping[str, Any]) -> _Model:
-    """The data of a request. Raises ``GatewayError`` naming the field."""
-    try:
-        return model.model_validate(dict(data))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise GatewayError(f"{verb}: '{where}': {first['msg']}") from error
-
 
 class ResetControl:
     """The family ``reset``."""
@@ -57,9 +44,7 @@ class ResetControl:
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
         """``heading``, ``full``, ``mounting``. Raises ``GatewayError``."""
-        if verb not in RESET_REQUESTS:
-            raise GatewayError(f"there is no request 'reset/{verb}'{nearest(verb, RESET_REQUESTS)}")
-        request = parsed(RESET_REQUESTS[verb], f"reset/{verb}", data).model_dump()
+        request = asked("reset", verb, data).model_dump()
         facing = float(np.radians(request.get("facing_deg", 0.0)))
         return self._apply_event(RESET_EVENT, {"kind": verb, "facing": facing})
 
@@ -77,7 +62,7 @@ class CalibrationControl:
         self._running: asyncio.Task[None] | None = None
         self._phase = "idle"
         self._ends_at = 0.0
-        self._verbs: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+        self._verbs: dict[str, Callable[[Any], Any]] = {
             "begin": self._begin,
             "step": self._step,
             "status": self._status,
@@ -90,10 +75,8 @@ class CalibrationControl:
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
         """As ``gateway.contract.requests`` says. Raises ``GatewayError``."""
-        if verb not in self._verbs:
-            raise GatewayError(f"there is no request 'calibration/{verb}'{nearest(verb, self._verbs)}")
-        parsed(CALIBRATION_REQUESTS[verb], f"calibration/{verb}", data)
-        found = self._verbs[verb](data)
+        request = asked("calibration", verb, data)
+        found = self._verbs[verb](request)
         answer: dict[str, Any] = await found if asyncio.iscoroutine(found) else found
         return answer
 
@@ -106,9 +89,8 @@ class CalibrationControl:
         """What the new rig file is made from: what was written last, else the one of the configuration."""
         return self.target if self.target.is_file() else find_file(self._rig, "rigs")
 
-    def _begin(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        request = parsed(BeginCalibrationRequest, "calibration/begin", data)
-        self._cancel({})
+    def _begin(self, request: BeginCalibrationRequest) -> dict[str, Any]:
+        self._cancel()
         self._session = BodySession(self._pipeline.suit, request.field)
         self._pipeline.module_stage.on_frame = self._session.add
         self._phase = "ready"
@@ -119,8 +101,8 @@ class CalibrationControl:
             raise GatewayError("no calibration is under way: ask for calibration/begin first")
         return self._session
 
-    def _step(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        request, session = parsed(CalibrationStepRequest, "calibration/step", data), self._needed()
+    def _step(self, request: CalibrationStepRequest) -> dict[str, Any]:
+        session = self._needed()
         step = session.step(request.step)
         if self._running is not None and not self._running.done():
             raise GatewayError(
@@ -145,7 +127,7 @@ class CalibrationControl:
         session.end()
         self._phase = "ready"
 
-    def _status(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+    def _status(self, _request: Request) -> dict[str, Any]:
         if self._session is None:
             return {"phase": "idle"}
         is_busy = self._running is not None and not self._running.done()
@@ -170,17 +152,16 @@ class CalibrationControl:
     def _named(self) -> list[tuple[int, str]]:
         return list(enumerate(self._pipeline.suit.skeleton.segment_names))
 
-    async def _find_result(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+    async def _find_result(self, _request: Request | None = None) -> dict[str, Any]:
         session = self._needed()
         if self._running is not None and not self._running.done():
             raise GatewayError(f"{self._phase}: wait until the step is done")
         self._result = await asyncio.to_thread(session.result)
         return self._result.as_json()
 
-    async def _accept(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        request = parsed(AcceptCalibrationRequest, "calibration/accept", data)
+    async def _accept(self, request: AcceptCalibrationRequest) -> dict[str, Any]:
         if self._result is None:
-            await self._find_result({})
+            await self._find_result()
         assert self._result is not None
         accepted = self._result.accepted(request.segments, request.poor)
         if not accepted:
@@ -190,10 +171,10 @@ class CalibrationControl:
         if request.save:
             kept = write_mounted_rig(self._source(), self.target, accepted)
             answer |= {"file": str(self.target), "earlier": None if kept is None else str(kept)}
-        self._cancel({})
+        self._cancel()
         return answer
 
-    def _cancel(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+    def _cancel(self, _request: Request | None = None) -> dict[str, Any]:
         if self._running is not None:
             self._running.cancel()
         self._running, self._session, self._result = None, None, None
@@ -201,11 +182,10 @@ class CalibrationControl:
         self._phase = "idle"
         return {}
 
-    def _history(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+    def _history(self, _request: Request) -> dict[str, Any]:
         return {"file": str(self.target), "versions": [path.stem for path in history(self.target)]}
 
-    async def _restore(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        request = parsed(RestoreCalibrationRequest, "calibration/restore", data)
+    async def _restore(self, request: RestoreCalibrationRequest) -> dict[str, Any]:
         version = restore(self.target, request.version)
         await self._wear(mounting_event(_as_modules(load_rig(str(self.target)))))
         return {"file": str(self.target), "version": version.stem}

@@ -11,7 +11,6 @@ from typing import Any
 
 from devices.calibration import SensorCalibration
 from gateway.body.skeleton import WornSuit
-from gateway.calibration.control import parsed
 from gateway.calibration.mounting import worn_rig
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_feed import fed
@@ -21,12 +20,12 @@ from gateway.calibration.sensor_session import (
     Result,
     SensorSession,
     advice_on,
-    as_json,
     combined,
+    results_as_json,
     usable,
 )
-from gateway.contract.requests import SENSOR_REQUESTS, AcceptSensorsRequest, BeginSensorsRequest
-from gateway.errors import GatewayError, nearest
+from gateway.contract.requests import AcceptSensorsRequest, BeginSensorsRequest, Request, asked
+from gateway.errors import GatewayError
 from gateway.modules.makers import MakersModules
 from gateway.modules.operations import ModuleOperations
 from gateway.sources.stream import Stream
@@ -50,7 +49,7 @@ class SensorControl:
         self._session: SensorSession | None = None
         self._feeding = contextlib.ExitStack()
         self._found: dict[int, dict[str, Result | str]] | None = None
-        self._verbs: dict[str, Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]] = {
+        self._verbs: dict[str, Callable[[Any], Awaitable[dict[str, Any]]]] = {
             "begin": self._begin,
             "status": self._status,
             "result": self._find,
@@ -60,19 +59,17 @@ class SensorControl:
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
         """As ``gateway.contract.requests`` says. Raises ``GatewayError``."""
-        if verb not in self._verbs:
-            raise GatewayError(f"there is no request 'sensors/{verb}'{nearest(verb, self._verbs)}")
-        parsed(SENSOR_REQUESTS[verb], f"sensors/{verb}", data)
-        return await self._verbs[verb](data)
+        request = asked("sensors", verb, data)
+        return await self._verbs[verb](request)
 
-    async def _begin(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        request, suit = parsed(BeginSensorsRequest, "sensors/begin", data), self._suit()
+    async def _begin(self, request: BeginSensorsRequest) -> dict[str, Any]:
+        suit = self._suit()
         modules = suit.module_ids if request.modules is None else tuple(request.modules)
         if strange := [module for module in modules if module not in suit.module_ids]:
             raise GatewayError(
                 f"the rig has no module {strange[0]}: it has {', '.join(map(str, suit.module_ids))}"
             )
-        await self._cancel({})
+        await self._cancel()
         self._session = SensorSession(
             modules,
             gravity=-float(suit.gravity[2]),
@@ -83,7 +80,7 @@ class SensorControl:
         self._feeding.enter_context(fed(self._session, self._stream, self._makers))
         return {"sensors": list(self._session.sensors), "modules": list(modules)}
 
-    async def _status(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+    async def _status(self, _request: Request) -> dict[str, Any]:
         session = self._session
         if session is None:
             return {"phase": "idle"}
@@ -114,7 +111,7 @@ class SensorControl:
             "enough": session.is_enough(one),
         }
 
-    async def _find(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+    async def _find(self, _request: Request | None = None) -> dict[str, Any]:
         if (session := self._session) is None:
             raise GatewayError("no calibration of sensors is under way: ask for sensors/begin first")
         self._feeding.close()
@@ -122,16 +119,10 @@ class SensorControl:
             self._found = await asyncio.to_thread(
                 lambda: {module: session.results(module) for module in session.modules}
             )
-        return {
-            "modules": {
-                str(module): {sensor: as_json(result) for sensor, result in results.items()}
-                for module, results in self._found.items()
-            }
-        }
+        return {"modules": results_as_json(self._found)}
 
-    async def _accept(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        request = parsed(AcceptSensorsRequest, "sensors/accept", data)
-        await self._find({})
+    async def _accept(self, request: AcceptSensorsRequest) -> dict[str, Any]:
+        await self._find()
         assert self._found is not None
         kept = {module: usable(results, request.poor) for module, results in self._found.items()}
         kept = {module: results for module, results in kept.items() if results}
@@ -139,7 +130,7 @@ class SensorControl:
             raise GatewayError("nothing in the result is good enough to be used: see sensors/result")
         answer: dict[str, Any] = {"accepted": sorted(kept)}
         answer |= await (self._flash(kept) if request.flash else self._write(kept))
-        await self._cancel({})
+        await self._cancel()
         return answer
 
     async def _flash(self, kept: Mapping[int, dict[str, Result | str]]) -> dict[str, Any]:
@@ -160,7 +151,7 @@ class SensorControl:
         await asyncio.to_thread(write_calibrated_rig, source, target, calibrations, None, dip_deg)
         return {"file": str(target), "is_configured": _is_same(target, configured)}
 
-    async def _cancel(self, _data: Mapping[str, Any]) -> dict[str, Any]:
+    async def _cancel(self, _request: Request | None = None) -> dict[str, Any]:
         self._feeding.close()
         self._session, self._found = None, None
         return {}

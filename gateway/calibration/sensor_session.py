@@ -233,8 +233,12 @@ def usable(results: dict[str, Result | str], with_poor: bool) -> dict[str, Resul
     }
 
 
-def as_json(result: Result | str) -> dict[str, object]:
-    """A result for scripts and messages; SI units, µT."""
+def results_as_json(found: Mapping[int, Mapping[str, Result | str]]) -> dict[str, dict[str, object]]:
+    """Results by module and sensor, for scripts and messages; SI units, µT."""
+    return {str(module): {s: _as_json(r) for s, r in results.items()} for module, results in found.items()}
+
+
+def _as_json(result: Result | str) -> dict[str, object]:
     if isinstance(result, str):
         return {"quality": "none", "reasons": [result]}
     quality = {

@@ -26,8 +26,8 @@ from gateway.calibration.sensor_session import (
     Result,
     SensorSession,
     advice_on,
-    as_json,
     combined,
+    results_as_json,
     usable,
 )
 from gateway.calibration.sensors import ENOUGH_COVERAGE, EllipsoidResult, GyrometerResult
@@ -97,11 +97,6 @@ def result_table(found: Mapping[int, Mapping[str, Result | str]]) -> Table:
                 "; ".join(quality.reasons),
             )
     return table
-
-
-def results_as_json(found: Mapping[int, Mapping[str, Result | str]]) -> dict[str, object]:
-    """The same for scripts; SI units, µT."""
-    return {str(module): {s: as_json(r) for s, r in results.items()} for module, results in found.items()}
 
 
 def _bias(sensor: str, result: Result) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from firmware_protocol import MAX_MODULE
 from gateway.contract.names import KEPT_FILE, RECORDING_NAME
+from gateway.errors import GatewayError, nearest
 
 
 class Request(BaseModel):
@@ -381,3 +382,16 @@ REQUEST_FAMILIES: Mapping[str, Mapping[str, type[Request]]] = {
     "sensors": SENSOR_REQUESTS,
     "reset": RESET_REQUESTS,
 }
+
+
+def asked(family: str, verb: str, data: Mapping[str, Any]) -> Request:
+    """Return a request, read. Raises ``GatewayError`` that names the unknown verb, or the wrong field."""
+    verbs = REQUEST_FAMILIES[family]
+    if verb not in verbs:
+        raise GatewayError(f"there is no request '{family}/{verb}'{nearest(verb, verbs)}")
+    try:
+        return verbs[verb].model_validate(dict(data))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise GatewayError(f"{family}/{verb}: '{where}': {first['msg']}") from error

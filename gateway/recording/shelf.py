@@ -14,20 +14,18 @@ from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from mcap.reader import SeekingReader
-from pydantic import ValidationError
 
 from devices import recording_format as fmt
 from devices.recording_file import DAMAGE, LARGEST_RECORD, RecordingError
 from gateway.contract.requests import (
-    RECORDING_REQUESTS,
     ExportRecordingRequest,
     ListRecordingsRequest,
     ReadRecordingRequest,
-    Request,
+    asked,
 )
 from gateway.errors import GatewayError, nearest
 from gateway.frames import SkeletonFrame
@@ -42,7 +40,6 @@ from gateway.settings import RecordingSettings
 Perform = Callable[[str, Mapping[str, Any]], Awaitable[dict[str, Any]]]
 _ENDINGS = frozenset({fmt.SUFFIX, *(each.suffix for each in FORMATS.values())})
 _MB = 1e6
-_Asked = TypeVar("_Asked", bound=Request)
 
 
 class Shelf:
@@ -53,19 +50,24 @@ class Shelf:
         self._folder = Path(settings.folder)
         self._under_way = under_way
         self._exporting = asyncio.Lock()
-        self._verbs: dict[str, Perform] = {"list": self._list, "export": self._export, "read": self._read}
+        self._verbs: dict[str, Callable[[Any], Awaitable[dict[str, Any]]]] = {
+            "list": self._list,
+            "export": self._export,
+            "read": self._read,
+        }
 
     def beside(self, others: Perform) -> Perform:
         """All verbs of the family: these, and those that ``others`` carries out."""
 
         async def perform(verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-            return await self._verbs.get(verb, others)(verb, data)
+            if verb not in self._verbs:
+                return await others(verb, data)
+            return await self._verbs[verb](asked("recording", verb, data))
 
         return perform
 
-    async def _list(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        asked = _parsed(ListRecordingsRequest, verb, data)
-        return await asyncio.to_thread(self._listed, asked.most)
+    async def _list(self, request: ListRecordingsRequest) -> dict[str, Any]:
+        return await asyncio.to_thread(self._listed, request.most)
 
     def _listed(self, most: int) -> dict[str, Any]:
         formats = {name: each.meaning for name, each in FORMATS.items()}
@@ -100,22 +102,20 @@ class Shelf:
             "outline": outline_of(recording),
         }
 
-    async def _export(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        asked = _parsed(ExportRecordingRequest, verb, data)
-        if asked.to not in FORMATS:
-            raise GatewayError(f"there is no format '{asked.to}'{nearest(asked.to, FORMATS)}")
-        path = self._kept(asked.file)
-        command = ["export", str(path), "--to", asked.to, "--force", "--json"]
+    async def _export(self, request: ExportRecordingRequest) -> dict[str, Any]:
+        if request.to not in FORMATS:
+            raise GatewayError(f"there is no format '{request.to}'{nearest(request.to, FORMATS)}")
+        path = self._kept(request.file)
+        command = ["export", str(path), "--to", request.to, "--force", "--json"]
         async with self._exporting:
             written = json.loads(await _said_by(command))[0]
-        return {"file": path.with_suffix(FORMATS[asked.to].suffix).name} | {
+        return {"file": path.with_suffix(FORMATS[request.to].suffix).name} | {
             key: written[key] for key in ("bytes", "frames", "rate_hz", "seconds", "interpolated")
         }
 
-    async def _read(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        asked = _parsed(ReadRecordingRequest, verb, data)
-        path = self._kept(asked.file)
-        piece, size = await asyncio.to_thread(_piece, path, asked.offset, asked.length)
+    async def _read(self, request: ReadRecordingRequest) -> dict[str, Any]:
+        path = self._kept(request.file)
+        piece, size = await asyncio.to_thread(_piece, path, request.offset, request.length)
         return {"file": path.name, "bytes": size, "data": base64.b64encode(piece).decode()}
 
     def _kept(self, name: str) -> Path:
@@ -187,13 +187,3 @@ async def _said_by(arguments: list[str]) -> str:
             (errors.decode(errors="replace").strip() or "the export failed").splitlines()[-1]
         )
     return output.decode()
-
-
-def _parsed(model: type[_Asked], verb: str, data: Mapping[str, Any]) -> _Asked:
-    assert RECORDING_REQUESTS[verb] is model
-    try:
-        return model.model_validate(dict(data))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise GatewayError(f"recording/{verb}: '{where}': {first['msg']}") from error

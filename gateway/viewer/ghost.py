@@ -7,7 +7,6 @@ import viser
 
 from gateway.body.bones import BONE_FACES, BONE_VERTICES, bones_of
 from gateway.errors import GatewayError
-from gateway.geometry import quaternion
 from gateway.recording import SkeletonArrays
 from gateway.viewer.posture import Posture, PostureKeeper
 from gateway.viewer.replaying import RecordedPoses
@@ -66,13 +65,8 @@ class Ghost:
         p_w = posture.p_w - self._stage.middle
         if not (posture.is_placed and beside.is_placed):
             p_w = p_w + beside.place - posture.place
-        segment = self._bones.segment
-        turns = [
-            quaternion.multiply(posture.q_wb[s], q)
-            for s, q in zip(segment, self._bones.q_segment_from_bone, strict=True)
-        ]
-        self._bodies.batched_wxyzs = np.array(turns, np.float32)
-        self._bodies.batched_positions = p_w[segment].astype(np.float32)
+        self._bodies.batched_wxyzs = self._bones.turned(posture.q_wb).astype(np.float32)
+        self._bodies.batched_positions = p_w[self._bones.segment].astype(np.float32)
 
 
 def later_s(arrays: SkeletonArrays, of: SkeletonArrays) -> float:

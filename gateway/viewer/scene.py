@@ -122,11 +122,7 @@ class BodyScene:
 
     def _draw_bones(self, posture: Posture, p_w: FloatArray, of_segments: NDArray[np.uint8]) -> None:
         segment = self._bones.segment
-        wxyz = [
-            quaternion.multiply(posture.q_wb[s], q)
-            for s, q in zip(segment, self._bones.q_segment_from_bone, strict=True)
-        ]
-        self._bodies.batched_wxyzs = np.array(wxyz, np.float32)
+        self._bodies.batched_wxyzs = self._bones.turned(posture.q_wb).astype(np.float32)
         self._bodies.batched_positions = p_w[segment].astype(np.float32)
         colours = of_segments[segment]
         if not np.array_equal(colours, self._colours):

@@ -164,8 +164,7 @@ def _look(compass: Compass, now: SegmentWork, bent: float, tuning: Tuning, dt: f
         first = (compass.scatter + bent) * now.disturbance
         compass.variance = min(first, tuning.unknown_heading**2)
         return
-    off = now.field_off - compass.angle
-    off = math.atan2(math.sin(off), math.cos(off))
+    off = _within_half_a_turn(now.field_off - compass.angle)
     compass.seconds += dt
     weight = max(1.0, abs(off) / math.sqrt(compass.variance + compass.scatter) / tuning.huber)
     noise = (compass.scatter + bent) * tuning.heading_memory_s / dt * weight * now.disturbance
@@ -178,6 +177,12 @@ def _look(compass: Compass, now: SegmentWork, bent: float, tuning: Tuning, dt: f
     compass.rate_variance -= rate_gain * compass.covariance
     compass.covariance -= gain * compass.covariance
     compass.variance -= gain * compass.variance
+
+
+@compiled
+def _within_half_a_turn(angle: float) -> float:
+    """Return the angle, rad, less whole turns."""
+    return math.atan2(math.sin(angle), math.cos(angle))
 
 
 @compiled
@@ -241,8 +246,7 @@ def _compare(
             # each segment began with a heading of which nothing is known; joined, they seem to know more
             known = 1.0 / max(segment.P[2, 2], LEAST_APART) - started / unknown
             now.apart = 1.0 / max(known, 1e-3 / unknown)
-        turn = segment.compass.angle - before
-        now.unwrapped = before + math.atan2(math.sin(turn), math.cos(turn))
+        now.unwrapped = before + _within_half_a_turn(segment.compass.angle - before)
 
 
 @compiled
