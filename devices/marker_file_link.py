@@ -79,7 +79,8 @@ class MarkerFileLink:
         wait_s = (begun_ns + elapsed_ns / self._speed - gateway_time_ns()) * 1e-9
         if wait_s > 0:
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._closing.wait(), wait_s)
+                async with asyncio.timeout(wait_s):
+                    await self._closing.wait()
 
     async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
         """Nothing: a file takes no commands."""

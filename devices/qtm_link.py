@@ -61,7 +61,8 @@ class QtmLink:
             lambda: _Checked(protocol, arrivals, f"QTM at {self.host}:{self.port}"), self.host, self.port
         )
         try:
-            _, self._connection = await asyncio.wait_for(connecting, CONNECT_TIMEOUT_S)
+            async with asyncio.timeout(CONNECT_TIMEOUT_S):
+                _, self._connection = await connecting
         except OSError as error:  # TimeoutError and gaierror among them
             raise connect_error(self.host, self.port, error) from error
         self._arrivals = arrivals

@@ -158,7 +158,8 @@ class _Pace:
         wait_s = (turn_ns - gateway_time_ns()) * 1e-9
         if wait_s > 0:
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._closing.wait(), wait_s)
+                async with asyncio.timeout(wait_s):
+                    await self._closing.wait()
 
 
 def contents_of(link: Link, carries: str = SUIT) -> Mapping[str, str]:

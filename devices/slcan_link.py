@@ -51,7 +51,8 @@ class SlcanLink:
         self.decoder = SlcanDecoder()
         try:
             for command in self._open_commands:
-                await asyncio.wait_for(self._stream.write(command), _COMMAND_TIMEOUT_S)
+                async with asyncio.timeout(_COMMAND_TIMEOUT_S):
+                    await self._stream.write(command)
         except TimeoutError as error:
             await self._stream.close()
             raise LinkError(f"{self.name} takes no commands: is it an slcan adapter, and alive?") from error
@@ -74,6 +75,7 @@ class SlcanLink:
         try:
             # An adapter that is gone, or never was there, need not be told.
             with contextlib.suppress(LinkError, TimeoutError):
-                await asyncio.wait_for(self._stream.write(CLOSE_COMMAND), _COMMAND_TIMEOUT_S)
+                async with asyncio.timeout(_COMMAND_TIMEOUT_S):
+                    await self._stream.write(CLOSE_COMMAND)
         finally:
             await self._stream.close()

@@ -83,7 +83,8 @@ class TcpLink:
             lambda: _Connection(arrivals, f"{self.host}:{self.port}"), self.host, self.port
         )
         try:
-            _, self._connection = await asyncio.wait_for(connecting, self._connect_timeout)
+            async with asyncio.timeout(self._connect_timeout):
+                _, self._connection = await connecting
         except OSError as error:  # TimeoutError and gaierror among them
             raise connect_error(self.host, self.port, error) from error
         self._arrivals = arrivals

@@ -65,7 +65,8 @@ class BrokerOutlet:
 
     async def _end(self) -> None:
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._idle.wait(), 5.0)
+            async with asyncio.timeout(5.0):
+                await self._idle.wait()
         assert self._publishing is not None  # the loop has run it
         await end_tasks(self._publishing)
         self._loop.call_soon(self._loop.stop)

@@ -268,7 +268,8 @@ async def _show_until_done(
                     "the link right?"
                 )
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(stop.wait(), _REFRESH_S)
+                async with asyncio.timeout(_REFRESH_S):
+                    await stop.wait()
 
 
 def _rig_and_links(suit: SuitChoice) -> tuple[str, Sequence[LinkSettings]]:

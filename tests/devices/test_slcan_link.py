@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 
 import can
 import pytest
@@ -51,6 +52,26 @@ async def test_lost_adapter_is_told_and_closing_it_is_quiet(joined):
         async with asyncio.timeout(PATIENCE_S):
             await anext(aiter(link))
     await link.close()
+
+
+@pytest.mark.parametrize("turns", range(4))
+async def test_cancelled_as_its_adapter_is_lost_it_does_not_go_on(monkeypatch, turns):
+    near, _ = loopback_pair("unplugged")
+    written = asyncio.get_running_loop().create_future()
+
+    async def until_lost(_data: bytes) -> None:
+        await written
+
+    monkeypatch.setattr(near, "write", until_lost)
+    closing = asyncio.create_task(SlcanLink(near).close())
+    await asyncio.sleep(0.01)
+    written.set_exception(LinkError("the device was unplugged"))
+    for _ in range(turns):  # of the loop, in which the loss is told on
+        await asyncio.sleep(0)
+    was_closed = closing.done()
+    closing.cancel()
+    with contextlib.nullcontext() if was_closed else pytest.raises(asyncio.CancelledError):
+        await closing
 
 
 async def test_adapter_that_takes_no_commands_is_told(pseudo_terminal, monkeypatch):
