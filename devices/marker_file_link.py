@@ -37,8 +37,10 @@ class MarkerFileLink:
         speed: float | None = 1.0,
         name: str | None = None,
         labels: Sequence[str] = (),
+        person: str | None = None,
     ) -> None:
-        """labels: as markers are to be called that the file spells otherwise."""
+        """labels: as markers are to be called that the file spells otherwise; person: whose they are, where
+        it holds several people's."""
         self.path = Path(path)
         self.name = name or self.path.stem
         self.position = 0
@@ -49,12 +51,13 @@ class MarkerFileLink:
         """Awaited before every frame: for whoever must not be overrun, or is not there yet."""
         self._speed = speed
         self._labels = labels
+        self._person = person
         self._trial: MarkerTrial | None = None
         self._closing = asyncio.Event()
 
     async def open(self) -> None:
         try:
-            self._trial = spelt(read_markers(self.path), self._labels)
+            self._trial = spelt(read_markers(self.path), self._labels, person=self._person)
         except FormatError as error:
             raise LinkError(str(error)) from error
         self.size, self.position = self._trial.n_frames, 0

@@ -72,7 +72,7 @@ def _is_carried(given: Any) -> Any:
     if others:
         what = ", ".join(sorted(foreign))
         raise ValueError(f"'{what}' goes with carries: {', '.join(others)}; this link carries {carries}")
-    return given
+    return told if type(given) is LinkSettings else given
 
 
 def _fields(carries: str) -> Set[str]:
@@ -266,6 +266,19 @@ class RecordingSettings(_Strict):
     )
 
 
+class BodySettings(_Strict):
+    """One more person whose markers come by the same links."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9_-]+$",
+        description="poses are published as those of the gateway <gateway>_<name>, and recorded by that name",
+    )
+    subject: str = Field(min_length=1, description="file of `optical fit`")
+    person: str | None = Field(
+        default=None, min_length=1, description="whose markers, as 'person' of a link of markers"
+    )
+
+
 class LogSettings(_Strict):
     """Logging."""
 
@@ -283,6 +296,11 @@ class GatewaySettings(_Strict):
     )
     links: list[AnyLinkSettings] = Field(min_length=1, description="where bytes come from")
     rig: str = Field(description="which module sits where: name of a shipped rig, or path of a rig file")
+    bodies: list[BodySettings] = Field(
+        default=[],
+        description="further people whose markers come by the links of markers, each solved, published and "
+        "recorded by itself; outputs beside MQTT have the first person alone",
+    )
     reconstructor: str = Field(
         default="joint",
         description=f"one of: {', '.join(sorted(RECONSTRUCTORS))}; or {OPTICAL}, of markers, which is the "
@@ -342,6 +360,15 @@ class GatewaySettings(_Strict):
         if len(set(names)) < len(names):
             raise ValueError("every link needs a name of its own")
         return value
+
+    @model_validator(mode="after")
+    def _bodies_have_markers(self) -> GatewaySettings:
+        names = [body.name for body in self.bodies]
+        if len(set(names)) < len(names):
+            raise ValueError("bodies: every one needs a name of its own")
+        if self.bodies and not any(link.carries == "markers" for link in self.links):
+            raise ValueError("bodies: no link carries markers, of which theirs would be")
+        return self
 
     @field_validator("links")
     @classmethod

@@ -29,43 +29,86 @@ def spelt(
 ) -> MarkerTrial:
     """The trial with its markers called as ``wanted``, where its file spells them otherwise.
 
-    others: further names, each with the label wanted. person: whose markers, by the prefix that they have in
-    the file. Labels that are no spelling of a wanted one stay. Raises ``FormatError`` when the markers of
-    several people fit, or nobody is called ``person``.
+    Arguments and ``FormatError`` as of ``spellings``. Labels that are no spelling of a wanted one stay;
+    another person's markers that bear the name of a wanted one are left out.
+    """
+    found = spellings(trial.labels, wanted, others, person, trial.name)
+    names = set(found.values())
+    kept = [m for m, label in enumerate(trial.labels) if label in found or label not in names]
+    labels = tuple(found.get(trial.labels[m], trial.labels[m]) for m in kept)
+    if len(kept) == len(trial.labels):
+        return replace(trial, labels=labels)
+    return replace(trial, labels=labels, positions=trial.positions[:, kept])
+
+
+def spellings(
+    labels: Sequence[str],
+    wanted: Iterable[str],
+    others: Mapping[str, str] | None = None,
+    person: str | None = None,
+    source: str = "the stream",
+) -> dict[str, str]:
+    """Return which label stands for which of ``wanted``.
+
+    others: further names, each with the label wanted. person: whose markers, by the prefix that they have;
+    None: of the one whose prefix all wanted labels have, else of the only one. Raises ``FormatError``,
+    which names ``source``, when the markers of several people fit, or nobody is called ``person``.
     """
     own = tuple(wanted)
+    owner = person or _owner(own)
     meant = {plain(name): label for name, label in (others or {}).items()}
-    meant |= {plain(label.rpartition(":")[2]): label for label in own} | {
-        plain(label): label for label in own
-    }
-    taken = set(own) & set(trial.labels) if person is None else set()
+    meant |= {plain(label.rpartition(":")[2]): label for label in own}
+    meant |= {plain(_without(label, _owner(own))): label for label in own}
+    meant |= {plain(label): label for label in own}
+    taken = set(own) & set(labels) if person is None else set()
     found = {label: label for label in taken}
-    prefix = _prefix_of(trial, meant, taken, person)
-    for label in trial.labels:
+    prefix = _prefix_of(labels, meant, taken, person, owner, source)
+    for label in labels:
+        if not label or label in found or (person is not None and _is_of_another(label, prefix, meant)):
+            continue
         name = meant.get(plain(_without(label, prefix)))
-        if label and label not in found and name is not None and name not in taken:
+        if name is not None and name not in taken:
             found[label] = name
             taken.add(name)
-    return replace(trial, labels=tuple(found.get(label, label) for label in trial.labels))
+    return found
+
+
+def _owner(labels: Sequence[str]) -> str | None:
+    """The prefix that all of some labels have; None where they have not the same one."""
+    prefixes = {match[1] if (match := _PREFIX.fullmatch(label)) else None for label in labels}
+    return prefixes.pop() if len(prefixes) == 1 and len(labels) >= _ONE_MORE else None
+
+
+def _is_of_another(label: str, prefix: str | None, meant: Mapping[str, str]) -> bool:
+    """Whether a label is that of a wanted marker behind another person's name."""
+    match = _PREFIX.fullmatch(label)
+    return match is not None and match[1] != prefix and plain(match[2]) in meant
 
 
 def _prefix_of(
-    trial: MarkerTrial, meant: Mapping[str, str], taken: set[str], person: str | None
+    labels: Sequence[str],
+    meant: Mapping[str, str],
+    taken: set[str],
+    person: str | None,
+    owner: str | None,
+    source: str,
 ) -> str | None:
-    """What stands before the labels in the file; None where nothing does."""
-    split = [match for match in map(_PREFIX.fullmatch, trial.labels) if match is not None]
+    """What stands before the labels; None where nothing does."""
+    split = [match for match in map(_PREFIX.fullmatch, labels) if match is not None]
     if person is not None:
         everyone = dict.fromkeys(match[1] for match in split)
         if person not in everyone:
             known = f"there are {', '.join(everyone)}" if everyone else "none has a person's name before it"
-            raise FormatError(f"{trial.name}: no markers begin with '{person}': {known}")
+            raise FormatError(f"{source}: no markers begin with '{person}': {known}")
         return person
     prefixes = Counter(match[1] for match in split if plain(match[2]) in meant)
-    without = len(taken) + sum(plain(label) in meant for label in trial.labels if label not in taken)
+    without = len(taken) + sum(plain(label) in meant for label in labels if label not in taken)
     people = [prefix for prefix, count in prefixes.items() if count >= max(without, 1) and count >= _ONE_MORE]
+    if owner in prefixes:
+        return owner
     if len(people) > 1:
         raise FormatError(
-            f"{trial.name}: markers of {' and '.join(people)}: tell whose are meant with --person {people[0]}"
+            f"{source}: markers of {' and '.join(people)}: tell whose are meant with --person {people[0]}"
         )
     return people[0] if people else None
 

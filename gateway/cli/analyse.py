@@ -51,6 +51,10 @@ def analyse_file(
     subject: Annotated[
         str | None, typer.Option("--subject", "-s", help="Subject file of `optical fit`, for trials.")
     ] = None,
+    person: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Whose markers, where trials hold several people's (NAME:LASI)."),
+    ] = None,
     mass: Annotated[
         float | None, typer.Option(min=2, max=400, help="Of the person, kg; else as the trial's file tells.")
     ] = None,
@@ -101,7 +105,7 @@ def analyse_file(
     if folder.exists() and not force:
         raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell_read:
-        arrays, suit, told_kg = _motion(file, subject, tell_read)
+        arrays, suit, told_kg = _motion(file, subject, person, tell_read)
     weighed = _inertia(arrays.skeleton, mass or told_kg, sex, inertia, file)
     measured = _measured(file, forces, suit)
     with progress_bar("torques", is_shown=not as_json) as tell:
@@ -152,7 +156,7 @@ def _muscles(found: Analysis, muscles: str, tell: Callable[[int, int], None]) ->
 
 
 def _motion(
-    file: Path, subject: str | None, tell: Callable[[int, int], None]
+    file: Path, subject: str | None, person: str | None, tell: Callable[[int, int], None]
 ) -> tuple[SkeletonArrays, WornSuit, float | None]:
     """The poses, who made them, and the mass that the file tells, kg."""
     from devices.marker_files import SUFFIXES as MARKER_SUFFIXES
@@ -164,6 +168,8 @@ def _motion(
     if file.suffix.lower() not in MARKER_SUFFIXES:
         if subject is not None:
             raise GatewayError(f"--subject goes with trials of markers (C3D, TRC); {file} is none")
+        if person is not None:
+            raise GatewayError(f"--person goes with trials of markers (C3D, TRC); {file} is none")
         recording = open_recording(file)
         return recording.skeleton_arrays(tell), recording.meta.suit, None
     if subject is None:
@@ -175,7 +181,7 @@ def _motion(
     told = next((trial.parameters[key] for key in MASS_PARAMETERS if trial.parameters.get(key, 0) > 0), None)
     with tempfile.TemporaryDirectory(prefix="mocap-analysis-") as folder:
         target = Path(folder) / "solved.mcap"
-        write_solved_trial(trial, file, suit, subject, target, tell)
+        write_solved_trial(trial, file, suit, subject, target, tell, person)
         return open_recording(target).skeleton_arrays(), suit, told
 
 

@@ -28,7 +28,7 @@ from gateway.errors import GatewayError
 from gateway.reconstruction import BOTH_WAYS, OFFLINE, OPTICAL, PUBLISHED
 from gateway.reconstruction.optical.residual_plot import write_residual_plot
 from gateway.recording.exporters.formats import FORMATS
-from gateway.settings import load_gateway_settings
+from gateway.settings import BodySettings, load_gateway_settings
 from gateway.support.whole_files import writing
 
 if TYPE_CHECKING:
@@ -249,6 +249,10 @@ def _print_fit(found: Fit, outcome: dict[str, object]) -> None:
 
 
 Subject = Annotated[str, typer.Option("--subject", "-s", help="Subject file of `optical fit`.")]
+Person = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Whose markers, where the file holds several people's (NAME:LASI)."),
+]
 WRITERS = {
     "default": Deferred("gateway.recording.optical", "write_solved_trial"),
     BOTH_WAYS: Deferred("gateway.recording.optical", "write_both_ways_trial"),
@@ -266,6 +270,7 @@ Method = Annotated[
 def solve(
     file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
     subject: Subject,
+    person: Person = None,
     method: Method = "default",
     output: Annotated[
         Path | None,
@@ -297,7 +302,7 @@ def solve(
     if method == "default":
         make_ready(OPTICAL)
     with progress_bar("solving", is_shown=not as_json) as tell, writing(target):
-        done = write(trial, file, suit, subject, target, tell)
+        done = write(trial, file, suit, subject, target, tell, person)
     if plot is not None:
         write_residual_plot(done, trial.rate_hz, plot)
     if as_json:
@@ -310,7 +315,13 @@ def solve(
 
 def play(
     file: Annotated[Path, typer.Argument(help="Trial, C3D or TRC.")],
-    subject: Subject,
+    subject: Annotated[
+        list[str],
+        typer.Option(
+            "--subject", "-s", help="Subject file of `optical fit`; once for each person of the file."
+        ),
+    ],
+    person: Person = None,
     method: Method = "default",
     speed: Annotated[str, typer.Option(help="1: as captured, 2: twice as fast, …, max: as it goes.")] = "1",
     config: Annotated[
@@ -323,6 +334,7 @@ def play(
     from devices.marker_file_link import MarkerFileLink
     from devices.marker_files import read_markers
     from gateway.recording.optical import optical_settings
+    from gateway.service.further_bodies import further_bodies
     from gateway.service.service import Service
 
     _writer_of(method)
@@ -331,11 +343,18 @@ def play(
             f"--method {method} wants all frames at once and cannot stream: `mocap-gateway optical solve "
             f"{file} --method {method}`, or leave it out"
         )
-    suit = _subject(subject)
+    if person is not None and len(subject) > 1:
+        raise GatewayError("--person goes with one --subject: of several, each has its own markers' names")
+    suit = _subject(subject[0])
     pace = speed_of(speed)
     trial = read_markers(file)
+    assert suit.markers is not None  # _subject sees to it
+    for each in subject:
+        _refuse_open_names(trial, _subject(each), person)
     make_ready(OPTICAL)
-    settings = optical_settings(subject, trial.rate_hz, f"markers://{file.resolve()}")
+    settings = optical_settings(subject[0], trial.rate_hz, f"markers://{file.resolve()}")
+    bodies = [BodySettings(name=Path(each).stem, subject=each) for each in subject[1:]]
+    settings = settings.model_copy(update={"bodies": bodies})
     if config is not None:
         given = load_gateway_settings(config)
         kept = {
@@ -349,12 +368,14 @@ def play(
     if embedded:
         changes.update(broker="embedded", host="127.0.0.1")
     settings = settings.model_copy(update={"mqtt": settings.mqtt.model_copy(update=changes)})
-    link = MarkerFileLink(
-        file, speed=pace, name="markers", labels=suit.markers.labels if suit.markers else ()
-    )
-    service = Service(settings, suit, [link])
+    labels = suit.markers.labels if len(subject) == 1 else ()  # of several, each finds its own
+    link = MarkerFileLink(file, speed=pace, name="markers", labels=labels, person=person)
+    others = further_bodies(settings)
+    service = Service(settings, suit, [link], others=others)
     link.hold = Brake(service, is_paced=pace is not None).hold
-    typer.echo(f"playing to {settings.mqtt.base_topic}/{settings.gateway}/pose; Ctrl-C ends", err=True)
+    names = [settings.gateway, *(other.gateway for other, _ in others)]
+    topics = ", ".join(f"{settings.mqtt.base_topic}/{name}/pose" for name in names)
+    typer.echo(f"playing to {topics}; Ctrl-C ends", err=True)
     asyncio.run(play_link(service, link, as_json))
     tell_outcome(service, as_json)
 
@@ -372,6 +393,14 @@ def _subject(name: str) -> WornSuit:
     if suit.markers is None:
         raise GatewayError(f"{name} is a rig without markers: --subject wants a file of `optical fit`")
     return suit
+
+
+def _refuse_open_names(trial: MarkerTrial, suit: WornSuit, person: str | None) -> None:
+    """Raise ``FormatError`` where it is open whose markers of a trial are a subject's."""
+    from devices.marker_files.naming import spelt
+
+    assert suit.markers is not None  # _subject sees to it
+    spelt(trial, suit.markers.labels, person=person)
 
 
 def _solve_outcome(done: SolvedTrial) -> dict[str, object]:

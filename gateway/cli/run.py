@@ -15,7 +15,6 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from gateway.body.skeleton import WornSuit
 from gateway.cli.preparing import make_ready, stand_in, told_when_compiling
 from gateway.errors import GatewayError
 from gateway.service.systemd import feed_watchdog, notify
@@ -61,14 +60,16 @@ def _load(config: Path, awaited: str | None = None) -> Service:
     """The service that a configuration describes, or what stands in for it while its method ``awaited`` is
     compiled. Raises ``GatewayError`` with what is wrong in it."""
     from gateway.body.rig import load_rig
+    from gateway.service.further_bodies import further_bodies
     from gateway.service.service import Service
 
     settings = load_gateway_settings(config)
     suit = load_rig(settings.rig, config)
+    others = further_bodies(settings, config)
     if awaited is not None:
         settings = stand_in(settings, log.info)
     with told_when_compiling(log.info):
-        return Service(settings, suit, awaited=awaited)
+        return Service(settings, suit, awaited=awaited, others=others)
 
 
 def _tell(service: Service) -> None:
@@ -89,7 +90,7 @@ class _Supervisor:
         self._task: asyncio.Task[None] | None = None
         self._next: Service | None = None
         """Prepared: it takes over when the running one has ended."""
-        self._former: tuple[GatewaySettings, WornSuit] | None = None
+        self._former: Service | None = None
         """What ran before: gone back to should the new one fail as it starts."""
         self._is_settled = asyncio.Event()
         self._is_settled.set()
@@ -152,11 +153,11 @@ class _Supervisor:
                 raise
             log.error("the changed configuration cannot run, the old one goes on: %s", error)
             former, self._former = self._former, None
-            self._take(Service(*former))
+            self._take(Service(former.settings, former.pipeline.suit, others=former.others))
             return True
         if self._next is None:
             return False
-        self._former = service.settings, service.pipeline.suit
+        self._former = service
         self._take(self._next)
         log.info("configuration read anew")
         return True
@@ -249,6 +250,7 @@ def record(
     """
     from gateway.body.rig import load_rig
     from gateway.doctor.inside import examined
+    from gateway.service.further_bodies import further_bodies
     from gateway.service.service import Service
 
     settings = load_gateway_settings(config)
@@ -260,7 +262,7 @@ def record(
     set_up_logging(settings.log.level, settings.log.format)
     make_ready(fitting_suit(settings, suit).reconstructor)
     with told_when_compiling(partial(typer.echo, err=True)):
-        service = Service(settings, suit)
+        service = Service(settings, suit, others=further_bodies(settings, config))
     service.own_requests.on_examine = partial(examined, service)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))
     status = service.recording.status()

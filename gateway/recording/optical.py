@@ -30,8 +30,8 @@ from gateway.recording.imported import add_solved, imported_session, origin_even
 from gateway.recording.reading import Progress
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
-from gateway.sources.link_settings import LinkSettings
 from gateway.sources.markers import MarkerFrames
+from gateway.sources.markers_link_settings import MarkersLinkSettings
 from gateway.stages.markers import MarkerStage
 
 LINK = "markers"
@@ -86,7 +86,7 @@ class _Fits:
 
 def optical_settings(subject: str, rate_hz: float, url: str, name: str = "optical") -> GatewaySettings:
     """A configuration that plays markers."""
-    return solved_settings(subject, rate_hz, LinkSettings(name=LINK, url=url, carries=CARRIES), name)
+    return solved_settings(subject, rate_hz, MarkersLinkSettings(name=LINK, url=url), name)
 
 
 def write_solved_trial(
@@ -96,10 +96,15 @@ def write_solved_trial(
     subject: str,
     target: Path,
     progress: Progress | None = None,
+    person: str | None = None,
 ) -> SolvedTrial:
-    """Every frame through the pipeline into ``target``. Raises ``RecordingError`` when that exists,
-    OSError as ``open`` does, ``GatewayError`` when the trial has hardly any of the subject's markers."""
-    markers, trial = _called(suit, subject, trial, source)
+    """Every frame through the pipeline into ``target``.
+
+    person: whose markers, as in ``spellings``. Raises ``RecordingError`` when ``target`` exists, OSError as
+    ``open`` does, ``FormatError`` where it is open whose markers are meant, ``GatewayError`` when it has
+    hardly any of them.
+    """
+    markers, trial = _called(suit, subject, trial, source, person)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     pipeline = Pipeline.from_settings(settings, suit)
     pipeline.add_link(LINK, CARRIES)
@@ -127,10 +132,11 @@ def write_published_trial(
     subject: str,
     target: Path,
     progress: Progress | None = None,
+    person: str | None = None,
 ) -> SolvedTrial:
     """The same recording with poses by the published method, which goes through the whole trial several
     times; its suit has the virtual markers as that method found them. Raises as ``write_solved_trial``."""
-    markers, trial = _called(suit, subject, trial, source)
+    markers, trial = _called(suit, subject, trial, source, person)
     began = time.process_time()
     observed = to_world(trial.columns(markers.labels), markers.vertical)
     solved = published_trial(suit.skeleton, markers, observed, trial.rate_hz, progress)
@@ -155,9 +161,10 @@ def write_both_ways_trial(
     subject: str,
     target: Path,
     progress: Progress | None = None,
+    person: str | None = None,
 ) -> SolvedTrial:
     """The same recording with poses that know what comes after a gap. Raises as ``write_solved_trial``."""
-    markers, trial = _called(suit, subject, trial, source)
+    markers, trial = _called(suit, subject, trial, source, person)
     chunks = list(trial_chunks(trial, _BEGUN_NS, LINK))
     receiver = MarkerFrames(markers)
     observed = [frame for chunk in chunks for frame in receiver.receive(chunk)]
@@ -177,13 +184,13 @@ def write_both_ways_trial(
 
 
 def _called(
-    suit: WornSuit, subject: str, trial: MarkerTrial, source: Path
+    suit: WornSuit, subject: str, trial: MarkerTrial, source: Path, person: str | None
 ) -> tuple[BodyMarkers, MarkerTrial]:
     """The subject's markers, and the trial that has some of them, called as the subject has them."""
     markers = suit.markers
     if markers is None:
         raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")
-    called = spelt(trial, markers.labels)
+    called = spelt(trial, markers.labels, person=person)
     shared = sorted(set(markers.labels) & set(called.labels))
     if len(shared) < _FEWEST_MARKERS:
         raise GatewayError(

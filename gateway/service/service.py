@@ -47,6 +47,7 @@ from gateway.pipeline import CALIBRATED_EVENT, INPUT_EVENTS, LOAD_EVENT, Pipelin
 from gateway.recording.control import RecordingControl
 from gateway.recording.shelf import Shelf
 from gateway.service.accounting import balances_of
+from gateway.service.further_bodies import FurtherBody, HandedLink, at_broker
 from gateway.service.host_sender import HostSender
 from gateway.service.observability import Observer
 from gateway.service.overload import SEGMENT_TOPICS, SHED, SIDE_OUTPUTS, TICK_S, LoadWatch
@@ -67,6 +68,8 @@ log = logging.getLogger(__name__)
 REPORT_INTERVAL_S = 10.0
 _POSES_A_TURN = 8
 """Of a link that is never empty; then the event loop has its turn."""
+_LAST_POSES_S = 0.1
+"""After the last chunk, for further people's poses to go out."""
 _MOST_STRANGERS_NAMED = 32
 _TOLD_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
@@ -81,9 +84,13 @@ class Service:
         suit: WornSuit,
         links: Sequence[Link] | None = None,
         awaited: str | None = None,
+        others: Sequence[FurtherBody] = (),
     ) -> None:
-        """awaited: the method that is being compiled meanwhile, and takes over then."""
+        """awaited: the method that is being compiled meanwhile, and takes over then; others: further people
+        whose markers come by the same links."""
         settings = fitting_suit(settings, suit)
+        self.others = others
+        self._handed: dict[str, list[HandedLink]] = {}
         self.settings = settings
         self.has_begun = False
         """Whether all that could keep it from running is open."""
@@ -245,13 +252,36 @@ class Service:
                 asyncio.create_task(kept_running(f"the {asker.name}", asker.run), name=asker.name)
                 for asker in self._askers
             ]
+            others = [
+                asyncio.create_task(_run_beside(other), name=other.settings.gateway)
+                for other in self._other_services()
+            ]
             try:
                 await first_to_end(self._ingest_all(), self.mqtt.until_name_is_taken())
+                await self._until_others_are_done()
             finally:
-                for companion in companions:
+                for companion in (*companions, *others):
                     companion.cancel()
+                await asyncio.gather(*others, return_exceptions=True)
                 await self.recording.stop()
                 await self.requests.stop()
+
+    def _other_services(self) -> list[Service]:
+        """The services of further people, fed by the links of this one."""
+        services = []
+        for settings, suit in self.others:
+            links = [HandedLink(link.name) for link in settings.links]
+            for link in links:
+                self._handed.setdefault(link.name, []).append(link)
+            services.append(Service(at_broker(settings, self.mqtt.port), suit, links))
+        return services
+
+    async def _until_others_are_done(self) -> None:
+        """Wait until further people's services have taken what the links gave."""
+        while not all(link.is_empty for links in self._handed.values() for link in links):  # noqa: ASYNC110
+            await asyncio.sleep(_LAST_POSES_S)
+        if self._handed:
+            await asyncio.sleep(_LAST_POSES_S)
 
     async def _ingest_all(self) -> None:
         async with asyncio.TaskGroup() as group:
@@ -311,6 +341,8 @@ class Service:
     def _take_chunk(self, chunk: Chunk, content: str) -> int:
         """Record a chunk, feed it, hand the poses on; return how many there are."""
         self.recording.chunk(chunk, content)
+        for link in self._handed.get(chunk.link, ()):
+            link.hand(chunk)
         skeleton_frames = self._fed(chunk)
         for frame in skeleton_frames:
             self.recording.skeleton(frame, chunk.arrived_ns)
@@ -433,6 +465,14 @@ class Service:
             frames_before = frames
             if (news := self._strangers.news()) is not None:
                 log.warning("%s", news)
+
+
+async def _run_beside(service: Service) -> None:
+    """A further person's service; should it fail, the first person's goes on."""
+    try:
+        await service.run()
+    except GatewayError as error:
+        log.error("%s ends, the others go on: %s", service.settings.gateway, error)
 
 
 def _links_of(

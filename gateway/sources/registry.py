@@ -17,6 +17,7 @@ from gateway.sources.bno08x import Bno08xLinkSettings, Bno08xSource
 from gateway.sources.gnss.link_settings import GnssLinkSettings
 from gateway.sources.link_settings import LinkSettings
 from gateway.sources.makers import Discovery, MakersCommands, OthersLinkSettings
+from gateway.sources.markers_link_settings import MarkersLinkSettings
 from gateway.sources.mocopi import MocopiLinkSettings, MocopiSource
 from gateway.sources.mti import (
     MtiCanLinkSettings,
@@ -109,7 +110,9 @@ SOURCES: dict[str, SourceKind] = {
     "mvn": SourceKind(MvnSource, MvnLinkSettings),
     "bno08x_rvc": SourceKind(Bno08xSource, Bno08xLinkSettings),
     "mocopi": SourceKind(MocopiSource, MocopiLinkSettings),
-    "markers": SourceKind(Deferred("gateway.sources.markers", "MarkerSource"), refusal=_without_markers),
+    "markers": SourceKind(
+        Deferred("gateway.sources.markers", "MarkerSource"), MarkersLinkSettings, refusal=_without_markers
+    ),
     "heat_maps": SourceKind(_cameras, refusal=_without_cameras),
 }
 """By what a link carries."""

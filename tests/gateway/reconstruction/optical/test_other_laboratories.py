@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from devices.marker_files import MarkerTrial, read_markers
-from devices.marker_files.naming import spelt, without_prefixes
+from devices.marker_files.naming import spellings, spelt, without_prefixes
 from devices.vendor_formats.sheets import FormatError
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import WorldSettings, load_body, worn_without_modules
@@ -20,6 +20,7 @@ from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import FitOptions, fit_body
 from gateway.reconstruction.optical.marker_set import load_marker_set
 from gateway.reconstruction.optical.worn_markers import fitting_set, worn_part
+from gateway.recording import open_recording
 from gateway.recording.optical import write_solved_trial
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[5] / "shared" / "data"))
@@ -122,6 +123,41 @@ def test_the_fit_tells_what_it_leaves_out_and_keeps_the_files_names(gait: list[M
 def test_several_people_are_asked_about(gait, person: str | None, message: str) -> None:
     with pytest.raises(FormatError, match=message):
         fitting_set(beside_another(gait), person)
+
+
+def test_a_subject_finds_its_own_persons_markers_among_two() -> None:
+    wanted = [f"Bob:{label}" for label in LEGS]
+    labels = [f"Eve:{label}" for label in LEGS] + wanted
+    assert spellings(labels, wanted) == {label: label for label in wanted}
+    with_underscores = [label.replace(":", "_") for label in labels]
+    found = spellings(with_underscores, wanted)
+    assert found == {f"Bob_{label}": f"Bob:{label}" for label in LEGS}
+    assert spellings(labels, wanted, person="Eve") == {f"Eve:{label}": f"Bob:{label}" for label in LEGS}
+    with pytest.raises(FormatError, match="markers of Eve and Bob"):
+        spellings(labels, [f"Ann:{label}" for label in LEGS])
+
+
+def test_another_persons_markers_do_not_stand_in_for_the_chosen_ones() -> None:
+    labels = ("Bob:LASI", "Bob:RASI", "Eve:LASI", "Eve:RASI")
+    places = np.arange(12.0).reshape(1, 4, 3)
+    trial = MarkerTrial("two", labels, 100.0, places)
+    found = spelt(trial, ("Bob:LASI", "Bob:RASI"), person="Eve")
+    np.testing.assert_array_equal(found.columns(("Bob:LASI", "Bob:RASI")), places[:, 2:])
+
+
+@needs_data
+def test_whose_markers_a_solved_trial_has_is_told_or_follows_from_the_subject(gait, tmp_path: Path) -> None:
+    both = beside_another(gait)
+    (tmp_path / "t.c3d").touch()
+    for fitted, person in (("Bob", None), ("Eve", None), ("Bob", "Eve")):
+        fit = fit_body(load_marker_set("plug_in_gait"), both, FitOptions(person=fitted))
+        suit = worn_without_modules(fit.skeleton, fit.markers, WorldSettings())
+        target = tmp_path / f"{fitted}_{person}.mcap"
+        done = write_solved_trial(both[1], tmp_path / "t.c3d", suit, "me.yaml", target, person=person)
+        root = open_recording(target).skeleton_arrays().p_w[0, 0]
+        pelvis = both[1].columns(tuple(f"{person or fitted}:{label}" for label in LEGS[:4]))[0].mean(axis=0)
+        assert np.linalg.norm(root - pelvis) < 0.15
+        assert done.rmse < 0.01
 
 
 @needs_data

@@ -1,0 +1,107 @@
+"""Several people before one optical system: a service of its own for each, fed with what the links of the
+first one give."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+
+from devices.link import Chunk, Framing
+from gateway.body.rig import load_rig
+from gateway.body.skeleton import WornSuit
+from gateway.errors import SettingsError
+from gateway.outputs.settings import OutputsSettings
+from gateway.settings import BodySettings, GatewaySettings, MetricsSettings
+
+log = logging.getLogger(__name__)
+
+_MOST_WAITING = 2000
+"""Chunks that wait for a body that is not solved fast enough; then the newest are left out."""
+
+FurtherBody = tuple[GatewaySettings, WornSuit]
+
+
+def further_bodies(settings: GatewaySettings, config: Path | None = None) -> list[FurtherBody]:
+    """Return the settings and the subject of each of ``bodies``, whose files may lie beside ``config``.
+
+    Raises ``SettingsError`` for a subject without markers, and as ``load_rig`` does.
+    """
+    return [(_settings_of(settings, body), _subject_of(body, config)) for body in settings.bodies]
+
+
+def _subject_of(body: BodySettings, config: Path | None) -> WornSuit:
+    suit = load_rig(body.subject, config)
+    if suit.markers is None:
+        raise SettingsError(
+            f"bodies: {body.name}: '{body.subject}' is no subject with markers: name a file of `optical fit`"
+        )
+    return suit
+
+
+def _settings_of(settings: GatewaySettings, body: BodySettings) -> GatewaySettings:
+    """Those of one further body: the links of markers, a name of its own, no other outputs and ports."""
+    links = [
+        link.model_copy(update={"person": body.person})
+        for link in settings.links
+        if link.carries == "markers"
+    ]
+    kept = settings.recording
+    name = body.name if kept.name is None else f"{kept.name}_{body.name}"
+    changes = {
+        "gateway": f"{settings.gateway}_{body.name}",
+        "links": links,
+        "rig": body.subject,
+        "bodies": [],
+        "outputs": OutputsSettings(),
+        "metrics": MetricsSettings(),
+        "recording": kept.model_copy(update={"name": name}),
+        "mqtt": settings.mqtt.model_copy(update={"client_id": None}),
+    }
+    return settings.model_copy(update=changes)
+
+
+def at_broker(settings: GatewaySettings, port: int) -> GatewaySettings:
+    """The settings with the broker that the first body's service has started, or found, at ``port``."""
+    changes: dict[str, object] = {"broker": "external", "port": port, "websocket_port": None}
+    return settings.model_copy(update={"mqtt": settings.mqtt.model_copy(update=changes)})
+
+
+class HandedLink:
+    """A link whose chunks another service reads, and hands on."""
+
+    framing = Framing.BYTE_STREAM
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.left_out = 0
+        """Chunks that came while too many waited."""
+        self._waiting: asyncio.Queue[Chunk] = asyncio.Queue(_MOST_WAITING)
+
+    def hand(self, chunk: Chunk) -> None:
+        """Take a chunk, without waiting."""
+        try:
+            self._waiting.put_nowait(chunk)
+        except asyncio.QueueFull:
+            self.left_out += 1
+            if self.left_out == 1:
+                log.warning("%s: chunks are left out: this machine does not keep up", self.name)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether all that was handed over has been taken."""
+        return self._waiting.empty()
+
+    async def open(self) -> None:
+        """Nothing: the other service has opened it."""
+
+    async def __aiter__(self) -> AsyncIterator[Chunk]:
+        while True:
+            yield await self._waiting.get()
+
+    async def write(self, data: bytes, to: Sequence[str] = ()) -> None:
+        """Nothing: an optical system takes no commands."""
+
+    async def close(self) -> None:
+        """Nothing: the other service closes it."""
