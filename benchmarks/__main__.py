@@ -35,6 +35,7 @@ SUITES = (
     "sun",
     "soak",
     "fuzz",
+    "damage",
     "overload",
     "held",
     "running",
