@@ -49,11 +49,13 @@ class Ghost:
             receive_shadow=False,
         )
         self._is_wanted = server.gui.add_checkbox("Compared body", initial_value=True)
+        self._is_apart = server.gui.add_checkbox("… at its own place", initial_value=False)
 
     def draw(self, time_s: float, beside: Posture) -> None:
         """Show it at a time of the recording on the page, s; hidden where its own recording has nothing.
 
-        It stands where ``beside`` does, unless both know their places.
+        It stands where ``beside`` does, unless its own place is wanted: two walks that were added up from
+        steps are soon apart, and then no posture can be compared.
         """
         has = self._poses.times_s[0] <= time_s - self._later_s <= self._poses.times_s[-1]
         is_visible = has and self._is_wanted.value
@@ -63,7 +65,7 @@ class Ghost:
             return
         posture = self._keeper.take(self._poses.pose(self._poses.index_at(time_s - self._later_s)))
         p_w = posture.p_w - self._stage.middle
-        if not (posture.is_placed and beside.is_placed):
+        if not (self._is_apart.value and posture.is_placed and beside.is_placed):
             p_w = p_w + beside.place - posture.place
         self._bodies.batched_wxyzs = self._bones.turned(posture.q_wb).astype(np.float32)
         self._bodies.batched_positions = p_w[self._bones.segment].astype(np.float32)

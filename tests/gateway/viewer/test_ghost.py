@@ -78,6 +78,17 @@ def test_recordings_of_other_times_begin_together():
     assert later_s(standing(), standing(first_ns=10**12)) == 0.0
 
 
+def test_it_stands_at_its_own_place_when_that_is_wanted(server):
+    here, there = (replace(standing(), p_w=np.full((N_FRAMES, 17, 3), metres)) for metres in (1.0, 3.0))
+    playback = Playback(server, here, "one", compared=there)
+    playback.advance(0.1)
+    beside = np.array(playback._ghost._bodies.batched_positions)
+    playback._ghost._is_apart.value = True
+    playback.advance(0.1)
+    apart = np.array(playback._ghost._bodies.batched_positions)
+    assert apart - beside == pytest.approx(np.full_like(beside, 2.0), abs=1e-4)
+
+
 def test_it_is_hidden_when_it_is_not_wanted(server):
     playback = Playback(server, standing(), "one", compared=standing())
     playback.advance(0.1)
