@@ -21,6 +21,7 @@ SUITES = (
     "signing",
     "latency",
     "outputs",
+    "prediction",
     "viewer",
     "clock",
     "walking",

@@ -25,7 +25,7 @@ from gateway.contract.requests import REQUEST_FAMILIES
 
 Schema = dict[str, Any]
 
-VERSION = "1.0.0"
+VERSION = "1.1.0"
 """Of the contract: the first number changes when an app must be changed."""
 
 _ROOT = "{base_topic}/{gateway}"

@@ -307,6 +307,17 @@ class PoseMessage(Message):
         return value
 
 
+class PredictedPoseMessage(PoseMessage):
+    """A pose extrapolated from the one of the same ``seq``: nothing was measured at its ``t_ns`` yet.
+
+    Orientations turn on with their angular rates and the recent change of these. ``status`` is ``predicted``
+    where a measured orientation was extrapolated; any other says what it says of the pose. ``sigma`` is that
+    of the pose and how far such predictions were off lately; ``acceleration`` is that of the pose."""
+
+    t_ns: int = Field(description="Gateway time that the pose is predicted for, ns.")
+    predicted_from_ns: int = Field(description="Gateway time of the pose that it was extrapolated from, ns.")
+
+
 class SegmentMessage(Message):
     """One segment at one instant: a row of the pose for clients that want no more."""
 
@@ -398,6 +409,10 @@ PUBLICATIONS: tuple[Publication, ...] = (
     Publication(topics.BODY, BodyMessage, qos=1, retain=True),
     Publication(topics.POSE, PoseMessage, qos=0, retain=False),
     Publication(topics.POSE_MSGPACK, PoseMessage, qos=0, retain=False, content_type=MSGPACK),
+    Publication(topics.PREDICTED_POSE, PredictedPoseMessage, qos=0, retain=False),
+    Publication(
+        topics.PREDICTED_POSE_MSGPACK, PredictedPoseMessage, qos=0, retain=False, content_type=MSGPACK
+    ),
     Publication(topics.SEGMENT, SegmentMessage, qos=0, retain=False),
     Publication(topics.MARKERS, MarkersMessage, qos=0, retain=False),
     Publication(topics.MODULE_STATE, ModuleState, qos=1, retain=True),

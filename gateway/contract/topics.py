@@ -12,6 +12,8 @@ BRIDGE_RESPONSE = "bridge/response"
 BODY = "body"
 POSE = "pose"
 POSE_MSGPACK = "pose/msgpack"
+PREDICTED_POSE = "pose/predicted"
+PREDICTED_POSE_MSGPACK = "pose/predicted/msgpack"
 SEGMENT = "segment/{name}"
 MARKERS = "markers"
 MODULE_STATE = "module/{id}/state"
@@ -71,6 +73,16 @@ class Topics:
     def pose_msgpack(self) -> str:
         """The same in MessagePack, where configured."""
         return f"{self.root}/{POSE_MSGPACK}"
+
+    @property
+    def predicted_pose(self) -> str:
+        """The pose of an instant to come, where configured."""
+        return f"{self.root}/{PREDICTED_POSE}"
+
+    @property
+    def predicted_pose_msgpack(self) -> str:
+        """The same in MessagePack."""
+        return f"{self.root}/{PREDICTED_POSE_MSGPACK}"
 
     def segment(self, name: str) -> str:
         """One segment of the poses, where configured."""

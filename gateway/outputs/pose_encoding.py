@@ -24,6 +24,7 @@ from gateway.contract.properties import JSON, MSGPACK, properties_of
 from gateway.contract.topics import Topics
 from gateway.frames import FloatArray, MarkerFit, SkeletonFrame, StatusArray
 from gateway.outputs.output import Thinning
+from gateway.outputs.prediction import Prediction, predictor_of
 from gateway.outputs.settings import MqttSettings, PoseFormat, PoseMap
 
 _ATTRIBUTES: dict[PoseMap, str] = {
@@ -259,6 +260,8 @@ class _PoseTopics(NamedTuple):
 
     pose: str
     pose_msgpack: str
+    predicted: str
+    predicted_msgpack: str
     markers: str
 
 
@@ -272,7 +275,19 @@ class PosePublications:
         angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
         self._encoder = PoseEncoder(skeleton.segment_names, settings.decimals, settings.include, angles)
         self._formats = tuple(settings.pose_formats)
-        self._topics = _PoseTopics(topics.pose, topics.pose_msgpack, topics.markers)
+        self._topics = _PoseTopics(
+            topics.pose,
+            topics.pose_msgpack,
+            topics.predicted_pose,
+            topics.predicted_pose_msgpack,
+            topics.markers,
+        )
+        self._predictor = predictor_of(settings, skeleton)
+        if self._predictor is not None:  # its angles are continuous by themselves
+            angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
+            self._of_predicted = PoseEncoder(
+                skeleton.segment_names, settings.decimals, settings.include, angles
+            )
         self._segment_topics = {name: topics.segment(name) for name in skeleton.segment_names}
         self._segments_due = None if settings.segment_rate is None else Thinning(settings.segment_rate)
         self._markers = markers
@@ -291,6 +306,8 @@ class PosePublications:
             made = [Outgoing(self._topics.pose, self._encoder.encode(frame), self._json)]
         else:
             made = self._of_message(self._encoder.message(frame), has_segments=has_segments)
+        if self._predictor is not None:
+            made += self._predicted(self._predictor.predict(frame))
         if self._markers_due is not None and frame.markers is not None and self.has_segments:
             made += self._of_markers(frame, self._markers_due)
         return made
@@ -307,6 +324,20 @@ class PosePublications:
                 Outgoing(self._segment_topics[name], as_json(segment), self._json)
                 for name, segment in segment_messages(message)
             ]
+        return made
+
+    def _predicted(self, prediction: Prediction) -> list[Outgoing]:
+        """Return a prediction in all formats that are wanted."""
+        if self._formats == (PoseFormat.JSON,):
+            text = self._of_predicted.encode(prediction.frame)[:-1]
+            payload = b'%b,"predicted_from_ns":%d}' % (text, prediction.measured_ns)
+            return [Outgoing(self._topics.predicted, payload, self._json)]
+        message = self._of_predicted.message(prediction.frame)
+        message["predicted_from_ns"] = prediction.measured_ns
+        made = []
+        if PoseFormat.JSON in self._formats:
+            made.append(Outgoing(self._topics.predicted, as_json(message), self._json))
+        made.append(Outgoing(self._topics.predicted_msgpack, as_msgpack(message), self._msgpack))
         return made
 
     def _of_markers(self, frame: SkeletonFrame, due: Thinning) -> list[Outgoing]:

@@ -16,10 +16,16 @@ PASSWORD_VARIABLE = "MOCAP_MQTT_PASSWORD"
 WEBSOCKET_TOKEN_VARIABLE = "MOCAP_WEBSOCKET_TOKEN"
 """Environment variable that may hold the token with which WebSocket clients publish."""
 
+LONGEST_HORIZON_MS = 100.0
+"""Of a prediction: further ahead guesses are worth little, see the table in docs/outputs.md."""
+
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost")
 
 
 ResponsePrefix = Annotated[str, Field(pattern=r"^[^+#$/\s]([^+#\s]*[^+#\s/])?$")]
+
+
+Horizon = Annotated[float, Field(gt=0, le=LONGEST_HORIZON_MS, allow_inf_nan=False)]
 
 
 class PoseMap(StrEnum):
@@ -149,6 +155,12 @@ class MqttSettings(BaseModel):
         default=frozenset({PoseFormat.JSON}),
         min_length=1,
         description="json: on topic pose; msgpack: the same fields as MessagePack on topic pose/msgpack.",
+    )
+    predict_ms: Horizon | Literal["publishing"] | None = Field(
+        default=None,
+        description="Publishes each pose on topic pose/predicted too, extrapolated so far ahead, ms: by how "
+        "much later a consumer shows it. publishing: to the instant at which it is published. None: no such "
+        "topic.",
     )
     segment_rate: float | None = Field(
         default=None,

@@ -23,6 +23,8 @@ def test_topics_are_those_of_the_contract() -> None:
     named |= {topics.pose_msgpack, topics.segment("left_hand")}
     assert {"mocap/lab/pose/msgpack", "mocap/lab/segment/left_hand"} <= named
     named |= {topics.comparison, topics.markers}
+    named |= {topics.predicted_pose, topics.predicted_pose_msgpack}
+    assert {"mocap/lab/pose/predicted", "mocap/lab/pose/predicted/msgpack"} <= named
     assert named == {f"{topics.root}/{each.topic.format(id=7, name='left_hand')}" for each in PUBLICATIONS}
 
 
