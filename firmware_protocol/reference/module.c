@@ -113,6 +113,7 @@ static void work_light(void) {
 void module_act_by_settings(void) {
     const mocap_settings *settings = store_settings();
     imu_setup setup;
+    samples_stop(); /* whoever reads the sensors meanwhile would cut a transfer of theirs in two */
     if (!imu_configure(settings, &setup)) {
         reports_log(MOCAP_LOG_LINE_LEVEL_ERROR, "the inertial sensors do not answer", REPORTS_NO_NUMBER);
     }

@@ -58,7 +58,9 @@ void samples_start(uint16_t rate_dhz) {
 }
 
 void samples_stop(void) {
+    const uint32_t before = board_interrupts_off();
     is_running = false;
+    board_interrupts_on(before);
 }
 
 void samples_trigger(uint16_t number) {

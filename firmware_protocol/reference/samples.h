@@ -20,7 +20,7 @@ typedef struct {
 /* Samples by the timer from now on, this many tenths of a sample each second. */
 void samples_start(uint16_t rate_dhz);
 
-/* Samples no more by the timer. */
+/* Samples no more by the timer: the sensors are not read after this. */
 void samples_stop(void);
 
 /* Takes one now, under the host's number. */
