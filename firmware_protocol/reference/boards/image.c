@@ -1,5 +1,6 @@
 /* Flash as chips have it, in the memory of an emulated one: erasing sets bits, programming clears them, both take time. */
 #include "image.h"
+#include "slots.h"
 
 #define ERASE_US 20000u /* of a slot: a microcontroller's page takes 20 to 40 ms */
 #define PROGRAM_US 50u  /* of a word */
@@ -7,7 +8,7 @@
 
 static bool read(void *context, uint32_t address, uint8_t *data, size_t size) {
     (void)context;
-    if (address > IMAGE_FLASH_SIZE || size > IMAGE_FLASH_SIZE - address) {
+    if (!slots_hold(address, size)) {
         return false;
     }
     memcpy(data, image_bytes() + address, size);
@@ -18,7 +19,7 @@ static bool erase(void *context, uint8_t slot) {
     volatile uint8_t *start = image_bytes() + slot * BOARD_SLOT_SIZE;
     uint32_t at, i;
     (void)context;
-    if (slot > BOARD_RESETS_SLOT) {
+    if (slot >= SLOTS) {
         return false;
     }
     for (at = 0u; at < BOARD_SLOT_SIZE; at += IMAGE_ERASE_STEP) {
@@ -34,7 +35,7 @@ static bool program(void *context, uint32_t address, const uint8_t *data, size_t
     volatile uint8_t *start = image_bytes() + address;
     size_t at;
     (void)context;
-    if (address > IMAGE_FLASH_SIZE || size > IMAGE_FLASH_SIZE - address) {
+    if (!slots_hold(address, size)) {
         return false;
     }
     for (at = 0u; at < size; ++at) {

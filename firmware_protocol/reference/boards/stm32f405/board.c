@@ -10,6 +10,7 @@
 #include "inbox.h"
 #include "outbox.h"
 #include "samples.h"
+#include "slots.h"
 #include "spi.h"
 #include "start.h"
 
@@ -155,21 +156,15 @@ uint32_t board_uart_time_us(size_t size) {
     return (uint32_t)size * (10u * 1000000u / BAUD);
 }
 
-/* ---- Flash: each slot at the begin of a sector of its own ---- */
+/* ---- Flash ---- */
 
 static volatile uint8_t *at(uint32_t address) {
-    const uint32_t sector = FIRST_SECTOR + address / BOARD_SLOT_SIZE;
-    return (volatile uint8_t *)(0x08000000u + sector * SECTOR_SIZE + address % BOARD_SLOT_SIZE);
-}
-
-static bool is_within(uint32_t address, size_t size) {
-    const uint32_t end = (BOARD_RESETS_SLOT + 1u) * BOARD_SLOT_SIZE;
-    return address <= end && size <= end - address;
+    return (volatile uint8_t *)(0x08000000u + FIRST_SECTOR * SECTOR_SIZE + slots_place(address, SECTOR_SIZE));
 }
 
 static bool flash_read(void *context, uint32_t address, uint8_t *data, size_t size) {
     (void)context;
-    if (!is_within(address, size)) {
+    if (!slots_hold(address, size)) {
         return false;
     }
     while (size-- > 0u) {
@@ -196,7 +191,7 @@ static bool flash_end(void) {
 
 static bool flash_erase(void *context, uint8_t slot) {
     (void)context;
-    if (slot > BOARD_RESETS_SLOT) {
+    if (slot >= SLOTS) {
         return false;
     }
     flash_unlock();
@@ -214,7 +209,7 @@ static bool flash_erase(void *context, uint8_t slot) {
 
 /* Byte by byte: bits are cleared alone, and what is programmed has no alignment to speak of. */
 static bool flash_program(void *context, uint32_t address, const uint8_t *data, size_t size) {
-    bool is_good = is_within(address, size);
+    bool is_good = slots_hold(address, size);
     (void)context;
     while (is_good && size-- > 0u) {
         flash_unlock();
