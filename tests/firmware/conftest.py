@@ -12,7 +12,7 @@ import pytest
 
 from devices.emulators.firmware_memory import FirmwareMemory
 from gateway.outputs import connection
-from tests.firmware.machines import BOARDS, Machine, NotHere, build
+from tests.firmware.machines import BOARDS, MEMORIES, Machine, NotHere, build
 from tests.patience import PATIENCE_S
 
 
@@ -48,7 +48,8 @@ def module(program_of: Callable[[str], Path], tmp_path: Path) -> Iterator[Callab
     def make(
         board: str, number: int = 1, *, is_on: bool = True, more: tuple[str, ...] = (), **memory: Any
     ) -> Machine:
-        held = FirmwareMemory.fresh(tmp_path / f"{board}{number}.img", bytes([number] * 12), **memory)
+        kind = MEMORIES.get(board, FirmwareMemory)
+        held = kind.fresh(tmp_path / f"{board}{number}.img", bytes([number] * 12), **memory)
         machine = Machine(program_of(board), held, tmp_path / f"{board}{number}", more)
         machines.append(machine)
         if is_on:

@@ -13,19 +13,24 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import pytest
 
 from devices.emulators.firmware_memory import FirmwareMemory
+from devices.emulators.stored_settings import provision
+from firmware_protocol.flash_slots import SLOT_SIZE
 from tests.patience import PATIENCE_S
 
 REFERENCE = Path(__file__).resolve().parents[2] / "firmware_protocol" / "reference"
-POSIX, QEMU, RELAY, STM32 = "posix", "qemu", "relay", "stm32f405"
-BOARDS = (POSIX, QEMU)
+ESP_IDF = Path(__file__).parent / "esp_idf"
+"""A stand-in for the SDK of the ESP32, which cannot be installed here: its board runs on threads."""
+POSIX, QEMU, ESP32, RELAY, STM32 = "posix", "qemu", "esp32", "relay", "stm32f405"
+BOARDS = (POSIX, QEMU, ESP32)
 PROGRAMS = {
     POSIX: "module_posix",
     QEMU: "module_qemu.elf",
+    ESP32: "module_esp32",
     RELAY: "relay_posix",
     STM32: "module_stm32f405.elf",
 }
@@ -76,10 +81,48 @@ def broken_copy(folder: Path, file: str, right: str, wrong: str) -> Path:
     return copied / "reference"
 
 
+class SectorMemory(FirmwareMemory):
+    """The same with each slot at the begin of a sector of its own, as on the ESP32."""
+
+    @classmethod
+    def fresh(cls, path: Path, unique_id: bytes, **memory: Any) -> SectorMemory:
+        """Make a chip from the factory. Its number is its MAC address: the last six bytes are 0."""
+        settings = memory.pop("settings", None)
+        FirmwareMemory.fresh(path, unique_id[:6] + bytes(6), **memory)
+        page = path.read_bytes()[SLOTS_SIZE : SLOTS_SIZE + 20]
+        with path.open("r+b") as file:
+            file.write(bytes([0xFF]) * SECTORS_SIZE + page)
+        made = cls(path)
+        if settings is not None:
+            provision(made, settings)
+        return made
+
+    def read(self, address: int, n: int) -> bytes:
+        return super().read(_in_sectors(address), n)
+
+    def _write(self, address: int, data: bytes) -> None:
+        super()._write(_in_sectors(address), data)
+
+
+SLOTS_SIZE, SECTOR_SIZE = 3 * SLOT_SIZE, 4096
+SECTORS_SIZE = 3 * SECTOR_SIZE
+
+
+def _in_sectors(address: int) -> int:
+    if address >= SLOTS_SIZE:
+        return address - SLOTS_SIZE + SECTORS_SIZE
+    return address // SLOT_SIZE * SECTOR_SIZE + address % SLOT_SIZE
+
+
+MEMORIES = {ESP32: SectorMemory}
+
+
 def build(board: str, folder: Path, source: Path = REFERENCE, flags: str = "") -> Path:
     """Build the firmware for a board with its own Makefile; return the program. Raises ``NotHere``."""
     if shutil.which("make") is None:
         raise NotHere("no make: apt install make")
+    if board == ESP32:
+        return build_on_stand_in(folder, source)
     variables = [f"BUILD={folder}", f"CFLAGS={flags}"]
     needed = {QEMU: ("arm-none-eabi-gcc", "qemu-system-arm"), STM32: ("arm-none-eabi-gcc",)}.get(board)
     if needed is None:
@@ -90,6 +133,25 @@ def build(board: str, folder: Path, source: Path = REFERENCE, flags: str = "") -
     done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
     return folder / PROGRAMS[board]
+
+
+def sketch_of(folder: Path, source: Path = REFERENCE) -> Path:
+    """Lay the module for an ESP32 into one folder, as its Makefile does; return that."""
+    subprocess.run(["make", "-s", "-C", str(source), "arduino", f"BUILD={folder}"], check=True, timeout=100)
+    return folder / "mocap_module"
+
+
+def build_on_stand_in(folder: Path, source: Path = REFERENCE) -> Path:
+    """Build the module for an ESP32 with the stand-in for its SDK. Raises ``NotHere``."""
+    sketch = sketch_of(folder, source)
+    program = folder / PROGRAMS[ESP32]
+    strict = ["-std=gnu11", "-Wall", "-Wextra", "-Werror", "-O1", "-g", "-pthread"]
+    includes = [f"-I{sketch}", f"-I{ESP_IDF / 'include'}"]
+    sources = [*map(str, sorted(sketch.glob("*.c"))), str(ESP_IDF / "stand_in.c")]
+    command = [*host_compiler().split(), *strict, *includes, *sources, "-o", str(program)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
+    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
+    return program
 
 
 def command_of(program: Path, memory: FirmwareMemory, *more: str) -> list[str]:

@@ -25,13 +25,13 @@ from devices.endpoints import link_from_url
 from devices.link import LinkError
 from devices.setting_values import SETTING_KEYS, encoded_setting
 from firmware_protocol.commands import Verb
-from tests.firmware.machines import POSIX, QEMU, Machine
+from tests.firmware.machines import ESP32, POSIX, QEMU, Machine
 from tests.fixtures.commands import Command
 from tests.patience import PATIENCE_S
 
 pytestmark = [pytest.mark.system]
 
-CUTS = {POSIX: 40, QEMU: 12}
+CUTS = {POSIX: 40, QEMU: 12, ESP32: 30}
 SEED = int(os.environ.get("FIRMWARE_SEED", "28"))
 LATEST = 1.3
 """Of the time that a commit takes: some cuts come after it."""
