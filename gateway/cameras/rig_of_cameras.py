@@ -4,7 +4,7 @@ followed."""
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self, TypeVar
 
@@ -28,6 +28,10 @@ _COUNTS_DIFFER = 2
 """Pictures by which synchronised files may differ in length."""
 _ABSENT_COST = 0.15
 """Of a camera that is taken not to show the person, as a share of the person's size in pictures."""
+
+
+_MOST_UNEQUAL = 1.6
+"""Largest over smallest of the sizes that cameras show one person in: 1.0 to 1.35 where it is one."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,11 @@ class CameraRig:
             masked = self._steering.take(messages)
             self._order(self._steering.orders())
             yield masked
+
+    @property
+    def same_as(self) -> Mapping[int, int]:
+        """People who turned out to be an earlier one, with that one."""
+        return self._steering.same_as
 
     def close(self) -> None:
         """End all processes."""
@@ -196,9 +205,22 @@ def _closest_person(
             continue
         cost = _disagreement(cameras, chosen)
         agreed = cost - _ABSENT_COST * (len(chosen) - n_seeing) < _ABSENT_COST * n_seeing
-        if (agreed or not surely) and (best is None or cost < best[0]):
+        if surely and not (agreed and _is_of_one_size(cameras, chosen)):
+            continue
+        if best is None or cost < best[0]:
             best = cost, chosen
     return None if best is None else best[1]
+
+
+def _is_of_one_size(cameras: Sequence[Camera], chosen: Sequence[Person | None]) -> bool:
+    """Whether what each camera shows is as large as what the others do, where their rays meet."""
+    seeing = [(c, p) for c, p in zip(cameras, chosen, strict=True) if p is not None]
+    hips = _meeting([camera for camera, _ in seeing], [person.hips for _, person in seeing])
+    sizes = [
+        person.radius * float(camera.rotation[2] @ hips + camera.translation[2]) / float(camera.matrix[0, 0])
+        for camera, person in seeing
+    ]
+    return min(sizes) > 0 and max(sizes) <= _MOST_UNEQUAL * min(sizes)
 
 
 def _disagreement(cameras: Sequence[Camera], chosen: Sequence[Person | None]) -> float:

@@ -7,7 +7,7 @@ is found, the cameras look at the next one, and what comes out does not depend o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from devices.cameras.heat_map_messages import HeatMapReceiver, encode_heat_maps, quantised
@@ -48,14 +48,23 @@ class Steering:
         right as the body has them."""
         frames = [heat_map_frame(self._taken, each) for each in messages]
         masked = self._crowd.masked(frames)
-        for person, frame in zip(self._crowd.people, masked, strict=True):
-            person.update(frame)
+        self._crowd.follow(masked)
         self._taken += 1
         return [_encoded(*each) for each in zip(messages, frames, masked, strict=True)]
 
+    @property
+    def same_as(self) -> Mapping[int, int]:
+        """People who turned out to be an earlier one, with that one; no camera looks for them any more."""
+        return self._crowd.same_as
+
     def orders(self) -> Orders:
         """For the picture ``AHEAD`` of the last instant taken."""
-        by_person = [self._orders_of(person.expected_after(AHEAD)) for person in self._crowd.people]
+        by_person = [
+            [Order(True, None) for _ in self._cameras]
+            if index in self.same_as
+            else self._orders_of(person.expected_after(AHEAD))
+            for index, person in enumerate(self._crowd.people)
+        ]
         return [list(each) for each in zip(*by_person, strict=True)]
 
     def _orders_of(self, points: FloatArray | None) -> list[Order]:

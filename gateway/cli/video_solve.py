@@ -205,7 +205,11 @@ def looked_at(
             for messages, each in zip(captured, instant, strict=True):
                 messages.append(each)
             tell(done, total)
-        return captured, rig.rate_hz
+        doubles = rig.same_as
+        if doubles and is_shown:
+            told = ", ".join(f"{double + 1} as {first + 1}" for double, first in sorted(doubles.items()))
+            typer.echo(f"note: one person was found more than once ({told}): counted once", err=True)
+        return [each for k, each in enumerate(captured) if k not in doubles], rig.rate_hz
 
 
 def _outcome(done: SolvedVideo, checked: Consistency, n_cameras: int) -> dict[str, Any]:

@@ -6,8 +6,12 @@ their place in the order from then on.
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, HeatMapFrame
@@ -17,9 +21,19 @@ from gateway.reconstruction.video.masking import without_others
 from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor
 from gateway.reconstruction.video.tracker import VideoOptions
 
+_SAME_PERSON_M = 0.2
+"""Median distance of two people's keypoints of one name below which they are one person: the bodies of two
+would stand within each other."""
+_SAME_INSTANTS = 5
+"""In a row, before two are taken for one."""
+
 
 class VideoCrowd:
-    """As many reconstructors as people. Sans-I/O and deterministic."""
+    """As many reconstructors as people. Sans-I/O and deterministic.
+
+    Somebody who was found twice, or something else that was taken for a person and led to one, ends on the
+    same body as another; the later of the two is then given up, so that they do not mask each other for long.
+    """
 
     def __init__(
         self,
@@ -29,20 +43,39 @@ class VideoCrowd:
         options: VideoOptions | None = None,
     ) -> None:
         self.people = [VideoReconstructor(cameras, keypoints, options) for _ in range(n_people)]
+        self.same_as: dict[int, int] = {}
+        """People who turned out to be an earlier one, with that one."""
+        self._instants_together: Counter[tuple[int, int]] = Counter()
 
     def update(self, frames: Sequence[HeatMapFrame]) -> list[VideoPose]:
         """The poses of one instant: one frame of maps for every person, in the order of the start.
 
         Raises ``GatewayError`` when their number is not that of the people.
         """
-        return [person.update(frame) for person, frame in zip(self.people, self.masked(frames), strict=True)]
+        return self.follow(self.masked(frames))
+
+    def follow(self, masked: Sequence[HeatMapFrame]) -> list[VideoPose]:
+        """The poses of one instant by frames that ``masked`` gave."""
+        poses = [person.update(frame) for person, frame in zip(self.people, masked, strict=True)]
+        self._give_up_doubles()
+        return poses
+
+    def _give_up_doubles(self) -> None:
+        places = {i: p for i, each in enumerate(self.people) if (p := each.expected) is not None}
+        left = [index for index in places if index not in self.same_as]
+        for first, second in itertools.combinations(left, 2):
+            apart = float(np.median(np.linalg.norm(places[first] - places[second], axis=1)))
+            pair = first, second
+            self._instants_together[pair] = self._instants_together[pair] + 1 if apart < _SAME_PERSON_M else 0
+            if self._instants_together[pair] >= _SAME_INSTANTS and first not in self.same_as:
+                self.same_as[second] = first
 
     def masked(self, frames: Sequence[HeatMapFrame]) -> list[HeatMapFrame]:
         """The frames of one instant, from each what is another person's taken out, and left and right put
         right; raises as ``update``."""
         if len(frames) != len(self.people):
             raise GatewayError(f"maps of {len(frames)} people for {len(self.people)} who are tracked")
-        expected = [person.expected for person in self.people]
+        expected = [None if i in self.same_as else each.expected for i, each in enumerate(self.people)]
         masked = [self._masked(frame, index, expected) for index, frame in enumerate(frames)]
         return [
             replace(frame, cameras=tuple(person.tracker.put_right(frame.cameras)))
@@ -50,7 +83,10 @@ class VideoCrowd:
         ]
 
     def _masked(self, frame: HeatMapFrame, index: int, expected: Sequence[FloatArray | None]) -> HeatMapFrame:
-        """The maps of a person without the others; as they are until all are known."""
+        """The maps of a person without the others; as they are until all are known; none of one who is
+        given up."""
+        if index in self.same_as:
+            return replace(frame, cameras=(None,) * len(frame.cameras))
         own = expected[index]
         others = [points for i, points in enumerate(expected) if i != index and points is not None]
         if own is None or not others:

@@ -70,6 +70,16 @@ def test_finds_lag_heading_and_axes(lag_s):
     assert found.segments[1].joint_rms_deg < 0.2
 
 
+@pytest.mark.parametrize("own_headings", [False, True])
+def test_a_segment_that_one_never_measured_has_no_figures_and_spoils_no_others(own_headings: bool):
+    first, second = first_and_second()
+    first.q_wb[:, 2] = np.nan
+    found = agreement(first, second, own_headings=own_headings)
+    assert found.segments[2].frames == 0
+    assert np.isnan(found.segments[2].rms_deg)
+    assert all(figures.rms_deg < 0.15 for figures in found.segments[:2])
+
+
 def test_a_segment_that_spins_in_one_of_them_does_not_tell_the_lag():
     """As a hand with one marker may: about any axis, at any speed."""
     first, second = first_and_second(1.2345)

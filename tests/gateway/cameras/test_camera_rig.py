@@ -4,6 +4,7 @@ import os
 import signal
 import socket
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,6 +63,16 @@ def test_people_are_told_apart_whatever_order_the_cameras_see_them_in():
             assert hips == [pytest.approx(person(c, place).hips) for c in CAMERAS]
     with pytest.raises(CameraError, match="--people 3: 2 seen by two cameras"):
         people_in_common(CAMERAS, people, 3)
+
+
+def test_what_is_of_another_size_in_each_camera_is_nobody():
+    people = [[person(c, (0.4, 0.3, 0.0))] for c in CAMERAS]
+    for camera, factor in ((0, 1.0), (1, 2.0)):
+        false = person(CAMERAS[camera], (-0.6, -0.4, 0.0))
+        people[camera].append(replace(false, radius=factor * false.radius))
+    assert len(people_in_common(CAMERAS, people, None)) == 1
+    people[1][1] = person(CAMERAS[1], (-0.6, -0.4, 0.0))
+    assert len(people_in_common(CAMERAS, people, None)) == 2
 
 
 def infos(*rows):

@@ -134,6 +134,26 @@ def test_two_people_cross_without_a_swap():
         crowd.update([HeatMapFrame(0, 0, (None,) * 4)])
 
 
+def test_one_person_found_twice_is_counted_once_and_two_close_by_stay_two():
+    twice = walking(KEYPOINTS, 10, (0.0, 0.0), (0.8, 0.0))
+    crowd = VideoCrowd(CAMERAS, KEYPOINTS, 2)
+    regions = true_regions(CAMERAS, KEYPOINTS, twice.keypoints[0])
+    for f in range(10):
+        frame = rendered(CAMERAS, regions, twice.keypoints[f][None], f)
+        poses = crowd.update([frame, frame])
+        regions = poses[0].regions
+    assert crowd.same_as == {1: 0}
+    assert np.median(np.linalg.norm(poses[0].keypoints - twice.keypoints[-1], axis=1)) < 0.02
+    beside = [walking(KEYPOINTS, 10, (0.0, y), (0.8, 0.0)) for y in (0.0, 0.5)]
+    crowd = VideoCrowd(CAMERAS, KEYPOINTS, 2)
+    seen = [true_regions(CAMERAS, KEYPOINTS, person.keypoints[0]) for person in beside]
+    for f in range(10):
+        shown = [person.keypoints[f][None] for person in beside]
+        poses = crowd.update([rendered(CAMERAS, seen[k], shown[k], f) for k in range(2)])
+        seen = [pose.regions for pose in poses]
+    assert crowd.same_as == {}
+
+
 @pytest.mark.parametrize(("cameras", "limit"), [(3, 0.004), (2, 0.010), (1, 0.25)])
 def test_cameras_that_fall_out_cost_accuracy_and_nothing_else(cameras, limit):
     person = walking(KEYPOINTS, 12, (0.0, 0.0), (0.4, 0.0))
