@@ -136,11 +136,13 @@ class _Supervisor:
     async def _run_once(self) -> bool:
         """One service to its end; True if another one follows."""
         from gateway.doctor.inside import examined
+        from gateway.service.port_choice import PortChoice
         from gateway.service.service import Service
 
         service = self._service
         service.own_requests.on_reload = self._read_anew
         service.own_requests.on_examine = partial(examined, service)
+        service.own_requests.on_connect = PortChoice(self._config, service, self._read_anew).connect
         self._task = asyncio.ensure_future(service.run())
         notify("READY=1", f"STATUS=publishing, configuration {self._config}")
         try:

@@ -34,11 +34,22 @@ class ExamineRequest(Request):
     """What `mocap-gateway doctor` finds of the running gateway, and which ports its computer has."""
 
 
+class ConnectRequest(Request):
+    """Have a link that is not up use another port of the gateway's computer: its url changes in the
+    configuration file, which is read anew."""
+
+    link: str = Field(min_length=1, max_length=40, description="name of a link of the configuration")
+    port: str = Field(
+        min_length=1, max_length=200, description="a port as `gateway/examine` names it: /dev/ttyUSB0, can0"
+    )
+
+
 GATEWAY_REQUESTS: dict[str, type[Request]] = {
     "info": InfoRequest,
     "health": HealthRequest,
     "reload": ReloadRequest,
     "examine": ExamineRequest,
+    "connect": ConnectRequest,
 }
 """Verb to the data it takes."""
 

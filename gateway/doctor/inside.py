@@ -23,7 +23,8 @@ _CAN = "280"
 
 
 async def examined(service: Service, here: Surroundings | None = None) -> dict[str, Any]:
-    """Answer of ``gateway/examine``: findings, and the ports of this computer with the link that uses each.
+    """Answer of ``gateway/examine``: findings, the ports of this computer with the link that uses each, and
+    the links that are not up.
 
     Reading what the system says of ports and disks may take a while: poses go on meanwhile.
     """
@@ -38,7 +39,13 @@ async def examined(service: Service, here: Surroundings | None = None) -> dict[s
         found.append(
             warning("ports", f"no link uses {named}", "if a receiver is there, add it to 'links' (- url: …)")
         )
-    return {"findings": [asdict(finding) for finding in (*looked, *found)], "ports": ports}
+    down = [
+        link.name
+        for link in service.links
+        if isinstance(link, ReconnectingLink) and link.state is not LinkState.UP
+    ]
+    findings = [asdict(finding) for finding in (*looked, *found)]
+    return {"findings": findings, "ports": ports, "links_down": down}
 
 
 def ports_of(links: list[LinkSettings], here: Surroundings) -> list[dict[str, str | None]]:

@@ -1,4 +1,4 @@
-"""Requests about the gateway itself: ``gateway/info``, ``health``, ``reload``, ``examine``."""
+"""Requests about the gateway itself: ``gateway/info``, ``health``, ``reload``, ``examine``, ``connect``."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from gateway.contract.requests import GATEWAY_REQUESTS
-from gateway.errors import GatewayError, nearest
+from gateway.contract.requests import ConnectRequest, asked
+from gateway.errors import GatewayError
 from gateway.outputs.mqtt import MqttOutput
 
 Reload = Callable[[], Awaitable[None]]
 Examine = Callable[[], Awaitable[dict[str, Any]]]
+Connect = Callable[[ConnectRequest], Awaitable[dict[str, Any]]]
+_NO_FILE = "this gateway has no configuration file {}: start it with `mocap-gateway run -c FILE`"
 
 
 class OwnRequests:
@@ -22,15 +24,16 @@ class OwnRequests:
         """Reads the configuration; raises ``GatewayError`` for a wrong one. None: there is no file of it."""
         self.on_examine: Examine | None = None
         """What the doctor finds of this gateway. None: nobody is there to look."""
+        self.on_connect: Connect | None = None
+        """Has a link use another port. None: there is no file of the configuration."""
         self._mqtt = mqtt
         self._reloading = asyncio.Lock()
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
         """Raises ``GatewayError`` with what would do."""
-        if verb not in GATEWAY_REQUESTS:
-            raise GatewayError(f"there is no request 'gateway/{verb}'{nearest(verb, GATEWAY_REQUESTS)}")
-        if data:
-            raise GatewayError(f"gateway/{verb} takes no data, not '{next(iter(data))}'")
+        request = asked("gateway", verb, data)
+        if isinstance(request, ConnectRequest):
+            return await self._connect(request)
         if verb == "reload":
             return await self._reload()
         if verb == "examine":
@@ -40,12 +43,15 @@ class OwnRequests:
         told = self._mqtt.info if verb == "info" else self._mqtt.health()
         return told.model_dump(mode="json")
 
+    async def _connect(self, request: ConnectRequest) -> dict[str, Any]:
+        if self.on_connect is None:
+            raise GatewayError(_NO_FILE.format("to change"))
+        async with self._reloading:
+            return await self.on_connect(request)
+
     async def _reload(self) -> dict[str, Any]:
         if self.on_reload is None:
-            raise GatewayError(
-                "this gateway has no configuration file to read anew: "
-                "start it with `mocap-gateway run -c FILE`"
-            )
+            raise GatewayError(_NO_FILE.format("to read anew"))
         async with self._reloading:
             await self.on_reload()
         return {"reloaded": True}

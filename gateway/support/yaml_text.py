@@ -6,6 +6,8 @@ nests as deep as Python's stack.
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from typing import Any
 
 import yaml
@@ -31,6 +33,24 @@ def load(text: str) -> Any:
         raise _problem(f"a value cannot be read ({error})", None) from error
     finally:
         loader.dispose()
+
+
+def replaced(text: str, place: Sequence[str | int], value: str) -> str:
+    """The text with another value at a place, such as ``("links", 0, "url")``; comments and all else stay.
+
+    Raises ``KeyError`` where nothing stands there, and ``yaml.YAMLError``.
+    """
+    node = yaml.compose(text, yaml.SafeLoader)
+    for step in place:
+        if isinstance(node, MappingNode):
+            node = {key.value: kept for key, kept in node.value}[step]
+        elif isinstance(node, SequenceNode) and isinstance(step, int) and step < len(node.value):
+            node = node.value[step]
+        else:
+            raise KeyError(step)
+    if not isinstance(node, ScalarNode):
+        raise KeyError(place[-1])
+    return text[: node.start_mark.index] + json.dumps(value) + text[node.end_mark.index :]
 
 
 class _Loader(yaml.SafeLoader):

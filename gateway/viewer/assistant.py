@@ -65,6 +65,10 @@ class Assistant(StepTab):
         self._findings = gui.add_html(
             "" if self._examined is None else findings(self._examined, self._language)
         )
+        self._down = gui.add_dropdown(self._say("link_down"), (NOTHING,), visible=False)
+        self._port = gui.add_dropdown(self._say("port"), (NOTHING,), visible=False)
+        self._connect = self._button("connect", self._connect_port, visible=False)
+        self._offer_ports()
         look = self._button("look", self._look)
         self._found = gui.add_html("")
         self._separate = self._button("separate", self._give_own_ids, visible=False)
@@ -77,7 +81,8 @@ class Assistant(StepTab):
         self._write = gui.add_checkbox(self._say("write"), False)
         assign, undo = self._button("assign", self._assign), self._button("undo", self._undo)
         return [
-            *(examine, self._findings, look, self._found, self._separate, self._device, identify, hint),
+            *(examine, self._findings, self._down, self._port, self._connect),
+            *(look, self._found, self._separate, self._device, identify, hint),
             *(self._segment, shake, self._write, assign, undo),
         ]
 
@@ -85,9 +90,25 @@ class Assistant(StepTab):
         self._tell(self._say("examining"))
         self._examined = await self._ask("gateway", "examine", {})
         self._findings.content = findings(self._examined, self._language)
+        self._offer_ports()
         verdicts = [one["verdict"] for one in self._examined["findings"]]
         bad, warnings = verdicts.count("bad"), verdicts.count("warning")
         return self._say("examined", bad=bad, warnings=warnings) if bad or warnings else self._say("all_well")
+
+    def _offer_ports(self) -> None:
+        """Show the choice of a port where a link has none that is there, and one is free."""
+        examined = self._examined or {}
+        down = examined.get("links_down", ())
+        free = [port["name"] for port in examined.get("ports", ()) if port["link"] is None]
+        is_of_use = bool(down and free)
+        if is_of_use:
+            self._down.options, self._port.options = tuple(down), tuple(free)
+        for part in (self._down, self._port, self._connect):
+            part.visible = is_of_use
+
+    async def _connect_port(self) -> str:
+        answer = await self._ask("gateway", "connect", {"link": self._down.value, "port": self._port.value})
+        return self._say("connected", link=answer["link"], url=answer["url"])
 
     async def _look(self) -> str:
         self._tell(self._say("looking"))

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 
 import pytest
 
+from gateway.cli.run import _load as load_service
+from gateway.cli.run import _Supervisor as Supervisor
 from gateway.outputs.settings import MqttSettings
 from gateway.recording import open_recording
+from gateway.settings import load_gateway_settings
 from tests.shown_page import SIZES, choose, open_tab, page_of, press
-from tests.suit_service import GATEWAY, started
+from tests.suit_service import GATEWAY, started, suit_config
 
 pytestmark = pytest.mark.system
 
@@ -75,3 +79,28 @@ async def test_ports_and_findings_are_told_before_anything_is_set_up(
         assert await page.get_by_text("free for recordings in").count() == 1
         await choose(page, 0, "Deutsch")
         await page.get_by_text("Anschlüsse am Rechner des Gateways").wait_for()
+
+
+async def test_a_link_without_a_port_is_given_one_on_the_page(
+    mosquitto, unused_port, chromium, command, tmp_path, monkeypatch
+):
+    """The gateway runs in this process, for only here its computer's ports can be those of an emulator."""
+    (by_id := tmp_path / "by-id").mkdir()
+    monkeypatch.setattr("devices.serial_ports.BY_ID", by_id)
+    port = by_id / "usb-Receiver-if00"
+    suit = command("emulate", "--rig", "arm_3", "--on", "pty", "--json", "--link", port)
+    await suit.until_it_says('"url"')
+    config = suit_config(tmp_path, mosquitto.port, "arm_3")
+    running = asyncio.create_task(Supervisor(config, load_service(config)).run())
+    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
+        await page.get_by_text(f"{GATEWAY}: online").wait_for()
+        await open_tab(page, "Set up")
+        await press(page, "1 · Ports and devices")
+        await page.get_by_text("no such port").first.wait_for()
+        await choose(page, 2, port.name)
+        await press(page, "Use this port")
+        await page.get_by_text("look for modules").wait_for()
+        await page.get_by_text("poses/s").wait_for()
+    assert load_gateway_settings(config).links[0].url == str(port)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
