@@ -136,7 +136,7 @@ class _Supervisor:
     async def _run_once(self) -> bool:
         """One service to its end; True if another one follows."""
         from gateway.doctor.inside import examined
-        from gateway.service.port_choice import PortChoice
+        from gateway.doctor.port_choice import PortChoice
         from gateway.service.service import Service
 
         service = self._service

@@ -11,8 +11,8 @@ import yaml
 from devices.reconnect import LinkState, ReconnectingLink
 from gateway.contract.requests import ConnectRequest
 from gateway.doctor.findings import Surroundings
+from gateway.doctor.port_choice import PortChoice, url_of
 from gateway.errors import GatewayError
-from gateway.service.port_choice import PortChoice, url_of
 from gateway.settings import load_gateway_settings
 from gateway.support import yaml_text
 
