@@ -29,6 +29,8 @@ class C3DLayout:
     start: int
     """Byte of the first frame."""
     processor: int
+    first: int = 1
+    """Number of the first frame; another than 1 where the trial was cut."""
 
     @property
     def value_bytes(self) -> int:
@@ -62,6 +64,11 @@ class C3DFile:
         """Frames a second. Raises ``FormatError``."""
         return _rate(self.content, self.parameters, self.processor, self.path)
 
+    @property
+    def begins_s(self) -> float:
+        """Time of the first frame, of which number 1 is at 0 s. Raises ``FormatError`` as ``rate_hz``."""
+        return max(0, self.layout.first - 1) / self.rate_hz
+
 
 def read_c3d(path: Path) -> MarkerTrial:
     """All points of a file. Raises ``FormatError`` with what was found, and where in the file.
@@ -78,6 +85,7 @@ def read_c3d(path: Path) -> MarkerTrial:
         positions=_points(file.rows(), file.layout) * factor,
         parameters=_scalars(file.parameters),
         metres_per_unit=factor,
+        begins_s=file.begins_s,
     )
 
 
@@ -110,7 +118,7 @@ def _layout(content: bytes, processor: int, parameters: dict[str, Parameter], pa
         raise FormatError(f"{path}: {n_points} points in {n_frames} frames: no marker trajectories")
     if scale == 0 or not np.isfinite(scale) or start < 1:
         raise FormatError(f"{path}: POINT:SCALE {scale:g}, POINT:DATA_START {start}: the file is damaged")
-    return C3DLayout(n_points, int(words[2]), n_frames, scale, (start - 1) * BLOCK, processor)
+    return C3DLayout(n_points, int(words[2]), n_frames, scale, (start - 1) * BLOCK, processor, first)
 
 
 def _long_count(parameters: dict[str, Parameter]) -> int:

@@ -57,6 +57,8 @@ class ForcePlates:
 
     rate_hz: float
     plates: tuple[ForcePlate, ...]
+    begins_s: float = 0.0
+    """Time of the first sample, by the file's own count."""
 
 
 def read_force_plates(path: Path) -> ForcePlates:
@@ -74,7 +76,8 @@ def read_force_plates(path: Path) -> ForcePlates:
         )
     analog = _analog(file, channels)
     rate_hz = file.rate_hz * file.layout.analog_per_frame / channels
-    return ForcePlates(rate_hz, tuple(_plate(file, index, count, analog) for index in range(count)))
+    plates = tuple(_plate(file, index, count, analog) for index in range(count))
+    return ForcePlates(rate_hz, plates, file.begins_s)
 
 
 def _analog(file: C3DFile, channels: int) -> FloatArray:

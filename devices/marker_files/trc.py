@@ -12,6 +12,7 @@ from devices.vendor_formats.sheets import FormatError, read_lines
 
 _HEAD_LINES = 5
 _LEADING = 2  # frame number, time
+_LATEST_S = 1e6
 
 
 def read_trc(path: Path) -> MarkerTrial:
@@ -48,7 +49,18 @@ def read_trc(path: Path) -> MarkerTrial:
     factor = _metres_per_unit(head, path)
     places: FloatArray = np.array(rows).reshape(len(rows), len(labels), 3) * factor
     places[(places == 0).all(axis=2) | ~np.isfinite(places).all(axis=2)] = np.nan
-    return MarkerTrial(path.stem, labels, _positive(head, "DataRate", path), places, {}, factor)
+    rate_hz = _positive(head, "DataRate", path)
+    return MarkerTrial(path.stem, labels, rate_hz, places, {}, factor, _time_of(lines[begin:]))
+
+
+def _time_of(rows: list[str]) -> float:
+    """s, of the first frame; 0 where its field is no time."""
+    fields = next((row for row in rows if row.strip()), "").split("\t")
+    try:
+        time_s = _number(fields[1])
+    except (IndexError, ValueError):
+        return 0.0
+    return time_s if abs(time_s) < _LATEST_S else 0.0
 
 
 def _head(lines: list[str], path: Path) -> dict[str, str]:

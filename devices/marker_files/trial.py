@@ -26,6 +26,8 @@ class MarkerTrial:
     """Numbers that the file tells beside the points, names in capitals, in the file's own units."""
     metres_per_unit: float = 1.0
     """Of the file's lengths."""
+    begins_s: float = 0.0
+    """Time of the first frame, by the file's own count: forces and other files of the trial have it too."""
 
     @property
     def n_frames(self) -> int:

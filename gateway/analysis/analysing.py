@@ -80,6 +80,8 @@ def analyse(
 
     Raises ``GatewayError`` for a motion too short, a cut-off too high, or without mujoco.
     """
+    if measured is not None and arrays.origin_ns is None:  # its time is not that of the plates' file
+        measured = replace(measured, plates=replace(measured.plates, begins_s=0.0))
     take = take_of(arrays, name, Axes.Z_UP)
     root = int(np.flatnonzero(arrays.skeleton.parents < 0)[0])
     motion = smooth_motion(arrays.skeleton, take.time_s, take.q_wb, take.p_w[:, root], cutoff_hz)

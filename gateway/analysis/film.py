@@ -30,7 +30,7 @@ def write_film(
     """
     cv2 = require_opencv()
     scene = scene_of(found)
-    shown = np.arange(0.0, found.time_s[-1], 1.0 / (RATE_HZ * slower))
+    shown = np.arange(found.time_s[0], found.time_s[-1], 1.0 / (RATE_HZ * slower))
     frames = np.searchsorted(found.time_s, shown).clip(0, len(found.time_s) - 1)
     writer = cv2.VideoWriter(str(target), cv2.VideoWriter_fourcc(*_CODEC), float(RATE_HZ), (WIDTH, HEIGHT))
     if not writer.isOpened():

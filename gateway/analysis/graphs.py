@@ -67,7 +67,7 @@ def muscle_map(found: Analysis, muscles: MuscleResult) -> bytes:
     figure, axes = panels(1, 0.115 * len(muscles.names) + 1.0)
     image = axes[0].imshow(
         muscles.activity.T, aspect="auto", cmap="YlOrRd", vmin=0, vmax=1, interpolation="nearest",
-        extent=(0.0, float(found.time_s[-1]), len(muscles.names) - 0.5, -0.5),
+        extent=(float(found.time_s[0]), float(found.time_s[-1]), len(muscles.names) - 0.5, -0.5),
     )  # fmt: skip
     axes[0].set_yticks(range(len(muscles.names)), muscles.names, fontsize=4.5)
     axes[0].set_xlabel("s", fontsize=7)

@@ -40,9 +40,9 @@ than the first in more than the third of a step's frames."""
 def measured_floor(
     plates: ForcePlates, vertical: str, motion: SmoothMotion, free: Dynamics, cutoff_hz: float | None
 ) -> FloorForces:
-    """Forces of the feet from plates whose file has the given axis up; its first sample is at the motion's
-    first frame.
+    """Forces of the feet from plates whose file has the given axis up, and counts time as the motion does.
 
+    Frames at which the plates were not sampled have none.
     cutoff_hz: of a low-pass without lag; that of the motion keeps impacts of both in step (Kristianslund et
     al. 2012). None: as measured.
     """
@@ -51,7 +51,7 @@ def measured_floor(
     paths = sole_paths(carriers, points, free.p_w, free.rotation_wb)
     middles = np.stack([paths[:, carriers == s].mean(axis=1) for s in on], axis=1)  # (F, C, 3)
     frames = len(motion.time_s)
-    samples = np.round((motion.time_s - motion.time_s[0]) * plates.rate_hz).astype(np.int64)
+    samples = np.round((motion.time_s - plates.begins_s) * plates.rate_hz).astype(np.int64)
     force, moment = np.zeros((2, frames, len(on), 3))
     source = np.full((frames, len(on)), Source.NONE, dtype=np.uint8)
     heights = [to_world(plate.centre[None], vertical)[0, 2] for plate in plates.plates]
@@ -60,12 +60,21 @@ def measured_floor(
     is_stair = np.ptp(heights) > LEVEL_M
     if is_stair:
         notes.append("The plates are of different heights: where a foot is on none, no force of it is known.")
+    lasts_s = len(plates.plates[0].force) / plates.rate_hz
+    if motion.time_s[0] > plates.begins_s + lasts_s or motion.time_s[-1] < plates.begins_s:
+        notes.append(
+            f"The plates were sampled from {plates.begins_s:.2f} to {plates.begins_s + lasts_s:.2f} s, the "
+            f"motion from {motion.time_s[0]:.2f} to {motion.time_s[-1]:.2f} s: no force of them is used."
+        )
     for number, stored in enumerate(plates.plates, 1):
         plate = _zeroed(stored, plates.rate_hz)
-        at = samples[samples < len(plate.force)]
+        is_sampled = (samples >= 0) & (samples < len(plate.force))
+        at = samples.clip(0, len(plate.force) - 1)
         turned = _in_world(plate, vertical)
-        smooth = [low_pass(values, plates.rate_hz, cutoff_hz)[at] for values in turned[:2]]
-        for begin, end, first, last in _steps(turned[0][at, 2], motion.time_s):
+        smooth = [
+            low_pass(values, plates.rate_hz, cutoff_hz)[at] * is_sampled[:, None] for values in turned[:2]
+        ]
+        for begin, end, first, last in _steps(turned[0][at, 2] * is_sampled, motion.time_s):
             c, away = _nearest_foot(turned[2][at[begin:end]], middles[begin:end])
             if not away < _FARTHEST_FOOT_M:
                 notes.append(_nobodys(number, motion.time_s[begin], motion.time_s[end - 1], away))

@@ -44,6 +44,8 @@ class SkeletonArrays:
     skeleton: Skeleton
     markers: MarkerArrays | None = None
     """Of poses made from markers, where that was recorded."""
+    origin_ns: int | None = None
+    """Gateway time of 0 s of the files that the poses were made from; None: they came live."""
 
     @property
     def segment_names(self) -> tuple[str, ...]:
@@ -60,7 +62,21 @@ class SkeletonArrays:
         """Frames a second, by the median interval; 0 with fewer than two frames."""
         if len(self.time_ns) < 2:
             return 0.0
-        return 1e9 / float(np.median(np.diff(self.time_ns)))
+        return _exact(1e9 / float(np.median(np.diff(self.time_ns))))
+
+    @property
+    def begins_s(self) -> float:
+        """Of the first frame, by the time of the files that it was made from; 0 where it came live."""
+        return 0.0 if self.origin_ns is None else float(self.time_ns[0] - self.origin_ns) * 1e-9
+
+
+def _exact(rate_hz: float) -> float:
+    """The shortest decimal number that whole nanoseconds of an interval cannot tell from a rate."""
+    for decimals in range(9):
+        rounded = round(rate_hz, decimals)
+        if abs(rounded - rate_hz) <= 1e-9 * rate_hz * rate_hz:
+            return rounded
+    return rate_hz
 
 
 def arrays_of(frames: Iterable[SkeletonFrame], skeleton: Skeleton) -> SkeletonArrays | None:

@@ -37,7 +37,7 @@ from gateway.stages.markers import MarkerStage
 LINK = "markers"
 CARRIES = "markers"
 _BEGUN_NS = 10**9
-"""Gateway time that a trial begins at."""
+"""Gateway time of 0 s of a trial's own time."""
 _FEWEST_MARKERS = 3
 """Fewer show no pose of anything. Names that two marker sets share by chance are as few."""
 
@@ -112,12 +112,12 @@ def write_solved_trial(
     assert isinstance(stage, MarkerStage)
     optical = stage.reconstructor
     fits = _Fits(trial.n_frames, markers)
-    chunks = list(trial_chunks(trial, _BEGUN_NS, LINK))
-    with _writer(target, source, attachments_of(settings, suit)) as writer:
+    chunks = list(trial_chunks(trial, _begun_ns(trial), LINK))
+    with _writer(target, source, _begun_ns(trial), attachments_of(settings, suit)) as writer:
         frames, spent = solve_into(
             writer, pipeline, chunks, CARRIES, lambda index: fits.add(index, optical.last), progress
         )
-        end_ns = _BEGUN_NS + round(trial.duration_s * 1e9)
+        end_ns = _begun_ns(trial) + round(trial.duration_s * 1e9)
         writer.add(fmt.STATISTICS, end_ns, json.dumps(pipeline.statistics()).encode())
     return SolvedTrial(
         target, frames, markers.labels, fits.residuals, fits.used, tuple(fits.renamed), dict(optical.counts),
@@ -143,8 +143,8 @@ def write_published_trial(
     spent = time.process_time() - began
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
     attachments = attachments_of(settings, replace(suit, markers=solved.motion.markers))
-    chunks = list(trial_chunks(trial, _BEGUN_NS, LINK))
-    with _writer(target, source, attachments, solved_by=PUBLISHED) as writer:
+    chunks = list(trial_chunks(trial, _begun_ns(trial), LINK))
+    with _writer(target, source, _begun_ns(trial), attachments, solved_by=PUBLISHED) as writer:
         frames = solved.frames([chunk.arrived_ns for chunk in chunks])
         for chunk, frame in zip(chunks, frames, strict=True):
             add_solved(writer, chunk, CARRIES, [frame])
@@ -165,7 +165,7 @@ def write_both_ways_trial(
 ) -> SolvedTrial:
     """The same recording with poses that know what comes after a gap. Raises as ``write_solved_trial``."""
     markers, trial = _called(suit, subject, trial, source, person)
-    chunks = list(trial_chunks(trial, _BEGUN_NS, LINK))
+    chunks = list(trial_chunks(trial, _begun_ns(trial), LINK))
     receiver = MarkerFrames(markers)
     observed = [frame for chunk in chunks for frame in receiver.receive(chunk)]
     began = time.process_time()
@@ -173,7 +173,8 @@ def write_both_ways_trial(
     spent = time.process_time() - began
     fits = _Fits(len(solved), markers)
     settings = optical_settings(subject, trial.rate_hz, f"markers://{source.resolve()}")
-    with _writer(target, source, attachments_of(settings, suit), solved_by=BOTH_WAYS) as writer:
+    attachments = attachments_of(settings, suit)
+    with _writer(target, source, _begun_ns(trial), attachments, solved_by=BOTH_WAYS) as writer:
         for index, (chunk, frame) in enumerate(zip(chunks, solved, strict=True)):
             add_solved(writer, chunk, CARRIES, [frame])
             fits.add(index, frame.markers)
@@ -201,12 +202,18 @@ def _called(
     return markers, called
 
 
+def _begun_ns(trial: MarkerTrial) -> int:
+    """Gateway time of a trial's first frame; that of 0 s for one that begins long before it."""
+    begun_ns = _BEGUN_NS + round(trial.begins_s * 1e9)
+    return begun_ns if begun_ns >= 0 else _BEGUN_NS
+
+
 @contextlib.contextmanager
 def _writer(
-    target: Path, source: Path, attachments: Mapping[str, bytes], solved_by: str = ""
+    target: Path, source: Path, first_ns: int, attachments: Mapping[str, bytes], solved_by: str = ""
 ) -> Iterator[RecordingWriter]:
     session = imported_session({LINK: CARRIES}, target, "optical", _BEGUN_NS, solved_by=solved_by)
     kind = source.suffix.lstrip(".").lower()
     with DerivedRecordingWriter(target, session, attachments, _BEGUN_NS) as writer:
-        writer.add(fmt.EVENTS, _BEGUN_NS, origin_event(kind, [source], _BEGUN_NS))
+        writer.add(fmt.EVENTS, first_ns, origin_event(kind, [source], first_ns))
         yield writer

@@ -73,6 +73,8 @@ class RecordingMeta:
         """Whether its poses were made forward and backward through another recording of the same bytes."""
         self.solved_by = session.get("solved_by", "")
         """The offline method that made its poses, which no pipeline makes again; empty: a pipeline did."""
+        self.imported_from = session.get("imported_from", "")
+        """Kind of the files that it was made from, whose 0 s is then its beginning; empty: it came live."""
         self.links: dict[str, str] = parts.links
         self.n_parts = len(parts.files)
         self.size = parts.size
@@ -221,6 +223,8 @@ class Recording:
                 f"{self.parts.path} has no skeleton frames: make some with "
                 f"`mocap-gateway replay {self.parts.path} --offline --output NEW.mcap`"
             )
+        if self.meta.imported_from:
+            arrays = replace(arrays, origin_ns=self.meta.begun_ns)
         if not fits or self.meta.suit.markers is None:
             return arrays
         return replace(arrays, markers=marker_arrays(self.meta.suit.markers.labels, arrays.time_ns, fits))

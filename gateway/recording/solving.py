@@ -104,7 +104,7 @@ def smoothed_arrays(recording: Recording, progress: Progress | None = None) -> S
     arrays = arrays_of(solve(recording, source, progress), source.suit.skeleton)
     if arrays is None:
         raise RecordingError(f"{recording.parts.path} gives no pose")
-    return arrays
+    return replace(arrays, origin_ns=recording.meta.begun_ns if recording.meta.imported_from else None)
 
 
 def verify(recording: Recording, progress: Progress | None = None) -> Verification:
@@ -163,6 +163,7 @@ def write_solved(
         name=target.stem,
         solved_from=f"{meta.path.name} {meta.session}",
         smoothed=str(int(source.smoothed)),
+        **({"imported_from": meta.imported_from} if meta.imported_from else {}),
     )
     with (
         _poses_by_message(recording, source, progress) as (poses_of, tell),

@@ -41,6 +41,7 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
     file.add_parameter("ANALOG", "RATE", [take.rate_hz])
     file.add_parameter("ROTATION", "LABELS", list(segments))
     file.add_parameter("ROTATION", "RATE", [take.rate_hz])
+    file["header"]["points"]["first_frame"] = max(0, round(take.begins_s * take.rate_hz))
     file["data"]["points"] = _homogeneous(points)
     known = np.zeros((len(points), points.shape[1] - residuals.shape[1]))
     file["data"]["meta_points"]["residuals"] = np.concatenate([known, residuals], axis=1).T[None]

@@ -20,7 +20,7 @@ _VERSION = "4.5"
 def write_sto(take: Take, path: Path, _units_per_m: float) -> None:
     """Raises ``OSError``."""
     head = [
-        f"DataRate={take.rate_hz:.6f}",
+        f"DataRate={take.rate_hz:.9f}".rstrip("0").rstrip("."),
         "DataType=Quaternion",
         "version=3",
         f"OpenSimVersion={_VERSION}",

@@ -29,7 +29,8 @@ def columns(take: Take, units_per_m: float) -> Iterator[tuple[str, NDArray[Any]]
         len(recorded.time_ns)
     )
     yield "time_s", take.time_s
-    yield "gateway_time_ns", take.begun_ns + np.round(take.time_s * 1e9).astype(np.int64)
+    elapsed_s = take.time_s - take.begins_s
+    yield "gateway_time_ns", take.begun_ns + np.round(elapsed_s * 1e9).astype(np.int64)
     for s, name in enumerate(take.skeleton.segment_names):
         for i, axis in enumerate("wxyz"):
             yield f"{name}_orientation_{axis}", take.q_wb[:, s, i]

@@ -37,11 +37,13 @@ class Take:
     filled: NDArray[np.bool_]  # (F, S) orientation put in: not known, or the frame not recorded
     axes: Axes
     subject: str = ""
+    begins_s: float = 0.0
+    """Time of the first frame, s: that of the files it was made from."""
 
     @property
     def time_s(self) -> FloatArray:
-        """(F,) since the first frame, s."""
-        times: FloatArray = np.arange(len(self.q_wb)) / self.rate_hz
+        """(F,) s; of a live recording since the first frame."""
+        times: FloatArray = self.begins_s + np.arange(len(self.q_wb)) / self.rate_hz
         return times
 
     @property
@@ -138,6 +140,7 @@ def take_of(arrays: SkeletonArrays, name: str, axes: Axes) -> Take:
         recorded=arrays,
         filled=filled,
         axes=axes,
+        begins_s=arrays.begins_s,
     )
 
 

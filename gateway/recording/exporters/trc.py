@@ -21,17 +21,18 @@ def write(take: Take, path: Path, units_per_m: float) -> None:
         names += markers.labels
         places.append(markers.positions)
     points = np.concatenate(places, axis=1) * units_per_m
-    frames, rate = len(points), f"{take.rate_hz:.6f}"
+    frames, rate = len(points), f"{take.rate_hz:.9f}".rstrip("0").rstrip(".")
+    first = 1 + round(take.begins_s * take.rate_hz)
     unit = _UNITS.get(units_per_m, f"{units_per_m:g}/m")
     head = [
         f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-        f"{rate}\t{rate}\t{frames}\t{len(names)}\t{unit}\t{rate}\t1\t{frames}",
+        f"{rate}\t{rate}\t{frames}\t{len(names)}\t{unit}\t{rate}\t{first}\t{frames}",
         "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
         "\t\t" + "\t".join(f"X{n}\tY{n}\tZ{n}" for n in range(1, len(names) + 1)),
         "",
     ]
-    table = np.column_stack([np.arange(1, frames + 1), take.time_s, points.reshape(frames, -1)])
+    table = np.column_stack([np.arange(first, first + frames), take.time_s, points.reshape(frames, -1)])
     with path.open("w", encoding="ascii") as file:
         file.write("\n".join(head) + "\n")
         for frame, *numbers in table.tolist():

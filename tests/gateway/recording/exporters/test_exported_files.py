@@ -332,3 +332,31 @@ def test_markers_go_along_in_trc_and_c3d(tmp_path):
     found = ezc3d.c3d(str(tmp_path / "walk.c3d"))
     column = found["parameters"]["POINT"]["LABELS"]["value"].index("LASI")
     assert found["data"]["meta_points"]["residuals"][0, column, 5] == pytest.approx(5.0, abs=0.05)
+
+
+def test_a_take_made_from_a_file_keeps_the_files_own_time(tmp_path):
+    """Forces of the same trial, and other people of the same film, then line up."""
+    late = replace(ARRAYS, origin_ns=int(ARRAYS.time_ns[0]) - 400_000_000)
+    for name in ("trc", "mot", "csv", "c3d"):
+        kind = FORMATS[name]
+        take = take_of(late, "walk", kind.axes)
+        assert take.time_s[0] == pytest.approx(0.4)
+        kind.write(take, tmp_path / f"walk{kind.suffix}", kind.units_per_m)
+    for name in ("trc", "c3d"):
+        trial = read_markers(tmp_path / f"walk.{name}")
+        assert trial.begins_s == pytest.approx(0.4)
+        assert trial.rate_hz == RATE_HZ
+    rows = (tmp_path / "walk.mot").read_text().splitlines()
+    assert float(rows[rows.index("endheader") + 2].split("\t")[0]) == pytest.approx(0.4)
+    first = next(csv.DictReader((tmp_path / "walk.csv").open()))
+    assert float(first["time_s"]) == pytest.approx(0.4)
+    assert int(first["gateway_time_ns"]) == ARRAYS.time_ns[0]
+
+
+@pytest.mark.parametrize("rate_hz", [120.0, 60.0, 59.94, 29.97003, 300.0, 1000.0 / 3.0])
+def test_the_rate_of_whole_nanoseconds_is_exact(rate_hz):
+    time_ns = np.round(np.arange(50) * 1e9 / rate_hz).astype(np.int64)
+    found = replace(ARRAYS, time_ns=time_ns).rate_hz
+    assert found == pytest.approx(rate_hz, rel=3e-7)
+    if rate_hz == round(rate_hz, 5):
+        assert found == rate_hz
