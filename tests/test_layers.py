@@ -96,7 +96,9 @@ LISTS = {"gateway/sources/registry.py", "devices/emulators/voices.py", "devices/
 def is_own(path, word):
     """Whether a file is that maker's alone, or makes or reads something else of the same name."""
     elsewhere = ("outputs", "imports", "vendor_formats")
-    return word.partition("_")[0] in path.stem or any(folder in path.parts for folder in elsewhere)
+    return word.partition("_")[0] in path.stem or any(
+        folder in path.relative_to(ROOT).parts for folder in elsewhere
+    )
 
 
 def test_a_maker_is_entered_in_one_place_of_the_gateway_one_of_the_emulator_and_one_of_the_campaign():
