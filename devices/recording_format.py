@@ -11,6 +11,7 @@ whole in itself.
 ``/sent/<link>``    what the gateway wrote to a link; log time: the instant it calls the time of sending
 ``/skeleton``       skeleton frames, float64 bit for bit; log time: arrival of the data that completed it
 ``/markers``        of poses made from markers: where each was, where the body has it, whether it had a say
+``/tf``             the same poses as transforms between segments, for viewers: nothing here reads them
 ``/events``         what happened: links up and down, restarts of modules, resets, calibrations, gaps
 ``/statistics``     counters and clock models of all modules, every so often and at the end
 ==================  ========================================================================================
@@ -18,14 +19,18 @@ whole in itself.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 from devices.link import Chunk
+from devices.ros_definitions import TF, TF_MESSAGE, definition
 
 PROFILE = "mocap-gateway"
 FORMAT_VERSION = 1
 _LONGEST_SENDER = 255
 SUFFIX = ".mcap"
+EXPORTED = (".ros2.mcap", ".foxglove.mcap")
+"""Ends of files that were made of recordings, for other programs."""
 
 SESSION = "mocap.session"
 """Name of the metadata record at the beginning of every file; its keys, all of them texts:
@@ -43,6 +48,7 @@ OF_LINKS = (CHUNKS, DATAGRAMS, SENT)
 """What topics of links begin with."""
 SKELETON = "/skeleton"
 MARKERS = "/markers"
+TRANSFORMS = TF
 EVENTS = "/events"
 STATISTICS = "/statistics"
 
@@ -121,6 +127,7 @@ DATAGRAM_KIND = ChannelKind("mocap.Datagram", "text", "mocap.Datagram", _DATAGRA
 KINDS: dict[str, ChannelKind] = {
     SKELETON: ChannelKind("mocap.SkeletonFrame", "text", "mocap.SkeletonFrame", _SKELETON_TEXT),
     MARKERS: ChannelKind("mocap.MarkerFit", "text", "mocap.MarkerFit", _MARKERS_TEXT),
+    TRANSFORMS: ChannelKind(TF_MESSAGE, "ros2msg", "cdr", definition(TF_MESSAGE)),
     EVENTS: ChannelKind("mocap.Event", "jsonschema", "json", _EVENT_SCHEMA),
     STATISTICS: ChannelKind("mocap.Statistics", "jsonschema", "json", _STATISTICS_SCHEMA),
 }
@@ -132,6 +139,11 @@ def kind_of(topic: str) -> ChannelKind:
     if topic.startswith(DATAGRAMS):
         return DATAGRAM_KIND
     return CHUNK_KIND if topic.startswith((CHUNKS, SENT)) else KINDS[topic]
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file is a recording by its name."""
+    return path.suffix == SUFFIX and not path.name.endswith(EXPORTED)
 
 
 def is_known(topic: str) -> bool:

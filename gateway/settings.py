@@ -246,6 +246,11 @@ class RecordingSettings(_Strict):
         default=True,
         description="record skeleton frames too; without them files are about a quarter as large",
     )
+    transforms: bool = Field(
+        default=True,
+        description="with skeleton frames, record them as transforms too: Foxglove and Rerun show the body; "
+        "without them files are about a sixth smaller",
+    )
     flush_ms: float = Field(
         default=200,
         ge=10,

@@ -129,7 +129,7 @@ def _export(recording: Recording, task: Task, folder: Path, name: str) -> None:
     arrays = recording.skeleton_arrays()
     for kind in wanted:
         exported = FORMATS[kind]
-        take = take_of(arrays, name, Axes(task.axes) if task.axes else exported.axes)
+        take = take_of(arrays, name, Axes(task.axes) if task.axes else exported.axes, recording)
         exported.write(take, folder / f"{name}{exported.suffix}", task.units_per_m or exported.units_per_m)
 
 

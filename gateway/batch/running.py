@@ -40,7 +40,7 @@ def jobs_in(folder: Path, results: Path, task: Task) -> list[Job]:
         part = _LATER_PART.match(path.stem)
         if part and path.with_name(part[1] + path.suffix).exists():
             continue
-        if path.is_file() and away not in path.resolve().parents:
+        if path.is_file() and fmt.is_recording(path) and away not in path.resolve().parents:
             name = path.relative_to(folder)
             jobs.append(Job(str(name), path.resolve(), (results / name.parent).resolve(), task))
     if not jobs:

@@ -61,10 +61,11 @@ def export(
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace files that are there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
-    """Write the poses of a recording as BVH, C3D, glTF, OpenSim .sto and .mot, TRC, CSV or Parquet.
+    """Write a recording as BVH, C3D, glTF, OpenSim .sto, .mot, TRC, CSV, Parquet, ROS 2 bag, for Foxglove.
 
     Instants that were not recorded, and orientations that were not known, are interpolated; how many is
-    told. C3D, Parquet and glTF need the extra `export`.
+    told. C3D, Parquet and glTF need the extra `export`, Foxglove needs `foxglove`. ros2 and foxglove keep the
+    recorded instants, and interpolate nothing.
     """
     from gateway.recording import open_recording
     from gateway.recording.exporters.take import take_of
@@ -82,7 +83,7 @@ def export(
             kind = FORMATS[name]
             wanted = axes or kind.axes
             if wanted not in takes:
-                takes[wanted] = take_of(arrays, file.stem, wanted)
+                takes[wanted] = take_of(arrays, file.stem, wanted, recording)
             per_m = kind.units_per_m if unit is None else units_per_m(unit)
             kind.write(takes[wanted], path, per_m)
             written.append(_summary_of(name, path, takes[wanted], per_m))

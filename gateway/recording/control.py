@@ -13,6 +13,7 @@ import gateway
 from devices.link import Chunk, SentChunk, gateway_time_ns
 from devices.recording_file import RecordingError
 from gateway.body.skeleton import WornSuit
+from gateway.contract.ros_messages import BodyTransforms
 from gateway.errors import GatewayError, nearest
 from gateway.frames import SkeletonFrame
 from gateway.recording.files import Contents, SessionFiles, free_bytes, prepare_folder
@@ -91,7 +92,10 @@ class RecordingControl:
         self._files, self._begun = files, time.monotonic()
         self._is_wanted = True
         self.marks = 0
-        self._recorder = Recorder(sink, self._settings.recording.flush_ms * 1e-3, self._say_why_it_ended)
+        transforms = BodyTransforms(self._suit.skeleton) if self._settings.recording.transforms else None
+        self._recorder = Recorder(
+            sink, self._settings.recording.flush_ms * 1e-3, self._say_why_it_ended, transforms
+        )
         self.event("recording_begun", {"from_start": begins_whole})
         self._watching = asyncio.get_running_loop().create_task(
             kept_running("the recording's watch", self._watch), name="recording"

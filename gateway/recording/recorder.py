@@ -20,6 +20,7 @@ from typing import NamedTuple
 from devices import recording_format as fmt
 from devices.link import Chunk, SentChunk, gateway_time_ns
 from gateway.contract.messages import plain_json
+from gateway.contract.ros_messages import BodyTransforms
 from gateway.frames import SkeletonFrame
 from gateway.recording.pose_encoding import encode_markers_of, encode_skeleton_frame
 
@@ -49,8 +50,8 @@ class Sink(NamedTuple):
 
 @dataclass
 class Counts:
-    """What became of what was handed over, by kind of message: chunks, sent, skeleton, markers, events,
-    statistics."""
+    """What became of what was handed over, by kind of message: chunks, sent, skeleton, markers, tf,
+    events, statistics."""
 
     queued: Counter[str] = field(default_factory=Counter)
     written: Counter[str] = field(default_factory=Counter)
@@ -76,14 +77,22 @@ class RecorderBalance(NamedTuple):
 class Recorder:
     """Takes everything from the event loop, never waiting, and hands it to a sink in a thread."""
 
-    def __init__(self, sink: Sink, flush_s: float, on_end: Callable[[str], None] | None = None) -> None:
-        """``on_end`` is called in the thread with the reason, when the recording ends by itself."""
+    def __init__(
+        self,
+        sink: Sink,
+        flush_s: float,
+        on_end: Callable[[str], None] | None = None,
+        transforms: BodyTransforms | None = None,
+    ) -> None:
+        """``on_end`` is called in the thread with the reason, when the recording ends by itself. transforms:
+        with it skeleton frames are written as transforms too, for viewers."""
         self.counts = Counts()
         self.ended: str | None = None
         """Why nothing is recorded any more; None while it is."""
         self._sink = sink
         self._interval_s = flush_s * _EARLY
         self._on_end = on_end
+        self._transforms = transforms
         self._queue: deque[tuple[str, int, bytes | SkeletonFrame, Mapping[str, str]]] = deque()
         self._queue_bytes = 0
         self._lock = threading.Lock()
@@ -113,6 +122,8 @@ class Recorder:
         self._put(fmt.SKELETON, arrived_ns, frame, {})
         if frame.markers is not None:
             self._put(fmt.MARKERS, arrived_ns, frame, {})
+        if self._transforms is not None:
+            self._put(fmt.TRANSFORMS, arrived_ns, frame, {})
 
     def event(self, name: str, data: Mapping[str, object], time_ns: int) -> None:
         """Take something that happened."""
@@ -207,7 +218,7 @@ class Recorder:
             self._unflushed.update(_kind(topic) for topic, *_ in items)
         written = 0
         for topic, time_ns, data, metadata in items:
-            self._sink.write(topic, time_ns, _encoded(topic, data), metadata)
+            self._sink.write(topic, time_ns, self._encoded(topic, data), metadata)
             written += len(data) if isinstance(data, bytes) else _FRAME_BYTES
         reason = self._sink.flush()
         with self._lock:
@@ -216,6 +227,15 @@ class Recorder:
             self._queue_bytes -= written
         self.counts.longest_flush_s = max(self.counts.longest_flush_s, time.monotonic() - begun)
         return reason
+
+    def _encoded(self, topic: str, data: bytes | SkeletonFrame) -> bytes:
+        if isinstance(data, bytes):
+            return data
+        if topic == fmt.MARKERS and data.markers is not None:
+            return encode_markers_of(data.sequence, data.time_ns, data.markers)
+        if topic == fmt.TRANSFORMS and self._transforms is not None:
+            return self._transforms.encode(data.time_ns, data.q_wb, data.p_w)
+        return encode_skeleton_frame(data)
 
     def _write_end(self, reason: str) -> None:
         time_ns = gateway_time_ns()
@@ -234,14 +254,6 @@ class Recorder:
             self._on_end(reason)
 
 
-def _encoded(topic: str, data: bytes | SkeletonFrame) -> bytes:
-    if isinstance(data, bytes):
-        return data
-    if topic == fmt.MARKERS and data.markers is not None:
-        return encode_markers_of(data.sequence, data.time_ns, data.markers)
-    return encode_skeleton_frame(data)
-
-
 def _kind(topic: str) -> str:
-    """``chunks``, ``sent``, ``skeleton``, ``markers``, ``events``, ``statistics``."""
+    """``chunks``, ``sent``, ``skeleton``, ``markers``, ``tf``, ``events``, ``statistics``."""
     return "chunks" if topic.startswith(fmt.DATAGRAMS) else topic.split("/", 2)[1]

@@ -20,6 +20,7 @@ from devices.link import Chunk, InputEvent, SentChunk
 from devices.recording_file import RecordedMessage, RecordingError
 from devices.recording_writer import DerivedRecordingWriter, session_record
 from gateway.body.skeleton import WornSuit
+from gateway.contract.ros_messages import BodyTransforms
 from gateway.frames import SkeletonFrame
 from gateway.geometry.comparison import orientation_error
 from gateway.pipeline import Pipeline
@@ -37,6 +38,7 @@ from gateway.settings import GatewaySettings
 _MESSAGES_A_TELLING = 512
 
 _MOST_WAITING = 4096
+_MADE_ANEW = (fmt.SKELETON, fmt.MARKERS, fmt.TRANSFORMS)
 
 
 @dataclass(frozen=True)
@@ -165,16 +167,24 @@ def write_solved(
         smoothed=str(int(source.smoothed)),
         **({"imported_from": meta.imported_from} if meta.imported_from else {}),
     )
+    is_shown = source.settings.recording.transforms
+    transforms = BodyTransforms(source.suit.skeleton) if is_shown else None
     with (
         _poses_by_message(recording, source, progress) as (poses_of, tell),
         DerivedRecordingWriter(target, session, attachments, meta.begun_ns) as writer,
     ):
         for count, message in enumerate(_told(recording, tell)):
-            if message.topic not in (fmt.SKELETON, fmt.MARKERS):
+            if message.topic not in _MADE_ANEW:
                 writer.add(message.topic, message.time_ns, message.data, _metadata(recording, message.topic))
             for frame in poses_of(message):
                 for topic, made in frame_messages(frame):
                     writer.add(topic, message.time_ns, made)
+                if transforms is not None:
+                    writer.add(
+                        fmt.TRANSFORMS,
+                        message.time_ns,
+                        transforms.encode(frame.time_ns, frame.q_wb, frame.p_w),
+                    )
                 frames += 1
             if count % _MESSAGES_A_TELLING == 0:
                 writer.flush()

@@ -97,7 +97,7 @@ def recordings_in(folder: Path) -> Iterator[Recording | RecordingError]:
     Raises ``RecordingError`` for a folder that cannot be read.
     """
     try:
-        paths = sorted(path for path in folder.iterdir() if path.suffix == fmt.SUFFIX)
+        paths = sorted(path for path in folder.iterdir() if fmt.is_recording(path))
     except FileNotFoundError as error:
         raise RecordingError(
             f"there is no folder {folder}: the first `mocap-gateway record` makes it; or name another one"

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.system
 WITHOUT_EXTRAS = """
 import importlib.abc, importlib.util, json, sys
 ABSENT = {"ai_edge_litert", "cv2", "distributed", "ezc3d", "matplotlib", "mujoco", "myo_sim", "osqp",
-          "pyarrow", "pygltflib", "pylsl", "qtm_rt", "viser"}
+          "foxglove", "pyarrow", "pygltflib", "pylsl", "qtm_rt", "viser", "zenoh"}
 class Absent(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in ABSENT:

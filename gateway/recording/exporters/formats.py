@@ -48,5 +48,11 @@ FORMATS: dict[str, Format] = {
     "gltf": Format(
         ".glb", "animated skeleton, for browsers and 3-D programs", Axes.Y_UP, 1.0, _writer("gltf.write")
     ),
+    "ros2": Format(
+        ".ros2.mcap", "bag of ROS 2: transforms, joints, modules", Axes.Z_UP, 1.0, _writer("ros2.write")
+    ),
+    "foxglove": Format(
+        ".foxglove.mcap", "body and joint angles for Foxglove", Axes.Z_UP, 1.0, _writer("foxglove.write")
+    ),
 }
 """By name on the command line."""

@@ -13,7 +13,7 @@ from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray
-from gateway.recording import SkeletonArrays
+from gateway.recording import Recording, SkeletonArrays
 from gateway.recording.exporters.axes import Axes
 
 _TURNS_DEG = {Axes.Z_UP: 0.0, Axes.Y_UP: -90.0}
@@ -39,6 +39,8 @@ class Take:
     subject: str = ""
     begins_s: float = 0.0
     """Time of the first frame, s: that of the files it was made from."""
+    recording: Recording | None = None
+    """What it was made of, for formats that hold more than poses."""
 
     @property
     def time_s(self) -> FloatArray:
@@ -101,7 +103,7 @@ def rotation(q: FloatArray) -> Rotation:
     return Rotation.from_quat(q.reshape(-1, 4), scalar_first=True)
 
 
-def take_of(arrays: SkeletonArrays, name: str, axes: Axes) -> Take:
+def take_of(arrays: SkeletonArrays, name: str, axes: Axes, recording: Recording | None = None) -> Take:
     """A take of a recorded result. Raises ``GatewayError`` where the root is never known, or with one frame.
 
     A segment that is never known, as its module was dead, keeps the neutral posture against its parent.
@@ -141,6 +143,7 @@ def take_of(arrays: SkeletonArrays, name: str, axes: Axes) -> Take:
         filled=filled,
         axes=axes,
         begins_s=arrays.begins_s,
+        recording=recording,
     )
 
 

@@ -16,6 +16,7 @@ from devices.emulators.imperfections import TYPICAL
 from devices.link import Chunk, Framing, SentChunk
 from gateway.body.rig import load_rig
 from gateway.cli.main import app
+from gateway.contract.ros_messages import BodyTransforms
 from gateway.emulation.rig import dress, move
 from gateway.pipeline import Pipeline
 from gateway.recording.files import Contents, SessionFiles
@@ -59,7 +60,9 @@ def record(tmp_path: Path, arm_chunks: list[Chunk]) -> Callable[..., Path]:
         contents = Contents(framings, attachments_of(whole, suit), "1.2.3", from_start)
         files = SessionFiles(kept, contents, name)
         path = files.path
-        recorder = Recorder(Sink(files.write, files.flush, files.close, files.abandon), kept.flush_ms * 1e-3)
+        sink = Sink(files.write, files.flush, files.close, files.abandon)
+        transforms = BodyTransforms(suit.skeleton)
+        recorder = Recorder(sink, kept.flush_ms * 1e-3, transforms=transforms)
         pipeline = Pipeline.from_settings(whole, suit)
         for link in framings:
             pipeline.add_link(link, Framing.BYTE_STREAM)
