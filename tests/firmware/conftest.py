@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,19 @@ def program_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path
         return built[board]
 
     return program
+
+
+@pytest.fixture
+def figure() -> Callable[[str, str], None]:
+    """``figure(what, text)``: print what was seen; keep it for the documentation where a folder is named."""
+
+    def show(what: str, text: str) -> None:
+        print(f"{what}: {text}")
+        if folder := os.environ.get("FIRMWARE_FIGURES"):
+            name = re.sub(r"\W+", "_", what)
+            (Path(folder) / f"{name}.json").write_text(json.dumps([what, text]))
+
+    return show
 
 
 @pytest.fixture(params=BOARDS)

@@ -27,6 +27,8 @@ ESP_IDF = Path(__file__).parent / "esp_idf"
 """A stand-in for the SDK of the ESP32, which cannot be installed here: its board runs on threads."""
 POSIX, QEMU, ESP32, RELAY, STM32 = "posix", "qemu", "esp32", "relay", "stm32f405"
 BOARDS = (POSIX, QEMU, ESP32)
+SHOWN = {POSIX: POSIX, QEMU: QEMU, ESP32: "esp32 on threads"}
+"""What a figure was seen on."""
 PROGRAMS = {
     POSIX: "module_posix",
     QEMU: "module_qemu.elf",

@@ -22,7 +22,7 @@ from devices.link import Framing
 from gateway.body.rig import load_rig
 from gateway.cli.main import app
 from gateway.emulation.rig import dress, move
-from tests.firmware.machines import POSIX, Machine, NotHere, broken_copy, build, switched_on
+from tests.firmware.machines import POSIX, SHOWN, Machine, NotHere, broken_copy, build, switched_on
 from tests.running_suit import running
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(200)]
@@ -37,7 +37,7 @@ def broken(found: list[Finding]) -> dict[str, str]:
     return {each.rule: each.detail for each in found if each.outcome is Outcome.BROKEN}
 
 
-async def test_the_reference_keeps_every_rule(module, board):
+async def test_the_reference_keeps_every_rule(module, board, figure):
     machine = module(board, settings={"module_id": 5, "label": "mine"})
     before = machine.memory.settings
     found = {each.rule: each for each in await findings(machine.url)}
@@ -49,10 +49,14 @@ async def test_the_reference_keeps_every_rule(module, board):
     assert [each.outcome for each in found.values()] == [Outcome.KEPT] * len(RULES)
     machine.cut_power()
     assert machine.memory.settings == before
+    figure(
+        f"Rules of `modules test` kept by the reference module, {SHOWN[board]}",
+        f"{len(found)} of {len(RULES)}",
+    )
 
 
 @pytest.mark.parametrize("framing", list(Framing))
-async def test_the_emulator_keeps_every_rule(tmp_path, framing):
+async def test_the_emulator_keeps_every_rule(tmp_path, framing, figure):
     worn = load_rig("single")
     settings = SuitSettings(encoding=Encoding(framing))
     traffic = SuitTraffic(move(dress(worn), "single", 1), settings, Imperfections(), 1)
@@ -65,6 +69,12 @@ async def test_the_emulator_keeps_every_rule(tmp_path, framing):
     assert not broken(found)
     assert {each.rule for each in found if each.outcome is Outcome.SKIPPED} == (
         {"damaged_command", "noise"} if is_can else set()
+    )
+    n_kept = sum(each.outcome is Outcome.KEPT for each in found)
+    n_skipped = len(found) - n_kept
+    figure(
+        f"Rules of `modules test` kept by the emulator, {framing.replace('_', ' ')}",
+        f"{n_kept} of {len(RULES)}" + (f", {n_skipped} do not concern a bus" if n_skipped else ""),
     )
 
 
@@ -140,7 +150,7 @@ def _worth_testing(wrong: Break) -> list[str]:
 
 
 @pytest.mark.parametrize("name", BREAKS)
-async def test_what_is_broken_is_named(name, tmp_path):
+async def test_what_is_broken_is_named(name, tmp_path, figure):
     wrong = BREAKS[name]
     source = broken_copy(tmp_path, wrong.file, wrong.right, wrong.wrong)
     try:
@@ -150,8 +160,8 @@ async def test_what_is_broken_is_named(name, tmp_path):
     memory = FirmwareMemory.fresh(tmp_path / "m.img", bytes(range(12)), settings={"module_id": 3})
     with switched_on(Machine(program, memory, tmp_path / "m")) as machine:
         found = await findings(machine.url, *_worth_testing(wrong))
-    for rule, detail in broken(found).items():
-        print(f"{name} → {rule}: {detail}")
+    named = "; ".join(f"`{rule}`: {detail}" for rule, detail in broken(found).items())
+    figure(f"Built wrong on purpose: {name}", named or "nothing was named")
     assert set(wrong.rules) <= set(broken(found))
     assert len(broken(found)) <= len(wrong.rules) + 2  # what follows from it
 

@@ -14,7 +14,7 @@ from gateway.outputs.settings import MqttSettings
 from gateway.outputs.subscriber import PoseSubscriber
 from gateway.service.service import Service
 from gateway.settings import GatewaySettings, LinkSettings
-from tests.firmware.machines import Machine
+from tests.firmware.machines import SHOWN, Machine
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
@@ -47,7 +47,7 @@ def error_deg(q: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.timeout(300)
-async def test_poses_follow_the_motion_that_the_sensors_feel(module, board, mosquitto, tmp_path):
+async def test_poses_follow_the_motion_that_the_sensors_feel(module, board, mosquitto, tmp_path, figure):
     (tmp_path / "pair.body.yaml").write_text(PAIR_BODY)
     (tmp_path / "pair.yaml").write_text(PAIR_RIG)
     suit = load_rig(str(tmp_path / "pair.yaml"))
@@ -90,9 +90,10 @@ async def test_poses_follow_the_motion_that_the_sensors_feel(module, board, mosq
         q = np.array([pose.segments[name] or [np.nan] * 4 for pose in poses])[is_moving]
         truth = motion.state(motion_s[is_moving]).q_wb[:, segment]
         errors = error_deg(q, truth)
-        print(
-            f"{board} {name}: median {np.nanmedian(errors):.2f}°, worst "
-            f"{np.nanmax(errors):.2f}°, clock ±{bounds[segment]} µs"
+        figure(
+            f"Orientation of module `{name}` against the motion that it plays, {SHOWN[board]}",
+            f"median error {np.nanmedian(errors):.2f}°, 99 of 100 below {np.nanpercentile(errors, 99):.2f}°; "
+            f"its clock is known to ±{bounds[segment] or np.nan:.0f} µs",
         )
         assert np.isfinite(errors).mean() > 0.5
         assert np.nanmedian(errors) < LARGEST_ERROR_DEG

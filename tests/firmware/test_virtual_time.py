@@ -84,7 +84,7 @@ def late_us(stamp_us: int, k: int, rate_hz: float) -> float:
 
 @pytest.mark.parametrize("rate_hz", [30.0, 100.0, 200.0])
 def test_samples_are_stamped_within_microseconds_of_their_instants(
-    program_of: Callable[[str], Path], tmp_path: Path, rate_hz: float
+    program_of: Callable[[str], Path], tmp_path: Path, rate_hz: float, figure: Callable[[str, str], None]
 ) -> None:
     settings = {"module_id": 1, "sampling_rate": rate_hz}
     memory = FirmwareMemory.fresh(tmp_path / "m.img", bytes(12), settings=settings)
@@ -93,15 +93,18 @@ def test_samples_are_stamped_within_microseconds_of_their_instants(
     assert [number - told[0][0] for number, _, _ in told] == list(range(2000))
     late = np.array([late_us(stamp_us, k, rate_hz) for k, (_, stamp_us, _) in enumerate(told)])
     late -= late.min()
-    print(
-        f"{rate_hz} Hz: stamps up to {late.max():.1f} µs after their instants, deviation {late.std():.2f} µs"
+    figure(
+        f"Stamps of 2000 samples against the instants of their interrupts, {rate_hz:g} Hz, {QEMU}",
+        f"at most {late.max():.1f} µs later, standard deviation {late.std():.2f} µs",
     )
     assert late.max() <= JITTER_US
 
 
 @pytest.mark.slow(reason="two hours of the module's time take some minutes of this computer's")
 @pytest.mark.timeout(3600)
-def test_two_hours_on_a_clock_that_wraps(program_of: Callable[[str], Path], tmp_path: Path) -> None:
+def test_two_hours_on_a_clock_that_wraps(
+    program_of: Callable[[str], Path], tmp_path: Path, figure: Callable[[str, str], None]
+) -> None:
     rate_hz, n, rng = 100.0, 720_000, random.Random(28)
     memory = FirmwareMemory.fresh(tmp_path / "m.img", bytes(12), settings={"module_id": 1})
     stream, errors_us = Stream(), []
@@ -124,10 +127,13 @@ def test_two_hours_on_a_clock_that_wraps(program_of: Callable[[str], Path], tmp_
     assert stamp_us > 2**32
     assert latest - earliest <= JITTER_US
     off = np.array(errors_us)
-    print(
-        f"{k} samples, stamps within {latest - earliest:.1f} µs; dated {off.mean():+.0f} ± {off.std():.0f} µs"
+    (record,) = stream.modules.values()
+    figure(
+        f"Two hours of the module's time, {k} samples, one wrap of its counter, {QEMU}",
+        f"stamps within {latest - earliest:.1f} µs; a gateway whose clock is {FAST * 1e6:.0f} ppm faster, "
+        f"and which hears samples 1 ms late on average, dates them {off.mean():+.0f} ± {off.std():.0f} µs "
+        f"off and finds {record.clock.figures().skew_ppm:+.2f} ppm",
     )
     assert np.abs(off).max() < 1000
-    (record,) = stream.modules.values()
     assert record.clock.restarts == 0
     assert record.clock.figures().skew_ppm == pytest.approx(-1e6 * FAST, abs=1.0)
