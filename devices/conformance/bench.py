@@ -186,11 +186,11 @@ class Bench:
                 return acknowledgement
         return None
 
-    async def is_silent(self, transaction: int, since: int) -> bool:
-        """Whether the module does not answer a transaction, while it does answer what comes after it."""
-        after = await self.ask(Verb.HELLO, 1, 1)
+    async def is_answering(self) -> bool:
+        """Whether the module answers a command now; what it has to say to those before is heard by then."""
+        answer = await self.ask(Verb.HELLO, 1, 1)
         await asyncio.sleep(_QUIET_S)
-        return after is not None and not self.answers(transaction, since)
+        return answer is not None
 
     async def _read(self) -> None:
         try:
