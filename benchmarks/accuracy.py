@@ -29,7 +29,7 @@ from devices.emulators.recording_formats import (
 )
 from devices.emulators.recordings import Recording
 from gateway.body.rig import load_rig
-from gateway.emulation.optical_reference import WINDOW_S, gyrometer_disagreement, in_time
+from gateway.emulation.optical_reference import WINDOW_S, gyroscope_disagreement, in_time
 from gateway.emulation.recordings import SMOOTHED, Score, imu_frames, orientations, score
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -38,7 +38,7 @@ HALF_LATER = "independent, ½ sample later"
 DESCRIBED = ", lag as described"
 DESCRIBED_LAG_S = 0.020
 """Of the optical system of ``ring_chain5`` by the data's description; its rates show less."""
-FLOOR = f"gyrometers alone, {WINDOW_S:g} s at a time"
+FLOOR = f"gyroscopes alone, {WINDOW_S:g} s at a time"
 METHODS = (PEER, "imufusion", "articulated", "outward", NO_FIELD, OURS, SMOOTHED)
 OF_ONE_SEGMENT = (PEER, "imufusion", "articulated", OURS, SMOOTHED)
 """For one segment ``outward`` and ``joint`` are the same."""
@@ -118,7 +118,7 @@ def _add_recordings(report: Report) -> None:
     report.tables.append(
         "### Real recordings with optical reference: RMSE, degrees\n\nOne constant heading and one constant "
         "sensor-to-segment rotation a segment are taken out, and one constant lag of the optical system a "
-        "recording, found by comparing its rates with the gyrometers' (16 ms of `ring` are taken out as it "
+        "recording, found by comparing its rates with the gyroscopes' (16 ms of `ring` are taken out as it "
         f"is read). `{HALF_LATER}`: VQF runs half a sampling interval ahead; here that is taken back. "
         f"`{FLOOR}`: started from the reference itself, scale and axes fitted to it. Where modules sit "
         "firmly no method can score much below that: there the reference jumps. The local measuring device "
@@ -196,5 +196,5 @@ def _solve(recording: Recording, trial: Trial) -> Iterator[tuple[str, Score]]:
             later_s = times_s + 0.5 / recording.sampling_rate_hz
             yield HALF_LATER, score(later_s, q_wb, recording, trial.from_s)
     if suit.skeleton.n_segments > 1:
-        total, tilt = gyrometer_disagreement(recording, trial.from_s)
+        total, tilt = gyroscope_disagreement(recording, trial.from_s)
         yield FLOOR, Score(total, tilt, np.full(len(total), np.nan))

@@ -83,20 +83,20 @@ def add_convergence(report: Report) -> None:
     """The literal method on noise-free data: its error falls with the sampling interval."""
     rows = []
     for place, position in PLACEMENTS.items():
-        for has_gyrometers in (True, False):
+        for has_gyroscopes in (True, False):
             suit = arm(position)
             motion = robot_arm_motion(dress(suit), seed=1, fade=ALREADY_MOVING)
-            errors = np.array([_literal_errors(suit, motion, r, has_gyrometers) for r in RATES_HZ])
-            gyro = "with" if has_gyrometers else "without"
+            errors = np.array([_literal_errors(suit, motion, r, has_gyroscopes) for r in RATES_HZ])
+            gyro = "with" if has_gyroscopes else "without"
             report.figures.append(_literal_figure(place, gyro, errors[RATES_HZ.index(800.0)]))
             rows += [
                 [place, gyro, str(rank + 1), *(f"{error:.4f}" for error in column)]
                 for rank, column in enumerate(errors.T)
             ]
-    heads = ["modules", "gyrometers", "rank", *(f"{rate:g} Hz" for rate in RATES_HZ)]
+    heads = ["modules", "gyroscopes", "rank", *(f"{rate:g} Hz" for rate in RATES_HZ)]
     report.tables.append(
         "### Literal method, noise-free arm of 4 links, 3 rad/s and 20 rad/s² at the peaks: RMSE, degrees\n\n"
-        "The starting pose is given. Without gyrometers two limits show: rounding of double precision, "
+        "The starting pose is given. Without gyroscopes two limits show: rounding of double precision, "
         "amplified by every rank and by 1/Δt² (on the joints, rank 4, beyond 800 Hz), and places of the "
         "module from which the equations cannot hold the heading (up an upright link).\n\n"
         + table(heads, rows)
@@ -106,17 +106,17 @@ def add_convergence(report: Report) -> None:
 def _literal_figure(place: str, gyro: str, errors: FloatArray) -> Figure:
     short = {"on the joints": "on_joint", "0.12 m beside the joints": "beside", "0.12 m up the links": "up"}
     name = f"literal_{short[place]}_{gyro}_gyro_800hz_deg"
-    note = f"noise-free arm, modules {place}, {gyro} gyrometers, 800 Hz, worst of 4 ranks"
+    note = f"noise-free arm, modules {place}, {gyro} gyroscopes, 800 Hz, worst of 4 ranks"
     return Figure(name, float(np.max(errors)), "°", "<0.5", note)
 
 
-def _literal_errors(suit: WornSuit, motion: BodyMotion, rate_hz: float, has_gyrometers: bool) -> FloatArray:
+def _literal_errors(suit: WornSuit, motion: BodyMotion, rate_hz: float, has_gyroscopes: bool) -> FloatArray:
     """RMSE of each segment over 1 s to 6 s, degrees."""
     times_ns = np.arange(round(6.0 * rate_hz)) * round(1e9 / rate_hz)
     first = motion.state(0.0)
     pose = StartingPose(first.q_wb[0], first.angular_rate[0])
     reconstructor = ArticulatedReconstructor(suit, 1.0 / rate_hz, starting_pose=pose)
-    ideal = ideal_frames(suit, dress(suit), motion, times_ns, has_gyrometers)
+    ideal = ideal_frames(suit, dress(suit), motion, times_ns, has_gyroscopes)
     return errors_deg([reconstructor.update(frame) for frame in ideal], motion, from_s=1.0)
 
 

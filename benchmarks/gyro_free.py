@@ -1,4 +1,4 @@
-"""Orientation without gyrometers: every trial of BROAD with its position as local device."""
+"""Orientation without gyroscopes: every trial of BROAD with its position as local device."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _add_broad(report: Report, folder: Path) -> None:
     errors: dict[str, list[float]] = {method: [] for method in METHODS}
     for path in sorted(folder.glob("*.mat")):
         recording, is_moving = read_broad(path), loadmat(path, squeeze_me=True)["movement"].astype(bool)
-        frames = [_without_gyrometers(frame) for frame in imu_frames(recording, suit)]
+        frames = [_without_gyroscopes(frame) for frame in imu_frames(recording, suit)]
         for method in METHODS:
             times, q_wb = _solve(method, suit, recording, frames)
             total, tilt = _errors(times, q_wb, recording, is_moving)
@@ -55,17 +55,17 @@ def _add_broad(report: Report, folder: Path) -> None:
         print(f"skipped broad_gyrofree: no trials in {folder}")
         return
     report.tables.append(
-        "### BROAD: RMSE, degrees\n\nPosition as local device, gyrometers hidden, movement phases only, "
+        "### BROAD: RMSE, degrees\n\nPosition as local device, gyroscopes hidden, movement phases only, "
         "nothing aligned. `gyro_free` is causal, or late by `reconstructor_delay_ms`; "
         "`per sample, unaided`: accelerometer and magnetometer alone "
         "(TRIAD).\n\n" + table(["trial", "method", "total", "tilt"], rows)
     )
     for method, name, target in FIGURES:
-        note = f"{method}, BROAD with position ML, no gyrometers, mean of {len(errors[method])} trials"
+        note = f"{method}, BROAD with position ML, no gyroscopes, mean of {len(errors[method])} trials"
         report.figures.append(Figure(name, float(np.mean(errors[method])), "°", target, note))
 
 
-def _without_gyrometers(frame: ImuFrame) -> ImuFrame:
+def _without_gyroscopes(frame: ImuFrame) -> ImuFrame:
     return replace(frame, angular_rate=np.full_like(frame.angular_rate, np.nan))
 
 

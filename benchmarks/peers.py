@@ -23,7 +23,7 @@ TIMEOUT_S = 5.0
 
 
 class ImufusionReconstructor:
-    """With the settings that its documentation recommends, gyrometer bias estimated. Units: °/s and g."""
+    """With the settings that its documentation recommends, gyroscope bias estimated. Units: °/s and g."""
 
     def __init__(self, suit: WornSuit, nominal_interval_s: float) -> None:
         rate_hz = 1.0 / nominal_interval_s

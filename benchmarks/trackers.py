@@ -279,7 +279,7 @@ def _walking() -> Motion:
     """A minute of emulated walking in a circle, seven modules of the lower body."""
     suit = replace(load_rig("suit_lower_7"), local_devices=())
     walk = gait_motion(dress(suit), SEED)
-    noisy = replace(SENSORS, gyrometer_bias=0.0, gyrometer_bias_walk=0.0)
+    noisy = replace(SENSORS, gyroscope_bias=0.0, gyroscope_bias_walk=0.0)
     frames: list[ImuFrame] = assembled(suit, walk, noisy, 62.0, SEED)
     force, rate = (
         np.array([getattr(f, name) for f in frames]) for name in ("specific_force", "angular_rate")

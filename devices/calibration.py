@@ -38,7 +38,7 @@ class SensorCalibration:
     """(3, 3) A, dimensionless."""
     accelerometer_bias: FloatArray = field(default_factory=_zero)
     """(3,) b_a, m/s²."""
-    gyrometer_bias: FloatArray = field(default_factory=_zero)
+    gyroscope_bias: FloatArray = field(default_factory=_zero)
     """(3,) b_g, rad/s."""
     magnetometer_matrix: FloatArray = field(default_factory=_identity)
     """(3, 3) S, soft iron and scale, dimensionless."""
@@ -53,7 +53,7 @@ class SensorCalibration:
 
     def angular_rate(self, reading: Sequence[float] | FloatArray) -> FloatArray:
         """Corrected; shapes (3,) or (n, 3), rad/s."""
-        return np.asarray(reading) - self.gyrometer_bias
+        return np.asarray(reading) - self.gyroscope_bias
 
     def magnetic_field(self, reading: Sequence[float] | FloatArray) -> FloatArray:
         """Corrected; shapes (3,) or (n, 3), µT."""
@@ -68,7 +68,7 @@ class SensorCalibration:
             accelerometer_matrix=self.accelerometer_matrix @ first.accelerometer_matrix,
             accelerometer_bias=first.accelerometer_bias
             + np.linalg.solve(first.accelerometer_matrix, self.accelerometer_bias),
-            gyrometer_bias=first.gyrometer_bias + self.gyrometer_bias,
+            gyroscope_bias=first.gyroscope_bias + self.gyroscope_bias,
             magnetometer_matrix=self.magnetometer_matrix @ first.magnetometer_matrix,
             magnetometer_bias=first.magnetometer_bias
             + np.linalg.solve(first.magnetometer_matrix, self.magnetometer_bias),
@@ -81,7 +81,7 @@ class SensorCalibration:
             [
                 self.accelerometer_matrix.ravel(),
                 self.accelerometer_bias,
-                self.gyrometer_bias,
+                self.gyroscope_bias,
                 self.magnetometer_matrix.ravel(),
                 self.magnetometer_bias,
                 [self.temperature_c, 0.0, 0.0],

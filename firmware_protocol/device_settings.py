@@ -45,7 +45,7 @@ _DECLARED = (
         "sampling_rate",
         "H",
         100.0,
-        "Samples of accelerometer and gyrometer each second.",
+        "Samples of accelerometer and gyroscope each second.",
         unit="Hz",
         scale=_DECIHERTZ,
         minimum=10 * _DECIHERTZ,
@@ -64,7 +64,7 @@ _DECLARED = (
     ),
     _setting(
         4,
-        "gyrometer_range",
+        "gyroscope_range",
         "H",
         2000 * _DEGREE,
         "Largest angular rate of an axis; one step is 1°/s.",
@@ -96,7 +96,7 @@ _DECLARED = (
     ),
     _setting(
         7,
-        "gyrometer_low_pass",
+        "gyroscope_low_pass",
         "H",
         0.0,
         "Cut-off frequency of the sensor's own filter; 0 turns it off.",
@@ -121,7 +121,7 @@ _DECLARED = (
         "calibration",
         "f",
         _NO_CALIBRATION,
-        "Accelerometer matrix (3×3, row after row) and bias (3, m/s²); gyrometer bias (3, rad/s); "
+        "Accelerometer matrix (3×3, row after row) and bias (3, m/s²); gyroscope bias (3, rad/s); "
         "magnetometer soft iron (3×3) and hard iron (3, µT); temperature of calibration (°C); reserved (2).",
         count=30,
     ),

@@ -50,10 +50,10 @@ _INFO = DeviceInfo(
     hardware_version=(2, 1),
     firmware_version=(1, 4, 12),
     accelerometer_range=156.9,
-    gyrometer_range=math.radians(2000),
+    gyroscope_range=math.radians(2000),
     magnetometer_range=None,
     accelerometer_sampling_rate=100.0,
-    gyrometer_sampling_rate=100.0,
+    gyroscope_sampling_rate=100.0,
     magnetometer_sampling_rate=None,
 )
 _HEALTH = Health(
@@ -82,7 +82,7 @@ _WRITTEN = Acknowledgement(
 _LOCKED = Acknowledgement(9, Verb.FACTORY_RESET, Result.REFUSED, UNIQUE_ID)
 
 _FRAMES: dict[str, WireFrame] = {
-    "accelerometer and gyrometer": GOOD,
+    "accelerometer and gyroscope": GOOD,
     "all three sensors": wire_frame(_ALL_SENSORS, 16, 65_535, 2**32 - 1),
     "beyond the range, clipped, on a trigger": wire_frame(_BEYOND_RANGE, 0, 0, 0),
     "no sensor read": wire_frame(InertialSample(), 63, 256, 65_536),

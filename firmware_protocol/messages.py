@@ -50,7 +50,7 @@ class DeviceInfo:
     accelerometer_range: float | None = field(
         metadata=wire("H", 1, "m/s²", 0.1, absent=0, sentence="Largest specific force of an axis.")
     )
-    gyrometer_range: float | None = field(
+    gyroscope_range: float | None = field(
         metadata=wire(
             "H",
             1,
@@ -66,8 +66,8 @@ class DeviceInfo:
     accelerometer_sampling_rate: float | None = field(
         metadata=wire("H", 1, "Hz", 0.1, absent=0, sentence="Samples of the accelerometer each second.")
     )
-    gyrometer_sampling_rate: float | None = field(
-        metadata=wire("H", 1, "Hz", 0.1, absent=0, sentence="Samples of the gyrometer each second.")
+    gyroscope_sampling_rate: float | None = field(
+        metadata=wire("H", 1, "Hz", 0.1, absent=0, sentence="Samples of the gyroscope each second.")
     )
     magnetometer_sampling_rate: float | None = field(
         metadata=wire("H", 1, "Hz", 0.1, absent=0, sentence="Samples of the magnetometer each second.")

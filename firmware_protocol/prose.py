@@ -82,7 +82,7 @@ module time and body, in that order, without `body_length` and padding. So a cha
 noticed as well as a changed piece.
 
 Thirty-two pieces hold a body of at most {classic} bytes on classic CAN; on FD, `body_length` allows {fd}.
-A sample of accelerometer and gyrometer takes 24 bytes, three classic frames exactly; with the
+A sample of accelerometer and gyroscope takes 24 bytes, three classic frames exactly; with the
 magnetometer it takes 30 bytes, four classic frames or one FD frame of 32.
 
 Send the pieces of one wire frame in order and without another of the same kind between them. Wire
@@ -98,7 +98,7 @@ RULES = f"""\
    steered or stopped between resets. The gateway estimates its rate and offset.
 2. **Count what is sampled, not what is sent.** `sequence` goes up by one for every packet of its kind,
    including one that had to be thrown away, and starts at 0 after a reset.
-3. **One set of axes.** Accelerometer, magnetometer and gyrometer readings are turned into one
+3. **One set of axes.** Accelerometer, magnetometer and gyroscope readings are turned into one
    right-handed set of axes, that drawn on the case. At rest the accelerometer reads about
    +9.81 m/s² on the axis that points up. A positive angular rate is right-handed about its axis.
 4. **A sensor that was not read is left out**, by its mask bit; never send zeros or the last value in its
@@ -289,7 +289,7 @@ since a DBC knows nothing of reassembly:
 - On CAN FD most wire frames are one CAN frame, `..._fd`. Samples are multiplexed by the three presence
   bits of their mask.
 - On classic CAN the mask is in the first piece and the readings are in others, which no multiplexer can
-  follow: the file describes samples with accelerometer, magnetometer and gyrometer all present, unless
+  follow: the file describes samples with accelerometer, magnetometer and gyroscope all present, unless
   `--sensor` names others.
 - A number that is cut by the end of a piece is two signals, `..._low` and `..._high`, whose physical values
   add up to the number's; a float cut so is two signals `..._low` and `..._high` of raw bits.

@@ -50,7 +50,7 @@ class _InertialReadings:
     )
     angular_rate_clipped: bool = field(
         default=False,
-        metadata=flag(6, "An axis of the gyrometer is at the end of its range.", clips="angular_rate"),
+        metadata=flag(6, "An axis of the gyroscope is at the end of its range.", clips="angular_rate"),
     )
     triggered: bool = field(
         default=False,

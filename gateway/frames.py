@@ -42,7 +42,7 @@ class Status(IntEnum):
     MISSING = 5
     """No sample to stand on."""
     UNAIDED = 6
-    """Measured by its gyrometers, but what told inclination is gone: all local devices of its chain are
+    """Measured by its gyroscopes, but what told inclination is gone: all local devices of its chain are
     silent, or its own accelerometer is saturated. (Numbers never change, hence here.)"""
     DOUBTFUL = 7
     """Measured, but its module is not worn as the rig says, as far as the motion tells, or begins its clock

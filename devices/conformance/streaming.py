@@ -178,7 +178,7 @@ async def sensors_told(bench: Bench) -> None:
     info = bench.from_module(DeviceInfo)[-1].packet
     for sensor, told in (
         ("specific_force", info.accelerometer_range),
-        ("angular_rate", info.gyrometer_range),
+        ("angular_rate", info.gyroscope_range),
         ("magnetic_field", info.magnetometer_range),
     ):
         is_sent = any(getattr(each.packet, sensor) is not None for each in _some(bench))

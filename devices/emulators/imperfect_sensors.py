@@ -22,13 +22,13 @@ class ImperfectSensors:
 
     def __init__(self, settings: Imperfections, errors: ModuleErrors, seed: int, module: int) -> None:
         self._noise = np.array(
-            [settings.accelerometer_noise, settings.gyrometer_noise, settings.magnetometer_noise]
+            [settings.accelerometer_noise, settings.gyroscope_noise, settings.magnetometer_noise]
         )
-        self._walk = settings.gyrometer_bias_walk
+        self._walk = settings.gyroscope_bias_walk
         self._is_noisy = bool(self._noise.any() or self._walk)
         self._errors = errors
         self._rng = module_random(seed, module, _PURPOSE)
-        self.gyrometer_bias = errors.gyrometer_bias.copy()
+        self.gyroscope_bias = errors.gyroscope_bias.copy()
         """(3,) rad/s, as of the last reading."""
 
     def read(
@@ -41,18 +41,18 @@ class ImperfectSensors:
         """Readings (n, 3) by the name of the sensor, from true values (n, 3), in sensor axes."""
         errors, n = self._errors, len(specific_force)
         noise = _NO_NOISE
-        gyrometer_bias = self.gyrometer_bias
+        gyroscope_bias = self.gyroscope_bias
         sigma = self._noise * math.sqrt(sampling_rate_hz / _NOISE_RATE_HZ)
         if self._is_noisy and n:
             noise = self._rng.standard_normal((n, 4, 3)).transpose(1, 0, 2)
             walk = self._walk / math.sqrt(sampling_rate_hz)
-            gyrometer_bias = self.gyrometer_bias + walk * noise[3].cumsum(axis=0)
-            self.gyrometer_bias = gyrometer_bias[-1]
+            gyroscope_bias = self.gyroscope_bias + walk * noise[3].cumsum(axis=0)
+            self.gyroscope_bias = gyroscope_bias[-1]
         return {
             "specific_force": specific_force @ errors.accelerometer_distortion.T
             + (errors.accelerometer_bias + sigma[0] * noise[0]),
-            "angular_rate": angular_rate @ errors.gyrometer_distortion.T
-            + (gyrometer_bias + sigma[1] * noise[1]),
+            "angular_rate": angular_rate @ errors.gyroscope_distortion.T
+            + (gyroscope_bias + sigma[1] * noise[1]),
             "magnetic_field": magnetic_field @ errors.magnetometer_distortion.T
             + (errors.magnetometer_bias + sigma[2] * noise[2]),
         }
@@ -61,7 +61,7 @@ class ImperfectSensors:
 def calibrated(readings: dict[str, FloatArray], calibration: tuple[float, ...]) -> dict[str, FloatArray]:
     """Readings (n, 3) by sensor, corrected as a device does by its setting ``calibration`` (30 numbers).
 
-    Accelerometer ``A (f − b)``, gyrometer ``ω − b``, magnetometer ``S (m − h)``.
+    Accelerometer ``A (f − b)``, gyroscope ``ω − b``, magnetometer ``S (m − h)``.
     """
     if calibration == _NO_CALIBRATION:
         return readings

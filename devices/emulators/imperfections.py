@@ -19,17 +19,17 @@ class Imperfections:
 
     accelerometer_noise: float = 0.0
     """White noise of an axis at 100 Hz, m/s² RMS. At other rates it goes with the root of the rate."""
-    gyrometer_noise: float = 0.0
+    gyroscope_noise: float = 0.0
     """As above, rad/s RMS."""
     magnetometer_noise: float = 0.0
     """As above, µT RMS."""
     accelerometer_bias: float = 0.0
     """Constant bias of an axis, m/s²."""
-    gyrometer_bias: float = 0.0
+    gyroscope_bias: float = 0.0
     """Constant bias of an axis, rad/s."""
     magnetometer_bias: float = 0.0
     """Hard iron of an axis, µT."""
-    gyrometer_bias_walk: float = 0.0
+    gyroscope_bias_walk: float = 0.0
     """Random walk of the bias, rad/s per √s."""
     scale: float = 0.0
     """Relative scale error of every axis of every sensor."""
@@ -76,12 +76,12 @@ IDEAL = Imperfections()
 
 TYPICAL = Imperfections(
     accelerometer_noise=0.03,
-    gyrometer_noise=math.radians(0.1),
+    gyroscope_noise=math.radians(0.1),
     magnetometer_noise=0.5,
     accelerometer_bias=0.05,
-    gyrometer_bias=math.radians(0.3),
+    gyroscope_bias=math.radians(0.3),
     magnetometer_bias=0.3,
-    gyrometer_bias_walk=math.radians(0.005),
+    gyroscope_bias_walk=math.radians(0.005),
     scale=0.002,
     misalignment=math.radians(0.2),
     fused_orientation=math.radians(0.5),
@@ -99,12 +99,12 @@ TYPICAL = Imperfections(
 
 ROUGH = Imperfections(
     accelerometer_noise=0.08,
-    gyrometer_noise=math.radians(0.3),
+    gyroscope_noise=math.radians(0.3),
     magnetometer_noise=1.5,
     accelerometer_bias=0.15,
-    gyrometer_bias=math.radians(1.0),
+    gyroscope_bias=math.radians(1.0),
     magnetometer_bias=2.0,
-    gyrometer_bias_walk=math.radians(0.02),
+    gyroscope_bias_walk=math.radians(0.02),
     scale=0.01,
     misalignment=math.radians(1.0),
     placement=0.01,
@@ -128,7 +128,7 @@ ROUGH = Imperfections(
 UNCALIBRATED = replace(
     TYPICAL,
     accelerometer_bias=0.3,
-    gyrometer_bias=math.radians(1.0),
+    gyroscope_bias=math.radians(1.0),
     magnetometer_bias=15.0,
     scale=0.03,
 )
@@ -142,10 +142,10 @@ class ModuleErrors:
     """What was drawn once for one module. A sensor reads ``distortion @ true + bias + noise``."""
 
     accelerometer_distortion: FloatArray  # (3, 3)
-    gyrometer_distortion: FloatArray  # (3, 3)
+    gyroscope_distortion: FloatArray  # (3, 3)
     magnetometer_distortion: FloatArray  # (3, 3)
     accelerometer_bias: FloatArray  # (3,) m/s²
-    gyrometer_bias: FloatArray  # (3,) rad/s, at the start
+    gyroscope_bias: FloatArray  # (3,) rad/s, at the start
     magnetometer_bias: FloatArray  # (3,) µT
     placement: FloatArray  # (3,) m, segment axes, added to the lever arm
     placement_rotation: FloatArray  # (3, 3) true sensor axes to those assumed
@@ -200,10 +200,10 @@ def draw_errors(settings: Imperfections, rng: Generator) -> ModuleErrors:
     placement_turn = settings.placement_angle * rng.standard_normal(3)
     return ModuleErrors(
         accelerometer_distortion=distortion(),
-        gyrometer_distortion=distortion(),
+        gyroscope_distortion=distortion(),
         magnetometer_distortion=distortion(),
         accelerometer_bias=settings.accelerometer_bias * rng.standard_normal(3),
-        gyrometer_bias=settings.gyrometer_bias * rng.standard_normal(3),
+        gyroscope_bias=settings.gyroscope_bias * rng.standard_normal(3),
         magnetometer_bias=settings.magnetometer_bias * rng.standard_normal(3),
         placement=settings.placement * rng.standard_normal(3),
         placement_rotation=Rotation.from_rotvec(placement_turn).as_matrix(),

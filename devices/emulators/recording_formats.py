@@ -29,7 +29,7 @@ METAL_TABLE_S = 5.0
 RING_OPTICAL_LAG_S = 0.016
 """How much later than the modules the optical system of ``ring_chain5`` shows the same motion, s.
 
-From rates alone, gyrometers against the turn from one optical frame to the next: 16.0 ms on each of the five
+From rates alone, gyroscopes against the turn from one optical frame to the next: 16.0 ms on each of the five
 rigid segments and in each quarter of the trial. The data's description says about 20 ms.
 """
 
@@ -113,7 +113,7 @@ def read_repoimu_pendulum(folder: Path) -> Recording:
     accelerometer and the magnetometer, which changed more rarely still, are interpolated between their
     own changes. Reference rows in which the optical markers have flipped are NaN. The source's world and
     segments have X down: a swing in one plane is the same with X up, but with it all three references lean
-    out of that plane to the other side than the gyrometers turn.
+    out of that plane to the other side than the gyroscopes turn.
     """
     paths = sorted(folder.glob("*_Segment_[123].csv"))
     if len(paths) != 3:

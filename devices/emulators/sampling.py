@@ -32,7 +32,7 @@ class SampleSettings(NamedTuple):
             ranges={
                 "specific_force": settings["accelerometer_range"],
                 "magnetic_field": settings["magnetometer_range"],
-                "angular_rate": settings["gyrometer_range"],
+                "angular_rate": settings["gyroscope_range"],
             },
             calibration=tuple(settings["calibration"]),
         )

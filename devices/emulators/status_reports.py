@@ -85,9 +85,9 @@ def device_info(
         hardware_version=_HARDWARE_VERSION,
         firmware_version=_FIRMWARE_VERSION,
         accelerometer_range=acc[0],
-        gyrometer_range=gyr[0],
+        gyroscope_range=gyr[0],
         magnetometer_range=mag[0],
         accelerometer_sampling_rate=acc[1],
-        gyrometer_sampling_rate=gyr[1],
+        gyroscope_sampling_rate=gyr[1],
         magnetometer_sampling_rate=mag[1],
     )

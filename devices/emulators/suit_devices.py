@@ -110,7 +110,7 @@ class SuitParts:
                 "mode": mode,
                 "accelerometer_range": DEFAULT_RANGES["specific_force"],
                 "magnetometer_range": DEFAULT_RANGES["magnetic_field"],
-                "gyrometer_range": DEFAULT_RANGES["angular_rate"],
+                "gyroscope_range": DEFAULT_RANGES["angular_rate"],
             }
             provision(flash, stored)
         return EmulatedDevice(self._equipment(number, sensors), self._clock(number, rate_hz), flash)

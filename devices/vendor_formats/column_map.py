@@ -41,7 +41,7 @@ class Acceleration(_Strict):
 
 
 class AngularRate(_Strict):
-    """Of the gyrometer."""
+    """Of the gyroscope."""
 
     columns: Three
     unit: Literal["rad/s", "deg/s"] = "rad/s"

@@ -838,7 +838,7 @@ static inline bool mocap_signed_decoder_push(mocap_signed_decoder *decoder, uint
 #define MOCAP_INERTIAL_SAMPLE_SPECIFIC_FORCE_CLIPPED 0x10u
 /* An axis of the magnetometer is at the end of its range. */
 #define MOCAP_INERTIAL_SAMPLE_MAGNETIC_FIELD_CLIPPED 0x20u
-/* An axis of the gyrometer is at the end of its range. */
+/* An axis of the gyroscope is at the end of its range. */
 #define MOCAP_INERTIAL_SAMPLE_ANGULAR_RATE_CLIPPED 0x40u
 /* Sampled on a trigger of the host, not on the module's own timer. */
 #define MOCAP_INERTIAL_SAMPLE_TRIGGERED 0x80u
@@ -1073,7 +1073,7 @@ static inline void mocap_inertial_sample_set_angular_rate_si(mocap_inertial_samp
 #define MOCAP_INERTIAL_SAMPLE_FINE_SPECIFIC_FORCE_CLIPPED 0x10u
 /* An axis of the magnetometer is at the end of its range. */
 #define MOCAP_INERTIAL_SAMPLE_FINE_MAGNETIC_FIELD_CLIPPED 0x20u
-/* An axis of the gyrometer is at the end of its range. */
+/* An axis of the gyroscope is at the end of its range. */
 #define MOCAP_INERTIAL_SAMPLE_FINE_ANGULAR_RATE_CLIPPED 0x40u
 /* Sampled on a trigger of the host, not on the module's own timer. */
 #define MOCAP_INERTIAL_SAMPLE_FINE_TRIGGERED 0x80u
@@ -1631,10 +1631,10 @@ static inline mocap_defect mocap_decode_pass_through(const uint8_t *body, size_t
 }
 
 #define MOCAP_DEVICE_INFO_ACCELEROMETER_RANGE_ABSENT 0u
-#define MOCAP_DEVICE_INFO_GYROMETER_RANGE_ABSENT 0u
+#define MOCAP_DEVICE_INFO_GYROSCOPE_RANGE_ABSENT 0u
 #define MOCAP_DEVICE_INFO_MAGNETOMETER_RANGE_ABSENT 0u
 #define MOCAP_DEVICE_INFO_ACCELEROMETER_SAMPLING_RATE_ABSENT 0u
-#define MOCAP_DEVICE_INFO_GYROMETER_SAMPLING_RATE_ABSENT 0u
+#define MOCAP_DEVICE_INFO_GYROSCOPE_SAMPLING_RATE_ABSENT 0u
 #define MOCAP_DEVICE_INFO_MAGNETOMETER_SAMPLING_RATE_ABSENT 0u
 #define MOCAP_DEVICE_INFO_MIN_SIZE 29u
 #define MOCAP_DEVICE_INFO_MAX_SIZE 29u
@@ -1651,13 +1651,13 @@ typedef struct {
     uint16_t accelerometer_range;
     /* Largest angular rate of an axis; one step is 1 deg/s. One step is 0.0174532925 rad/s. 0: none
      * or not known. */
-    uint16_t gyrometer_range;
+    uint16_t gyroscope_range;
     /* Largest magnetic field of an axis. One step is 1 uT. 0: none or not known. */
     uint16_t magnetometer_range;
     /* Samples of the accelerometer each second. One step is 0.1 Hz. 0: none or not known. */
     uint16_t accelerometer_sampling_rate;
-    /* Samples of the gyrometer each second. One step is 0.1 Hz. 0: none or not known. */
-    uint16_t gyrometer_sampling_rate;
+    /* Samples of the gyroscope each second. One step is 0.1 Hz. 0: none or not known. */
+    uint16_t gyroscope_sampling_rate;
     /* Samples of the magnetometer each second. One step is 0.1 Hz. 0: none or not known. */
     uint16_t magnetometer_sampling_rate;
 } mocap_device_info;
@@ -1678,10 +1678,10 @@ static inline size_t mocap_encode_device_info(const mocap_device_info *packet, u
         p = mocap_put_u8(p, packet->firmware_version[i]);
     }
     p = mocap_put_u16(p, packet->accelerometer_range);
-    p = mocap_put_u16(p, packet->gyrometer_range);
+    p = mocap_put_u16(p, packet->gyroscope_range);
     p = mocap_put_u16(p, packet->magnetometer_range);
     p = mocap_put_u16(p, packet->accelerometer_sampling_rate);
-    p = mocap_put_u16(p, packet->gyrometer_sampling_rate);
+    p = mocap_put_u16(p, packet->gyroscope_sampling_rate);
     p = mocap_put_u16(p, packet->magnetometer_sampling_rate);
     return (size_t)(p - body);
 }
@@ -1706,13 +1706,13 @@ static inline mocap_defect mocap_decode_device_info(const uint8_t *body, size_t 
     }
     packet->accelerometer_range = mocap_get_u16(p);
     p += 2u;
-    packet->gyrometer_range = mocap_get_u16(p);
+    packet->gyroscope_range = mocap_get_u16(p);
     p += 2u;
     packet->magnetometer_range = mocap_get_u16(p);
     p += 2u;
     packet->accelerometer_sampling_rate = mocap_get_u16(p);
     p += 2u;
-    packet->gyrometer_sampling_rate = mocap_get_u16(p);
+    packet->gyroscope_sampling_rate = mocap_get_u16(p);
     p += 2u;
     packet->magnetometer_sampling_rate = mocap_get_u16(p);
     p += 2u;
@@ -1730,11 +1730,11 @@ static inline uint16_t mocap_device_info_accelerometer_range_from_si(MOCAP_REAL 
 }
 
 /* Between steps and rad/s; beyond what the field allows, its nearest end. */
-static inline MOCAP_REAL mocap_device_info_gyrometer_range_to_si(uint16_t raw) {
+static inline MOCAP_REAL mocap_device_info_gyroscope_range_to_si(uint16_t raw) {
     return (MOCAP_REAL)raw * (MOCAP_REAL)0.017453292519943295;
 }
 
-static inline uint16_t mocap_device_info_gyrometer_range_from_si(MOCAP_REAL value) {
+static inline uint16_t mocap_device_info_gyroscope_range_from_si(MOCAP_REAL value) {
     return (uint16_t)mocap_nearest_unsigned(value / (MOCAP_REAL)0.017453292519943295, 1u, 65535u);
 }
 
@@ -1757,11 +1757,11 @@ static inline uint16_t mocap_device_info_accelerometer_sampling_rate_from_si(MOC
 }
 
 /* Between steps and Hz; beyond what the field allows, its nearest end. */
-static inline MOCAP_REAL mocap_device_info_gyrometer_sampling_rate_to_si(uint16_t raw) {
+static inline MOCAP_REAL mocap_device_info_gyroscope_sampling_rate_to_si(uint16_t raw) {
     return (MOCAP_REAL)raw * (MOCAP_REAL)0.1;
 }
 
-static inline uint16_t mocap_device_info_gyrometer_sampling_rate_from_si(MOCAP_REAL value) {
+static inline uint16_t mocap_device_info_gyroscope_sampling_rate_from_si(MOCAP_REAL value) {
     return (uint16_t)mocap_nearest_unsigned(value / (MOCAP_REAL)0.1, 1u, 65535u);
 }
 
@@ -3549,14 +3549,14 @@ static inline const mocap_answer *mocap_remember_answer(mocap_answer_memory *mem
 #define MOCAP_SETTINGS_SAMPLING_RATE_MAX 40000u
 #define MOCAP_SETTINGS_ACCELEROMETER_RANGE_MIN 100u
 #define MOCAP_SETTINGS_ACCELEROMETER_RANGE_MAX 4000u
-#define MOCAP_SETTINGS_GYROMETER_RANGE_MIN 15u
-#define MOCAP_SETTINGS_GYROMETER_RANGE_MAX 4000u
+#define MOCAP_SETTINGS_GYROSCOPE_RANGE_MIN 15u
+#define MOCAP_SETTINGS_GYROSCOPE_RANGE_MAX 4000u
 #define MOCAP_SETTINGS_MAGNETOMETER_RANGE_MIN 100u
 #define MOCAP_SETTINGS_MAGNETOMETER_RANGE_MAX 10000u
 #define MOCAP_SETTINGS_ACCELEROMETER_LOW_PASS_MIN 0u
 #define MOCAP_SETTINGS_ACCELEROMETER_LOW_PASS_MAX 40000u
-#define MOCAP_SETTINGS_GYROMETER_LOW_PASS_MIN 0u
-#define MOCAP_SETTINGS_GYROMETER_LOW_PASS_MAX 40000u
+#define MOCAP_SETTINGS_GYROSCOPE_LOW_PASS_MIN 0u
+#define MOCAP_SETTINGS_GYROSCOPE_LOW_PASS_MAX 40000u
 #define MOCAP_SETTINGS_MODE_ORIENTATION_FUSED_ON_THE_MODULE 1u
 #define MOCAP_SETTINGS_MODE_RAW_SAMPLES_ON_THE_MODULE_S_OWN_TIMER 2u
 #define MOCAP_SETTINGS_MODE_RAW_SAMPLES_ON_THE_HOST_S_TRIGGER 3u
@@ -3567,7 +3567,7 @@ static inline const mocap_answer *mocap_remember_answer(mocap_answer_memory *mem
 typedef struct {
     /* Id under which the module sends, unique in a suit. From 0 to 63 steps. */
     uint8_t module_id;
-    /* Samples of accelerometer and gyrometer each second. One step is 0.1 Hz. From 10 to 40000
+    /* Samples of accelerometer and gyroscope each second. One step is 0.1 Hz. From 10 to 40000
      * steps. */
     uint16_t sampling_rate;
     /* Largest specific force of an axis; the sensor takes the nearest range that holds it. One step
@@ -3575,7 +3575,7 @@ typedef struct {
     uint16_t accelerometer_range;
     /* Largest angular rate of an axis; one step is 1 deg/s. One step is 0.0174532925 rad/s. From 15
      * to 4000 steps. */
-    uint16_t gyrometer_range;
+    uint16_t gyroscope_range;
     /* Largest magnetic field of an axis. One step is 1 uT. From 100 to 10000 steps. */
     uint16_t magnetometer_range;
     /* Cut-off frequency of the sensor's own filter; 0 turns it off. One step is 0.1 Hz. From 0 to
@@ -3583,11 +3583,11 @@ typedef struct {
     uint16_t accelerometer_low_pass;
     /* Cut-off frequency of the sensor's own filter; 0 turns it off. One step is 0.1 Hz. From 0 to
      * 40000 steps. */
-    uint16_t gyrometer_low_pass;
+    uint16_t gyroscope_low_pass;
     /* What the module sends. 1 orientation fused on the module; 2 raw samples on the module's own
      * timer; 3 raw samples on the host's trigger. */
     uint8_t mode;
-    /* Accelerometer matrix (3x3, row after row) and bias (3, m/s^2); gyrometer bias (3, rad/s);
+    /* Accelerometer matrix (3x3, row after row) and bias (3, m/s^2); gyroscope bias (3, rad/s);
      * magnetometer soft iron (3x3) and hard iron (3, uT); temperature of calibration (degC);
      * reserved (2). */
     float calibration[30];
@@ -3600,10 +3600,10 @@ typedef enum {
     MOCAP_SETTING_MODULE_ID = 1,
     MOCAP_SETTING_SAMPLING_RATE = 2,
     MOCAP_SETTING_ACCELEROMETER_RANGE = 3,
-    MOCAP_SETTING_GYROMETER_RANGE = 4,
+    MOCAP_SETTING_GYROSCOPE_RANGE = 4,
     MOCAP_SETTING_MAGNETOMETER_RANGE = 5,
     MOCAP_SETTING_ACCELEROMETER_LOW_PASS = 6,
-    MOCAP_SETTING_GYROMETER_LOW_PASS = 7,
+    MOCAP_SETTING_GYROSCOPE_LOW_PASS = 7,
     MOCAP_SETTING_MODE = 8,
     MOCAP_SETTING_CALIBRATION = 9,
     MOCAP_SETTING_LABEL = 10
@@ -3630,7 +3630,7 @@ static inline bool mocap_settings_is_valid(const mocap_settings *packet) {
     if (packet->accelerometer_range < 100u || packet->accelerometer_range > 4000u) {
         return false;
     }
-    if (packet->gyrometer_range < 15u || packet->gyrometer_range > 4000u) {
+    if (packet->gyroscope_range < 15u || packet->gyroscope_range > 4000u) {
         return false;
     }
     if (packet->magnetometer_range < 100u || packet->magnetometer_range > 10000u) {
@@ -3639,7 +3639,7 @@ static inline bool mocap_settings_is_valid(const mocap_settings *packet) {
     if (packet->accelerometer_low_pass > 40000u) {
         return false;
     }
-    if (packet->gyrometer_low_pass > 40000u) {
+    if (packet->gyroscope_low_pass > 40000u) {
         return false;
     }
     if (packet->mode < 1u || packet->mode > 3u) {
@@ -3661,7 +3661,7 @@ static inline void mocap_settings_set_factory(mocap_settings *settings) {
     memset(settings, 0, sizeof *settings);
     settings->sampling_rate = 1000u;
     settings->accelerometer_range = 1569u;
-    settings->gyrometer_range = 2000u;
+    settings->gyroscope_range = 2000u;
     settings->magnetometer_range = 4900u;
     settings->mode = 2u;
     settings->calibration[0] = 1.0f;
@@ -3697,11 +3697,11 @@ static inline size_t mocap_settings_read(const mocap_settings *settings, uint8_t
             }
             p = mocap_put_u16(p, settings->accelerometer_range);
             break;
-        case MOCAP_SETTING_GYROMETER_RANGE:
+        case MOCAP_SETTING_GYROSCOPE_RANGE:
             if (capacity < 2u) {
                 return 0u;
             }
-            p = mocap_put_u16(p, settings->gyrometer_range);
+            p = mocap_put_u16(p, settings->gyroscope_range);
             break;
         case MOCAP_SETTING_MAGNETOMETER_RANGE:
             if (capacity < 2u) {
@@ -3715,11 +3715,11 @@ static inline size_t mocap_settings_read(const mocap_settings *settings, uint8_t
             }
             p = mocap_put_u16(p, settings->accelerometer_low_pass);
             break;
-        case MOCAP_SETTING_GYROMETER_LOW_PASS:
+        case MOCAP_SETTING_GYROSCOPE_LOW_PASS:
             if (capacity < 2u) {
                 return 0u;
             }
-            p = mocap_put_u16(p, settings->gyrometer_low_pass);
+            p = mocap_put_u16(p, settings->gyroscope_low_pass);
             break;
         case MOCAP_SETTING_MODE:
             if (capacity < 1u) {
@@ -3788,7 +3788,7 @@ static inline mocap_result mocap_settings_write(mocap_settings *settings, uint8_
             settings->accelerometer_range = v;
             return MOCAP_RESULT_DONE;
         }
-        case MOCAP_SETTING_GYROMETER_RANGE: {
+        case MOCAP_SETTING_GYROSCOPE_RANGE: {
             uint16_t v;
             if (size != 2u) {
                 return MOCAP_RESULT_BAD_ARGUMENTS;
@@ -3797,7 +3797,7 @@ static inline mocap_result mocap_settings_write(mocap_settings *settings, uint8_
             if (v < 15u || v > 4000u) {
                 return MOCAP_RESULT_BAD_ARGUMENTS;
             }
-            settings->gyrometer_range = v;
+            settings->gyroscope_range = v;
             return MOCAP_RESULT_DONE;
         }
         case MOCAP_SETTING_MAGNETOMETER_RANGE: {
@@ -3824,7 +3824,7 @@ static inline mocap_result mocap_settings_write(mocap_settings *settings, uint8_
             settings->accelerometer_low_pass = v;
             return MOCAP_RESULT_DONE;
         }
-        case MOCAP_SETTING_GYROMETER_LOW_PASS: {
+        case MOCAP_SETTING_GYROSCOPE_LOW_PASS: {
             uint16_t v;
             if (size != 2u) {
                 return MOCAP_RESULT_BAD_ARGUMENTS;
@@ -3833,7 +3833,7 @@ static inline mocap_result mocap_settings_write(mocap_settings *settings, uint8_
             if (v > 40000u) {
                 return MOCAP_RESULT_BAD_ARGUMENTS;
             }
-            settings->gyrometer_low_pass = v;
+            settings->gyroscope_low_pass = v;
             return MOCAP_RESULT_DONE;
         }
         case MOCAP_SETTING_MODE: {
@@ -3900,11 +3900,11 @@ static inline uint16_t mocap_settings_accelerometer_range_from_si(MOCAP_REAL val
 }
 
 /* Between steps and rad/s; beyond what the field allows, its nearest end. */
-static inline MOCAP_REAL mocap_settings_gyrometer_range_to_si(uint16_t raw) {
+static inline MOCAP_REAL mocap_settings_gyroscope_range_to_si(uint16_t raw) {
     return (MOCAP_REAL)raw * (MOCAP_REAL)0.017453292519943295;
 }
 
-static inline uint16_t mocap_settings_gyrometer_range_from_si(MOCAP_REAL value) {
+static inline uint16_t mocap_settings_gyroscope_range_from_si(MOCAP_REAL value) {
     return (uint16_t)mocap_nearest_unsigned(value / (MOCAP_REAL)0.017453292519943295, 15u, 4000u);
 }
 
@@ -3927,11 +3927,11 @@ static inline uint16_t mocap_settings_accelerometer_low_pass_from_si(MOCAP_REAL 
 }
 
 /* Between steps and Hz; beyond what the field allows, its nearest end. */
-static inline MOCAP_REAL mocap_settings_gyrometer_low_pass_to_si(uint16_t raw) {
+static inline MOCAP_REAL mocap_settings_gyroscope_low_pass_to_si(uint16_t raw) {
     return (MOCAP_REAL)raw * (MOCAP_REAL)0.1;
 }
 
-static inline uint16_t mocap_settings_gyrometer_low_pass_from_si(MOCAP_REAL value) {
+static inline uint16_t mocap_settings_gyroscope_low_pass_from_si(MOCAP_REAL value) {
     return (uint16_t)mocap_nearest_unsigned(value / (MOCAP_REAL)0.1, 0u, 40000u);
 }
 

@@ -18,8 +18,8 @@ typedef struct {
 
 /* What the chips were really set to, in the units of mocap_device_info; 0: there is no such sensor. */
 typedef struct {
-    uint16_t accelerometer_range, gyrometer_range, magnetometer_range;
-    uint16_t accelerometer_rate, gyrometer_rate, magnetometer_rate;
+    uint16_t accelerometer_range, gyroscope_range, magnetometer_range;
+    uint16_t accelerometer_rate, gyroscope_rate, magnetometer_rate;
 } imu_setup;
 
 /* Takes the nearest range that holds what the settings ask for. False when a chip does not answer. */

@@ -22,10 +22,10 @@ static void send_info(uint32_t now) {
     info.hardware_version[0] = HARDWARE_MAJOR;
     info.firmware_version[0] = FIRMWARE_MAJOR;
     info.accelerometer_range = sensors.accelerometer_range;
-    info.gyrometer_range = sensors.gyrometer_range;
+    info.gyroscope_range = sensors.gyroscope_range;
     info.magnetometer_range = sensors.magnetometer_range;
     info.accelerometer_sampling_rate = sensors.accelerometer_rate;
-    info.gyrometer_sampling_rate = sensors.gyrometer_rate;
+    info.gyroscope_sampling_rate = sensors.gyroscope_rate;
     info.magnetometer_sampling_rate = sensors.magnetometer_rate;
     (void)wire_report(MOCAP_KIND_DEVICE_INFO, now, body, mocap_encode_device_info(&info, body, sizeof body));
 }

@@ -24,7 +24,7 @@ class SensorCorrections:
         for row, module in enumerate(self._ids.tolist()):
             calibration = calibrations[module]
             self._bias[row, SPECIFIC_FORCE] = calibration.accelerometer_bias
-            self._bias[row, ANGULAR_RATE] = calibration.gyrometer_bias
+            self._bias[row, ANGULAR_RATE] = calibration.gyroscope_bias
             self._bias[row, MAGNETIC_FIELD] = calibration.magnetometer_bias
             self._matrix[row, SPECIFIC_FORCE] = calibration.accelerometer_matrix
             self._matrix[row, MAGNETIC_FIELD] = calibration.magnetometer_matrix

@@ -43,7 +43,7 @@ class CalibrationEntry(_Strict):
     """Corrections of one module's readings: matrix (reading − bias)."""
 
     accelerometer: _Ellipsoid = _Ellipsoid()
-    gyrometer: _Bias = _Bias()
+    gyroscope: _Bias = _Bias()
     magnetometer: _Ellipsoid = _Ellipsoid()
     temperature_c: Finite = Field(default=REFERENCE_TEMPERATURE_C, description="at which it was measured, °C")
     measured: str | None = Field(default=None, description="date of the calibration, for people")
@@ -53,7 +53,7 @@ class CalibrationEntry(_Strict):
         return SensorCalibration(
             np.array(self.accelerometer.matrix, dtype=np.float64),
             np.array(self.accelerometer.bias, dtype=np.float64),
-            np.array(self.gyrometer.bias, dtype=np.float64),
+            np.array(self.gyroscope.bias, dtype=np.float64),
             np.array(self.magnetometer.matrix, dtype=np.float64),
             np.array(self.magnetometer.bias, dtype=np.float64),
             self.temperature_c,
@@ -73,7 +73,7 @@ class CalibrationEntry(_Strict):
                     "bias": rounded(model.accelerometer_bias),
                     "matrix": rounded(model.accelerometer_matrix),
                 },
-                "gyrometer": {"bias": rounded(model.gyrometer_bias)},
+                "gyroscope": {"bias": rounded(model.gyroscope_bias)},
                 "magnetometer": {
                     "bias": rounded(model.magnetometer_bias),
                     "matrix": rounded(model.magnetometer_matrix),

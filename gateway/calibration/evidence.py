@@ -27,7 +27,7 @@ class Readings:
     time_ns: FloatArray  # (T,) gateway time
     interval_s: float
     specific_force: FloatArray  # (T, M, 3) m/s²; 0 where not heard
-    angular_rate: FloatArray  # (T, M, 3) rad/s, without the gyrometers' biases
+    angular_rate: FloatArray  # (T, M, 3) rad/s, without the gyroscopes' biases
     magnetic_field: FloatArray  # (T, M, 3) µT, NaN where there is none
     heard: BoolArray  # (T, M)
     R_es: FloatArray  # (T, M, 3, 3) sensor axes to a level world of the module's own heading

@@ -42,7 +42,7 @@ class RestStretch:
 
     @property
     def angular_rate(self) -> FloatArray:
-        """(3,) mean, rad/s: the gyrometer's bias."""
+        """(3,) mean, rad/s: the gyroscope's bias."""
         return self._mean(2)
 
     def _mean(self, which: int) -> FloatArray:

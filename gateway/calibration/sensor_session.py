@@ -1,6 +1,6 @@
 """The sensor calibration of a whole suit at once: readings in, progress and results out. Sans-I/O.
 
-There are no phases to keep to. Whatever a module does serves: lying still gives the gyrometer's bias, lying
+There are no phases to keep to. Whatever a module does serves: lying still gives the gyroscope's bias, lying
 still in different positions the accelerometer's ellipsoid, being turned the magnetometer's.
 """
 
@@ -20,24 +20,24 @@ from gateway.calibration.sensors import (
     ENOUGH_COVERAGE,
     POSITIONS_FOR_ALL,
     EllipsoidResult,
-    GyrometerResult,
+    GyroscopeResult,
     accelerometer_ellipsoid,
-    gyrometer_bias,
+    gyroscope_bias,
     magnetometer_ellipsoid,
     rest_positions,
     six_positions,
 )
 from gateway.frames import FloatArray, Vector3
 
-SENSORS = ("gyrometer", "accelerometer", "magnetometer")
+SENSORS = ("gyroscope", "accelerometer", "magnetometer")
 REST_S = 3.0
-"""How long a module should lie still for its gyrometer, s."""
+"""How long a module should lie still for its gyroscope, s."""
 _SHOWN_READINGS = 1500  # of the field, thinned, that progress is judged by
 _FEWEST_FOR_A_SPHERE = 20
 _FEWEST_FOR_A_DIP = 100
 _DIPS_AGREE_DEG = 3.0
 
-Result = GyrometerResult | EllipsoidResult
+Result = GyroscopeResult | EllipsoidResult
 
 
 @dataclass
@@ -98,8 +98,8 @@ class ModuleSession:
     def result(self, sensor: str, gravity: float, field_ut: float, has_levelled_cube: bool) -> Result:
         """Raises ``ValueError`` saying what is missing."""
         stretches = self._rest.stretches
-        if sensor == "gyrometer":
-            return gyrometer_bias(stretches, REST_S)
+        if sensor == "gyroscope":
+            return gyroscope_bias(stretches, REST_S)
         if sensor == "accelerometer":
             positions = rest_positions(stretches)
             return (six_positions if has_levelled_cube else accelerometer_ellipsoid)(positions, gravity)
@@ -153,7 +153,7 @@ class SensorSession:
     def is_enough(self, progress: Progress) -> bool:
         """Whether a module has shown all that its sensors need."""
         return (
-            ("gyrometer" not in self.sensors or progress.rest_s >= REST_S)
+            ("gyroscope" not in self.sensors or progress.rest_s >= REST_S)
             and (
                 "accelerometer" not in self.sensors
                 or (progress.positions >= self.wanted_positions and not progress.sides_missing)
@@ -190,8 +190,8 @@ def combined(results: dict[str, Result | str], kept: SensorCalibration | None = 
     kept = kept or SensorCalibration()
     rate, force, magnetic = (results.get(sensor) for sensor in SENSORS)
     fields: dict[str, FloatArray] = {}
-    if isinstance(rate, GyrometerResult):
-        fields["gyrometer_bias"] = rate.bias
+    if isinstance(rate, GyroscopeResult):
+        fields["gyroscope_bias"] = rate.bias
     if isinstance(force, EllipsoidResult):
         fields |= {"accelerometer_matrix": force.fit.matrix, "accelerometer_bias": force.fit.bias}
     if isinstance(magnetic, EllipsoidResult):
@@ -212,7 +212,7 @@ def advice_on(session: SensorSession, progress: Mapping[int, Progress]) -> Advic
     heard = [one for one in progress.values() if one.samples]
     if not heard:
         return Advice("listen")
-    if "gyrometer" in session.sensors and any(one.rest_s < REST_S for one in heard):
+    if "gyroscope" in session.sensors and any(one.rest_s < REST_S for one in heard):
         return Advice("rest")
     if "accelerometer" in session.sensors and any(
         one.positions < session.wanted_positions or one.sides_missing for one in heard
@@ -246,7 +246,7 @@ def _as_json(result: Result | str) -> dict[str, object]:
         "score": round(result.quality.score, 3),
         "reasons": list(result.quality.reasons),
     }
-    if isinstance(result, GyrometerResult):
+    if isinstance(result, GyroscopeResult):
         return quality | {"bias": result.bias.tolist(), "rest_s": round(result.rest_s, 2)}
     fit = result.fit
     return quality | {

@@ -1,4 +1,4 @@
-"""Gyrometer, accelerometer and magnetometer of one module: what is wrong, and how well it is known."""
+"""Gyroscope, accelerometer and magnetometer of one module: what is wrong, and how well it is known."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _NEW_POSITION = np.cos(np.radians(15.0))
 
 
 @dataclass(frozen=True, eq=False)
-class GyrometerResult:
+class GyroscopeResult:
     """Bias at rest."""
 
     bias: FloatArray  # (3,) rad/s
@@ -44,7 +44,7 @@ class EllipsoidResult:
     quality: Quality
 
 
-def gyrometer_bias(stretches: Sequence[RestStretch], wanted_s: float = 3.0) -> GyrometerResult:
+def gyroscope_bias(stretches: Sequence[RestStretch], wanted_s: float = 3.0) -> GyroscopeResult:
     """The bias from all stretches at rest. Raises ``ValueError`` when there is none."""
     if not stretches:
         raise ValueError("the module never lay still for a second")
@@ -53,7 +53,7 @@ def gyrometer_bias(stretches: Sequence[RestStretch], wanted_s: float = 3.0) -> G
     bias = np.average(rates, axis=0, weights=weights)
     wander = _wander(stretches, bias)
     rest_s = float(sum(weights))
-    return GyrometerResult(
+    return GyroscopeResult(
         bias,
         rest_s,
         judged(

@@ -30,11 +30,12 @@ from gateway.calibration.sensor_session import (
     results_as_json,
     usable,
 )
-from gateway.calibration.sensors import ENOUGH_COVERAGE, EllipsoidResult, GyrometerResult
+from gateway.calibration.sensors import ENOUGH_COVERAGE, EllipsoidResult, GyroscopeResult
 from gateway.cli.modules_suit import SuitChoice, with_suit
 from gateway.errors import GatewayError, nearest
 from gateway.settings import load_gateway_settings
 from gateway.sources.link_settings import LinkSettings
+from gateway.support.former_names import current
 from gateway.support.settings_files import find_file
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def progress_table(session: SensorSession, progress: Mapping[int, Progress]) -> 
     table = Table("module", *session.sensors, "")
     for module, one in progress.items():
         cells = {
-            "gyrometer": _amount(one.rest_s, REST_S, f"{one.rest_s:.0f} s at rest"),
+            "gyroscope": _amount(one.rest_s, REST_S, f"{one.rest_s:.0f} s at rest"),
             "accelerometer": _positions(one, session.wanted_positions),
             "magnetometer": _bar(one.coverage),
         }
@@ -100,7 +101,7 @@ def result_table(found: Mapping[int, Mapping[str, Result | str]]) -> Table:
 
 
 def _bias(sensor: str, result: Result) -> str:
-    if isinstance(result, GyrometerResult):
+    if isinstance(result, GyroscopeResult):
         return "  ".join(f"{value:+.2f}" for value in np.degrees(result.bias)) + " °/s"
     unit = "m/s²" if sensor == "accelerometer" else "µT"
     return "  ".join(f"{value:+.2f}" for value in result.fit.bias) + f" {unit}"
@@ -165,7 +166,7 @@ def sensors(
 ) -> None:
     """Measure the sensors' own errors: modules in a box, let it lie, put it on its sides, turn it about.
 
-    Lying still gives the gyrometers' bias, lying still in twelve positions (each side, and askew) the
+    Lying still gives the gyroscopes' bias, lying still in twelve positions (each side, and askew) the
     accelerometers' scales, turning in all directions the magnetometers' hard and soft iron, away from iron.
     The order does not matter; it ends when every module has shown enough. Ctrl-C takes what there is.
     """
@@ -305,7 +306,7 @@ def _target(source: Path, suit: SuitChoice, output: Path | None, force: bool, fl
 def _chosen_sensors(only: str | None) -> tuple[str, ...]:
     if only is None:
         return SENSORS
-    names = tuple(name.strip() for name in only.split(","))
+    names = tuple(current([name.strip() for name in only.split(",")]))
     for name in names:
         if name not in SENSORS:
             raise GatewayError(f"--only {name}: no such sensor{nearest(name, SENSORS)}")

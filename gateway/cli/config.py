@@ -47,14 +47,14 @@ def check(file: Path = typer.Argument(Path("config/gateway.yaml"), help="Configu
 
 
 def _tell_unobserved(headings: Mapping[str, tuple[int, ...]]) -> None:
-    """Name the segments whose heading is not observed without gyrometers, with the ways to face."""
+    """Name the segments whose heading is not observed without gyroscopes, with the ways to face."""
     if not headings:
         return
     told = "; ".join(f"{segment} (facing {_ranges(lost)})" for segment, lost in headings.items())
     Console().print(
-        "[yellow]note[/yellow]: where modules have no gyrometers, 'articulated' does not observe, at rest in "
+        "[yellow]note[/yellow]: where modules have no gyroscopes, 'articulated' does not observe, at rest in "
         f"the neutral posture, the heading of: {told}. North is 0°, east 90°. Such a module wants "
-        "gyrometers, or to sit on the joint, or more to one side of it; see docs/gyro_free.md",
+        "gyroscopes, or to sit on the joint, or more to one side of it; see docs/gyro_free.md",
         soft_wrap=True,
         highlight=False,
     )

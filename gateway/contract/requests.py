@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 from firmware_protocol import MAX_MODULE
 from gateway.contract.names import KEPT_FILE, RECORDING_NAME
 from gateway.errors import GatewayError, nearest
+from gateway.support.former_names import current
 
 
 class Request(BaseModel):
@@ -316,7 +317,7 @@ CALIBRATION_REQUESTS: dict[str, type[Request]] = {
 class BeginSensorsRequest(Request):
     """Begin to watch what modules in a box measure; one under way is given up."""
 
-    sensors: list[Literal["gyrometer", "accelerometer", "magnetometer"]] | None = Field(
+    sensors: list[Literal["gyroscope", "accelerometer", "magnetometer"]] | None = Field(
         default=None, min_length=1, description="only these; none: all"
     )
     modules: list[ModuleId] | None = Field(
@@ -401,7 +402,7 @@ def asked(family: str, verb: str, data: Mapping[str, Any]) -> Request:
     if verb not in verbs:
         raise GatewayError(f"there is no request '{family}/{verb}'{nearest(verb, verbs)}")
     try:
-        return verbs[verb].model_validate(dict(data))
+        return verbs[verb].model_validate(current(dict(data)))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])

@@ -186,7 +186,7 @@ _FULL_SAMPLE = InertialSample((0.0, 0.0, 9.8), (20.0, 0.0, -40.0), (0.0, 0.0, 0.
 
 
 def capacity(name: str, url: str, n_modules: int, rate_hz: float) -> Iterator[Finding]:
-    """Whether the link's line carries so many modules (accelerometer, magnetometer and gyrometer each)."""
+    """Whether the link's line carries so many modules (accelerometer, magnetometer and gyroscope each)."""
     rate = line_rate(url)
     if rate is None:
         return

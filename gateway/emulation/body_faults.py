@@ -78,9 +78,9 @@ MODULE_CASES = (
     Case("module worn upside down", worn="upside_down"),
     Case("module and that of the foot swapped", worn="swapped"),
     Case("modules of both shanks swapped", worn="swapped_shanks"),
-    Case("gyrometer saturated for 2 s", _module("saturated"), 2.0),
+    Case("gyroscope saturated for 2 s", _module("saturated"), 2.0),
     Case("accelerometer saturated for 2 s", _module("saturated", sensor="specific_force"), 2.0),
-    Case("gyrometer stuck for 5 s", _module("stuck"), 5.0),
+    Case("gyroscope stuck for 5 s", _module("stuck"), 5.0),
     Case("magnet of 60 µT passes for 5 s", _module("magnet"), 5.0),
 )
 ML_CASES = tuple(

@@ -1,7 +1,7 @@
-"""What an optical reference itself is worth: its lag behind the modules, and how far gyrometers disagree.
+"""What an optical reference itself is worth: its lag behind the modules, and how far gyroscopes disagree.
 
 Neither needs an estimator: the turn that the reference shows from one of its instants to the next is compared
-with the gyrometers summed over the same time.
+with the gyroscopes summed over the same time.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class _Turns(NamedTuple):
     from_s: FloatArray  # (N,)
     to_s: FloatArray  # (N,)
     speed: FloatArray  # (N,) rad/s
-    gyrometers: CubicSpline
+    gyroscopes: CubicSpline
     """Of the summed rates, (3,) rad against s."""
 
 
@@ -69,15 +69,15 @@ def _summed(module: ModuleTrack) -> tuple[FloatArray, FloatArray]:
 
 def _disagreement(turns: _Turns, lag_s: float) -> float:
     """Mean square of the difference of speeds, (rad/s)², if the reference is so late."""
-    turn = turns.gyrometers(turns.to_s - lag_s) - turns.gyrometers(turns.from_s - lag_s)
+    turn = turns.gyroscopes(turns.to_s - lag_s) - turns.gyroscopes(turns.from_s - lag_s)
     difference = np.linalg.norm(turn, axis=1) / (turns.to_s - turns.from_s) - turns.speed
     return float(np.mean(np.minimum(difference**2, LARGEST_DISAGREEMENT**2)))
 
 
-def gyrometer_disagreement(recording: Recording, from_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """RMSE of gyrometers alone, two seconds at a time, degrees: total and tilt by segment, (S,) each.
+def gyroscope_disagreement(recording: Recording, from_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """RMSE of gyroscopes alone, two seconds at a time, degrees: total and tilt by segment, (S,) each.
 
-    The gyrometers begin every window with the constant turn that suits it best and have one bias and one
+    The gyroscopes begin every window with the constant turn that suits it best and have one bias and one
     3 × 3 matrix of scale and axes for the whole recording that suit it best: no estimator has these.
     """
     errors = []
@@ -102,7 +102,7 @@ def _window_errors(module: ModuleTrack, reference: ReferenceTrack, from_s: float
             continue
         R = _integrated(times[begin : begin + length], rates[begin : begin + length])[known]
         optical = Rotation.from_quat(wanted[known], scalar_first=True)
-        # world and body turns: the gyrometers' own world is the module's first orientation
+        # world and body turns: the gyroscopes' own world is the module's first orientation
         R = (optical * R.inv()).mean() * R
         error = orientation_error(R.as_quat(scalar_first=True), wanted[known])
         total.append(error.total)

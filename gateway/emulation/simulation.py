@@ -28,11 +28,11 @@ from gateway.stages.frame_assembler import AssemblyParams
 LINK = "suit"
 SENSORS = Imperfections(
     accelerometer_noise=0.03,
-    gyrometer_noise=np.radians(0.1),
+    gyroscope_noise=np.radians(0.1),
     magnetometer_noise=0.5,
     accelerometer_bias=0.05,
-    gyrometer_bias=np.radians(0.3),
-    gyrometer_bias_walk=np.radians(0.005),
+    gyroscope_bias=np.radians(0.3),
+    gyroscope_bias_walk=np.radians(0.005),
     scale=0.002,
     placement=0.01,
 )
@@ -80,12 +80,12 @@ def arm(position: tuple[float, float, float]) -> WornSuit:
 
 
 def ideal_frames(
-    suit: WornSuit, body: EmulatedBody, motion: BodyMotion, times_ns: IntArray, has_gyrometers: bool
+    suit: WornSuit, body: EmulatedBody, motion: BodyMotion, times_ns: IntArray, has_gyroscopes: bool
 ) -> Iterator[ImuFrame]:
     """Noise-free frames at given times, in sensor axes, in the order of the rig's modules.
 
     Computed in extended precision where the machine has it, and rounded once: the sensors' values are
-    then exact to the last bit, which the method without gyrometers can tell.
+    then exact to the last bit, which the method without gyroscopes can tell.
     """
     n = len(suit.module_ids)
     R_bs = Rotation.from_quat(body.sensor_to_segment, scalar_first=True).as_matrix()
@@ -97,7 +97,7 @@ def ideal_frames(
             time_ns=int(time_ns),
             specific_force=values.specific_force[k].astype(np.float64),
             angular_rate=values.angular_rate[k].astype(np.float64)
-            if has_gyrometers
+            if has_gyroscopes
             else np.full((n, 3), np.nan),
             magnetic_field=values.magnetic_field[k].astype(np.float64),
             status=np.zeros(n, dtype=np.uint8),

@@ -15,13 +15,14 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
 from devices.configure import Change
 from gateway.contract.requests import UniqueId
 from gateway.errors import GatewayError
+from gateway.support.former_names import current
 from gateway.support.whole_files import write_whole
 
 _log = logging.getLogger(__name__)
@@ -49,8 +50,8 @@ class Entry:
 class _Values(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
-    before: dict[str, Any]
-    after: dict[str, Any]
+    before: Annotated[dict[str, Any], BeforeValidator(current)]
+    after: Annotated[dict[str, Any], BeforeValidator(current)]
 
 
 class _Record(BaseModel):

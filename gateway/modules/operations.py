@@ -32,6 +32,7 @@ from gateway.modules.makers import MakersModule, MakersModules, changed
 from gateway.modules.motion import MotionWatch
 from gateway.modules.summary import Counts, count_samples, segments_of, summarise
 from gateway.sources.stream import Stream
+from gateway.support.former_names import current
 
 _log = logging.getLogger(__name__)
 
@@ -111,7 +112,7 @@ class ModuleOperations:
         if verb not in self._verbs:
             raise RequestError(f"there is no request 'modules/{verb}'{nearest(verb, self._verbs)}")
         try:
-            request = requests.MODULE_REQUESTS[verb].model_validate(data)
+            request = requests.MODULE_REQUESTS[verb].model_validate(current(dict(data)))
         except ValidationError as error:
             raise RequestError(f"modules/{verb}: {_first_problem(error)}") from error
         try:

@@ -2,7 +2,7 @@
 
 A sensor's noise changes its last bits all the time. A module whose specific force and rate have not changed
 for a while, though other modules' have, is stuck. (If none changes, they may be noise-free simulations at
-rest: nothing is said.) Gyrometers alone are stuck when they repeat themselves while they turn, or while the
+rest: nothing is said.) Gyroscopes alone are stuck when they repeat themselves while they turn, or while the
 specific force says that the module moves: sooner than in rest, where coarse sensors may repeat themselves.
 """
 
@@ -96,7 +96,7 @@ def _differs(value: float, before: float) -> bool:
 
 @compiled
 def _has_stuck_rate(module: Repeats, force: FloatArray, rate: FloatArray) -> bool:
-    """Whether a module's gyrometers, if it has any, repeat themselves while it turns, or swings."""
+    """Whether a module's gyroscopes, if it has any, repeat themselves while it turns, or swings."""
     if module.force_unchanged_s != 0.0 or module.rate_unchanged_s < STUCK_IN_MOTION_S:
         return False
     if not norm(rate) >= 0.0:  # NaN: it has none

@@ -240,7 +240,7 @@ def finish_frames(
 
 @compiled
 def _tell_clipped(status: StatusArray, clipped: StatusArray) -> None:
-    """In place: whoever found the orientations, a gyrometer at the end of its range does not say how far its
+    """In place: whoever found the orientations, a gyroscope at the end of its range does not say how far its
     segment has turned, nor such an accelerometer where down is."""
     for s in range(len(status)):
         if status[s] <= INTERPOLATED:

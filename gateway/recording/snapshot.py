@@ -33,6 +33,7 @@ from gateway.body.sensor_entries import CalibrationEntry
 from gateway.body.skeleton import Skeleton, WornSuit, field_dip_deg
 from gateway.errors import SettingsError
 from gateway.settings import GatewaySettings
+from gateway.support.former_names import current
 from gateway.support.processor import target_name
 
 REDACTED = "(not recorded)"
@@ -118,7 +119,7 @@ def encode_suit(suit: WornSuit) -> bytes:
 def decode_suit(text: bytes) -> WornSuit:
     """The suit that ``text`` was made of. Raises ``SettingsError`` for a text that describes none."""
     try:
-        return _built(WornSuit, json.loads(text))
+        return _built(WornSuit, current(json.loads(text)))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise SettingsError(f"the recorded suit cannot be read: {error}") from error
 

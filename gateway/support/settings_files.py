@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from gateway.errors import SettingsError, nearest
 from gateway.support import yaml_text
+from gateway.support.former_names import current
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -50,7 +51,7 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
 def load_yaml(path: Path) -> Any:
     """The content of a YAML file. Raises ``SettingsError`` with file and line when it cannot be read."""
     try:
-        return yaml_text.load(_text_of(path))
+        return current(yaml_text.load(_text_of(path)))
     except FileNotFoundError:
         raise SettingsError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:

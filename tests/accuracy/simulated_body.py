@@ -169,7 +169,7 @@ def instants(rate_hz: int, seconds: float, start_s: float = 0.0) -> np.ndarray:
     return int(start_s * 1e9) + step * np.arange(int(seconds * rate_hz) + 1)
 
 
-def imu_frames(body: SimulatedBody, truth: Truth, gyrometers: bool, readings=None) -> list[ImuFrame]:
+def imu_frames(body: SimulatedBody, truth: Truth, gyroscopes: bool, readings=None) -> list[ImuFrame]:
     """What ideal modules and the local device measure; ``readings``: per frame a tuple, else the device
     sends at every frame."""
     suit = body.suit()
@@ -181,7 +181,7 @@ def imu_frames(body: SimulatedBody, truth: Truth, gyrometers: bool, readings=Non
             sequence=k,
             time_ns=int(truth.time_ns[k]),
             specific_force=truth.specific_force[k, segments],
-            angular_rate=truth.angular_rate[k, segments] if gyrometers else nothing,
+            angular_rate=truth.angular_rate[k, segments] if gyroscopes else nothing,
             magnetic_field=truth.magnetic_field[k, segments],
             status=np.full(m, Status.MEASURED, np.uint8),
             gap_ns=np.zeros(m, np.int64),

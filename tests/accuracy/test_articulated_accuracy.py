@@ -23,9 +23,9 @@ from gateway.reconstruction.inertial.articulated import ArticulatedReconstructor
 
 COMBINATIONS = {
     "special": (True, False),
-    "special with gyrometers": (True, True),
+    "special with gyroscopes": (True, True),
     "general": (False, False),
-    "general with gyrometers": (False, True),
+    "general with gyroscopes": (False, True),
 }
 
 
@@ -34,12 +34,12 @@ def starting_pose(truth):
     return StartingPose(q, truth.angular_rate[0])
 
 
-def run(body, rate_hz, gyrometers, seconds=3.0, after_each=None):
+def run(body, rate_hz, gyroscopes, seconds=3.0, after_each=None):
     """Errors in degrees, (instants, segments)."""
     truth = simulate(body, instants(rate_hz, seconds))
     reconstructor = ArticulatedReconstructor(body.suit(), 1.0 / rate_hz, starting_pose=starting_pose(truth))
     q_wb = []
-    for imu_frame in imu_frames(body, truth, gyrometers):
+    for imu_frame in imu_frames(body, truth, gyroscopes):
         q_wb.append(reconstructor.update(imu_frame).q_wb)
         if after_each is not None:
             after_each(reconstructor)
@@ -52,16 +52,16 @@ def rms(errors):
 
 @pytest.mark.parametrize("combination", COMBINATIONS)
 def test_below_half_a_degree_at_800_hz(combination):
-    on_joint, gyrometers = COMBINATIONS[combination]
-    assert rms(run(arm(on_joint), 800, gyrometers)).max() < 0.5
+    on_joint, gyroscopes = COMBINATIONS[combination]
+    assert rms(run(arm(on_joint), 800, gyroscopes)).max() < 0.5
 
 
 @pytest.mark.parametrize("combination", COMBINATIONS)
 def test_error_falls_in_proportion_to_the_sampling_interval(combination):
-    on_joint, gyrometers = COMBINATIONS[combination]
-    # without gyrometers and U = 0 rounding takes over in rank 4 above 800 Hz: see below
+    on_joint, gyroscopes = COMBINATIONS[combination]
+    # without gyroscopes and U = 0 rounding takes over in rank 4 above 800 Hz: see below
     rates = [100, 200, 400, 800] if combination == "special" else [100, 400, 1600]
-    errors = np.array([rms(run(arm(on_joint), rate, gyrometers)) for rate in rates])
+    errors = np.array([rms(run(arm(on_joint), rate, gyroscopes)) for rate in rates])
     first = 1 if on_joint else 0  # rank 1 with U = 0 under a fixed joint is exact
     order = -np.diff(np.log(errors[:, first:]), axis=0) / np.diff(np.log(rates))[:, None]
     # the first-order term is all there is, to within what the transient of the start and rank 4's spikes do
@@ -70,7 +70,7 @@ def test_error_falls_in_proportion_to_the_sampling_interval(combination):
 
 
 def test_rank_1_is_exact_where_its_joint_is_fixed():
-    assert run(arm(on_joint=True), 100, gyrometers=False)[:, 0].max() < 1e-12
+    assert run(arm(on_joint=True), 100, gyroscopes=False)[:, 0].max() < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -79,13 +79,13 @@ def test_rank_1_is_exact_where_its_joint_is_fixed():
 def test_rounding_sets_a_floor_in_the_special_case(rate_hz, floor_deg):
     """A body that hardly moves has no error of differences; what is left is rounding, 64-fold an octave."""
     almost_still = arm(on_joint=True, amplitude=0.02, tempo=0.02, bent=0.3)
-    errors = rms(run(almost_still, rate_hz, gyrometers=False, seconds=1.0))
+    errors = rms(run(almost_still, rate_hz, gyroscopes=False, seconds=1.0))
     assert floor_deg / 10.0 < errors[3] < floor_deg
     assert errors[2] < 1e-3
 
 
 def test_general_case_holds_for_half_a_minute():
-    errors = run(arm(on_joint=False), 100, gyrometers=False, seconds=30.0)
+    errors = run(arm(on_joint=False), 100, gyroscopes=False, seconds=30.0)
     assert rms(errors[-500:]).max() < 1.0
     assert errors.max() < 5.0
 
@@ -96,7 +96,7 @@ def test_earlier_orientations_taken_as_exact_run_away():
     def forget_uncertainty(reconstructor):
         reconstructor._state.covariance[:] = 0.0
 
-    errors = run(arm(on_joint=False), 400, gyrometers=False, after_each=forget_uncertainty)
+    errors = run(arm(on_joint=False), 400, gyroscopes=False, after_each=forget_uncertainty)
     assert errors[40].max() < 0.3
     assert errors[-400:].max() > 60.0
 
@@ -105,22 +105,22 @@ def test_general_case_from_a_static_start():
     body = arm(on_joint=False, from_rest=True)
     truth = simulate(body, instants(200, 6.0, start_s=-0.5))
     reconstructor = ArticulatedReconstructor(body.suit(), 1.0 / 200)
-    q_wb = np.array([reconstructor.update(f).q_wb for f in imu_frames(body, truth, gyrometers=False)])
+    q_wb = np.array([reconstructor.update(f).q_wb for f in imu_frames(body, truth, gyroscopes=False)])
     assert np.isnan(q_wb[:19]).all()
     errors = angular_error_deg(q_wb[19:], truth.R[19:])
     assert errors[:70].max() < 1e-10  # at rest
     assert rms(errors).max() < 0.5
 
 
-@pytest.mark.parametrize("gyrometers", [False, True])
-def test_general_case_bears_the_noise_of_real_modules(gyrometers):
+@pytest.mark.parametrize("gyroscopes", [False, True])
+def test_general_case_bears_the_noise_of_real_modules(gyroscopes):
     """0.02 m/s², 0.005 rad/s, 0.5 % of the field, at 100 Hz."""
     rng = np.random.default_rng(1)
     body = arm(on_joint=False)
     truth = simulate(body, instants(100, 10.0))
     reconstructor = ArticulatedReconstructor(body.suit(), 0.01, starting_pose=starting_pose(truth))
     q_wb = []
-    for imu_frame in imu_frames(body, truth, gyrometers):
+    for imu_frame in imu_frames(body, truth, gyroscopes):
         noise = rng.standard_normal((3, *imu_frame.specific_force.shape))
         q_wb.append(
             reconstructor.update(
@@ -167,6 +167,6 @@ def wrong_start_error(lever_arm, seconds):
     wrong = Rotation.from_rotvec(np.radians(1.0) * FIELD / np.linalg.norm(FIELD)).as_quat()[[3, 0, 1, 2]]
     pose = StartingPose(wrong[None], np.zeros((1, 3)))
     reconstructor = ArticulatedReconstructor(body.suit(), 1.0 / 200, starting_pose=pose)
-    for imu_frame in imu_frames(body, truth, gyrometers=False):
+    for imu_frame in imu_frames(body, truth, gyroscopes=False):
         last = reconstructor.update(imu_frame)
     return angular_error_deg(last.q_wb, truth.R[-1])[0]

@@ -56,16 +56,16 @@ def test_a_module_that_dies_and_comes_back(suit, calm):
     ("name", "lasts_s"),
     [
         pytest.param(
-            "gyrometer saturated for 2 s",
+            "gyroscope saturated for 2 s",
             2.0,
             marks=pytest.mark.xfail(
                 strict=True, raises=AssertionError, reason="1.6° on a neighbour that shows it its heading"
             ),
         ),
-        ("gyrometer stuck for 5 s", 4.0),
+        ("gyroscope stuck for 5 s", 4.0),
     ],
 )
-def test_a_gyrometer_that_lies_is_told_and_harms_nobody_else(suit, calm, name, lasts_s):
+def test_a_gyroscope_that_lies_is_told_and_harms_nobody_else(suit, calm, name, lasts_s):
     case = shorter(name, lasts_s, BEGINS_S + lasts_s + 4.0)
     run = emulated(suit, case)
     assert is_finite(run)

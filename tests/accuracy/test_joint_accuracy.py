@@ -44,7 +44,7 @@ def _short(why):
 def test_ideal_sensors_are_followed_and_sigma_covers_the_error():
     body = arm(on_joint=False)
     truth = simulate(body, instants(100, 20.0))
-    frames = solved("joint", body.suit(), 0.01, imu_frames(body, truth, gyrometers=True))
+    frames = solved("joint", body.suit(), 0.01, imu_frames(body, truth, gyroscopes=True))
     errors = angular_error_deg(np.stack([frame.q_wb for frame in frames]), truth.R)[1000:]
     sigma = np.degrees(np.stack([frame.sigma for frame in frames]))[1000:]
     assert np.sqrt(np.mean(errors**2)) < 1.0
@@ -92,7 +92,7 @@ def test_a_fast_arm_that_ends_in_mid_swing_is_no_worse_smoothed_than_live(switch
     assert smoothed < max(live, 0.05)
 
 
-def test_two_seconds_of_rest_at_the_start_show_the_gyrometers_biases():
+def test_two_seconds_of_rest_at_the_start_show_the_gyroscopes_biases():
     suit = fast_arm()
     reconstructor = JointReconstructor(suit, 0.01)
     true = np.radians(
@@ -189,7 +189,7 @@ def test_a_fixed_point_shows_the_accelerometers_error_along_gravity_while_the_ba
     assert not found[1:].any()
 
 
-def test_a_heading_lost_by_a_saturated_gyrometer_is_open_until_motion_shows_it_again():
+def test_a_heading_lost_by_a_saturated_gyroscope_is_open_until_motion_shows_it_again():
     suit = fast_arm()
     motion = fast_motion(suit, 1)
     reconstructor = JointReconstructor(suit, 0.01, ChainSettings(uses_field=False))
@@ -244,7 +244,7 @@ def test_a_start_in_mid_motion_and_vibration_are_borne(kind, part, ratio):
 
 
 @pytest.mark.skipif(not PENDULUM.is_dir(), reason=f"no recording in {PENDULUM}")
-def test_gyrometers_that_are_worse_than_thought_are_found_out_on_a_real_pendulum():
+def test_gyroscopes_that_are_worse_than_thought_are_found_out_on_a_real_pendulum():
     recording, _ = in_time(read_repoimu_pendulum(PENDULUM), 0.0)
     suit, interval_s = load_rig("pendulum_3"), 1.0 / recording.sampling_rate_hz
     observed, body = recorded_frames(recording, suit), JointReconstructor(suit, interval_s)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
-from gateway.emulation.optical_reference import gyrometer_disagreement, in_time
+from gateway.emulation.optical_reference import gyroscope_disagreement, in_time
 
 
 def tumbling(times):
@@ -44,9 +44,9 @@ def test_jumps_of_the_reference_do_not_shift_it():
     assert in_time(recording(0.016, jump_rad=0.5))[1] == pytest.approx(0.016, abs=0.0015)
 
 
-def test_gyrometers_agree_with_a_good_reference_and_not_with_one_that_jumps():
-    total, tilt = gyrometer_disagreement(in_time(recording(0.016))[0])
+def test_gyroscopes_agree_with_a_good_reference_and_not_with_one_that_jumps():
+    total, tilt = gyroscope_disagreement(in_time(recording(0.016))[0])
     assert total.shape == tilt.shape == (2,)
     assert np.max(total) < 0.3
     assert np.all(tilt <= total + 1e-9)
-    assert np.min(gyrometer_disagreement(in_time(recording(0.016, jump_rad=0.2))[0])[0]) > 1.0
+    assert np.min(gyroscope_disagreement(in_time(recording(0.016, jump_rad=0.2))[0])[0]) > 1.0

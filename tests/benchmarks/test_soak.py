@@ -97,7 +97,7 @@ def test_rates_need_clocks_that_a_busy_machine_did_not_unsettle():
 @pytest.mark.slow(reason="minutes of simulated time, twice")
 @pytest.mark.timeout(900)
 def test_poses_equal_those_of_a_fault_free_run_in_simulated_time():
-    """A gyrometer that was saturated for a second used to leave its segment 20° off for half a minute."""
+    """A gyroscope that was saturated for a second used to leave its segment 20° off for half a minute."""
     faults = [
         {"kind": "saturated", "at": 21.0, "lasts": 1.0, "module": 1},
         {"kind": "reset", "at": 22.0, "lasts": 0.3, "module": 2},

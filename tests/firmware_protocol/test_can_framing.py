@@ -42,7 +42,7 @@ can_frames = st.one_of(
     ),
 )
 
-# A sample of accelerometer and gyrometer; module 3, sample 17, at 1.25 s.
+# A sample of accelerometer and gyroscope; module 3, sample 17, at 1.25 s.
 FRAME = WireFrame(0x10, 3, 17, 1_250_000, bytes.fromhex("05 0000 0000 0108 0000 5e00 0000"))
 OTHER = replace(FRAME, module=4, body=bytes(range(40)))
 

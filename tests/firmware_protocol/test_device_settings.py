@@ -56,7 +56,7 @@ def test_values_are_those_worked_out_by_hand(key: int, value: Any, data: bytes):
         (2, 4000.1, "sampling_rate"),
         (2, math.nan, "sampling_rate"),
         (3, 9.9, "accelerometer_range"),
-        (4, math.radians(4001), "gyrometer_range"),
+        (4, math.radians(4001), "gyroscope_range"),
         (5, 99.0, "magnetometer_range"),
         (6, -0.1, "accelerometer_low_pass"),
         (8, 0, "mode"),

@@ -39,7 +39,7 @@ def calibrate(*arguments):
         ((), "where is the suit?"),
         (("--link", "x"), "--link needs --rig"),
         (("--mqtt", "localhost:1883"), "stop the running gateway"),
-        (("--link", "x", "--rig", "arm_3", "--only", "gyro"), "did you mean 'gyrometer'"),
+        (("--link", "x", "--rig", "arm_3", "--only", "gyro"), "did you mean 'gyroscope'"),
         (("--link", "x", "--rig", "arm_3", "--modules", "77"), "it has 1, 8, 9"),
         (("--link", "x", "--rig", "arm_3", "--flash"), "give --allow-writes"),
         (("--link", "x", "--rig", "arm_3", "-o", "nowhere/x.yaml"), "there is no folder"),
@@ -71,17 +71,17 @@ async def test_a_suit_in_a_box_is_calibrated_into_a_rig_file_and_into_flash(tmp_
         assert first.returncode == 0, first.stderr
         assert set(load_rig(str(tmp_path / "mine.yaml")).calibrations) == {1, 8, 9}
         flashed = await asyncio.to_thread(
-            calibrate, *where, "--only", "gyrometer,magnetometer", "--flash", "--allow-writes"
+            calibrate, *where, "--only", "gyroscope,magnetometer", "--flash", "--allow-writes"
         )
         assert flashed.returncode == 0, flashed.stderr
-        again = await asyncio.to_thread(calibrate, *where, "--only", "gyrometer", "-o", tmp_path / "x.yaml")
+        again = await asyncio.to_thread(calibrate, *where, "--only", "gyroscope", "-o", tmp_path / "x.yaml")
     finally:
         playing.cancel()
     for module, found in json.loads(first.stdout).items():
         # Gyroscopes whose bias wanders by 0.15°/s between rests, as these do, lie at the limit of "good": on
         # which side depends on the instant at which listening begins. The bias found is judged below.
-        assert found["gyrometer"].pop("quality") in {"good", "fair"}
+        assert found["gyroscope"].pop("quality") in {"good", "fair"}
         assert {sensor["quality"] for sensor in found.values() if "quality" in sensor} == {"good"}
-        before = np.linalg.norm(found["gyrometer"]["bias"])
-        after = np.linalg.norm(json.loads(again.stdout)[module]["gyrometer"]["bias"])
+        before = np.linalg.norm(found["gyroscope"]["bias"])
+        after = np.linalg.norm(json.loads(again.stdout)[module]["gyroscope"]["bias"])
         assert after < 0.2 * before  # the module takes its bias out itself now

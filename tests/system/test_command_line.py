@@ -56,7 +56,7 @@ def test_the_shipped_configuration_is_good():
     assert "17 modules on body 'human_17'" in done.stdout
 
 
-def test_articulated_is_told_whose_heading_it_does_not_observe_without_gyrometers(tmp_path):
+def test_articulated_is_told_whose_heading_it_does_not_observe_without_gyroscopes(tmp_path):
     def said(rig, reconstructor):
         file = write_config(tmp_path, 1883, "/dev/null", rig=rig, reconstructor=reconstructor)
         code, out, _ = typed_here(["config", "check", file])
@@ -68,8 +68,8 @@ def test_articulated_is_told_whose_heading_it_does_not_observe_without_gyrometer
     assert "thorax (facing 330° to 30°)" in suit
     assert "head (facing 165° to 210°)" in suit
     assert "thigh" not in suit  # hangs below the hip
-    assert "gyrometers" not in said("pendulum_3", "articulated")  # hang, all of them
-    assert "gyrometers" not in said("suit_17", "joint")
+    assert "gyroscopes" not in said("pendulum_3", "articulated")  # hang, all of them
+    assert "gyroscopes" not in said("suit_17", "joint")
 
 
 def test_help_tells_the_command_as_it_is_typed():

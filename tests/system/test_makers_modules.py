@@ -176,10 +176,10 @@ def test_what_is_for_modules_of_our_own_alone_says_so(emulated, configured, comm
 
 def test_sensors_of_other_makers_are_calibrated_into_a_rig_file(emulated, configured, command, tmp_path):
     config = configured(emulated("witmotion", "pty", "--tumbling"))
-    wanted = ["--only", "gyrometer", "--seconds", 20, "--poor", "-o", tmp_path / "rig.yaml", "--json"]
+    wanted = ["--only", "gyroscope", "--seconds", 20, "--poor", "-o", tmp_path / "rig.yaml", "--json"]
     found = json.loads(ended(command("calibrate", "sensors", "-c", config, *wanted)))
     assert len(found) == 3
-    assert all(np.isfinite(each["gyrometer"]["bias"]).all() for each in found.values())
+    assert all(np.isfinite(each["gyroscope"]["bias"]).all() for each in found.values())
     assert load_rig(str(tmp_path / "rig.yaml")).calibrations.keys() == set(map(int, found))
 
 

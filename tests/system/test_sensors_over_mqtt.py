@@ -47,19 +47,19 @@ async def test_gyroscopes_are_calibrated_into_a_rig_file_and_into_modules(tumble
         with pytest.raises(RequestError, match="sensors/begin"):
             await ask.perform("begin", {"sensors": ["nose"]})
         assert (await ask.perform("status", {}))["phase"] == "idle"
-        await ask.perform("begin", {"sensors": ["gyrometer"]})
+        await ask.perform("begin", {"sensors": ["gyroscope"]})
         status = await until(ask, lambda told: told["enough"])
         assert status["advice"] == "enough"
         assert {one["segment"] for one in status["modules"]} == {"thorax", "right_upper_arm", "right_forearm"}
         found = (await ask.perform("result", {}))["modules"]
-        assert {one["gyrometer"]["quality"] for one in found.values()} <= {"good", "fair", "poor"}
+        assert {one["gyroscope"]["quality"] for one in found.values()} <= {"good", "fair", "poor"}
         kept = await ask.perform("accept", {"poor": True})
         assert kept == {"accepted": [1, 8, 9], "file": "arm_3.worn.yaml", "is_configured": False}
         worn = load_rig(str(tmp_path / kept["file"])).calibrations
         for module, one in found.items():
-            bias = worn[int(module)].gyrometer_bias
-            assert abs(bias - one["gyrometer"]["bias"]).max() < 1e-5
-        await ask.perform("begin", {"sensors": ["gyrometer"], "modules": [8]})
+            bias = worn[int(module)].gyroscope_bias
+            assert abs(bias - one["gyroscope"]["bias"]).max() < 1e-5
+        await ask.perform("begin", {"sensors": ["gyroscope"], "modules": [8]})
         await until(ask, lambda told: told["enough"])
         assert (await ask.perform("accept", {"flash": True, "poor": True}))["accepted"] == [8]
         assert (await ask.perform("status", {}))["phase"] == "idle"

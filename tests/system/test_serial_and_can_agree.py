@@ -21,7 +21,7 @@ from gateway.emulation.rig import dress, move
 pytestmark = pytest.mark.system
 
 SECONDS = 2.5
-NOISY = Imperfections(accelerometer_noise=0.03, gyrometer_noise=0.002, magnetometer_noise=0.5)
+NOISY = Imperfections(accelerometer_noise=0.03, gyroscope_noise=0.002, magnetometer_noise=0.5)
 
 
 def media(folder, port):

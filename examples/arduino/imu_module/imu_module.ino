@@ -74,9 +74,9 @@ static void send_info(uint32_t now) {
 #endif
   info.firmware_version[0] = 1;
   info.accelerometer_range = mocap_device_info_accelerometer_range_from_si(16.0f * 9.80665f);
-  info.gyrometer_range = mocap_device_info_gyrometer_range_from_si(2000.0f * 0.01745329252f);
+  info.gyroscope_range = mocap_device_info_gyroscope_range_from_si(2000.0f * 0.01745329252f);
   info.accelerometer_sampling_rate = mocap_device_info_accelerometer_sampling_rate_from_si(100.0f);
-  info.gyrometer_sampling_rate = mocap_device_info_gyrometer_sampling_rate_from_si(100.0f);
+  info.gyroscope_sampling_rate = mocap_device_info_gyroscope_sampling_rate_from_si(100.0f);
   send_packet(MOCAP_KIND_DEVICE_INFO, info_sequence++, now, body, mocap_encode_device_info(&info, body, sizeof body));
 }
 
@@ -100,7 +100,7 @@ void setup() {
   Serial.begin(BAUD);
   Wire.begin();
   Wire.setClock(400000);
-  write_register(0x6B, 0x01); /* awake, clock of the gyrometer */
+  write_register(0x6B, 0x01); /* awake, clock of the gyroscope */
   write_register(0x1A, 0x02); /* low-pass at 94 Hz */
   write_register(0x1B, 0x18); /* +-2000 deg/s */
   write_register(0x1C, 0x18); /* +-16 g */

@@ -15,10 +15,10 @@
 
 /* Ranges that the chips have, in the units of mocap_device_info; the smallest that holds what is wanted is taken. */
 static const uint16_t accelerometer_ranges[] = {196u, 392u, 785u, 1569u};
-static const uint16_t gyrometer_ranges[] = {125u, 250u, 500u, 1000u, 2000u};
+static const uint16_t gyroscope_ranges[] = {125u, 250u, 500u, 1000u, 2000u};
 static const uint16_t magnetometer_ranges[] = {800u, 1600u};
 
-static int32_t accelerometer_limit, gyrometer_limit, magnetometer_limit; /* steps */
+static int32_t accelerometer_limit, gyroscope_limit, magnetometer_limit; /* steps */
 static uint32_t field_interval_us, last_field_us, first_us;
 static bool has_field, has_begun;
 
@@ -33,12 +33,12 @@ static uint16_t nearest(const uint16_t *ranges, size_t n, uint16_t wanted) {
 bool imu_configure(const mocap_settings *settings, imu_setup *setup) {
     const uint16_t rate = settings->sampling_rate;
     setup->accelerometer_range = nearest(accelerometer_ranges, 4u, settings->accelerometer_range);
-    setup->gyrometer_range = nearest(gyrometer_ranges, 5u, settings->gyrometer_range);
+    setup->gyroscope_range = nearest(gyroscope_ranges, 5u, settings->gyroscope_range);
     setup->magnetometer_range = nearest(magnetometer_ranges, 2u, settings->magnetometer_range);
-    setup->accelerometer_rate = setup->gyrometer_rate = rate;
+    setup->accelerometer_rate = setup->gyroscope_rate = rate;
     setup->magnetometer_rate = rate < MAGNETOMETER_DHZ ? rate : MAGNETOMETER_DHZ;
     accelerometer_limit = (int32_t)setup->accelerometer_range * 20884 / 1000;
-    gyrometer_limit = (int32_t)setup->gyrometer_range * 16384 / 1000;
+    gyroscope_limit = (int32_t)setup->gyroscope_range * 16384 / 1000;
     magnetometer_limit = (int32_t)setup->magnetometer_range * 20;
     /* Half a sample's time early: an interval that is just too short must not leave out every other one. */
     field_interval_us = 10000000u / setup->magnetometer_rate - 5000000u / rate;
@@ -97,7 +97,7 @@ bool imu_read(uint32_t time_us, imu_reading *reading) {
     if (limit(row, accelerometer_limit, reading->specific_force)) {
         reading->clipped |= MOCAP_INERTIAL_SAMPLE_SPECIFIC_FORCE_CLIPPED;
     }
-    if (limit(row + 6, gyrometer_limit, reading->angular_rate)) {
+    if (limit(row + 6, gyroscope_limit, reading->angular_rate)) {
         reading->clipped |= MOCAP_INERTIAL_SAMPLE_ANGULAR_RATE_CLIPPED;
     }
     if (!has_field || time_us - last_field_us >= field_interval_us) {

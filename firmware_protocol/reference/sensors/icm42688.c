@@ -22,7 +22,7 @@ typedef struct {
 
 /* The smallest that holds what is wanted stands first. */
 static const choice accelerometer_ranges[] = {{196u, 3u}, {392u, 2u}, {785u, 1u}, {1569u, 0u}};
-static const choice gyrometer_ranges[] = {{31u, 6u}, {62u, 5u}, {125u, 4u}, {250u, 3u}, {500u, 2u}, {1000u, 1u}, {2000u, 0u}};
+static const choice gyroscope_ranges[] = {{31u, 6u}, {62u, 5u}, {125u, 4u}, {250u, 3u}, {500u, 2u}, {1000u, 1u}, {2000u, 0u}};
 static const choice rates[] = {{125u, 11u}, {250u, 10u}, {500u, 9u}, {1000u, 8u}, {2000u, 7u}, {5000u, 15u}, {10000u, 6u},
                                {20000u, 5u}, {40000u, 4u}};
 
@@ -34,10 +34,10 @@ static choice nearest(const choice *choices, uint8_t count, uint16_t wanted) {
     return choices[i];
 }
 
-bool icm42688_configure(uint16_t accelerometer_range, uint16_t gyrometer_range, uint16_t rate_dhz,
+bool icm42688_configure(uint16_t accelerometer_range, uint16_t gyroscope_range, uint16_t rate_dhz,
                         icm42688_setup *setup) {
     const choice accelerometer = nearest(accelerometer_ranges, 4u, accelerometer_range);
-    const choice gyrometer = nearest(gyrometer_ranges, 7u, gyrometer_range);
+    const choice gyroscope = nearest(gyroscope_ranges, 7u, gyroscope_range);
     const choice rate = nearest(rates, 9u, rate_dhz);
     uint8_t identity = 0u;
     if (!board_spi_write(SPI_ICM42688, DEVICE_CONFIG, SOFT_RESET)) {
@@ -48,14 +48,14 @@ bool icm42688_configure(uint16_t accelerometer_range, uint16_t gyrometer_range, 
         return false;
     }
     /* Ranges and rates are set before the sensors run: a change under way gives some wrong readings. */
-    if (!board_spi_write(SPI_ICM42688, GYRO_CONFIG0, (uint8_t)(gyrometer.code << 5 | rate.code)) ||
+    if (!board_spi_write(SPI_ICM42688, GYRO_CONFIG0, (uint8_t)(gyroscope.code << 5 | rate.code)) ||
         !board_spi_write(SPI_ICM42688, ACCEL_CONFIG0, (uint8_t)(accelerometer.code << 5 | rate.code)) ||
         !board_spi_write(SPI_ICM42688, PWR_MGMT0, LOW_NOISE_BOTH)) {
         return false;
     }
     board_delay_us(SETTLES_US);
     setup->accelerometer_range = accelerometer.largest;
-    setup->gyrometer_range = gyrometer.largest;
+    setup->gyroscope_range = gyroscope.largest;
     setup->rate_dhz = rate.largest;
     return true;
 }

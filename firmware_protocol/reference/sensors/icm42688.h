@@ -7,12 +7,12 @@
 
 typedef struct {
     uint16_t accelerometer_range; /* set to, 0.1 m/s^2 */
-    uint16_t gyrometer_range;     /* set to, deg/s */
+    uint16_t gyroscope_range;     /* set to, deg/s */
     uint16_t rate_dhz;            /* at which the chip renews its readings, 0.1 Hz */
 } icm42688_setup;
 
 /* Resets it and sets the nearest ranges, and the lowest rate, that hold what is wanted. False: it does not answer. */
-bool icm42688_configure(uint16_t accelerometer_range, uint16_t gyrometer_range, uint16_t rate_dhz,
+bool icm42688_configure(uint16_t accelerometer_range, uint16_t gyroscope_range, uint16_t rate_dhz,
                         icm42688_setup *setup);
 
 /* The newest readings of accelerometer and gyroscope, in steps of the chip: full range is 32768. */

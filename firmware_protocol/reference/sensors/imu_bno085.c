@@ -27,7 +27,7 @@ enum {
 
 /* What the sensors reach, in the units of the settings. */
 #define ACCELEROMETER_RANGE 785u /* 8 g */
-#define GYROMETER_RANGE 2000u
+#define GYROSCOPE_RANGE 2000u
 #define MAGNETOMETER_RANGE 1300u
 #define FASTEST_DHZ 2000u
 #define MAGNETOMETER_FASTEST_DHZ 1000u
@@ -195,9 +195,9 @@ bool imu_configure(const mocap_settings *settings, imu_setup *setup) {
         return false;
     }
     setup->accelerometer_range = ACCELEROMETER_RANGE;
-    setup->gyrometer_range = GYROMETER_RANGE;
+    setup->gyroscope_range = GYROSCOPE_RANGE;
     setup->magnetometer_range = MAGNETOMETER_RANGE;
-    setup->accelerometer_rate = setup->gyrometer_rate = rate;
+    setup->accelerometer_rate = setup->gyroscope_rate = rate;
     setup->magnetometer_rate = least(rate, MAGNETOMETER_FASTEST_DHZ);
     return true;
 }

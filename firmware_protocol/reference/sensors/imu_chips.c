@@ -15,22 +15,22 @@ static int16_t temperature = -32768;
 
 bool imu_configure(const mocap_settings *settings, imu_setup *setup) {
     icm42688_setup chip;
-    if (!mmc5983_configure() || !icm42688_configure(settings->accelerometer_range, settings->gyrometer_range,
+    if (!mmc5983_configure() || !icm42688_configure(settings->accelerometer_range, settings->gyroscope_range,
                                                     settings->sampling_rate, &chip)) {
         memset(setup, 0, sizeof *setup);
         return false;
     }
     setup->accelerometer_range = chip.accelerometer_range;
-    setup->gyrometer_range = chip.gyrometer_range;
+    setup->gyroscope_range = chip.gyroscope_range;
     setup->magnetometer_range = MMC5983_RANGE_UT;
-    setup->accelerometer_rate = setup->gyrometer_rate = settings->sampling_rate;
+    setup->accelerometer_rate = setup->gyroscope_rate = settings->sampling_rate;
     setup->magnetometer_rate = settings->sampling_rate < MMC5983_RATE_DHZ ? settings->sampling_rate : MMC5983_RATE_DHZ;
     /* The ranges of both are powers of two below those of the wire (16 g, 2000 deg/s): the scale is one, exactly. */
     acceleration_scale = chip.accelerometer_range > 1000u ? 65536 : chip.accelerometer_range > 500u ? 32768 :
                          chip.accelerometer_range > 250u ? 16384 : 8192;
-    rate_scale = chip.gyrometer_range > 1500u ? 65536 : chip.gyrometer_range > 750u ? 32768 :
-                 chip.gyrometer_range > 400u ? 16384 : chip.gyrometer_range > 200u ? 8192 :
-                 chip.gyrometer_range > 100u ? 4096 : chip.gyrometer_range > 50u ? 2048 : 1024;
+    rate_scale = chip.gyroscope_range > 1500u ? 65536 : chip.gyroscope_range > 750u ? 32768 :
+                 chip.gyroscope_range > 400u ? 16384 : chip.gyroscope_range > 200u ? 8192 :
+                 chip.gyroscope_range > 100u ? 4096 : chip.gyroscope_range > 50u ? 2048 : 1024;
     return true;
 }
 

@@ -3,10 +3,10 @@
 Equations: ``operators`` (JP4989660B2).
 
 When a segment of rank n (root: 1) is first defined, counting samples from 1:
-- ``U = 0``, no gyrometers: sample 2n − 1 (two more orientations of rank n − 1 are needed each time);
-- gyrometers: ``ω̇`` of every segment is known from sample 2, so rank 1 with ``U = 0`` is defined from
+- ``U = 0``, no gyroscopes: sample 2n − 1 (two more orientations of rank n − 1 are needed each time);
+- gyroscopes: ``ω̇`` of every segment is known from sample 2, so rank 1 with ``U = 0`` is defined from
   sample 1, every other segment from sample 2, whatever its rank;
-- ``U ≠ 0``, no gyrometers: from a static start or a starting pose.
+- ``U ≠ 0``, no gyroscopes: from a static start or a starting pose.
 A local device that measures velocity adds 1 to these, one that measures position 2. Until then WARMING_UP.
 
 The root is the segment that carries the first local device; without any, the skeleton's root is taken
@@ -14,11 +14,11 @@ to turn about a fixed proximal joint (``a_1 = 0``). A segment whose module gave 
 (HELD counts as nothing: a repeated sample has no derivative) is MISSING, and so are all segments beyond
 it as seen from the root. Its own joint still has acceleration and position where the segment is entered
 at that joint, since the neighbour defines them. Differences bridge a gap with the true time step; after
-``longest_gap_s`` the warm-up begins anew (``U ≠ 0`` without gyrometers: at the next rest).
+``longest_gap_s`` the warm-up begins anew (``U ≠ 0`` without gyroscopes: at the next rest).
 
 Two limits of the method itself. Where ``a_n − g`` points along the field, or vanishes, the two vectors do not
 define an orientation, and near it every error is magnified; a steep field (60° and more) makes this common.
-And without gyrometers rounding alone grows by about ``√6 |L| / (g Δt²)`` a rank with ``U = 0``:
+And without gyroscopes rounding alone grows by about ``√6 |L| / (g Δt²)`` a rank with ``U = 0``:
 rank 4 of an arm of 0.35, 0.30, 0.25 m has a floor of 5e-7° at 100 Hz, 2e-5° at 200, 0.0015° at 400,
 0.10° at 800 and 7° at 1600 Hz in double precision, and sensor noise grows by the same factor.
 """
@@ -75,7 +75,7 @@ class ArticulatedSettings:
     start_rate_sigma: float = 0.02
     """rad/s: how well the rates of the start are known."""
     specific_force_sigma: float = 1.0
-    """m/s²: weight of the specific force in the general case without gyrometers."""
+    """m/s²: weight of the specific force in the general case without gyroscopes."""
     direction_sigma: float = 0.005
     """rad: weight of sensor X there. No smaller than its noise: the filter runs away at a fifth of it."""
     second_difference_sigma: float = 0.1
@@ -94,7 +94,7 @@ class ArticulatedReconstructor:
     """The method of the source, exact in its equations. Compiles in the constructor (cached on disk).
 
     nominal_interval_s: of the frames; only the time stamps count, it serves the warm-up compilation.
-    starting_pose: taken at the first frame by segments with ``U ≠ 0`` and no gyrometers.
+    starting_pose: taken at the first frame by segments with ``U ≠ 0`` and no gyroscopes.
     """
 
     def __init__(
@@ -267,7 +267,7 @@ class StaticStart:
 
 # Which headings cannot be told
 #
-# Find for which placements ``articulated`` loses the heading where modules have no gyrometers.
+# Find for which placements ``articulated`` loses the heading where modules have no gyroscopes.
 #
 # At rest a module off its joint tells nothing of a turn about the field but by the acceleration that such a
 # turn would cause (``next_rotation``): where the arm from the joint lies in the plane of vertical and field,
@@ -287,7 +287,7 @@ _N_FRAMES, _INTERVAL_S = 200, 0.005
 def unobserved_headings(suit: WornSuit) -> dict[str, tuple[int, ...]]:
     """Return, by segment, those of ``FACINGS`` in which its heading is not observed; none: not in the result.
 
-    Of ``articulated`` without gyrometers, at rest in the neutral posture. Segments without a module, or with
+    Of ``articulated`` without gyroscopes, at rest in the neutral posture. Segments without a module, or with
     one on their joint, have no such ways.
     """
     settings = ArticulatedSettings()

@@ -41,10 +41,10 @@ class IndependentReconstructor:
     A module without values for an instant keeps its last orientation: HELD, and PREDICTED after a longer
     gap (``module_filter.LONGEST_GAP_S``). One whose last values are repeated turns on by them for a tenth of
     a second. Once it is back, that is taken back, and the gap bridged or settled (``ModuleFilter``).
-    Likewise after its gyrometers have been saturated for that long; for less, the end of their range is the
-    best guess. While its accelerometer is saturated, a segment turns by its gyrometers alone (UNAIDED).
+    Likewise after its gyroscopes have been saturated for that long; for less, the end of their range is the
+    best guess. While its accelerometer is saturated, a segment turns by its gyroscopes alone (UNAIDED).
     A segment without module follows its parent rigidly, axes parallel as in the calibration pose
-    (PREDICTED). MISSING: nothing yet, or a module without accelerometer or gyrometers.
+    (PREDICTED). MISSING: nothing yet, or a module without accelerometer or gyroscopes.
 
     angular_rate: as measured, bias included. joint_acceleration: the module's specific force moved to the
     proximal joint with ``ω̇`` from one backward difference and freed of gravity, from the second frame on

@@ -25,9 +25,9 @@ LONGEST_BRIDGE_S = 0.1
 """As long as the assembler bridges by default. What the module did is known then; nothing has to settle."""
 BIAS_PAUSE_S = 10.0
 """After settling VQF's inclination still moves to what its low-pass finds, for three of its time constants:
-it would take this for a bias of the gyrometers, and after many gaps believe in one."""
+it would take this for a bias of the gyroscopes, and after many gaps believe in one."""
 LONGEST_GAP_S = 0.2
-"""After a longer one the last orientation is a mere guess, and saturated gyrometers tell not even that."""
+"""After a longer one the last orientation is a mere guess, and saturated gyroscopes tell not even that."""
 _LONGEST_GAP_NS = round(LONGEST_GAP_S * 1e9)
 _AVERAGES = (
     "accLpState",
@@ -116,7 +116,7 @@ class ModuleFilter:
         self._advance(sample)
 
     def take_doubtful(self, sample: Sample, time_ns: int, is_blind: bool) -> None:
-        """The last one repeated, or one from the end of the gyrometers' range (``is_blind``): shown until a
+        """The last one repeated, or one from the end of the gyroscopes' range (``is_blind``): shown until a
         better one comes. A repeated one is believed for no longer than a gap that is bridged."""
         if self._kept is None:
             since = Since(*(sums.copy() for sums in self._since))
@@ -388,7 +388,7 @@ def settle(
 ) -> tuple[FloatArray, float]:
     """One more sample; q_wi (4,), and its standard deviation about the axis known worst, rad.
 
-    q_is: (4,) by the gyrometers. f, x: (3,) specific force and field, NaN where there is none. dt: s."""
+    q_is: (4,) by the gyroscopes. f, x: (3,) specific force and field, NaN where there is none. dt: s."""
     if is_finite(f):
         t = since.seconds[0] + 0.5 * dt
         f_i = quaternion.rotate(q_is, f)

@@ -2,8 +2,8 @@
 
 1. ``a_n = a_{n−1} + R_{n−1} ([ω̇, ω]_{n−1} ⊳ L_{n−1})``: acceleration of the joint P_n.
 2. ``f_n − [ω̇, ω]_n ⊳ U_n = R_nᵀ (a_n − g)``, ``x_n = R_nᵀ h``: two vectors known on both sides, hence R_n.
-   With ``U_n = 0`` (special case) ω is not needed, with gyrometers it is measured.
-3. With ``U_n ≠ 0`` and no gyrometers ω depends on the R_n sought: ``next_rotation``.
+   With ``U_n = 0`` (special case) ω is not needed, with gyroscopes it is measured.
+3. With ``U_n ≠ 0`` and no gyroscopes ω depends on the R_n sought: ``next_rotation``.
 4. ω and ω̇ by backward differences: of the last three orientations, or ω measured and differenced once.
 
 State and body are arrays in named tuples; ``advance`` returns new ones and changes no argument.
@@ -184,7 +184,7 @@ def _status_before_solving(chain: Chain, motion: Motion, observed: SegmentObserv
 
 @compiled
 def _measure_rate(state: ChainState, motion: Motion, rate: FloatArray, s: int, time_ns: int) -> None:
-    """Operator 4 with gyrometers."""
+    """Operator 4 with gyroscopes."""
     if not is_finite(rate):
         state.has_measured[s] = 0
         return
@@ -206,8 +206,8 @@ def _solve(
     s: int,
 ) -> None:
     """Operators 2 to 4 for one segment."""
-    has_gyrometers = is_finite(motion.rate[s])
-    if chain.on_joint[s] or has_gyrometers:
+    has_gyroscopes = is_finite(motion.rate[s])
+    if chain.on_joint[s] or has_gyroscopes:
         f = now.observed.specific_force[s]
         if not chain.on_joint[s]:
             f = f - derivatives.point_acceleration(motion.rate_derivative[s], motion.rate[s], chain.U[s])
@@ -217,7 +217,7 @@ def _solve(
             motion.status[s] = WARMING_UP
             return
         motion.R[s] = R
-        _difference_orientations(state, motion, s, now.time_ns, not has_gyrometers)
+        _difference_orientations(state, motion, s, now.time_ns, not has_gyroscopes)
     elif state.is_started[s]:
         _advance_gyro_free(chain, state, weights, motion, now, s)
     else:
@@ -228,7 +228,7 @@ def _solve(
 def _difference_orientations(
     state: ChainState, motion: Motion, s: int, time_ns: int, use_differences: bool
 ) -> None:
-    """Operator 4 without gyrometers; remembers the orientation either way."""
+    """Operator 4 without gyroscopes; remembers the orientation either way."""
     R, n = motion.R[s], state.n_orientations[s]
     dt = (time_ns - state.time_ns[s]) * 1e-9
     rate = np.full(3, np.nan)
@@ -323,7 +323,7 @@ def _pose(chain: Chain, motion: Motion) -> Pose:
 # second and 14° after 10 s; on the horizontal north of it, lost after 2 s. The arm of the tests, its modules
 # east of its joints, holds over 30 s; a trunk that sways with its module north of or above the hip does
 # not (15° RMS within 3 s). A prior of 30 rad/s² on ω̇ across U was tried: it keeps that trunk within 2.5°, and
-# loses the arm at 1600 Hz. Upright segments need gyrometers, or a module on the joint.
+# loses the arm at 1600 Hz. Upright segments need gyroscopes, or a module on the joint.
 
 
 class Weights(NamedTuple):

@@ -51,7 +51,7 @@ class RateFreeSettings:
 
 
 class RateFreeReconstructor:
-    """Causal, or with a constant delay. Gyrometer readings are not looked at.
+    """Causal, or with a constant delay. Gyroscope readings are not looked at.
 
     A segment is defined from its module's first sample with specific force and field on. status: the
     module's; PREDICTED while the module is silent, then MISSING. sigma: of the causal estimate, rad.

@@ -1,4 +1,4 @@
-"""One segment without gyrometers: an error-state filter that carries the motion instead. Compiled.
+"""One segment without gyroscopes: an error-state filter that carries the motion instead. Compiled.
 
 The specific force is integrated twice (``v̇ = R f + g``, ``ṗ = v``) and meets whatever is known of the place
 of a point of the segment; a wrong ``R`` shows in ``p``. So no place is ever differentiated, and no ``ω̇`` is

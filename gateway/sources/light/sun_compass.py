@@ -1,6 +1,6 @@
 """Light readings to directions of the sun by frame; cloud, shadow and reflections turned away. Sans-I/O.
 
-A direction serves until a newer one comes, turned along by the module's gyrometers, for ``CARRIED_S`` at
+A direction serves until a newer one comes, turned along by the module's gyroscopes, for ``CARRIED_S`` at
 most; for longer it is remembered to tell what jumps.
 """
 
@@ -36,7 +36,7 @@ LARGEST_RESIDUAL = 0.12
 """Of the direct light. Sky and ground that differ leave 0.05."""
 LARGEST_JUMP = math.radians(10.0)
 JUMP_MEMORY_S = 10.0
-"""For so long the gyrometers tell where the sun must be; a direction that then still stands is believed."""
+"""For so long the gyroscopes tell where the sun must be; a direction that then still stands is believed."""
 LARGEST_MISPLACEMENT = math.radians(15.0)
 """Height above the horizon, where the module's specific force tells it."""
 STILL = 0.5
@@ -59,7 +59,7 @@ class Rejected(Enum):
     DIFFUSE = "little direct light: cloud, or shadow"
     DIMMED = "direct light weaker than before: thin cloud, or part in shadow"
     INCONSISTENT = "cells contradict each other: part in shadow, or a second light"
-    JUMPED = "not where it was, carried along by the gyrometers: a shadow's edge, or another light"
+    JUMPED = "not where it was, carried along by the gyroscopes: a shadow's edge, or another light"
     MISPLACED = "not at the sun's height: a reflection, or a lamp"
 
 

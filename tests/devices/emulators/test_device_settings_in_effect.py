@@ -55,7 +55,7 @@ def test_a_new_rate_holds_from_the_commit_on(arm_host):
     assert [s.sequence for s in samples] == list(range(len(samples)))
     assert len(host.of(InertialSample, 0)) == pytest.approx(100 * host.now_s, abs=2)
     info = host.traffic.device(1).introduction()[0]
-    assert info.gyrometer_sampling_rate == pytest.approx(250.0)
+    assert info.gyroscope_sampling_rate == pytest.approx(250.0)
 
 
 def test_the_motion_is_true_before_and_after_a_change_of_rate(arm_host):
@@ -80,7 +80,7 @@ def test_readings_end_at_the_range_and_are_marked(arm_host):
     host.listen(3.0)
     before = host.of(InertialSample, 3)
     largest = np.radians(40.0)
-    set_up(host, 3, gyrometer_range=largest, accelerometer_range=10.0)
+    set_up(host, 3, gyroscope_range=largest, accelerometer_range=10.0)
     begins = len(host.of(InertialSample, 3))
     host.listen(5.0)
     after = host.of(InertialSample, 3)[begins:]
@@ -174,12 +174,12 @@ def test_the_timer_does_not_heed_triggers(arm_host):
 
 
 def test_a_calibration_corrects_what_the_sensors_read(arm_host):
-    errors = Imperfections(accelerometer_bias=0.5, gyrometer_bias=0.05, magnetometer_bias=5.0, scale=0.05)
+    errors = Imperfections(accelerometer_bias=0.5, gyroscope_bias=0.05, magnetometer_bias=5.0, scale=0.05)
     host, ideal = arm_host(errors, seed=6), arm_host()
     drawn = host.traffic._sampler._sensors[2]._errors
     calibration = np.array(factory_settings()[9])
     A, S = (np.linalg.inv(d) for d in (drawn.accelerometer_distortion, drawn.magnetometer_distortion))
-    calibration[:15] = [*A.ravel(), *drawn.accelerometer_bias, *drawn.gyrometer_bias]
+    calibration[:15] = [*A.ravel(), *drawn.accelerometer_bias, *drawn.gyroscope_bias]
     calibration[15:27] = [*S.ravel(), *drawn.magnetometer_bias]
     set_up(host, 2, calibration=tuple(calibration.tolist()))
     host.listen(1.0)

@@ -106,7 +106,7 @@ def readings(settings, n, rate_hz=100.0, seed=1, blocks=1):
 
 
 def test_white_noise_has_the_asked_rms_and_is_white():
-    settings = Imperfections(accelerometer_noise=0.03, gyrometer_noise=0.002, magnetometer_noise=0.5)
+    settings = Imperfections(accelerometer_noise=0.03, gyroscope_noise=0.002, magnetometer_noise=0.5)
     read = readings(settings, 20_000)
     for name, sigma in (("specific_force", 0.03), ("angular_rate", 0.002), ("magnetic_field", 0.5)):
         np.testing.assert_allclose(read[name].std(axis=0), sigma, rtol=0.03)
@@ -116,14 +116,14 @@ def test_white_noise_has_the_asked_rms_and_is_white():
 
 
 def test_noise_goes_with_the_root_of_the_rate():
-    read = readings(Imperfections(gyrometer_noise=0.002), 20_000, rate_hz=400.0)
+    read = readings(Imperfections(gyroscope_noise=0.002), 20_000, rate_hz=400.0)
     np.testing.assert_allclose(read["angular_rate"].std(axis=0), 0.004, rtol=0.03)
 
 
 def test_bias_and_scale_and_misalignment_are_drawn_with_the_asked_spread():
-    settings = Imperfections(gyrometer_bias=0.01, scale=0.02, misalignment=0.03, placement=0.01)
+    settings = Imperfections(gyroscope_bias=0.01, scale=0.02, misalignment=0.03, placement=0.01)
     drawn = [draw_errors(settings, module_random(5, module, 0)) for module in range(400)]
-    assert np.std([e.gyrometer_bias for e in drawn]) == pytest.approx(0.01, rel=0.1)
+    assert np.std([e.gyroscope_bias for e in drawn]) == pytest.approx(0.01, rel=0.1)
     assert np.std([e.placement for e in drawn]) == pytest.approx(0.01, rel=0.1)
     distortion = np.array([e.accelerometer_distortion for e in drawn])
     assert np.std(distortion[:, range(3), range(3)]) == pytest.approx(0.02, rel=0.1)
@@ -132,7 +132,7 @@ def test_bias_and_scale_and_misalignment_are_drawn_with_the_asked_spread():
 
 
 def test_the_bias_walks():
-    settings = Imperfections(gyrometer_bias_walk=0.001)
+    settings = Imperfections(gyroscope_bias_walk=0.001)
     ends = [readings(settings, 2500, seed=seed)["angular_rate"][-1] for seed in range(60)]
     assert np.std(ends) == pytest.approx(0.001 * np.sqrt(25.0), rel=0.2)  # 25 s
 
@@ -160,7 +160,7 @@ def test_clocks_are_drawn_within_their_limits():
 
 def test_presets_grow_worse():
     assert list(PRESETS) == ["ideal", "typical", "rough", "uncalibrated"]
-    for name in ("gyrometer_noise", "accelerometer_bias", "clock_skew_ppm", "loss", "jitter"):
+    for name in ("gyroscope_noise", "accelerometer_bias", "clock_skew_ppm", "loss", "jitter"):
         assert 0 == getattr(IDEAL, name) < getattr(TYPICAL, name) < getattr(ROUGH, name)
 
 

@@ -96,7 +96,7 @@ def test_modules_introduce_themselves_first(recording):
     infos = by_module(packets, DeviceInfo)
     assert set(infos) == {5, 6}
     assert infos[5][0].packet.magnetometer_range is None
-    assert infos[6][0].packet.gyrometer_sampling_rate == pytest.approx(40.0)
+    assert infos[6][0].packet.gyroscope_sampling_rate == pytest.approx(40.0)
     first_of_5 = next(p for p in packets if p.module == 5)
     assert isinstance(first_of_5.packet, DeviceInfo)
 
@@ -167,11 +167,11 @@ def test_ring_chain5_modules_and_optics_show_one_motion(recording_set):
     at = (reference.times[1:] + reference.times[:-1]) / 2
     rate = np.linalg.norm(module.angular_rate, axis=1)
 
-    def misfit(shift):
+    def mismatch(shift):
         return np.sqrt(np.mean((np.interp(at + shift, module.times, rate) - optical)[90:-90] ** 2))
 
     shifts = np.arange(-0.1, 0.1, 0.005)
-    assert abs(shifts[np.argmin([misfit(s) for s in shifts])]) <= 0.011
+    assert abs(shifts[np.argmin([mismatch(s) for s in shifts])]) <= 0.011
 
 
 def test_broad(recording_set):
@@ -233,7 +233,7 @@ def test_repoimu_pendulum(recording_set):
     assert 50 < int(np.isnan(reference.q_wb).any(axis=1).sum()) < 400
 
 
-def test_repoimu_pendulum_reference_turns_as_the_gyrometers_do(recording_set):
+def test_repoimu_pendulum_reference_turns_as_the_gyroscopes_do(recording_set):
     """About the axis of the swing and about that across it; the third, along the link, hardly turns."""
     recording = read_repoimu_pendulum(recording_set("repoimu_pendulum"))
     for module in recording.modules:

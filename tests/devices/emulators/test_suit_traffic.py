@@ -101,7 +101,7 @@ def test_modules_introduce_themselves_and_tell_their_health(arm_motion):
         healths = samples_of(packets, module, Health)
         assert [info.module_time_us for info in infos] == [0, 5_000_000]
         assert len(healths) == 7
-        assert infos[0].packet.gyrometer_sampling_rate == pytest.approx(50.0)
+        assert infos[0].packet.gyroscope_sampling_rate == pytest.approx(50.0)
         assert (
             infos[0].packet.unique_id != samples_of(packets, (module + 1) % 4, DeviceInfo)[0].packet.unique_id
         )
@@ -245,7 +245,7 @@ def test_sensors_that_are_not_worn_are_not_sent(arm_motion):
     packets, _ = decode(SuitTraffic(arm_motion, settings).transmissions(0.5))
     assert samples_of(packets, 1)[0].packet.angular_rate is None
     assert samples_of(packets, 1)[0].packet.magnetic_field is not None
-    assert samples_of(packets, 1, DeviceInfo)[0].packet.gyrometer_range is None
+    assert samples_of(packets, 1, DeviceInfo)[0].packet.gyroscope_range is None
 
 
 def test_modules_may_have_rates_of_their_own(arm_motion):

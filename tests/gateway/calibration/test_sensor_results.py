@@ -1,4 +1,4 @@
-"""Gyrometer, accelerometer and magnetometer results: right numbers, and right reasons when poor."""
+"""Gyroscope, accelerometer and magnetometer results: right numbers, and right reasons when poor."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from gateway.calibration.quality import Finding, graded, judged
 from gateway.calibration.rest import RestDetector
 from gateway.calibration.sensors import (
     accelerometer_ellipsoid,
-    gyrometer_bias,
+    gyroscope_bias,
     magnetometer_ellipsoid,
     rest_positions,
     six_positions,
@@ -34,8 +34,8 @@ def fed(*parts, seed=0):
 UP = np.array([0, 0, GRAVITY])
 
 
-def test_gyrometer_bias_at_rest():
-    result = gyrometer_bias(fed((5, UP, BIAS)))
+def test_gyroscope_bias_at_rest():
+    result = gyroscope_bias(fed((5, UP, BIAS)))
     np.testing.assert_allclose(result.bias, BIAS, atol=np.radians(0.03))
     assert result.quality.verdict == "good"
     assert result.quality.reasons == ()
@@ -43,18 +43,18 @@ def test_gyrometer_bias_at_rest():
 
 def test_a_steady_rotation_is_no_bias():
     with pytest.raises(ValueError, match="never lay still"):
-        gyrometer_bias(fed((5, UP, np.radians([0, 0, 60]))))
+        gyroscope_bias(fed((5, UP, np.radians([0, 0, 60]))))
 
 
 def test_a_module_moved_during_rest_never_scores_good():
     moved = [(2, UP, BIAS), (2, UP, BIAS + np.radians([1.2, 0, 0])), (2, UP, BIAS)]
-    result = gyrometer_bias(fed(*moved))
+    result = gyroscope_bias(fed(*moved))
     assert result.quality.verdict != "good"
     assert "it was moved" in " ".join(result.quality.reasons)
 
 
 def test_a_short_rest_says_so():
-    result = gyrometer_bias(fed((1.4, UP, BIAS)))
+    result = gyroscope_bias(fed((1.4, UP, BIAS)))
     assert result.quality.verdict != "good"
     assert "leave it untouched" in result.quality.reasons[0]
 

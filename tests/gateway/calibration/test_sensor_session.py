@@ -69,7 +69,7 @@ def test_the_errors_that_were_drawn_are_found(session):
     for module in MODULES:
         errors = draw_errors(UNCALIBRATED, module_random(SEED, module, ERRORS))
         found = session.results(module)
-        np.testing.assert_allclose(found["gyrometer"].bias, errors.gyrometer_bias, atol=np.radians(0.1))
+        np.testing.assert_allclose(found["gyroscope"].bias, errors.gyroscope_bias, atol=np.radians(0.1))
         np.testing.assert_allclose(found["accelerometer"].fit.bias, errors.accelerometer_bias, atol=0.05)
         np.testing.assert_allclose(found["magnetometer"].fit.bias, errors.magnetometer_bias, atol=1.0)
         assert found["accelerometer"].fit.spread_after < 0.002
@@ -141,7 +141,7 @@ def test_modules_without_calibration_pass_as_they_are():
     rows = [(3, 0, 0, (force, rate, field), 0), (4, 0, 0, (force, rate, field), 0)]
     samples = InertialBatch.of([*rows, (4, 1, 9, (force, NOT_READ, field), 0)]).samples
     assert SensorCorrections({}).apply(samples) is samples
-    corrected = SensorCorrections({4: SensorCalibration(gyrometer_bias=np.ones(3))}).apply(samples)
+    corrected = SensorCorrections({4: SensorCalibration(gyroscope_bias=np.ones(3))}).apply(samples)
     assert corrected[0] == samples[0]
     assert corrected["measured"][1, ANGULAR_RATE].tolist() == [0.0, 1.0, 2.0]
     assert (corrected["measured"][:, SPECIFIC_FORCE] == force).all()
@@ -195,7 +195,7 @@ def test_the_setting_of_modules_is_the_same_thing():
     for name in (
         "accelerometer_matrix",
         "accelerometer_bias",
-        "gyrometer_bias",
+        "gyroscope_bias",
         "magnetometer_matrix",
         "magnetometer_bias",
     ):

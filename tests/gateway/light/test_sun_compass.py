@@ -61,7 +61,7 @@ def test_magnetometers_count_only_beside_the_sun():
     assert (SunCompass(both).sighted(frame(0)).magnetic_field == 1.0).all()
 
 
-def test_a_direction_is_carried_by_the_gyrometer_and_not_for_long():
+def test_a_direction_is_carried_by_the_gyroscope_and_not_for_long():
     compass, rate = SunCompass(SUIT), np.array([0.0, 2.0, 0.0])
     first = compass.sighted(frame(0, [reading(0, sun())])).sun.direction[2]
     later = [compass.sighted(frame(k, rate=rate)).sun.direction[2] for k in range(1, 8)]

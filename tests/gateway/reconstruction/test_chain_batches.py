@@ -28,7 +28,7 @@ def tracked_arm():
     """The arm with a position device on its root, 40 readings a second; frames; a frame that comes twice."""
     body = arm(on_joint=False)
     times = instants(100, 3.0)
-    frames = imu_frames(body, simulate(body, times), gyrometers=True)
+    frames = imu_frames(body, simulate(body, times), gyroscopes=True)
     device = LocalDevice(quantity=Quantity.POSITION, segment=0, position=np.array([0.1, 0.0, 0.2]), device=60)
     suit = replace(body.suit(), local_devices=(device,))
     for k in range(0, len(frames), 3):

@@ -1,4 +1,4 @@
-"""Placements that lose the heading without gyrometers: as the method itself does when it is let run."""
+"""Placements that lose the heading without gyroscopes: as the method itself does when it is let run."""
 
 from dataclasses import replace
 

@@ -19,7 +19,7 @@ def run(suit, observations, rate_hz=100):
 def resting(seconds=20.0, **changes):
     body = arm(on_joint=False, from_rest=True, **changes)
     truth = simulate(body, instants(100, seconds, start_s=-seconds))
-    return body, truth, imu_frames(body, truth, gyrometers=True)
+    return body, truth, imu_frames(body, truth, gyroscopes=True)
 
 
 def test_at_rest_it_agrees_with_the_geographic_world_whatever_the_mounting():
@@ -43,7 +43,7 @@ def test_at_rest_it_agrees_with_the_geographic_world_whatever_the_mounting():
 def test_follows_motion_and_yields_joint_accelerations():
     body = arm(on_joint=False, from_rest=True, tempo=0.4)
     truth = simulate(body, instants(200, 12.0, start_s=-8.0))
-    frames = run(body.suit(), imu_frames(body, truth, gyrometers=True), 200)
+    frames = run(body.suit(), imu_frames(body, truth, gyroscopes=True), 200)
     errors = angular_error_deg(np.array([f.q_wb for f in frames]), truth.R)
     assert np.sqrt(np.mean(errors[-800:] ** 2)) < 3.0
     found = np.array([f.joint_acceleration for f in frames])[-800:]
@@ -98,11 +98,11 @@ def test_a_root_without_module_is_missing():
 def test_a_module_on_the_joint_needs_no_rate_derivative():
     body = arm(on_joint=True, from_rest=True)
     truth = simulate(body, instants(100, 0.1, start_s=-1.0))
-    first = run(body.suit(), imu_frames(body, truth, gyrometers=True)[:1])[0]
+    first = run(body.suit(), imu_frames(body, truth, gyroscopes=True)[:1])[0]
     assert np.isfinite(first.joint_acceleration).all()
     on_lever = arm(on_joint=False, from_rest=True)
     truth = simulate(on_lever, instants(100, 0.1, start_s=-1.0))
-    first = run(on_lever.suit(), imu_frames(on_lever, truth, gyrometers=True)[:1])[0]
+    first = run(on_lever.suit(), imu_frames(on_lever, truth, gyroscopes=True)[:1])[0]
     assert np.isnan(first.joint_acceleration).all()
     assert first.time_ns == -(10**9)
     assert GRAVITY[2] == -9.81
@@ -111,7 +111,7 @@ def test_a_module_on_the_joint_needs_no_rate_derivative():
 def test_the_same_frames_after_reset_give_the_same_bits():
     body = arm(on_joint=False)
     truth = simulate(body, instants(100, 1.0))
-    observations = imu_frames(body, truth, gyrometers=True)
+    observations = imu_frames(body, truth, gyroscopes=True)
     reconstructor = IndependentReconstructor(body.suit(), 0.01)
     once = [reconstructor.update(f) for f in observations]
     reconstructor.reset()
@@ -125,7 +125,7 @@ def swinging(seconds):
     """An arm at rest, and then in motion for so long; with the frames of a run without gaps."""
     body = arm(on_joint=False, from_rest=True)
     truth = simulate(body, instants(100, seconds, start_s=-1.0))
-    observations = imu_frames(body, truth, gyrometers=True)
+    observations = imu_frames(body, truth, gyroscopes=True)
     return body, observations, run(body.suit(), observations)
 
 
@@ -182,7 +182,7 @@ def test_the_heading_is_kept_over_a_gap_where_there_is_no_field():
     assert off_deg(run(body.suit(), observations), steady)[600:].max() < 15.0
 
 
-def test_gyrometers_saturated_for_long_are_not_believed():
+def test_gyroscopes_saturated_for_long_are_not_believed():
     """They used to be, bias and all: 20° off half a minute after a second of it."""
     body, observations, steady = swinging(14.0)
     for observation in observations[300:400]:
@@ -196,11 +196,11 @@ def test_gyrometers_saturated_for_long_are_not_believed():
     assert errors[1300] < 2.0
 
 
-def test_gyrometers_that_say_that_they_are_clipped_are_believed():
+def test_gyroscopes_that_say_that_they_are_clipped_are_believed():
     """Whatever their range is."""
     body = arm(on_joint=False, from_rest=True)
     truth = simulate(body, instants(100, 4.0, start_s=-1.0))
-    observations = imu_frames(body, truth, gyrometers=True)
+    observations = imu_frames(body, truth, gyroscopes=True)
     clipped = np.array([0, Clipped.ANGULAR_RATE, 0, 0], np.uint8)
     frames = run(
         body.suit(), [*observations[:300], *(replace(f, clipped=clipped) for f in observations[300:])]

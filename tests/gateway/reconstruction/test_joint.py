@@ -18,7 +18,7 @@ BOTH = pytest.mark.parametrize("kind", [JointReconstructor, OutwardReconstructor
 def moving():
     body = arm(on_joint=False)
     truth = simulate(body, instants(RATE_HZ, 6.0))
-    return body, truth, imu_frames(body, truth, gyrometers=True)
+    return body, truth, imu_frames(body, truth, gyroscopes=True)
 
 
 def changed(frame, module, **values):
@@ -122,7 +122,7 @@ def test_a_segment_without_module_follows_its_parent(name, moving):
     body = replace(moving[0], module_of_segment=(0, -1, 1, 2))
     truth = moving[1]
     reconstructor = create_reconstructor(name, body.suit(), 0.01)
-    for frame in imu_frames(body, truth, gyrometers=True)[:300]:
+    for frame in imu_frames(body, truth, gyroscopes=True)[:300]:
         seen = reconstructor.update(frame)
     assert seen.status[1] == Status.PREDICTED
     np.testing.assert_array_equal(seen.q_wb[1], seen.q_wb[0])

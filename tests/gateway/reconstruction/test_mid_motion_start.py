@@ -28,7 +28,7 @@ def test_inclinations_far_from_where_a_chain_is_held_are_found_soon(
     assert np.max(inclination[times_s > 4.0]) < 8.0
 
 
-def test_what_a_start_was_off_by_is_no_drift_of_gyrometers() -> None:
+def test_what_a_start_was_off_by_is_no_drift_of_gyroscopes() -> None:
     """Nine segments that nothing holds, at 11 rad/s: the first second's accelerations were taken for small,
     the inclinations they gave for certain, and what came later for biases, which led it away by 7°."""
     times_s, inclination = _inclination_deg(6098, JointReconstructor, 30.0)

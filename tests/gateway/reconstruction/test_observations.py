@@ -11,7 +11,7 @@ from gateway.reconstruction.inertial.observations import SegmentObserver
 
 
 def one_frame(body):
-    return imu_frames(body, simulate(body, instants(100, 0.01)), gyrometers=True)[0]
+    return imu_frames(body, simulate(body, instants(100, 0.01)), gyroscopes=True)[0]
 
 
 def test_rows_are_turned_into_segment_axes():

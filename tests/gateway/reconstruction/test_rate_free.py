@@ -1,4 +1,4 @@
-"""Without gyrometers: one body whose position is measured, loss of that, a resting body beside a magnet."""
+"""Without gyroscopes: one body whose position is measured, loss of that, a resting body beside a magnet."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RATE_HZ, SECONDS = 100.0, 12.0
 
 @pytest.fixture(scope="module")
 def moving_body():
-    """The shipped single module, 3 rad/s and 20 rad/s² at the peaks, consumer noise, no gyrometers."""
+    """The shipped single module, 3 rad/s and 20 rad/s² at the peaks, consumer noise, no gyroscopes."""
     suit = load_rig("single_placed")
     motion = generic_motion(
         dress(suit), 3, peak_angular_rate=3.0, peak_angular_acceleration=20.0, root_travel_m=1.0
@@ -28,7 +28,7 @@ def moving_body():
     times_ns = np.arange(round(SECONDS * RATE_HZ)) * round(1e9 / RATE_HZ)
     rng = np.random.default_rng(4)
     frames = []
-    for frame in ideal_frames(suit, dress(suit), motion, times_ns, has_gyrometers=False):
+    for frame in ideal_frames(suit, dress(suit), motion, times_ns, has_gyroscopes=False):
         place = measure_point(motion.state(frame.time_ns * 1e-9), np.zeros((1, 3)), int(Quantity.POSITION))[
             0, 0
         ]
@@ -126,7 +126,7 @@ def test_a_chain_off_the_joints_is_carried_from_its_fixed_point_outward():
     suit = arm(PLACEMENTS["0.12 m up the links"])
     motion = generic_motion(dress(suit), 1, peak_angular_rate=3.0, peak_angular_acceleration=20.0)
     times_ns = np.arange(900) * 10_000_000
-    frames = list(ideal_frames(suit, dress(suit), motion, times_ns, has_gyrometers=False))
+    frames = list(ideal_frames(suit, dress(suit), motion, times_ns, has_gyroscopes=False))
     errors = errors_deg(solve(suit, frames, delay_s=0.5), motion, 3.0)
     print(f"delayed, by rank: {np.round(errors, 2)}°")
     assert errors[0] < 3.0

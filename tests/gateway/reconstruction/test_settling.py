@@ -36,7 +36,7 @@ def before(q_wi, sigma, field_norm=49.0, swing=0.0):
 
 
 def settled(known, forces, fields):
-    """Of a module whose gyrometers say that it does not turn: specific forces (n, 3) and fields (n, 3)."""
+    """Of a module whose gyroscopes say that it does not turn: specific forces (n, 3) and fields (n, 3)."""
     since = nothing_since()
     for f, x in zip(forces, fields, strict=True):
         q, sigma = settle(known, since, STILL, f, x, DT)

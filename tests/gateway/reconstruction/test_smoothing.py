@@ -124,7 +124,7 @@ class TestSmoothing:
         """An arm with noise, biases and a module that is silent for half a second."""
         body = arm(on_joint=False)
         truth = simulate(body, instants(RATE_HZ, 12.0))
-        rng, frames = np.random.default_rng(1), imu_frames(body, truth, gyrometers=True)
+        rng, frames = np.random.default_rng(1), imu_frames(body, truth, gyroscopes=True)
         bias = rng.normal(0.0, 0.005, frames[0].angular_rate.shape)
         noisy = [
             replace(

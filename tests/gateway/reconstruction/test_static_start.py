@@ -11,7 +11,7 @@ from gateway.reconstruction.inertial.observations import SegmentObserver
 def observations(body, start_s, seconds):
     truth = simulate(body, instants(100, seconds, start_s))
     observer = SegmentObserver(body.suit())
-    return truth, [observer.observe(f) for f in imu_frames(body, truth, gyrometers=False)]
+    return truth, [observer.observe(f) for f in imu_frames(body, truth, gyroscopes=False)]
 
 
 def watch():

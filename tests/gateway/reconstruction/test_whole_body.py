@@ -325,7 +325,7 @@ def test_who_does_not_move_gets_no_score(suit):
     assert reconstructor.joint_agreement() == {}
 
 
-def test_stuck_gyrometers_make_their_module_silent_in_motion(suit, walked):
+def test_stuck_gyroscopes_make_their_module_silent_in_motion(suit, walked):
     state, frames = walked
     finder = Seen(state)
     reconstructor = WholeBodyReconstructor(suit, finder)
@@ -342,7 +342,7 @@ def test_stuck_gyrometers_make_their_module_silent_in_motion(suit, walked):
     assert silent[40:, 4].mean() > 0.8  # all but moments at which it hardly moves
 
 
-def test_modules_without_gyrometers_are_not_called_stuck(suit, walked):
+def test_modules_without_gyroscopes_are_not_called_stuck(suit, walked):
     state, frames = walked
     finder = Seen(state)
     reconstructor = WholeBodyReconstructor(suit, finder)
