@@ -9,7 +9,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-RETIRED = {"gyrometer": "gyroscope", "misfit": "normalised innovation squared (NIS)"}
+RETIRED = {
+    "gyrometer": "gyroscope",
+    "habits": "motion statistics",
+    "misfit": "normalised innovation squared (NIS)",
+}
 """Word to what is said instead."""
 ALLOWED = {
     "gateway/support/former_names.py": "reads files of the release before",

@@ -19,7 +19,13 @@ from gateway.frames import Clipped, FloatArray, ImuFrame, IntArray, SkeletonFram
 from gateway.geometry import derivatives, quaternion
 from gateway.geometry.compiled import compiled
 from gateway.geometry.vectors import norm
-from gateway.reconstruction.inertial.module_filter import ModuleFilter, Sample, clear, no_habits, note
+from gateway.reconstruction.inertial.module_filter import (
+    ModuleFilter,
+    Sample,
+    clear,
+    no_motion_statistics,
+    note,
+)
 from gateway.reconstruction.inertial.observations import SegmentObserver, clipped_of, with_sun_as_field
 from gateway.reconstruction.inertial.tree.tuning import tuning
 
@@ -63,8 +69,8 @@ class IndependentReconstructor:
         self._observed = [int(s) for s in np.flatnonzero(suit.module_of_segment >= 0)]
         self._rows = [int(suit.module_of_segment[s]) for s in self._observed]
         g = float(np.linalg.norm(self._gravity))
-        self._habits = no_habits(skeleton.n_segments)
-        self._filters = [ModuleFilter(nominal_interval_s, g, self._habits, s) for s in self._observed]
+        self._motion = no_motion_statistics(skeleton.n_segments)
+        self._filters = [ModuleFilter(nominal_interval_s, g, self._motion, s) for s in self._observed]
         self._interval_s, self._g = float(nominal_interval_s), g
         self._places = np.array(self._observed, np.int64), np.array(self._rows, np.int64)
         self._q_sb = _inverse_alignment(suit)
@@ -81,7 +87,7 @@ class IndependentReconstructor:
         n = self._suit.skeleton.n_segments
         for module in self._filters:
             module.reset()
-        clear(self._habits)
+        clear(self._motion)
         self._q_vqf = np.full((n, 4), np.nan)  # sensor to the filter's world
         self._has_field = np.zeros(n, np.bool_)
         self._rate = np.full((n, 3), np.nan)
@@ -153,7 +159,7 @@ class IndependentReconstructor:
             self._has_field[segment] = module.has_field
             status[segment] = UNAIDED if unaided else came_as
         places, sound = self._places, np.array(is_sound)
-        note(self._habits, *places, sound, self._q_vqf, f, w, x, self._g, self._interval_s)
+        note(self._motion, *places, sound, self._q_vqf, f, w, x, self._g, self._interval_s)
         return status
 
 

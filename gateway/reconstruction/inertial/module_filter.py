@@ -61,12 +61,12 @@ class ModuleFilter:
     """VQF with default parameters, and what it needs around gaps. Its world is level, y towards magnetic
     north; without a field the heading is arbitrary, and kept over gaps."""
 
-    def __init__(self, interval_s: float, gravity: float, habits: Habits, segment: int) -> None:
-        """interval_s: that a sample stands for; gravity: m/s²; habits: of which those of the segment are this
+    def __init__(self, interval_s: float, gravity: float, motion: MotionStatistics, segment: int) -> None:
+        """interval_s: that a sample stands for; gravity: m/s²; motion: of which those of the segment are this
         module's; whoever calls ``take`` notes them."""
         self._interval_s = float(interval_s)
         self._gravity = gravity
-        self._habits, self._segment = habits, segment
+        self._motion, self._segment = motion, segment
         self._vqf = VQF(interval_s)
         self.reset()
 
@@ -138,7 +138,7 @@ class ModuleFilter:
             self._vqf.updateMag(x)
             if not self.has_field:
                 self.has_field = True
-                self._habits.seconds[self._segment] = 0.0  # the mean orientation was in another world
+                self._motion.seconds[self._segment] = 0.0  # the mean orientation was in another world
         if self._before is None:
             if self._pause_s > 0.0:
                 self._pass_pause()
@@ -170,7 +170,7 @@ class ModuleFilter:
         gap_s = n_missed * self._interval_s
         bias = self._vqf.getBiasEstimate()[0]
         rate = 0.5 * (last.angular_rate + sample.angular_rate) - bias
-        self._resume(after_gap(self._habits, self._segment, gap_s, rate), gap_s)
+        self._resume(after_gap(self._motion, self._segment, gap_s, rate), gap_s)
 
     def _resume(self, expected: tuple[FloatArray, float], gap_s: float) -> None:
         """Settle from the next sample on. expected: orientation after the gap (4,), and its standard
@@ -182,7 +182,7 @@ class ModuleFilter:
         field_norm, dip = state["magRefNorm"], state["magRefDip"]
         self._forget_averages(state, gap_s)
         q_wi = quaternion.multiply(q_expected, quaternion.conjugate(self._vqf.getQuat3D()))
-        q_wi, swing = quaternion.normalise(q_wi), math.sqrt(self._habits.swing[self._segment])
+        q_wi, swing = quaternion.normalise(q_wi), math.sqrt(self._motion.force_square[self._segment])
         self._before = Before(q_wi, float(sigma), swing, field_norm, dip, self._gravity)
         self._since = nothing_since()
 
@@ -246,7 +246,7 @@ FLOOR, START_ERROR = 0.02, 0.5
 """rad: of any orientation before a gap, and of one at the start, less with every second since."""
 
 
-class Habits(NamedTuple):
+class MotionStatistics(NamedTuple):
     """By segment, changed in place; of the sound samples."""
 
     orientation: FloatArray  # (n, 4) the last, sensor to the filter's world
@@ -254,26 +254,26 @@ class Habits(NamedTuple):
     specific_force: FloatArray  # (n, 3) last values, sensor axes
     angular_rate: FloatArray  # (n, 3)
     magnetic_field: FloatArray  # (n, 3) NaN where there was none
-    turning: FloatArray  # (n,) (rad/s)², mean square of the rate about an axis
-    swing: FloatArray  # (n,) (m/s²)², mean square of what the specific force's norm is off gravity
+    rate_square: FloatArray  # (n,) (rad/s)², mean square of the rate about an axis
+    force_square: FloatArray  # (n,) (m/s²)², mean square of what the specific force's norm is off gravity
     seconds: FloatArray  # (n,) of samples, up to now
 
 
-def no_habits(n: int) -> Habits:
+def no_motion_statistics(n: int) -> MotionStatistics:
     """Of n segments of which nothing is known yet."""
     q, v = np.zeros((n, 4)), np.zeros((n, 3))
-    return Habits(q, q.copy(), v, v.copy(), v.copy(), np.zeros(n), np.zeros(n), np.zeros(n))
+    return MotionStatistics(q, q.copy(), v, v.copy(), v.copy(), np.zeros(n), np.zeros(n), np.zeros(n))
 
 
-def clear(habits: Habits) -> None:
+def clear(motion: MotionStatistics) -> None:
     """Forget all of it, in place."""
-    for values in habits:
+    for values in motion:
         values[...] = 0.0
 
 
 @compiled
 def note(
-    habits: Habits,
+    motion: MotionStatistics,
     segments: IntArray,
     rows: IntArray,
     is_sound: NDArray[np.bool_],
@@ -289,35 +289,35 @@ def note(
     for s, row in zip(segments, rows):  # noqa: B905 - strict is not known to the compiler
         if not is_sound[s]:
             continue
-        habits.orientation[s] = q[s]
-        habits.specific_force[s], habits.angular_rate[s], habits.magnetic_field[s] = f[row], w[row], x[row]
-        habits.seconds[s] += dt
-        share = dt / min(habits.seconds[s], RATE_MEMORY_S)
+        motion.orientation[s] = q[s]
+        motion.specific_force[s], motion.angular_rate[s], motion.magnetic_field[s] = f[row], w[row], x[row]
+        motion.seconds[s] += dt
+        share = dt / min(motion.seconds[s], RATE_MEMORY_S)
         square = (w[row, 0] ** 2 + w[row, 1] ** 2 + w[row, 2] ** 2) / 3.0
-        habits.turning[s] += share * (square - habits.turning[s])
-        habits.swing[s] += share * ((norm(f[row]) - gravity) ** 2 - habits.swing[s])
-        share = dt / min(habits.seconds[s], MEAN_MEMORY_S)
-        sign = -1.0 if np.sum(q[s] * habits.mean[s]) < 0.0 else 1.0
-        habits.mean[s] += share * (sign * q[s] - habits.mean[s])
+        motion.rate_square[s] += share * (square - motion.rate_square[s])
+        motion.force_square[s] += share * ((norm(f[row]) - gravity) ** 2 - motion.force_square[s])
+        share = dt / min(motion.seconds[s], MEAN_MEMORY_S)
+        sign = -1.0 if np.sum(q[s] * motion.mean[s]) < 0.0 else 1.0
+        motion.mean[s] += share * (sign * q[s] - motion.mean[s])
 
 
 @compiled
-def after_gap(habits: Habits, s: int, gap_s: float, rate: FloatArray) -> tuple[FloatArray, float]:
+def after_gap(motion: MotionStatistics, s: int, gap_s: float, rate: FloatArray) -> tuple[FloatArray, float]:
     """The orientation to be expected of segment s (4,), and its standard deviation about an axis, rad.
 
     rate: (3,) mean of those before and after the gap, rad/s, without bias.
     """
-    known = FLOOR + START_ERROR / (1.0 + habits.seconds[s])
-    fastest = math.sqrt(max(habits.turning[s], SLOWEST**2, np.sum(rate**2) / 3.0))
+    known = FLOOR + START_ERROR / (1.0 + motion.seconds[s])
+    fastest = math.sqrt(max(motion.rate_square[s], SLOWEST**2, np.sum(rate**2) / 3.0))
     if gap_s <= LONGEST_TURN_S:
         turned = quaternion.from_rotation_vector(rate * gap_s)
-        return quaternion.multiply(habits.orientation[s], turned), CURVATURE * gap_s**2 * fastest + known
+        return quaternion.multiply(motion.orientation[s], turned), CURVATURE * gap_s**2 * fastest + known
     wandered = WANDERING * math.sqrt(gap_s) * fastest
-    length = math.sqrt(np.sum(habits.mean[s] ** 2))
+    length = math.sqrt(np.sum(motion.mean[s] ** 2))
     spread = math.sqrt(max(0.0, 4.0 * (1.0 - length**2)) + (DRIFT * gap_s) ** 2)
     if spread < wandered and length > 0.0:
-        return habits.mean[s] / length, min(spread, math.pi) + known
-    return habits.orientation[s].copy(), min(wandered, math.pi) + known
+        return motion.mean[s] / length, min(spread, math.pi) + known
+    return motion.orientation[s].copy(), min(wandered, math.pi) + known
 
 
 # Where a module is that is back after a gap: from all that it has said since, and what was known before

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from gateway.reconstruction.inertial.module_filter import (
     Before,
     after_gap,
-    no_habits,
+    no_motion_statistics,
     note,
     nothing_since,
     settle,
@@ -103,31 +103,31 @@ def test_what_was_expected_counts_by_its_uncertainty():
 
 
 def noted(rates, seconds=10.0):
-    """Habits of one segment that turned about x at rates (n,), rad/s."""
-    habits, one = no_habits(1), np.zeros(1, np.int64)
+    """Motion statistics of one segment that turned about x at rates (n,), rad/s."""
+    motion, one = no_motion_statistics(1), np.zeros(1, np.int64)
     angle = np.cumsum(np.asarray(rates) * DT)
     f, x = np.array([[0.0, 0.0, G]]), np.array([FIELD])
     for at, rate in zip(angle, rates, strict=True):
         q = wxyz(Rotation.from_rotvec([at, 0.0, 0.0]))[None]
-        note(habits, one, one, np.array([True]), q, f, np.array([[rate, 0.0, 0.0]]), x, G, DT)
-    return habits, angle[-1]
+        note(motion, one, one, np.array([True]), q, f, np.array([[rate, 0.0, 0.0]]), x, G, DT)
+    return motion, angle[-1]
 
 
 def test_over_a_short_gap_it_turns_by_its_rate():
-    habits, angle = noted(np.full(500, 0.8))
-    q, sigma = after_gap(habits, 0, 0.2, np.array([0.8, 0.0, 0.0]))
+    motion, angle = noted(np.full(500, 0.8))
+    q, sigma = after_gap(motion, 0, 0.2, np.array([0.8, 0.0, 0.0]))
     assert angle_deg(q, Rotation.from_rotvec([angle + 0.16, 0.0, 0.0])) < 1e-6
     assert sigma < 0.2
 
 
 def test_over_a_long_gap_a_limb_comes_back_to_where_it_uses_to_be():
     rates = 2.0 * np.cos(2.0 * np.pi * np.arange(1225) * DT)  # ± 0.32 rad; ends at an extreme
-    habits, angle = noted(rates)
+    motion, angle = noted(rates)
     assert abs(angle) > 0.3
-    q, sigma = after_gap(habits, 0, 1.0, np.zeros(3))
+    q, sigma = after_gap(motion, 0, 1.0, np.zeros(3))
     assert angle_deg(q, Rotation.identity()) < 3.0
     assert 0.2 < sigma < 0.5
-    assert after_gap(habits, 0, 60.0, np.zeros(3))[1] > 1.5  # nobody knows for long
+    assert after_gap(motion, 0, 60.0, np.zeros(3))[1] > 1.5  # nobody knows for long
 
 
 def test_what_has_just_begun_is_less_certain():
