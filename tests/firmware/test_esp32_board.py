@@ -14,15 +14,27 @@ from pathlib import Path
 
 import pytest
 
+from devices.conformance.bench import Bench
+from devices.endpoints import link_from_url
+from devices.setting_values import SETTING_KEYS, encoded_setting
+from firmware_protocol import InertialSample
+from firmware_protocol.commands import Result, Verb
 from tests.firmware.machines import (
+    ESP32,
     ESP_IDF,
     REFERENCE,
     SECTOR_SIZE,
     SECTORS_SIZE,
+    Machine,
     NotHere,
+    SectorMemory,
+    broken_copy,
+    build,
     host_compiler,
     sketch_of,
+    switched_on,
 )
+from tests.patience import PATIENCE_S
 
 BOARD = REFERENCE / "boards" / "esp32"
 FLASH_SIZE = 2 << 20
@@ -58,6 +70,30 @@ def test_both_ways_build_the_same_sources(tmp_path: Path) -> None:
     assert sorted(path.name for path in paths) == sorted(
         path.name for path in sketch_of(tmp_path).glob("*.c")
     )
+
+
+@pytest.mark.system
+@pytest.mark.timeout(200)
+async def test_without_its_partition_it_samples_and_says_that_nothing_is_kept(tmp_path: Path) -> None:
+    source = broken_copy(
+        tmp_path, "boards/esp32/board.c", '#define PARTITION "module"', '#define PARTITION "-"'
+    )
+    try:
+        program = build(ESP32, tmp_path / "built", source)
+    except NotHere as missing:
+        pytest.skip(str(missing))
+    memory = SectorMemory.fresh(tmp_path / "m.img", bytes(range(12)), settings={"module_id": 3})
+    with switched_on(Machine(program, memory, tmp_path / "m")) as machine:
+        bench = Bench(link_from_url(machine.url))
+        async with bench.reading():
+            await bench.find()
+            assert bench.module == 0
+            assert await bench.until(lambda: bool(bench.of(InertialSample)), PATIENCE_S)
+            key = SETTING_KEYS["label"]
+            await bench.ask(Verb.WRITE_SETTING, key, encoded_setting("label", "new"))
+            answer = await bench.ask(Verb.COMMIT)
+    assert answer is not None
+    assert answer.result == Result.FLASH_FAILED
 
 
 def size_of(text: str) -> int:
