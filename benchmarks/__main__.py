@@ -50,7 +50,6 @@ SUITES = (
 )
 """Modules of this package with a function ``run() -> Report``."""
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
-SUMMARY = Path(__file__).parent.parent / "README.md"
 
 
 def run(name: str) -> Report:
@@ -76,7 +75,7 @@ def main() -> None:
         for figure in report.figures:
             print(figure.line(), flush=True)
         if arguments.write_docs:
-            write_docs(report, PAGE, SUMMARY)
+            write_docs(report, PAGE)
         reports.append(report.as_json())
     if arguments.json:
         arguments.json.write_text(json.dumps(reports if len(reports) > 1 else reports[0], indent=2))

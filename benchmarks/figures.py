@@ -96,20 +96,14 @@ def machine() -> str:
     return f"{cores}{model or platform.machine()}, Python {platform.python_version()}, shared virtual machine"
 
 
-def write_docs(report: Report, page: Path, summary: Path) -> None:
-    """Replace the suite's section of a page, between its markers; everything else stays.
-
-    summary: a page that has the suite's figures alone, if it has markers for them.
-    """
+def write_docs(report: Report, page: Path) -> None:
+    """Replace the suite's section of a page, between its markers; everything else stays."""
     if not replace_section(page, report.suite, report.markdown()):
         raise SystemExit(f"{page}: the markers of '{report.suite}' are missing or out of order")
     if report.also:
         replace_section(
             page.with_name(report.also), f"{report.suite} tables", "\n\n".join([*report.tables, ""])
         )
-    replace_section(
-        summary, f"{report.suite} figures", f"{report.figures_table()}\n\nMachine: {machine()}.\n"
-    )
 
 
 def replace_section(page: Path, name: str, section: str) -> bool:

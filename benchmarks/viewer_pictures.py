@@ -1,4 +1,5 @@
-"""Pictures of the live page for docs/viewer.md: ``python -m benchmarks.viewer_pictures [--speed 0.5]``.
+"""Pictures of the live page for docs/viewer.md: ``python -m benchmarks.viewer_pictures [--speed 0.5]``; the
+moving one of the README alone: ``--film``.
 
 An emulated person walks and one module loses its power; the recording of it is played to a broker, and the
 page is looked at in Chromium, all by the commands that a user types. A busy machine needs a lower speed.
@@ -10,12 +11,15 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import io
+import re
 import sys
 import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-from playwright.async_api import Page, async_playwright
+from PIL import Image
+from playwright.async_api import FloatRect, Page, async_playwright
 
 from benchmarks.emulated_recording import LINK, record_walk
 from benchmarks.viewer_browser import browser_page
@@ -35,6 +39,9 @@ MODULE = 5
 SEED = 1
 GATEWAY = "demo"
 DESKTOP, PHONE = (1100, 700), (390, 780)
+FILM_FROM_S, FILM_STEP_S, FILM_STEPS = 8.0, 0.08, 30
+FILM_CLIP = FloatRect(x=330, y=90, width=420, height=560)
+FILM_SIZE, FILM_COLOURS = (240, 320), 48
 
 
 async def main(speed: str) -> None:
@@ -96,6 +103,33 @@ async def _playback(url: str) -> None:
         await _shot(page, "viewer_playback")
 
 
+async def film() -> None:
+    """Make the moving picture: a recorded walk on the page, moment by moment, however slow a machine is."""
+    page_port = free_port()
+    with tempfile.TemporaryDirectory() as folder, mosquitto() as (broker_port, _):
+        recording = _record(Path(folder), broker_port)
+        view = ("view", str(recording), "--page-port", str(page_port))
+        url = f"http://127.0.0.1:{page_port}"
+        async with _command(*view), async_playwright() as play, browser_page(play, url, DESKTOP) as page:
+            await page.get_by_role("button", name="pause").click()
+            pictures = [await _moment(page, FILM_FROM_S + FILM_STEP_S * k) for k in range(FILM_STEPS)]
+    target = FOLDER / "demo.gif"
+    first, *others = (each.quantize(FILM_COLOURS) for each in pictures)
+    first.save(target, save_all=True, append_images=others, duration=round(1e3 * FILM_STEP_S), loop=0)
+    sys.stdout.write(f"written to {target}\n")
+
+
+async def _moment(page: Page, seconds: float) -> Image.Image:
+    line = page.get_by_role("textbox").filter(visible=True).last
+    await line.fill(f"{seconds:.2f}")
+    await line.press("Enter")
+    near = "|".join(f"{seconds + off:.2f}" for off in (-0.01, 0.0, 0.01))
+    await page.get_by_text(re.compile(f"({near}) s, frame")).wait_for()
+    await asyncio.sleep(0.4)
+    shown = Image.open(io.BytesIO(await page.screenshot(clip=FILM_CLIP)))
+    return shown.convert("RGB").resize(FILM_SIZE, Image.Resampling.LANCZOS)
+
+
 async def _come_to(poses: PoseSubscriber, seconds: float) -> None:
     """Wait until what is played has come so far."""
     first_ns = None
@@ -134,4 +168,6 @@ async def _command(*arguments: str) -> AsyncIterator[None]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m benchmarks.viewer_pictures", description=__doc__)
     parser.add_argument("--speed", default="1", help="of the replay")
-    asyncio.run(main(parser.parse_args().speed))
+    parser.add_argument("--film", action="store_true", help="make the moving picture, and no other")
+    asked = parser.parse_args()
+    asyncio.run(film() if asked.film else main(asked.speed))
