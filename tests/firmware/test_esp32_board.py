@@ -62,6 +62,17 @@ def test_the_sketch_compiles_against_the_declarations(tmp_path: Path) -> None:
     compiled(c_plus_plus, "-std=gnu++17", *arduino, *strict, "-x", "c++", str(sketch / "mocap_module.ino"))
 
 
+def test_it_compiles_where_integers_are_those_of_the_chip(tmp_path: Path) -> None:
+    """Where 32 bits are a ``long``, as on the ESP32: what mixes it up with ``int`` is seen on no PC."""
+    if (compiler := shutil.which("arm-none-eabi-gcc")) is None:
+        pytest.skip("apt install gcc-arm-none-eabi")
+    sketch = sketch_of(tmp_path)
+    folders = (sketch, ESP_IDF / "include", REFERENCE / "boards" / "freestanding")
+    strict = ["-std=gnu17", "-ffreestanding", "-fsyntax-only", "-Wall", "-Wextra", "-Werror"]
+    sources = sorted(sketch.glob("*.c"))
+    compiled(compiler, *strict, *(f"-I{each}" for each in folders), *map(str, sources))
+
+
 def test_both_ways_build_the_same_sources(tmp_path: Path) -> None:
     text = (BOARD / "main" / "CMakeLists.txt").read_text()
     named = [word.replace("${reference}", str(REFERENCE)) for word in re.findall(r"[^\s()]+\.c\b", text)]

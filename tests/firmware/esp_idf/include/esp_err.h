@@ -6,7 +6,8 @@
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
-#include <stdlib.h>
+
+void abort(void); /* not <stdlib.h>: a compiler for Cortex-M may have no C library */
 
 typedef int esp_err_t;
 #define ESP_OK 0
