@@ -34,11 +34,14 @@ _MQTT: dict[str, dict[str, Any]] = {
     "MQTT, JSON": {},
     "MQTT, MessagePack": {"pose_formats": ["msgpack"]},
     "MQTT, both": {"pose_formats": ["json", "msgpack"]},
+    "MQTT, JSON and predicted": {"predict_ms": 20},
     "MQTT, JSON and segments at 20 Hz": {"segment_rate": 20},
 }
 _SIDE: dict[str, dict[str, Any]] = {
     "UDP JSON": {"udp_json": {"rate": 1000, "port": 9}},
     "VMC": {"vmc": {"rate": 1000, "port": 9}},
+    "Foxglove, no client": {"foxglove": {"rate": 1000, "port": 0}},
+    "ROS 2, no listener": {"ros2": {"rate": 1000, "router": "tcp/127.0.0.1:9"}},
 }
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.ros_definitions import IMU, JOINT_STATE, MAGNETIC_FIELD, TF, TF_MESSAGE, TF_STATIC, definition
+from gateway.body.joint_angles import JointAngles
 from gateway.body.joints import Joint
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray
@@ -124,6 +125,25 @@ class JointStateEncoder:
     def encode(self, time_ns: int, angles: FloatArray) -> bytes:
         """angles: (n,) rad."""
         return self._form.filled(time_ns, angles)
+
+
+class BodyJointStates:
+    """The joint angles of a body as ``JointState``: see ``angle_names``."""
+
+    def __init__(self, skeleton: Skeleton, body: str) -> None:
+        """body: id of the person, by REP 155."""
+        names = angle_names(skeleton.joints)
+        self.names = [name for *_, name in names]
+        self.topic = "/joint_states" if skeleton.stature_m is None else f"/humans/bodies/{body}/joint_states"
+        """REP 155's for a person."""
+        self._joints = JointAngles(skeleton)
+        self._rows = np.array([(j, a) for j, a, _ in names], np.int64).reshape(-1, 2)
+        self._encoder = JointStateEncoder(self.names)
+
+    def encode(self, time_ns: int, q_wb: FloatArray) -> bytes:
+        """q_wb: (S, 4), NaN where not known; poses in order, since angles are continuous."""
+        angles = self._joints.update(np.ascontiguousarray(q_wb)).angles
+        return self._encoder.encode(time_ns, angles[self._rows[:, 0], self._rows[:, 1]])
 
 
 class ImuEncoder:

@@ -302,6 +302,27 @@ class LslSettings(_Output):
     name: str = Field(default="mocap", min_length=1, max_length=64, description="name of the stream")
 
 
+class FoxgloveSettings(_Output):
+    """A server that Foxglove connects to (extra ``foxglove``), without a password."""
+
+    host: str = Field(default="127.0.0.1", min_length=1, description="where it listens: loopback alone")
+    port: int = Field(default=8765, ge=0, le=65535, description="TCP port; 0: any free one")
+
+
+class Ros2Settings(_Output):
+    """Topics of ROS 2, by the router of rmw_zenoh (extra ``ros2``)."""
+
+    router: str = Field(
+        default="tcp/127.0.0.1:7447",
+        pattern=r"^(tcp|udp|tls|quic)/\S+:\d+$",
+        description="the Zenoh router that ROS 2 uses (ros2 run rmw_zenoh_cpp rmw_zenohd)",
+    )
+    domain: int = Field(default=0, ge=0, le=232, description="ROS_DOMAIN_ID of the nodes that listen")
+    body: str = Field(
+        default="mocap", pattern=r"^[A-Za-z][A-Za-z0-9]*$", description="id of the person, by REP 155"
+    )
+
+
 class OutputsSettings(BaseModel):
     """Outputs beside MQTT; none: off."""
 
@@ -316,3 +337,9 @@ class OutputsSettings(BaseModel):
         default=None, description="what Xsens MVN streams (MXTP02, 12, 13, 20, 25); {}: defaults"
     )
     lsl: LslSettings | None = Field(default=None, description="orientations as an LSL stream")
+    foxglove: FoxgloveSettings | None = Field(
+        default=None, description="the body and its joint angles, live in Foxglove; {}: defaults"
+    )
+    ros2: Ros2Settings | None = Field(
+        default=None, description="/tf and joint states for nodes of ROS 2; {}: defaults"
+    )

@@ -1,4 +1,4 @@
-"""All outputs beside MQTT, as configured: UDP, VMC, SlimeVR, LSL. They send the newest pose and never wait.
+"""All outputs beside MQTT, as configured. They send the newest pose and never wait.
 
 LSL: channels ``<segment>_w, _x, _y, _z``, segment to world (ENU), NaN where not known. Time stamps are the
 instants of the poses on LSL's own clock, so recorders line them up with other devices. VMC (OSC over UDP)
@@ -26,9 +26,11 @@ from gateway.body.skeleton import Skeleton
 from gateway.contract.messages import OutputCounters
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
+from gateway.outputs.foxglove import FoxgloveSink
 from gateway.outputs.mvn import MvnEncoder
 from gateway.outputs.output import Thinning
 from gateway.outputs.pose_encoding import PoseEncoder
+from gateway.outputs.ros2 import Ros2Sink
 from gateway.outputs.settings import MvnSettings, OutputsSettings, PoseMap, UdpJsonSettings
 from gateway.outputs.slimevr import SlimevrSink
 from gateway.outputs.stream_sink import StreamSink
@@ -305,6 +307,10 @@ class SideOutputs:
             rate = min(lsl.rate, frame_rate)
             sink_of_lsl = LslSink(lsl.name, f"mocap-{gateway}", skeleton.segment_names, rate)
             self._add("lsl", sink_of_lsl, lsl.rate)
+        if (foxglove := settings.foxglove) is not None:
+            self._add("foxglove", FoxgloveSink(foxglove, skeleton, gateway), foxglove.rate)
+        if (ros2 := settings.ros2) is not None:
+            self._add("ros2", Ros2Sink(ros2, skeleton), ros2.rate)
 
     @property
     def counters(self) -> dict[str, OutputCounters]:

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import WornSuit
 from gateway.contract import ros_messages as ros
 from gateway.geometry import quaternion
@@ -63,12 +62,8 @@ class _Body:
         self._file = file
         self._transforms = ros.BodyTransforms(skeleton)
         self._tf = file.channel(ros.TF, _schema(ros.TF_MESSAGE), "cdr")
-        self._joints = JointAngles(skeleton)
-        names = ros.angle_names(skeleton.joints)
-        self._rows = np.array([(j, a) for j, a, _ in names], np.int64).reshape(-1, 2)
-        self._states = ros.JointStateEncoder([name for *_, name in names])
-        topic = "/joint_states" if skeleton.stature_m is None else f"/humans/bodies/{BODY}/joint_states"
-        self._joint_states = file.channel(topic, _schema(ros.JOINT_STATE), "cdr")
+        self._states = ros.BodyJointStates(skeleton, BODY)
+        self._joint_states = file.channel(self._states.topic, _schema(ros.JOINT_STATE), "cdr")
         statics = [(skeleton.segment_names[int(np.argmax(skeleton.parents < 0))], f"body_{BODY}")]
         places, turns = [np.zeros(3)], [np.array([1.0, 0.0, 0.0, 0.0])]
         if take.recording is not None and take.recording.meta.has_suit:
@@ -84,10 +79,8 @@ class _Body:
 
     def add(self, time_ns: int, q_wb: np.ndarray, p_w: np.ndarray) -> None:
         self._file.add(self._tf, time_ns, self._transforms.encode(time_ns, q_wb, p_w))
-        if len(self._rows):
-            angles = self._joints.update(np.ascontiguousarray(q_wb)).angles
-            chosen = angles[self._rows[:, 0], self._rows[:, 1]]
-            self._file.add(self._joint_states, time_ns, self._states.encode(time_ns, chosen))
+        if self._states.names:
+            self._file.add(self._joint_states, time_ns, self._states.encode(time_ns, q_wb))
 
 
 class _ModuleFrame(NamedTuple):
