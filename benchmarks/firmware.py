@@ -60,7 +60,7 @@ def started(program: Path, memory: FirmwareMemory, port: int) -> subprocess.Pope
     backend = f"memory-backend-file,id=m,size=16M,mem-path={memory.path},share=on"
     machine = ["-M", "mps2-an385,memory-backend=m", "-object", backend, "-kernel", str(program)]
     serial = ["-display", "none", "-monitor", "none", "-serial", f"tcp:127.0.0.1:{port},server=on,wait=off"]
-    return subprocess.Popen([_EMULATOR, *machine, *serial, "-icount", f"shift={_SHIFT}"])
+    return subprocess.Popen([_EMULATOR, *machine, *serial, "-icount", f"shift={_SHIFT},sleep=off"])
 
 
 async def told_by_module(program: Path, memory: FirmwareMemory) -> dict[str, int]:
