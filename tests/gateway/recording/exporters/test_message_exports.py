@@ -30,6 +30,7 @@ from gateway.recording.exporters.take import Take, take_of
 from tests.gateway.recording.exporters.test_exported_files import ARRAYS
 
 EQUAL = 1e-9
+_EXAMPLES = Path(__file__).parents[4] / "examples"
 rosbags_reader = pytest.importorskip("rosbags.rosbag2", reason="rosbags is not installed")
 typesys = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
 TYPES = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
@@ -272,5 +273,14 @@ def test_rerun_sees_transforms(tmp_path, person, kind):
     convert = [rerun, "mcap", "convert", path, "-o", tmp_path / "walk.rrd"]
     run = subprocess.run(convert, capture_output=True, check=False)
     assert run.returncode == 0, run.stderr.decode()
+    show = [sys.executable, _EXAMPLES / "rerun" / "show.py", path, tmp_path / "shown.rrd"]
+    run = subprocess.run(show, capture_output=True, check=False)
+    assert run.returncode == 0, run.stderr.decode()
+    assert (
+        b"Transform3D:quaternion"
+        in subprocess.run(
+            [rerun, "rrd", "print", tmp_path / "shown.rrd"], capture_output=True, check=True
+        ).stdout
+    )
     shown = subprocess.run([rerun, "rrd", "print", tmp_path / "walk.rrd"], capture_output=True, check=True)
     assert b"Transform3D:quaternion" in shown.stdout
