@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from devices.vendor_formats.sheets import FormatError
 
 _MAGIC = 0x50
 _LABEL_LISTS = 64
+_NOT_IN_NAMES = re.compile(r"[\s_]+")
+"""Programs write "MarkerDiameter", "Marker Diameter" and "Marker_Diameter"."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class C3DFile:
     layout: C3DLayout
 
     def rows(self) -> FloatArray:
-        """(F, 4 points + analog values) as stored. Raises ``FormatError`` for a file that is cut off."""
+        """(F, 4 points + analog values) as stored. Raises ``FormatError`` without a whole frame."""
         return _rows(self.content, self.layout, self.path)
 
     def number(self, name: str, default: float) -> float:
@@ -63,6 +66,17 @@ class C3DFile:
     def rate_hz(self) -> float:
         """Frames a second. Raises ``FormatError``."""
         return _rate(self.content, self.parameters, self.processor, self.path)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is odd about the file, and was got over."""
+        whole = _whole_frames(self.content, self.layout)
+        if whole == self.layout.n_frames:
+            return ()
+        return (
+            f"{self.path}: cut off: {whole} whole frames of the {self.layout.n_frames} that its header has, "
+            "and these are taken",
+        )
 
     @property
     def begins_s(self) -> float:
@@ -86,6 +100,7 @@ def read_c3d(path: Path) -> MarkerTrial:
         parameters=_scalars(file.parameters),
         metres_per_unit=factor,
         begins_s=file.begins_s,
+        notes=file.notes,
     )
 
 
@@ -134,24 +149,29 @@ def _long_count(parameters: dict[str, Parameter]) -> int:
 
 def _rows(content: bytes, layout: C3DLayout, path: Path) -> FloatArray:
     """(F, 4 points + analog values) as stored."""
-    end = layout.start + layout.n_frames * layout.frame_bytes
-    if len(content) < end:
-        whole = max(0, len(content) - layout.start) // layout.frame_bytes
+    n_frames = _whole_frames(content, layout)
+    end = layout.start + n_frames * layout.frame_bytes
+    if n_frames == 0:
         raise FormatError(
-            f"{path}: cut off: its {layout.n_frames} frames end at byte {end}, it has {len(content)} "
-            f"({whole} whole frames)"
+            f"{path}: cut off: its frames begin at byte {layout.start}, it has {len(content)} bytes and no "
+            "whole frame"
         )
     data = content[layout.start : end]
     if layout.scale < 0:
         values = floats(data, layout.processor)
     else:
         values = np.frombuffer(data, ">i2" if layout.processor == MIPS else "<i2").astype(np.float64)
-    return values.reshape(layout.n_frames, -1)
+    return values.reshape(n_frames, -1)
+
+
+def _whole_frames(content: bytes, layout: C3DLayout) -> int:
+    """Frames that are there, of those that the header tells."""
+    return min(layout.n_frames, max(0, len(content) - layout.start) // layout.frame_bytes)
 
 
 def _points(rows: FloatArray, layout: C3DLayout) -> FloatArray:
     """(F, M, 3) in the file's unit."""
-    points = rows[:, : 4 * layout.n_points].reshape(layout.n_frames, layout.n_points, 4)
+    points = rows[:, : 4 * layout.n_points].reshape(len(rows), layout.n_points, 4)
     places: FloatArray = points[:, :, :3] * (1.0 if layout.scale < 0 else layout.scale)
     unseen = (points[:, :, 3] < 0) | (places == 0).all(axis=2) | ~np.isfinite(places).all(axis=2)
     places[unseen] = np.nan
@@ -194,6 +214,7 @@ def _scalars(parameters: dict[str, Parameter]) -> dict[str, float]:
             numbers = parameter.numbers()
             if len(numbers) == 1 and np.isfinite(numbers[0]):
                 found[key] = float(numbers[0])
+                found.setdefault(_NOT_IN_NAMES.sub("", key), float(numbers[0]))
     return found
 
 

@@ -34,23 +34,43 @@ def read_trc(path: Path) -> MarkerTrial:
         _HEAD_LINES - 1 if lines[_HEAD_LINES - 1][:1].isdigit() else _HEAD_LINES
     )  # some leave out X1, Y1, …
     labels = without_prefixes([name for name in (x.strip() for x in lines[3].split("\t")[_LEADING:]) if name])
-    rows = [
-        _row(line, number, 3 * len(labels), path)
-        for number, line in enumerate(lines[begin:], begin + 1)
-        if line.strip()
-    ]
+    rows, notes = _rows(lines, begin, 3 * len(labels), path)
     expected = int(_positive(head, "NumFrames", path))
-    if len(rows) < expected:
-        raise FormatError(f"{path}: cut off: {len(rows)} frames of the {expected} that its header tells")
+    if len(rows) != expected:
+        notes.append(f"{path}: {len(rows)} frames, of which its header tells {expected}: all that are there")
     if len(labels) != int(_positive(head, "NumMarkers", path)):
-        raise FormatError(
-            f"{path}: line 4 names {len(labels)} markers, NumMarkers in line 3 is {head['NumMarkers']}"
+        notes.append(
+            f"{path}: line 4 names {len(labels)} markers, NumMarkers in line 3 is {head['NumMarkers']}: "
+            "line 4 counts"
         )
     factor = _metres_per_unit(head, path)
     places: FloatArray = np.array(rows).reshape(len(rows), len(labels), 3) * factor
     places[(places == 0).all(axis=2) | ~np.isfinite(places).all(axis=2)] = np.nan
     rate_hz = _positive(head, "DataRate", path)
-    return MarkerTrial(path.stem, labels, rate_hz, places, {}, factor, _time_of(lines[begin:]))
+    return MarkerTrial(path.stem, labels, rate_hz, places, {}, factor, _time_of(lines[begin:]), tuple(notes))
+
+
+def _rows(lines: list[str], begin: int, n_values: int, path: Path) -> tuple[list[list[float]], list[str]]:
+    """The values of all frames, and what of the end was left out: a line that is cut off, or text.
+
+    Raises ``FormatError`` as ``_row`` does for any other line, and where there is no frame at all.
+    """
+    own = [(number, line) for number, line in enumerate(lines[begin:], begin + 1) if line.strip()]
+    notes = []
+    while own and not own[-1][1].split("\t")[0].strip().isdigit():
+        number, line = own.pop()
+        notes = [f"{path}: from line {number} on text and no frames: left out"]
+    rows = []
+    for at, (number, line) in enumerate(own):
+        try:
+            rows.append(_row(line, number, n_values, path))
+        except FormatError:
+            if at < len(own) - 1 or not rows:
+                raise
+            notes.append(f"{path}: line {number}, the last one, is cut off: left out")
+    if not rows:
+        raise FormatError(f"{path}: cut off: no frame behind its header")
+    return rows, notes
 
 
 def _time_of(rows: list[str]) -> float:

@@ -29,6 +29,9 @@ class MarkerTrial:
     begins_s: float = 0.0
     """Time of the first frame, by the file's own count: forces and other files of the trial have it too."""
 
+    notes: tuple[str, ...] = ()
+    """What is odd about the file and was got over, a sentence each."""
+
     @property
     def n_frames(self) -> int:
         return len(self.positions)

@@ -178,6 +178,8 @@ def _motion(
         )
     suit = load_rig(subject)
     trial = read_markers(file)
+    for note in trial.notes:
+        typer.echo(f"note: {note}", err=True)
     told = next((trial.parameters[key] for key in MASS_PARAMETERS if trial.parameters.get(key, 0) > 0), None)
     with tempfile.TemporaryDirectory(prefix="mocap-analysis-") as folder:
         target = Path(folder) / "solved.mcap"

@@ -6,7 +6,7 @@ import asyncio
 import json
 import math
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -129,7 +129,14 @@ def _read_trials(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
         for done, file in enumerate(files):
             tell(done, len(files))
             trials.append(read_markers(file))
+    _tell_notes(trials)
     return trials
+
+
+def _tell_notes(trials: Sequence[MarkerTrial]) -> None:
+    for trial in trials:
+        for note in trial.notes:
+            typer.echo(f"note: {note}", err=True)
 
 
 def _write_fit(found: Fit, outcome: dict[str, object], target: Path) -> None:
@@ -191,6 +198,7 @@ def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, objec
         "up": found.markers.vertical,
         "angles_deg": {name: round(math.degrees(a), 2) for name, a in found.angles.items() if a},
         "left_out": list(found.left_out),
+        "too_few": {name: list(labels) for name, labels in found.too_few.items()},
         "lengths_mm": lengths_mm,
         "uneven": uneven_sides(lengths_mm),
         "moved_mm": {name: round(1e3 * float(d), 1) for name, d in zip(names, found.moved, strict=True)},
@@ -220,6 +228,8 @@ def _worn(found: Fit, name: str) -> str:
 
 
 def _print_fit(found: Fit, outcome: dict[str, object]) -> None:
+    from gateway.reconstruction.optical.fitting import by_lacking
+
     lengths, moved = outcome["lengths_mm"], outcome["moved_mm"]
     assert isinstance(lengths, dict)
     assert isinstance(moved, dict)
@@ -236,6 +246,11 @@ def _print_fit(found: Fit, outcome: dict[str, object]) -> None:
             typer.echo(f"{name}: {math.degrees(angle):.1f}° (--angle {name}=0 takes the wand as it stands)")
     if found.left_out:
         typer.echo(f"note: no markers on {', '.join(found.left_out)}: the body goes without them", err=True)
+    for lacking, names in by_lacking(found.too_few).items():
+        typer.echo(
+            f"note: too few markers on {', '.join(names)}: the body goes without (the trials lack {lacking})",
+            err=True,
+        )
     for left, right in uneven_sides(lengths):
         typer.echo(
             f"note: {left} is {lengths[left]:.0f} mm long, {right} {lengths[right]:.0f} mm: do markers of "
@@ -298,6 +313,7 @@ def solve(
     target = output or file.with_name(f"{file.stem}{suffix}.mcap")
     refuse_existing(target, force)
     trial = read_markers(file)
+    _tell_notes([trial])
     target.unlink(missing_ok=True)
     if method == "default":
         make_ready(OPTICAL)
@@ -348,6 +364,7 @@ def play(
     suit = _subject(subject[0])
     pace = speed_of(speed)
     trial = read_markers(file)
+    _tell_notes([trial])
     assert suit.markers is not None  # _subject sees to it
     for each in subject:
         _refuse_open_names(trial, _subject(each), person)

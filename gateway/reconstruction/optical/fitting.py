@@ -43,9 +43,10 @@ from gateway.reconstruction.optical.rule_body import (
     neutral_axes,
     resized,
     straightened,
+    unseen,
 )
 from gateway.reconstruction.optical.tracking import NEAR, start_pose
-from gateway.reconstruction.optical.worn_markers import dressed_in
+from gateway.reconstruction.optical.worn_markers import dressed_in, worn_part
 
 Progress = Callable[[int, int], None]
 
@@ -61,6 +62,8 @@ _SHOW_A_PLACE = 2
 """Markers of its own that a segment needs to show where the joints lie that it bears; with fewer, rules have
 the say, by ``_HELD`` of their trust."""
 _HELD = 0.2
+_FEWEST_SEGMENTS = 3
+"""That carry markers and lie somewhere: fewer are no body."""
 _STILL = 0.05  # m, of a marker's standard deviation
 
 
@@ -102,6 +105,16 @@ class Fit:
     """(S,) m: how far the motion moved every joint from where rules had it."""
     left_out: tuple[str, ...] = ()
     """Segments of the marker set's body that carry no marker of these trials."""
+    too_few: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Segments that carry too few for their axes, and those beyond them: with the markers that lack."""
+
+
+def by_lacking(too_few: Mapping[str, tuple[str, ...]]) -> dict[str, list[str]]:
+    """Return the segments that were left out, by the markers that lack."""
+    found: dict[str, list[str]] = {}
+    for name, lacking in too_few.items():
+        found.setdefault(", ".join(lacking) or "a frame with all of theirs", []).append(name)
+    return found
 
 
 def fit_body(
@@ -120,7 +133,7 @@ def fit_body(
     marker_set, trials = dressed.marker_set, dressed.trials
     measured = measurements(marker_set, list(trials), options.lengths, options.angles)
     vertical = options.vertical or vertical_axis(marker_set, trials[0])
-    sightings = [sighted(marker_set, trial, vertical, measured) for trial in trials]
+    marker_set, sightings, too_few = _enough_seen(marker_set, trials, vertical, measured)
     if options.neutral is not None:
         sightings = _stood_neutral(marker_set, sightings, trials[0], options.neutral)
     moving = _moving(sightings)
@@ -164,6 +177,7 @@ def fit_body(
         rmse=done.rmse,
         moved=moved,
         left_out=dressed.left_out,
+        too_few=too_few,
     )
 
 
@@ -184,6 +198,32 @@ def _anchored_in_neutral(
     straight = done.model._replace(offsets=straightened(body, done.model.offsets))
     done = adjusted(straight, observed, done.poses, _trust(marker_set, straight, centres), NEAR)
     return _made_neutral(body, done, stood, tips)
+
+
+def _enough_seen(
+    marker_set: MarkerSet, trials: Sequence[MarkerTrial], vertical: str, measured: Measured
+) -> tuple[MarkerSet, list[Sighting], dict[str, tuple[str, ...]]]:
+    """The set without limbs of which no frame tells how they lie, what is seen of the rest, and those limbs
+    with the markers that lack. A body of which hardly anything would be left stays as it is."""
+    left, too_few = marker_set, dict[str, tuple[str, ...]]()
+    while True:
+        sightings = [sighted(left, trial, vertical, measured) for trial in trials]
+        never = unseen(left, [sighting.places.axes for sighting in sightings])
+        if not never:
+            return left, sightings, too_few
+        body = left.body
+        lost = set(never)
+        for name, parent in zip(body.segment_names, body.parents.tolist(), strict=True):
+            if parent >= 0 and body.segment_names[parent] in lost:
+                lost.add(name)
+        own = left.file.markers
+        kept = [label for name, labels in own.items() if name not in lost for label in labels]
+        if body.segment_names[0] in lost or sum(name not in lost for name in own) < _FEWEST_SEGMENTS:
+            return marker_set, [sighted(marker_set, trial, vertical, measured) for trial in trials], {}
+        known = [*too_few.values(), *never.values()]
+        lacking = tuple(dict.fromkeys(label for labels in known for label in labels))
+        too_few |= {name: tuple(never.get(name) or lacking) for name in body.segment_names if name in lost}
+        left = worn_part(left, kept, lost)
 
 
 def sighted(marker_set: MarkerSet, trial: MarkerTrial, vertical: str, measured: Measured) -> Sighting:

@@ -162,19 +162,36 @@ def _scale(body: Skeleton, origins: FloatArray) -> float:
     return float(np.nansum(means) / own[np.isfinite(means)].sum())
 
 
-def _refuse_unseen(marker_set: MarkerSet, axes: FloatArray) -> None:
+def unseen(marker_set: MarkerSet, axes: Sequence[FloatArray]) -> dict[str, list[str]]:
+    """Return the segments of which no frame of any trial tells how they lie, with the markers that lack.
+
+    axes: (F, S, 3, 3) of each trial, as rules find them.
+    """
     entries = marker_set.file.segments
     never = [
         name
         for s, name in enumerate(marker_set.body.segment_names)
-        if entries[name].axes is not None and not np.isfinite(axes[:, s]).all(axis=(1, 2)).any()
+        if entries[name].axes is not None
+        and not any(np.isfinite(each[:, s]).all(axis=(1, 2)).any() for each in axes)
     ]
+    return {
+        name: [m for m in _markers_under(marker_set, _needed(marker_set, name)) if m not in marker_set.labels]
+        for name in never
+    }
+
+
+def _needed(marker_set: MarkerSet, name: str) -> list[str]:
+    """The points that a segment's axes are laid by."""
+    rule = marker_set.file.segments[name].axes
+    assert rule is not None  # whose axes are never seen has a rule for them
+    return [*dict.fromkeys([*rule.primary[1:], *rule.secondary[1:]])]
+
+
+def _refuse_unseen(marker_set: MarkerSet, axes: FloatArray) -> None:
+    never = unseen(marker_set, [axes])
     if never:
-        name = never[0]
-        rule = entries[name].axes
-        assert rule is not None
-        needed = dict.fromkeys([*rule.primary[1:], *rule.secondary[1:]])
-        absent = [label for label in _markers_under(marker_set, needed) if label not in marker_set.labels]
+        name, absent = next(iter(never.items()))
+        needed = _needed(marker_set, name)
         raise GatewayError(
             f"marker set '{marker_set.file.name}': no frame tells how {', '.join(never)} lie: {name} needs "
             f"{', '.join(needed)} and what these rest on (see {marker_set.path.name})"

@@ -54,10 +54,11 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
     return Dressed(worn, tuple(called), names, left_out)
 
 
-def worn_part(marker_set: MarkerSet, labels: Collection[str]) -> MarkerSet:
+def worn_part(marker_set: MarkerSet, labels: Collection[str], without: Collection[str] = ()) -> MarkerSet:
     """The set with these markers only, and its body without the limbs that carry none of them.
 
-    Segments to which the set itself gives no marker stay where they follow one that stays.
+    Segments to which the set itself gives no marker stay where they follow one that stays, and are not among
+    those that are to go (``without``).
     """
     file, body = marker_set.file, marker_set.body
     markers = {segment: [label for label in own if label in labels] for segment, own in file.markers.items()}
@@ -65,7 +66,9 @@ def worn_part(marker_set: MarkerSet, labels: Collection[str]) -> MarkerSet:
     part = reduced(body, [0, *carrying])
     following = [
         s for s, name in enumerate(body.segment_names)
-        if not file.markers.get(name) and body.segment_names[body.parents[s]] in part.segment_names
+        if name not in without
+        and not file.markers.get(name)
+        and body.segment_names[body.parents[s]] in part.segment_names
     ]  # fmt: skip
     part = reduced(body, [0, *carrying, *following])
     kept = part.segment_names

@@ -44,16 +44,29 @@ def test_c3d_agrees_with_another_reader() -> None:
 
 
 @needs_data
-@pytest.mark.parametrize("share", [0.0, 0.0005, 0.003, 0.02, 0.5, 0.99])
+@pytest.mark.parametrize("share", [0.0, 0.0005, 0.003, 0.006])
 @pytest.mark.parametrize("name", ["Eb015pi", "Eb015sr", "Eb015vr"])
 def test_a_truncated_c3d_is_one_clear_error(tmp_path: Path, name: str, share: float) -> None:
     content = (DATA / "c3d_formats" / f"{name}.c3d").read_bytes()
-    # cut before the last frame's end: what follows the frames may be missing
     path = tmp_path / "cut.c3d"
     path.write_bytes(content[: int(0.98 * share * len(content))])
     with pytest.raises(FormatError, match=r"cut\.c3d.*(bytes|cut off|byte)") as caught:
         read_markers(path)
     assert "\n" not in str(caught.value)
+
+
+@needs_data
+@pytest.mark.parametrize("name", ["Eb015pi", "Eb015sr", "Eb015vr"])
+def test_of_a_c3d_that_is_cut_off_the_whole_frames_are_taken(tmp_path: Path, name: str) -> None:
+    whole = DATA / "c3d_formats" / f"{name}.c3d"
+    content, path = whole.read_bytes(), tmp_path / "cut.c3d"
+    path.write_bytes(content[: len(content) // 2])
+    expected, found = read_markers(whole), read_markers(path)
+    assert expected.n_frames / 3 < found.n_frames < expected.n_frames
+    np.testing.assert_array_equal(found.positions, expected.positions[: found.n_frames])
+    assert expected.notes == ()
+    (note,) = found.notes
+    assert f"{found.n_frames} whole frames of the {expected.n_frames}" in note
 
 
 @needs_data
@@ -94,7 +107,7 @@ def test_trc_gaps_units_and_errors(tmp_path: Path) -> None:
     assert read_markers(DATA / "trc_opensim" / "markers_walk.trc").positions.shape == (238, 41, 3)
     lines = source.read_text().splitlines()
     for edit, message in [
-        (lines[:100], "cut off: 94 frames of the 151"),
+        (lines[:6], "cut off: no frame behind its header"),
         ([lines[0], *lines[1:6], lines[6].replace("617.247620", "wide"), *lines[7:]], "line 7.*wide"),
         ([*lines[:2], lines[2].replace("mm", "ell"), *lines[3:]], "Units is 'ell'"),
         (["nothing", *lines[1:]], "line 1: not a TRC file"),
@@ -127,6 +140,31 @@ def test_a_trc_as_other_programs_write_it(tmp_path: Path, change, encoding: str)
     expected, found = read_markers(source), read_markers(path)
     assert found.labels == expected.labels
     np.testing.assert_array_equal(found.positions, expected.positions)
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("change", "n_frames", "note"),
+    [
+        (lambda lines: lines[:100], 94, "94 frames, of which its header tells 151"),
+        (lambda lines: [*lines, "152" + lines[-1][3:]], 152, "152 frames, of which its header tells 151"),
+        (lambda lines: [*lines[:-1], lines[-1][:500]], 150, "the last one, is cut off: left out"),
+        (lambda lines: [*lines, "# written by a program"], 151, "text and no frames: left out"),
+        (
+            lambda lines: [*lines[:2], re.sub(r"\b41\b", "44", lines[2]), *lines[3:]], 151,
+            "names 41 markers, NumMarkers in line 3 is 44",
+        ),
+    ],
+    ids=["early", "late", "mid line", "text", "miscounted"],
+)  # fmt: skip
+def test_a_trc_whose_header_does_not_fit_is_taken_and_told(tmp_path: Path, change, n_frames, note) -> None:
+    source = DATA / "trc_opensim" / "marker_trajectories.trc"
+    path = tmp_path / "t.trc"
+    path.write_text("\n".join(change(source.read_text().splitlines())))
+    found = read_markers(path)
+    assert found.n_frames == n_frames
+    assert note in " ".join(found.notes)
+    np.testing.assert_array_equal(found.positions[:94], read_markers(source).positions[:94])
 
 
 def test_an_unknown_suffix_names_the_known() -> None:

