@@ -61,7 +61,7 @@ def export(
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace files that are there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
-    """Write a recording as BVH, C3D, glTF, OpenSim .sto, .mot, TRC, CSV, Parquet, ROS 2 bag, for Foxglove.
+    """Write a recording as BVH, C3D, glTF, .sto, .mot, TRC, CSV, Parquet, for ROS 2 or Foxglove.
 
     Instants that were not recorded, and orientations that were not known, are interpolated; how many is
     told. C3D, Parquet and glTF need the extra `export`, Foxglove needs `foxglove`. ros2 and foxglove keep the
