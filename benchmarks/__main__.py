@@ -49,7 +49,7 @@ SUITES = (
     "analysis",
 )
 """Modules of this package with a function ``run() -> Report``."""
-PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
+DOCS = Path(__file__).parent.parent / "docs"
 
 
 def run(name: str) -> Report:
@@ -63,7 +63,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("suite", choices=[*SUITES, "all"])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE")
-    parser.add_argument("--write-docs", action="store_true", help=f"rewrite the tables in {PAGE.name}")
+    parser.add_argument("--write-docs", action="store_true", help="rewrite its page in docs/figures")
     arguments = parser.parse_args()
     names = SUITES if arguments.suite == "all" else (arguments.suite,)
     reports = []
@@ -75,7 +75,7 @@ def main() -> None:
         for figure in report.figures:
             print(figure.line(), flush=True)
         if arguments.write_docs:
-            write_docs(report, PAGE)
+            write_docs(report, DOCS, SUITES)
         reports.append(report.as_json())
     if arguments.json:
         arguments.json.write_text(json.dumps(reports if len(reports) > 1 else reports[0], indent=2))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import operator
 import platform
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+HEADLINES = ["suite", "figure", "value", "unit", "target", "verdict"]
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt}
 
 
@@ -96,14 +98,39 @@ def machine() -> str:
     return f"{cores}{model or platform.machine()}, Python {platform.python_version()}, shared virtual machine"
 
 
-def write_docs(report: Report, page: Path) -> None:
-    """Replace the suite's section of a page, between its markers; everything else stays."""
-    if not replace_section(page, report.suite, report.markdown()):
-        raise SystemExit(f"{page}: the markers of '{report.suite}' are missing or out of order")
+def write_docs(report: Report, docs: Path, suites: Sequence[str]) -> None:
+    """Replace the suite's section of its page in ``docs/figures``, and its lines among the headlines.
+
+    suites: all, in the order of the headlines. Raises ``SystemExit`` where no page has the suite's markers.
+    """
+    for page in sorted((docs / "figures").glob("*.md")):
+        if replace_section(page, report.suite, report.markdown()):
+            break
+    else:
+        raise SystemExit(f"{docs / 'figures'}: no page has the markers of '{report.suite}'")
     if report.also:
-        replace_section(
-            page.with_name(report.also), f"{report.suite} tables", "\n\n".join([*report.tables, ""])
-        )
+        replace_section(docs / report.also, f"{report.suite} tables", "\n\n".join([*report.tables, ""]))
+    headlines = docs / "benchmarks.md"
+    rows = _headlines(headlines)
+    link = f"[{report.suite}](figures/{page.name})"
+    rows[report.suite] = [
+        [link, f"`{f.name}`", f"{f.value:.4g}", f.unit, f.target, f.verdict]
+        for f in report.figures
+        if f.target
+    ] or [[link, "", "", "", "", ""]]
+    ordered = sorted(rows, key=lambda suite: suites.index(suite) if suite in suites else len(suites))
+    whole = table(HEADLINES, [row for suite in ordered for row in rows[suite]])
+    replace_section(headlines, "headlines", f"{whole}\n")
+
+
+def _headlines(page: Path) -> dict[str, list[list[str]]]:
+    """Return the rows of the page's table by suite."""
+    rows: dict[str, list[list[str]]] = {}
+    for line in page.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
+        if line.startswith("| [") and len(cells) == len(HEADLINES):
+            rows.setdefault(cells[0][1 : cells[0].index("]")], []).append(cells)
+    return rows
 
 
 def replace_section(page: Path, name: str, section: str) -> bool:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import importlib
 import inspect
 import math
+import re
 import shutil
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
 from benchmarks import figures
-from benchmarks.__main__ import PAGE, SUITES
+from benchmarks.__main__ import DOCS, SUITES
 
 SMALL: dict[str, dict[str, Any]] = {
     "batch": {"SECONDS": 2.0, "SESSIONS": 2},
@@ -29,6 +31,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "SURROUNDINGS": (),
         "PROCESS_FAULTS": (),
     },
+    "damage": {"MESSAGES": 600},
     "gaps": {"GAPS_S": (1.0,), "WALK_S": 50.0},
     "held": {"METHODS": ("independent",), "MODULES": (17,), "RATES_HZ": (100,), "SECONDS": 4.0, "TRIES": 1},
     "joints": {"SECONDS": 12.0},
@@ -63,6 +66,7 @@ SMALL: dict[str, dict[str, Any]] = {
 }
 """What makes a suite's constants those of a small case. Suites that are not here have none but their own."""
 ARGUMENTS: dict[str, dict[str, Any]] = {"record": {"seconds": 6.0, "kills": 1}}
+HEADLINE = r"(?m)^\| \[(\w+)\]\(figures/(\w+\.md)\) \|(.*)\|(.*)\|(.*)\|(.*)\|(.*)\|$"
 NEED_BROKER = {"faults", "held", "latency", "outputs", "record", "running", "start"}
 
 
@@ -81,9 +85,53 @@ def test_every_suite_runs_without_arguments_and_has_its_place_in_the_page(name: 
     run = inspect.signature(suite(name).run)
     assert all(each.default is not inspect.Parameter.empty for each in run.parameters.values())
     assert run.return_annotation == figures.Report.__name__
-    page = PAGE.read_text()
-    assert f"<!-- begin {name} " in page
-    assert f"<!-- end {name} " in page
+    pages = [
+        text
+        for page in (DOCS / "figures").glob("*.md")
+        if f"<!-- begin {name} -->" in (text := page.read_text())
+    ]
+    assert len(pages) == 1
+    assert f"<!-- end {name} -->" in pages[0]
+
+
+def test_the_headlines_are_the_figures_with_an_aim_of_all_pages() -> None:
+    shown: dict[str, list[list[str]]] = {}
+    pages: dict[str, str] = {}
+    for suite_, page, *cells in re.findall(HEADLINE, (DOCS / "benchmarks.md").read_text()):
+        shown.setdefault(suite_, []).append([cell.strip() for cell in cells])
+        pages[suite_] = (DOCS / "figures" / page).read_text()
+    assert list(shown) == list(SUITES)
+    for name, text in pages.items():
+        section = text.partition(f"<!-- begin {name} -->")[2].partition("<!-- end")[0]
+        first = section.partition("| figure | value |")[2].partition("\n\n")[0]
+        figures_ = [line.strip("| ").split(" | ") for line in first.splitlines() if line.startswith("| `")]
+        aimed = [[cell.strip() for cell in each[:5]] for each in figures_ if each[3].strip() != "–"]
+        assert shown[name] == (aimed or [[""] * 5]), name
+
+
+def test_a_suite_rewrites_its_page_and_its_headlines_alone(tmp_path: Path) -> None:
+    (tmp_path / "figures").mkdir()
+    page, headlines = tmp_path / "figures" / "both.md", tmp_path / "benchmarks.md"
+    page.write_text(
+        "# Both\n\n<!-- begin one -->\nold\n<!-- end one -->\nkept\n<!-- begin two -->\n<!-- end two -->\n"
+    )
+    headlines.write_text(
+        "<!-- begin headlines -->\n"
+        "| [two](figures/both.md) | `b` | 1 |  | <2 | met |\n"
+        "<!-- end headlines -->\n"
+    )
+    report = figures.Report("one", [figures.Figure("a", 3.0, "s", "<2"), figures.Figure("c", 4.0, "s")])
+    figures.write_docs(report, tmp_path, ("one", "two"))
+    assert "old" not in page.read_text()
+    assert "kept" in page.read_text()
+    assert "`c`" in page.read_text()
+    assert headlines.read_text().splitlines()[3:] == [
+        "| [one](figures/both.md) | `a` | 3 | s | <2 | short |",
+        "| [two](figures/both.md) | `b` | 1 |  | <2 | met |",
+        "<!-- end headlines -->",
+    ]
+    with pytest.raises(SystemExit, match="no page has the markers of 'three'"):
+        figures.write_docs(figures.Report("three"), tmp_path, ("one", "two"))
 
 
 @pytest.mark.slow(reason="the smallest case of a suite still takes up to a minute")
