@@ -166,8 +166,7 @@ def _level_only(u: FloatArray, y: FloatArray, world: World) -> None:
 @compiled
 def _observe_root(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
     """(55): once shown, the heading against the world: turns the whole tree."""
-    root = state.segments[s]
-    variance, angle = shown_heading(root, root, False, tuning)
+    variance, angle = shown_heading(state.segments[s].heading_sums, tuning)
     if variance > 0.0:
         state.segments[s].heading = OBSERVED
         add_own(work.segments[s].evidence, (0.0, 0.0, 1.0), 0.0, variance)

@@ -26,7 +26,7 @@ from gateway.reconstruction.inertial.tree.start import (
     gather_heading,
     is_apart,
     second_order_variance,
-    shown_heading,
+    shown_between,
     tilt_spread,
     turn_beyond,
 )
@@ -148,7 +148,7 @@ def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> b
     elif is_lost:
         uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
         gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, tuning, dt)
-        if shown_heading(child, parent, True, tuning)[0] > 0.0:
+        if shown_between(child, parent, tuning)[0] > 0.0:
             return True
     elif now.turn[2] != 0.0 or above.turn[2] != 0.0:
         return False  # this instant's averages are those before the turn
@@ -166,7 +166,7 @@ def _settle_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int
     """(55): turn segment s to what motion has shown: against its parent its heading is that, to that
     variance."""
     p = body.segments[s].parent
-    variance, angle = shown_heading(state.segments[s], state.segments[p], True, tuning)
+    variance, angle = shown_between(state.segments[s], state.segments[p], tuning)
     state.segments[s].heading = OBSERVED
     add_edge(work.segments[s].evidence, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.0, variance)
     turn_beyond(body, state, tuning, work, s, angle)

@@ -187,21 +187,31 @@ def gather_heading(
 
 
 @compiled
-def shown_heading(segment: Segment, parent: Segment, has_parent: bool, tuning: Tuning) -> tuple[float, float]:
-    """(55), (56): variance (rad²) and angle of a heading that has been shown; variance 0: not yet."""
+def shown_heading(sums: HeadingSums, tuning: Tuning) -> tuple[float, float]:
+    """(55): variance (rad²) and angle of a heading that motion has shown; variance 0: not yet."""
+    return _shown(sums.along, sums.across, sums.length, sums.seconds, tuning)
+
+
+@compiled
+def shown_between(segment: Segment, parent: Segment, tuning: Tuning) -> tuple[float, float]:
+    """(55), (56): the same of a segment against its parent, whose compasses count beside the motion."""
     sums, compass, above = segment.heading_sums, segment.compass, parent.compass
     along, across, length = sums.along, sums.across, sums.length
-    if compass.seconds > 0.0 and (above.seconds > 0.0 or not has_parent):
-        off, variance = compass.angle, compass.variance + compass.offset_square
-        if has_parent:
-            off -= above.angle
-            variance += above.variance + above.offset_square
+    if compass.seconds > 0.0 and above.seconds > 0.0:
+        off = compass.angle - above.angle
+        variance = compass.variance + compass.offset_square + above.variance + above.offset_square
         by_field = tuning.heading_density / variance
         along += by_field * math.cos(off)
         across -= by_field * math.sin(off)
         length += by_field
+    return _shown(along, across, length, sums.seconds, tuning)
+
+
+@compiled
+def _shown(along: float, across: float, length: float, seconds: float, tuning: Tuning) -> tuple[float, float]:
+    """(55), of the sums of (54)."""
     concentration = math.hypot(along, across)
-    if sums.seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
+    if seconds < tuning.heading_time_s or concentration < tuning.heading_evidence:
         return 0.0, 0.0
     if concentration < tuning.heading_coherence * length:
         return 0.0, 0.0
