@@ -72,6 +72,7 @@ async def test_every_message_is_what_its_model_says(
         health_interval=0.1,
         pose_formats=frozenset(PoseFormat),
         segment_rate=10,
+        predict_ms=20,
     )
     others = {topics.COMPARISON, topics.MARKERS}  # of two gateways; of a body with markers
     own = [publication for publication in PUBLICATIONS if publication.topic not in others]
