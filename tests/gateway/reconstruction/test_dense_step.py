@@ -614,6 +614,7 @@ def compared(kind, seed, monkeypatch):
     return checked.compared
 
 
+@pytest.mark.timeout(900)  # the outer steps run as plain Python, several times slower on a busy machine
 @pytest.mark.parametrize("kind", UPDATES)
 def test_every_step_is_that_of_the_dense_filter(kind, monkeypatch):
     total: Counter[str] = Counter()
