@@ -3,6 +3,7 @@
 heading    the whole world is turned about the vertical, so that the root faces the asked direction
 mounting   every segment is taken to be in the neutral posture now: modules that have slipped are put right
 full       both
+position   the root is brought above or below the world's origin: what was added up from steps begins anew
 
 What is shown goes from where it was to where it will be within ``FADE_S``. Deterministic: a reset is an
 input like a chunk, and takes effect on what was shown last.
@@ -21,7 +22,7 @@ from gateway.frames import FloatArray, MarkerFit, SkeletonFrame
 from gateway.geometry import quaternion
 
 FADE_S = 0.5
-KINDS = ("heading", "full", "mounting")
+KINDS = ("heading", "full", "mounting", "position")
 _UP = np.array([0.0, 0.0, 1.0])
 _UPRIGHT_RAD = np.radians(60.0)
 """A root leaning farther than this from neutral has no heading to be reset."""
@@ -29,12 +30,14 @@ _UPRIGHT_RAD = np.radians(60.0)
 
 @dataclass(frozen=True, eq=False)
 class _Correction:
-    """What is done to frames: a turn of the world about the vertical, and of every segment's axes."""
+    """What is done to frames: a turn of the world about the vertical and of every segment's axes, a shift."""
 
     heading: float
     """rad."""
     mounting: FloatArray
     """(S, 3) rotation vectors, segment axes: new to old."""
+    shift: FloatArray
+    """(3,) m: of the root, from where the last reset found it shown."""
 
 
 class Resets:
@@ -42,7 +45,7 @@ class Resets:
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._skeleton = skeleton
-        none = _Correction(0.0, np.zeros((skeleton.n_segments, 3)))
+        none = _Correction(0.0, np.zeros((skeleton.n_segments, 3)), np.zeros(3))
         self._from = self._to = none
         self._begun_ns: int | None = None
         self._anchor = np.zeros(3), np.zeros(3)  # the root as it came, and where it is shown
@@ -59,8 +62,8 @@ class Resets:
     def reset(self, kind: str, facing: float = 0.0) -> dict[str, object]:
         """Takes effect with the next frame. facing: heading of the root afterwards, rad from east.
 
-        What was turned, in degrees. Raises ``GatewayError`` for an unknown kind, before the first pose, and
-        where the root leans too far to have a heading.
+        What was turned, in degrees, and moved. Raises ``GatewayError`` for an unknown kind, before the first
+        pose, where the root leans too far to have a heading, and where nobody knows its place.
         """
         if kind not in KINDS:
             raise GatewayError(f"there is no reset '{kind}'{nearest(kind, KINDS)}")
@@ -68,20 +71,33 @@ class Resets:
         if came is None or shown is None or not np.isfinite(shown.q_wb[shown.root]).all():
             raise GatewayError("there is no pose yet: wait until the suit is heard")
         now = self._at(came.time_ns)
-        heading = self._heading_of(shown.q_wb[shown.root])
-        turn = 0.0 if kind == "mounting" else _wrapped(facing - heading)
-        mounting = now.mounting if kind == "heading" else self._to_neutral(came, now, heading)
+        turn, mounting, shift = 0.0, self._to.mounting, self._to.shift - now.shift
         raw, anchored = came.p_w[came.root], shown.p_w[shown.root]
-        if np.isfinite(raw).all() and np.isfinite(anchored).all():
+        is_placed = bool(np.isfinite(raw).all() and np.isfinite(anchored).all())
+        if kind == "position":
+            if not is_placed:
+                raise GatewayError("nobody knows the place of the body: set root_motion in the configuration")
+            shift = np.array([-anchored[0], -anchored[1], 0.0])
+        else:
+            heading = self._heading_of(shown.q_wb[shown.root])
+            turn = 0.0 if kind == "mounting" else _wrapped(facing - heading)
+            mounting = now.mounting if kind == "heading" else self._to_neutral(came, now, heading)
+        if is_placed:
             self._anchor = raw.copy(), anchored.copy()
-        self._from, self._to = now, _Correction(now.heading + turn, mounting)
+        to = now.heading if kind != "position" else self._to.heading
+        self._from = replace(now, shift=np.zeros(3))
+        self._to = _Correction(to + turn, mounting, shift)
         self._begun_ns = came.time_ns
         self.count += 1
         changed = [
             quaternion.angle_between(_exp(before), _exp(after))
             for before, after in zip(now.mounting, mounting, strict=True)
         ]
-        return {"turned_deg": round(float(np.degrees(turn)), 2), "remounted_deg": self._named(changed)}
+        return {
+            "turned_deg": round(float(np.degrees(turn)), 2),
+            "remounted_deg": self._named(changed),
+            "moved_m": round(float(np.linalg.norm(shift)), 3),
+        }
 
     def _named(self, angles: list[float]) -> dict[str, float]:
         names = self._skeleton.segment_names
@@ -129,7 +145,8 @@ class Resets:
                 for a, b in zip(begin.mounting, end.mounting, strict=True)
             ]
         )
-        return _Correction(begin.heading + share * (end.heading - begin.heading), mounting)
+        shift = begin.shift + share * (end.shift - begin.shift)
+        return _Correction(begin.heading + share * (end.heading - begin.heading), mounting, shift)
 
     def _corrected(self, frame: SkeletonFrame) -> SkeletonFrame:
         now = self._at(frame.time_ns)
@@ -147,27 +164,29 @@ class Resets:
             q_wb=q_wb,
             angular_rate=rate,
             joint_acceleration=acceleration,
-            p_w=self._places(frame, q_wb, turn),
-            markers=None if frame.markers is None else self._turned(frame.markers, turn),
+            p_w=self._places(frame, q_wb, turn, now.shift),
+            markers=None if frame.markers is None else self._turned(frame.markers, turn, now.shift),
         )
 
-    def _turned(self, markers: MarkerFit, turn: FloatArray) -> MarkerFit:
+    def _turned(self, markers: MarkerFit, turn: FloatArray, shift: FloatArray) -> MarkerFit:
         """With the root, so that residuals stay what they are; a reset of the mounting does not move them."""
         raw, anchored = self._anchor
         turned = quaternion.to_matrix(turn).T
         places = {
-            name: anchored + (getattr(markers, name) - raw) @ turned
+            name: anchored + shift + (getattr(markers, name) - raw) @ turned
             for name in ("positions", "virtual", "unlabelled")
         }
         return replace(markers, **places)
 
-    def _places(self, frame: SkeletonFrame, q_wb: FloatArray, turn: FloatArray) -> FloatArray:
+    def _places(
+        self, frame: SkeletonFrame, q_wb: FloatArray, turn: FloatArray, shift: FloatArray
+    ) -> FloatArray:
         """Joints by forward kinematics from the root, which turns about where it was at the reset."""
         if not np.isfinite(frame.p_w).any():
             return frame.p_w
         raw, anchored = self._anchor
         tree = self._skeleton
-        root = anchored + quaternion.rotate(turn, frame.p_w[frame.root] - raw)
+        root = anchored + shift + quaternion.rotate(turn, frame.p_w[frame.root] - raw)
         from_first = joint_positions(tree.parents, tree.offsets, q_wb, np.zeros(3))
         p_w: FloatArray = from_first + (root - from_first[frame.root])
         return p_w

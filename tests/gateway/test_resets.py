@@ -85,7 +85,42 @@ def test_full_reset_is_both(person):
     np.testing.assert_allclose(np.abs(shown.q_wb @ person.neutral), 1.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["heading", "full", "mounting"])
+def test_position_reset_brings_the_body_to_the_origin_and_it_walks_on_from_there(person):
+    resets = Resets(person)
+    resets.apply(frame(person, 0.4, place=(3.0, -4.0, 0.9)))
+    assert resets.reset("position") == {"turned_deg": 0.0, "remounted_deg": {}, "moved_m": 5.0}
+    shown = settle(resets, person, heading=0.4, place=(3.0, -4.0, 0.9))
+    np.testing.assert_allclose(shown.p_w[0], [0.0, 0.0, 0.9], atol=1e-12)
+    assert heading_of(shown.q_wb[0], person.neutral) == pytest.approx(0.4, abs=1e-9)
+    shown = resets.apply(frame(person, 0.4, k=102, place=(3.5, -4.0, 0.9)))
+    np.testing.assert_allclose(shown.p_w[0], [0.5, 0.0, 0.9], atol=1e-12)
+
+    resets.reset("heading")  # turns on the spot, and the origin stays what it is
+    turned = settle(resets, person, heading=0.4, place=(3.5, -4.0, 0.9))
+    np.testing.assert_allclose(turned.p_w[0], [0.5, 0.0, 0.9], atol=1e-12)
+
+
+def test_a_heading_reset_in_the_middle_of_one_of_the_position_lets_it_come_to_its_end(person):
+    resets = Resets(person)
+    places = [resets.apply(frame(person, 0.4, place=(3.0, -4.0, 0.9))).p_w[0]]
+    resets.reset("position")
+    for k in range(1, 150):
+        places.append(resets.apply(frame(person, 0.4, k=k, place=(3.0, -4.0, 0.9))).p_w[0])
+        if k == 25:
+            resets.reset("heading", 1.0)
+    np.testing.assert_allclose(places[-1], [0.0, 0.0, 0.9], atol=1e-12)
+    quickest = 1.875 * 5.0 / FADE_S * STEP_NS * 1e-9
+    assert max(np.linalg.norm(b - a) for a, b in pairwise(places)) < 1.01 * quickest
+
+
+def test_a_body_whose_place_nobody_knows_is_not_moved(person):
+    resets = Resets(person)
+    resets.apply(frame(person, place=(np.nan,) * 3))
+    with pytest.raises(GatewayError, match="nobody knows the place"):
+        resets.reset("position")
+
+
+@pytest.mark.parametrize("kind", ["heading", "full", "mounting", "position"])
 def test_nothing_jumps(person, kind):
     slipped = {5: Rotation.from_rotvec([1.0, 0.5, 0.0])}
     resets = Resets(person)
