@@ -8,7 +8,7 @@ mass by de Leva (1996, J. Biomech. 29(9): 1223–1230, table 4).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -71,6 +71,10 @@ class Subject(BaseModel):
         "(thigh); hip_width and shoulder_width between the joint centres",
     )
 
+    def as_json(self) -> dict[str, Any]:
+        """Return what is known of the person, as it stands in files."""
+        return self.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+
 
 def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skeleton:
     """The skeleton with the subject's lengths: first all by stature, then those that were measured.
@@ -104,6 +108,27 @@ def scaled(skeleton: Skeleton, subject: Subject, where: str = "subject") -> Skel
             _set_width(skeleton, offsets, tips, pair, subject.lengths[name])
     contacts = tuple(zip(carriers.tolist(), points, strict=True))
     return replace(skeleton, offsets=offsets, tips=tips, contacts=contacts, stature_m=stature)
+
+
+def lengths_of(skeleton: Skeleton) -> dict[str, float]:
+    """Return the lengths of a body, m, by the names that ``Subject.lengths`` takes.
+
+    A pair of limbs of one length has one name, such as ``thigh``.
+    """
+    own = {
+        name: round(float(np.linalg.norm(tip)), 3)
+        for name, tip in zip(skeleton.segment_names, skeleton.tips, strict=True)
+    }
+    found: dict[str, float] = {}
+    for name, length in own.items():
+        both = _without_side(name)
+        is_pair = name != both and len({own.get(f"{side}{both}") for side in SIDES}) == 1
+        found[both if is_pair else name] = length
+    for name, pair in WIDTHS.items():
+        if set(pair) <= set(skeleton.segment_names):
+            left, right = (skeleton.offsets[skeleton.index(segment)] for segment in pair)
+            found[name] = round(float(abs(right[_SIDEWAYS] - left[_SIDEWAYS])), 3)
+    return found
 
 
 def segment_masses(skeleton: Skeleton, mass_kg: float, sex: str | None = None) -> FloatArray:

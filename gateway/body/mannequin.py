@@ -13,7 +13,7 @@ import numpy as np
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray
 
-_AROUND, _ALONG = 12, 9
+_AROUND, _ALONG = 16, 11
 SIDES = ("trunk", "left", "right", "face")
 """What a part is coloured by."""
 

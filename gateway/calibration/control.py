@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gateway.body.anthropometry import lengths_of
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.body_result import BodyResult, ModuleResult
 from gateway.calibration.body_session import BodySession
-from gateway.calibration.mounting import history, mounting_event, restore, worn_rig, write_mounted_rig
+from gateway.calibration.kept_rig import KeptRig, measured
+from gateway.calibration.mounting import history, mounting_event, restore, write_mounted_rig
 from gateway.calibration.quality import Quality
 from gateway.contract.requests import (
     AcceptCalibrationRequest,
     BeginCalibrationRequest,
     CalibrationStepRequest,
+    MeasureRequest,
     Request,
     RestoreCalibrationRequest,
     asked,
 )
 from gateway.errors import GatewayError
 from gateway.pipeline import RESET_EVENT, Pipeline
-from gateway.support.settings_files import find_file
 
 STILL = np.radians(6.0)
 """Angular rate below which a module counts as still in the live display, rad/s."""
@@ -34,6 +35,8 @@ ApplyEvent = Callable[[str, Mapping[str, Any]], dict[str, object]]
 """Hands an event to the pipeline and to the recording."""
 Wear = Callable[[Mapping[str, Any]], Awaitable[None]]
 """Has the suit worn as a ``calibrated`` event says, while poses go on."""
+ReadAnew = Callable[[], Awaitable[Any]]
+"""Has the configuration read anew; raises ``GatewayError`` where there is none."""
 
 
 class ResetControl:
@@ -43,7 +46,7 @@ class ResetControl:
         self._apply_event = apply_event
 
     async def perform(self, verb: str, data: Mapping[str, Any]) -> dict[str, Any]:
-        """``heading``, ``full``, ``mounting``. Raises ``GatewayError``."""
+        """``heading``, ``full``, ``mounting``, ``position``. Raises ``GatewayError``."""
         request = asked("reset", verb, data).model_dump()
         facing = float(np.radians(request.get("facing_deg", 0.0)))
         return self._apply_event(RESET_EVENT, {"kind": verb, "facing": facing})
@@ -52,17 +55,17 @@ class ResetControl:
 class CalibrationControl:
     """The family ``calibration``: one session at a time."""
 
-    def __init__(self, pipeline: Pipeline, rig: str, wear: Wear) -> None:
-        """rig: that the suit is worn by, a file or a shipped one, which is never written to."""
+    def __init__(self, pipeline: Pipeline, rig: KeptRig, wear: Wear, read_anew: ReadAnew) -> None:
         self._pipeline = pipeline
         self._rig = rig
-        self._wear = wear
+        self._wear, self._read_anew = wear, read_anew
         self._session: BodySession | None = None
         self._result: BodyResult | None = None
         self._running: asyncio.Task[None] | None = None
         self._phase = "idle"
         self._ends_at = 0.0
         self._verbs: dict[str, Callable[[Any], Any]] = {
+            "measure": self._measure,
             "begin": self._begin,
             "step": self._step,
             "status": self._status,
@@ -80,14 +83,27 @@ class CalibrationControl:
         answer: dict[str, Any] = await found if asyncio.iscoroutine(found) else found
         return answer
 
-    @property
-    def target(self) -> Path:
-        """Rig file that ``accept`` with ``save`` writes. Raises ``SettingsError`` when the rig is gone."""
-        return worn_rig(find_file(self._rig, "rigs"))
-
-    def _source(self) -> Path:
-        """What the new rig file is made from: what was written last, else the one of the configuration."""
-        return self.target if self.target.is_file() else find_file(self._rig, "rigs")
+    async def _measure(self, request: MeasureRequest) -> dict[str, Any]:
+        """Tell the measures; new ones are kept first, and the body of them is worn once they are read."""
+        skeleton = self._pipeline.suit.skeleton
+        changes = measured(request.height_m, request.mass_kg, request.lengths)
+        if not changes:
+            return {"subject": self._rig.subject().as_json(), "lengths": lengths_of(skeleton), "file": None}
+        if self._rig.config is None:
+            raise GatewayError(
+                "this gateway has no configuration file to keep measures for: start it with "
+                "`mocap-gateway run -c FILE`"
+            )
+        if self._session is not None:
+            raise GatewayError("poses have been begun, with the body as it was: cancel them, then measure")
+        subject, body = self._rig.keep_subject(changes)
+        self._rig.name_in_configuration()
+        await self._read_anew()
+        return {
+            "subject": subject.as_json(),
+            "lengths": lengths_of(body),
+            "file": str(self._rig.target),
+        }
 
     def _begin(self, request: BeginCalibrationRequest) -> dict[str, Any]:
         self._cancel()
@@ -169,8 +185,10 @@ class CalibrationControl:
         await self._wear(mounting_event(accepted))
         answer: dict[str, Any] = {"accepted": [module.segment for module in accepted]}
         if request.save:
-            kept = write_mounted_rig(self._source(), self.target, accepted)
-            answer |= {"file": str(self.target), "earlier": None if kept is None else str(kept)}
+            target = self._rig.target
+            kept = write_mounted_rig(self._rig.source, target, accepted)
+            answer |= {"file": str(target), "earlier": None if kept is None else str(kept)}
+            answer["is_configured"] = self._rig.name_in_configuration()
         self._cancel()
         return answer
 
@@ -183,12 +201,14 @@ class CalibrationControl:
         return {}
 
     def _history(self, _request: Request) -> dict[str, Any]:
-        return {"file": str(self.target), "versions": [path.stem for path in history(self.target)]}
+        target = self._rig.target
+        return {"file": str(target), "versions": [path.stem for path in history(target)]}
 
     async def _restore(self, request: RestoreCalibrationRequest) -> dict[str, Any]:
-        version = restore(self.target, request.version)
-        await self._wear(mounting_event(_as_modules(load_rig(str(self.target)))))
-        return {"file": str(self.target), "version": version.stem}
+        target = self._rig.target
+        version = restore(target, request.version)
+        await self._wear(mounting_event(_as_modules(load_rig(str(target)))))
+        return {"file": str(target), "version": version.stem}
 
 
 def _told(session: BodySession) -> list[dict[str, Any]]:

@@ -6,12 +6,11 @@ import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from devices.calibration import SensorCalibration
 from gateway.body.skeleton import WornSuit
-from gateway.calibration.mounting import worn_rig
+from gateway.calibration.kept_rig import KeptRig
 from gateway.calibration.rig_file import write_calibrated_rig
 from gateway.calibration.sensor_feed import fed
 from gateway.calibration.sensor_session import (
@@ -29,7 +28,6 @@ from gateway.errors import GatewayError
 from gateway.modules.makers import MakersModules
 from gateway.modules.operations import ModuleOperations
 from gateway.sources.stream import Stream
-from gateway.support.settings_files import find_file
 
 
 class SensorControl:
@@ -38,12 +36,12 @@ class SensorControl:
     def __init__(
         self,
         suit: Callable[[], WornSuit],
-        rig: str,
+        rig: KeptRig,
         stream: Stream,
         makers: MakersModules,
         operations: ModuleOperations,
     ) -> None:
-        """suit: as worn now. rig: that the configuration names, a file or a shipped one."""
+        """suit: as worn now. rig: that what is found is kept in."""
         self._suit, self._rig = suit, rig
         self._stream, self._makers, self._operations = stream, makers, operations
         self._session: SensorSession | None = None
@@ -145,11 +143,9 @@ class SensorControl:
         assert session is not None
         calibrations = {m: combined(each, suit.calibrations.get(m)) for m, each in kept.items()}
         dip_deg = session.dip_deg({m: c for m, c in calibrations.items() if "magnetometer" in kept[m]})
-        configured = find_file(self._rig, "rigs")
-        target = worn_rig(configured)
-        source = target if target.is_file() else configured
+        source, target = self._rig.source, self._rig.target
         await asyncio.to_thread(write_calibrated_rig, source, target, calibrations, None, dip_deg)
-        return {"file": str(target), "is_configured": _is_same(target, configured)}
+        return {"file": str(target), "is_configured": self._rig.name_in_configuration()}
 
     async def _cancel(self, _request: Request | None = None) -> dict[str, Any]:
         self._feeding.close()
@@ -168,7 +164,3 @@ async def flash(operations: ModuleOperations, module: int, results: dict[str, Re
     after = replace(combined(results).after(before), temperature_c=before.temperature_c)
     setting = {"calibration": list(after.to_setting())}
     await operations.perform("set", {"device": str(module), "settings": setting})
-
-
-def _is_same(one: Path, other: Path) -> bool:
-    return one.resolve() == other.resolve()

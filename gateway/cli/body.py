@@ -107,6 +107,30 @@ def scale(
     _write(output, f"# {path.stem}, scaled.\n", content, force)
 
 
+@body_app.command(epilog="Example: mocap-gateway body measure -c my.yaml --height 1.82 --length thigh=0.44")
+def measure(
+    config: Annotated[Path, typer.Option("--config", "-c", help="Configuration of the gateway.")],
+    height: Height = None,
+    mass: Mass = None,
+    length: Lengths = None,
+) -> None:
+    """Keep the measures of who wears the suit in the rig file of a configuration; show them.
+
+    They scale the body. Of a shipped rig `<rig>.worn.yaml` is written, which the configuration then names. A
+    running gateway is asked the same by `calibration/measure`, or reads it anew on SIGHUP.
+    """
+    from gateway.calibration.kept_rig import KeptRig, measured
+    from gateway.settings import load_gateway_settings
+
+    rig = KeptRig(load_gateway_settings(config).rig, config)
+    told = _subject(height, mass, None, length)
+    if changes := measured(told.height_m, told.mass_kg, told.lengths):
+        rig.keep_subject(changes)
+        rig.name_in_configuration()
+        typer.echo(f"kept in {rig.target}", err=True)
+    typer.echo(json.dumps(rig.subject().as_json()))
+
+
 @body_app.command("import-urdf", epilog="Example: mocap-gateway body import-urdf arm.urdf -o arm.yaml")
 def import_robot(
     urdf: Annotated[Path, typer.Argument(help="URDF file (expanded, without xacro).")],

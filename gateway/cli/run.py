@@ -69,7 +69,7 @@ def _load(config: Path, awaited: str | None = None) -> Service:
     if awaited is not None:
         settings = stand_in(settings, log.info)
     with told_when_compiling(log.info):
-        return Service(settings, suit, awaited=awaited, others=others)
+        return Service(settings, suit, awaited=awaited, others=others, config=config)
 
 
 def _tell(service: Service) -> None:
@@ -155,7 +155,8 @@ class _Supervisor:
                 raise
             log.error("the changed configuration cannot run, the old one goes on: %s", error)
             former, self._former = self._former, None
-            self._take(Service(former.settings, former.pipeline.suit, others=former.others))
+            others = former.others
+            self._take(Service(former.settings, former.pipeline.suit, others=others, config=self._config))
             return True
         if self._next is None:
             return False

@@ -283,7 +283,8 @@ class AcceptCalibrationRequest(Request):
     poor: bool = Field(default=False, description="take poor results too")
     save: bool = Field(
         default=False,
-        description="write the configuration's rig file too, or `<rig>.worn.yaml` for a shipped one",
+        description="write the configuration's rig file too; of a shipped one `<rig>.worn.yaml`, which the "
+        "configuration names from then on",
     )
 
 
@@ -301,7 +302,21 @@ class RestoreCalibrationRequest(Request):
     version: str | None = Field(default=None, max_length=40, description="as listed; none: the newest")
 
 
+class MeasureRequest(Request):
+    """Tell the wearer's measures; with any, keep them in the rig file first, and wear the body of them."""
+
+    height_m: float | None = Field(default=None, gt=0.4, lt=2.6, description="stature, m; none: as it is")
+    mass_kg: float | None = Field(default=None, gt=2, lt=400, description="body mass, kg; none: as it is")
+    lengths: dict[SegmentName, Annotated[float, Field(gt=0.005, lt=2.0)] | None] = Field(
+        default={},
+        max_length=64,
+        description="measured, m, from joint to joint: `thigh` (both), `left_thigh`, `hip_width`; null: "
+        "forgotten",
+    )
+
+
 CALIBRATION_REQUESTS: dict[str, type[Request]] = {
+    "measure": MeasureRequest,
     "begin": BeginCalibrationRequest,
     "step": CalibrationStepRequest,
     "status": CalibrationStatusRequest,
@@ -340,7 +355,7 @@ class AcceptSensorsRequest(Request):
     flash: bool = Field(
         default=False,
         description="write to the modules, which `allow_device_writes` must allow; else to the rig file of "
-        "the configuration, or to `<rig>.worn.yaml` for a shipped one: used once that is read",
+        "the configuration, of a shipped one to `<rig>.worn.yaml`: used once the configuration is read anew",
     )
     poor: bool = Field(default=False, description="take poor results too")
 
@@ -379,10 +394,15 @@ class MountingResetRequest(Request):
     """Take every segment to be in the neutral posture now: stand in the N-pose."""
 
 
+class PositionResetRequest(Request):
+    """Bring the body to the world's origin, where it stands; it faces as before, and its height stays."""
+
+
 RESET_REQUESTS: dict[str, type[Request]] = {
     "heading": HeadingResetRequest,
     "full": FullResetRequest,
     "mounting": MountingResetRequest,
+    "position": PositionResetRequest,
 }
 
 

@@ -7,6 +7,7 @@ import contextlib
 import functools
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import gateway
@@ -26,6 +27,7 @@ from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
 from gateway.calibration.control import CalibrationControl, ResetControl
+from gateway.calibration.kept_rig import KeptRig
 from gateway.calibration.sensor_control import SensorControl
 from gateway.cameras.broker_link import link_of
 from gateway.contract.balances import Balance
@@ -85,9 +87,10 @@ class Service:
         links: Sequence[Link] | None = None,
         awaited: str | None = None,
         others: Sequence[FurtherBody] = (),
+        config: Path | None = None,
     ) -> None:
         """awaited: the method that is being compiled meanwhile, and takes over then; others: further people
-        whose markers come by the same links."""
+        whose markers come by the same links; config: the file that the settings come from."""
         settings = fitting_suit(settings, suit)
         self.others = others
         self._handed: dict[str, list[HandedLink]] = {}
@@ -153,8 +156,11 @@ class Service:
         self._announced: list[Link] = []  # to the pipeline, and with somebody who takes commands
         self._askers = list(_askers(settings, self._announced, sender, stream))
         self.own_requests = OwnRequests(self.mqtt)
-        self.calibration = CalibrationControl(self.pipeline, settings.rig, self._calibrated)
-        sensors = SensorControl(lambda: self.pipeline.suit, settings.rig, stream, self._makers, operations)
+        rig = KeptRig(settings.rig, config)
+        self.calibration = CalibrationControl(
+            self.pipeline, rig, self._calibrated, lambda: self.own_requests.perform("reload", {})
+        )
+        sensors = SensorControl(lambda: self.pipeline.suit, rig, stream, self._makers, operations)
         self.shelf = Shelf(settings.recording, lambda: self.recording.file)
         families = {
             "gateway": self.own_requests.perform,
