@@ -1,11 +1,14 @@
-"""Pictures for docs/calibration.md: ``python -m benchmarks.calibration_pictures``. Needs matplotlib.
+"""Pictures of the steps of a calibration and of the check: ``python -m benchmarks.calibration_pictures``.
 
-Stick figures of the emulated wearer in the middle of every step, from the front and from the right.
+Stick figures of the emulated wearer in every step, from the front and from the right: for docs/calibration.md
+(needs matplotlib) and, as lines, for the page.
 """
 
 from __future__ import annotations
 
+import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib as mpl
@@ -14,10 +17,13 @@ import numpy as np
 from devices.calibration_script import timetable
 from devices.emulators.calibrating import WearerFaults, calibration_motion
 from devices.emulators.motions import BodyMotion
+from gateway.body.kinematics import joint_positions
 from gateway.body.rig import load_rig
 from gateway.body.skeleton import Skeleton
 from gateway.emulation.rig import dress
 from gateway.frames import FloatArray
+from gateway.geometry import quaternion
+from gateway.viewer.step_pictures import LINES, SHORTEST_M
 
 FOLDER = Path(__file__).parent.parent / "docs" / "pictures"
 _MOMENTS: dict[str, tuple[float, ...]] = {
@@ -30,22 +36,54 @@ _MOMENTS: dict[str, tuple[float, ...]] = {
     "free": (0.3, 0.5, 0.7),
 }
 """Parts of a step at which the wearer is drawn, the last one darkest."""
+_MOVEMENTS: dict[str, Mapping[str, tuple[float, float, float]]] = {
+    "move_left_arm": {"left_upper_arm": (0.0, 0.0, 85.0)},
+    "move_right_arm": {"right_upper_arm": (0.0, 0.0, 85.0)},
+    "move_left_leg": {"left_thigh": (0.0, 0.0, 50.0)},
+    "move_right_leg": {"right_thigh": (0.0, 0.0, 50.0)},
+    "move_bow": {"pelvis": (0.0, 0.0, -15.0), "thorax": (0.0, 0.0, -40.0), "left_thigh": (0.0, 0.0, 15.0),
+                 "right_thigh": (0.0, 0.0, 15.0), "left_upper_arm": (0.0, 0.0, 55.0),
+                 "right_upper_arm": (0.0, 0.0, 55.0)},
+}  # fmt: skip
+"""How a movement of the check ends: turns of segments against their parents, degrees, own axes."""
 
 
 def main() -> None:
-    """Write one picture with all steps."""
+    """Write one picture with all steps, and the lines for the page."""
+    suit = load_rig("suit_17")
+    motion = calibration_motion(dress(suit), 1, 0.0, WearerFaults(pose_error=0.0))
+    drawn = {step: _drawn(motion, suit.skeleton, step) for step in _MOMENTS}
+    _write_picture(drawn)
+    still = _lines(suit.skeleton, *_posed(suit.skeleton, {}))
+    for name, turns in _MOVEMENTS.items():
+        drawn[name] = [still, _lines(suit.skeleton, *_posed(suit.skeleton, turns))]
+    lines = {
+        step: [[_told(each) for each in moment] for moment in moments] for step, moments in drawn.items()
+    }
+    rows = (f"{json.dumps(step)}: {json.dumps(moments)}" for step, moments in lines.items())
+    LINES.write_text("{" + ",\n".join(rows) + "}\n", encoding="utf-8")
+    sys.stdout.write(f"written to {LINES}\n")
+
+
+Line = tuple[str, FloatArray]
+"""Segment, and two points, (2, 3) m."""
+
+
+def _told(line: Line) -> list[str | float]:
+    return [line[0].partition("_")[0], *np.round(line[1], 2).ravel().tolist()]
+
+
+def _write_picture(drawn: Mapping[str, list[list[Line]]]) -> None:
     mpl.use("svg")
     mpl.rcParams["svg.hashsalt"] = "calibration"  # the same picture, the same file
     from matplotlib import pyplot  # noqa: PLC0415 - after the choice of where it draws
 
-    suit = load_rig("suit_17")
-    motion = calibration_motion(dress(suit), 1, 0.0, WearerFaults(pose_error=0.0))
-    figure, axes = pyplot.subplots(2, len(_MOMENTS), figsize=(14, 5.6), sharex=True, sharey=True)
-    for column, (step, moments) in enumerate(_MOMENTS.items()):
+    figure, axes = pyplot.subplots(2, len(drawn), figsize=(14, 5.6), sharex=True, sharey=True)
+    for column, (step, moments) in enumerate(drawn.items()):
         for k, moment in enumerate(moments):
             grey = "black" if k == len(moments) - 1 else str(0.8 - 0.25 * k)
             for row, across in enumerate((1, 0)):  # facing east: from the front y, from the side x
-                for line in _lines(motion, suit.skeleton, step, moment):
+                for _, line in moment:
                     axes[row, column].plot(line[:, across], line[:, 2], color=grey, linewidth=2)
         axes[0, column].set_title(step)
     for each, label in zip(axes[:, 0], ("from the front", "from the right"), strict=True):
@@ -61,16 +99,37 @@ def main() -> None:
     sys.stdout.write(f"written to {target}\n")
 
 
-def _lines(motion: BodyMotion, skeleton: Skeleton, step: str, moment: float) -> list[FloatArray]:
-    """Two points of every segment, world, m."""
+def _drawn(motion: BodyMotion, skeleton: Skeleton, step: str) -> list[list[Line]]:
+    """The wearer at the moments of a step."""
     begin, end = timetable()[step]
-    state = motion.state([begin + moment * (end - begin)])
-    starts = state.joint_position[0]
-    ends = starts + np.einsum("sij,sj->si", state.R_wb[0], skeleton.tips)
-    joints = [
-        np.stack([starts[parent], starts[n]]) for n, parent in enumerate(skeleton.parents) if parent >= 0
+    states = [motion.state([begin + moment * (end - begin)]) for moment in _MOMENTS[step]]
+    return [_lines(skeleton, state.joint_position[0], state.R_wb[0]) for state in states]
+
+
+def _posed(
+    skeleton: Skeleton, turns: Mapping[str, tuple[float, float, float]]
+) -> tuple[FloatArray, FloatArray]:
+    """The neutral posture with segments turned: joints (s, 3) m, and rotations (s, 3, 3)."""
+    q_wb: list[FloatArray] = []
+    for name, parent in zip(skeleton.segment_names, skeleton.parents, strict=True):
+        turn = quaternion.from_rotation_vector(np.radians(turns.get(name, (0.0, 0.0, 0.0))))
+        q_wb.append(quaternion.multiply(skeleton.neutral if parent < 0 else q_wb[parent], turn))
+    q = np.array(q_wb)
+    rotations = np.array([quaternion.to_matrix(each) for each in q])
+    return joint_positions(skeleton.parents, skeleton.offsets, q, np.zeros(3)), rotations
+
+
+def _lines(skeleton: Skeleton, starts: FloatArray, rotations: FloatArray) -> list[Line]:
+    """Two points of every segment, and from joint to joint, world, m; none that is too short to be seen."""
+    names = skeleton.segment_names
+    ends = starts + np.einsum("sij,sj->si", rotations, skeleton.tips)
+    lines = [(name, np.stack(pair)) for name, *pair in zip(names, starts, ends, strict=True)]
+    lines += [
+        (names[n], np.stack([starts[parent], starts[n]]))
+        for n, parent in enumerate(skeleton.parents)
+        if parent >= 0
     ]
-    return [np.stack(pair) for pair in zip(starts, ends, strict=True)] + joints
+    return [each for each in lines if np.linalg.norm(each[1][1] - each[1][0]) > SHORTEST_M]
 
 
 if __name__ == "__main__":
