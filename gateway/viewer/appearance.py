@@ -9,6 +9,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.viewer.texts import ENGLISH, say
+
 Colour = tuple[int, int, int]
 
 COLOURS: dict[str, Colour] = {
@@ -80,29 +82,29 @@ def silent_segments(statuses: Mapping[str, str], worn: Collection[str]) -> tuple
     )
 
 
-def status_summary(statuses: Mapping[str, str], silent: Sequence[str]) -> str:
+def status_summary(statuses: Mapping[str, str], silent: Sequence[str], language: str = ENGLISH) -> str:
     """How many segments have which status: ``16 measured, 1 missing; no data of head``."""
     counts = Counter(statuses.values())
     if counts["measured"] == len(statuses):
-        return f"all {len(statuses)} segments measured"
-    counted = ", ".join(f"{counts[kind]} {kind.replace('_', ' ')}" for kind in COLOURS if counts[kind])
+        return say(language, "all_measured", count=len(statuses))
+    counted = ", ".join(f"{counts[kind]} {say(language, f'is_{kind}')}" for kind in COLOURS if counts[kind])
     if not silent:
         return counted
-    return (
-        f"{counted}; no data of {', '.join(silent[:MOST_NAMED])}{', …' if len(silent) > MOST_NAMED else ''}"
-    )
+    named = ", ".join(name.replace("_", " ") for name in silent[:MOST_NAMED])
+    more = ", …" if len(silent) > MOST_NAMED else ""
+    return f"{counted}; {say(language, 'no_data_of', segments=named + more)}"
 
 
-def legend() -> str:
+def legend(language: str = ENGLISH) -> str:
     """What the colours mean, as HTML."""
-    meanings = [(name.replace("_", " "), colour) for name, colour in COLOURS.items()]
+    meanings = [(say(language, f"is_{name}"), colour) for name, colour in COLOURS.items()]
     meanings[:1] = [
-        ("left", SIDE_COLOURS["left"]),
-        ("right", SIDE_COLOURS["right"]),
-        ("trunk, measured", SIDE_COLOURS["trunk"]),
-        (f"sigma over {UNSURE_DEG:g}°", UNSURE),
+        (say(language, "side_left"), SIDE_COLOURS["left"]),
+        (say(language, "side_right"), SIDE_COLOURS["right"]),
+        (say(language, "side_trunk"), SIDE_COLOURS["trunk"]),
+        (say(language, "sigma_over", deg=f"{UNSURE_DEG:g}"), UNSURE),
     ]
-    meanings.append(("no data", STALE))
+    meanings.append((say(language, "is_stale"), STALE))
     return chips(meanings)
 
 

@@ -16,7 +16,7 @@ import viser
 from gateway.errors import GatewayError
 from gateway.modules.assignment import Proposal, Wardrobe
 from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, table
-from gateway.viewer.texts import LANGUAGES, say
+from gateway.viewer.texts import say
 
 LISTEN_S, BLINK_S, SHAKEN_S = 2.0, 5, 20.0
 
@@ -37,9 +37,6 @@ class Assistant(StepTab):
         self._listed: Mapping[str, Any] | None = None
         self._examined: Mapping[str, Any] | None = None
         self._others: list[StepTab] = []
-        with self._tab:
-            choice = server.gui.add_dropdown("Language / Sprache", tuple(LANGUAGES))
-        choice.on_update(lambda _: self.speak(LANGUAGES[choice.value]))
         self.build()
 
     def leads(self, *tabs: StepTab) -> None:

@@ -1,4 +1,4 @@
-"""How modules sit on the body: guided poses and movements on the page, a score for each module, and its use.
+"""How tall the wearer is and how modules sit: measures, guided poses and movements, a score for each module.
 
 It asks the gateway the requests of the family ``calibration``, as any program may.
 """
@@ -11,10 +11,13 @@ from typing import Any
 
 import viser
 
-from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, table
+from gateway.errors import GatewayError
+from gateway.viewer.step_pictures import step_picture
+from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, table
 from gateway.viewer.texts import say, texts
 
 COUNTDOWN_S, LOOK_S = 3.0, 0.4
+USUAL_HEIGHT_M = 1.75
 
 
 class BodySteps(StepTab):
@@ -31,17 +34,67 @@ class BodySteps(StepTab):
         self._steps: dict[str, str] = {}
         """Instructions by step."""
         self._result: Mapping[str, Any] | None = None
+        self._measures: Mapping[str, Any] = {"subject": {}, "lengths": {}}
+        """Answer of calibration/measure."""
         self.build()
+
+    def look(self) -> None:
+        """Find out how tall the wearer is said to be: another body is shown."""
+        self._errands.start(self._take_measures, lambda _said: None)
 
     def _add_parts(self) -> list[Any]:
         gui = self._server.gui
-        parts = [self._button("begin", self._begin), self._button("resume", self._resume)]
+        height_m = self._measures["subject"].get("height_m", USUAL_HEIGHT_M)
+        why = gui.add_html(line(self._say("measures_why")))
+        self._height = gui.add_number(self._say("height"), height_m, min=0.5, max=2.5, step=0.01)
+        self._length = gui.add_dropdown(self._say("length"), (NOTHING, *self._measures["lengths"]))
+        self._metres = gui.add_number(self._say("metres"), 0.0, min=0.0, max=1.99, step=0.005)
+        self._length.on_update(lambda _: self._show_length())
+        parts = [why, self._height, self._length, self._metres, self._button("measure", self._measure)]
+        parts += [self._button("begin", self._begin), self._button("resume", self._resume)]
         self._step = gui.add_dropdown(self._say("step"), (*self._steps,) or (NOTHING,))
-        parts += [self._step, self._button("do", self._do)]
+        self._step.on_update(lambda _: self._show_picture())
+        self._picture = gui.add_html("")
+        self._show_picture()
+        parts += [self._step, self._picture, self._button("do", self._do)]
         parts.append(self._button("result", self._find))
         found = None if self._result is None else result_table(self._result, self._language)
         self._table = gui.add_html(found or "")
-        return [*parts, self._table, self._button("accept", self._accept)]
+        return [*parts, self._table, self._button("accept", self._accept), self._button("give_up", self._end)]
+
+    def _show_picture(self) -> None:
+        name = self._step.value
+        told = instruction_of(name, self._steps.get(name, ""), self._language)
+        self._picture.content = step_picture(name, told) + (line(told) if told else "")
+
+    def _show_length(self) -> None:
+        self._metres.value = self._measures["lengths"].get(self._length.value, 0.0)
+
+    async def _take_measures(self) -> str:
+        try:
+            self._measures = await self._ask("calibration", "measure", {})
+        except GatewayError:  # of a gateway that knows no rig: measures are not offered
+            return ""
+        self._show_measures()
+        return ""
+
+    def _show_measures(self) -> None:
+        self._height.value = self._measures["subject"].get("height_m", USUAL_HEIGHT_M)
+        chosen = self._length.value
+        self._length.options = (NOTHING, *self._measures["lengths"])
+        if chosen in self._measures["lengths"]:
+            self._length.value = chosen  # type: ignore[misc]  # as in Playback
+        self._show_length()
+
+    async def _measure(self) -> str:
+        """Keep the height, and the length that is chosen if it was changed."""
+        name, metres = self._length.value, float(self._metres.value)
+        is_changed = metres > 0.0 and metres != self._measures["lengths"].get(name, metres)
+        data = {"height_m": float(self._height.value), "lengths": {name: metres} if is_changed else {}}
+        self._tell(self._say("measuring"))
+        self._measures = await self._ask("calibration", "measure", data)
+        self._show_measures()
+        return self._say("measured", height=f"{self._height.value:.2f}", file=self._measures["file"])
 
     async def _begin(self) -> str:
         self._take_steps((await self._ask("calibration", "begin", {}))["steps"])
@@ -57,7 +110,8 @@ class BodySteps(StepTab):
 
     def _take_steps(self, steps: Sequence[Mapping[str, Any]]) -> None:
         self._steps = {one["step"]: one["instruction"] for one in steps}
-        self._step.options = tuple(self._steps)
+        self._step.options = tuple(self._steps) or (NOTHING,)
+        self._show_picture()
         self._result, self._table.content = None, ""
 
     def _next_of(self, status: Mapping[str, Any]) -> str:
@@ -86,6 +140,11 @@ class BodySteps(StepTab):
         modules = self._result["modules"]
         good = sum(one["quality"] == "good" for one in modules)
         return self._say("scored", good=good, count=len(modules))
+
+    async def _end(self) -> str:
+        await self._ask("calibration", "cancel", {})
+        self._take_steps(())
+        return self._say("given_up")
 
     async def _accept(self) -> str:
         answer = await self._ask("calibration", "accept", {"save": True})

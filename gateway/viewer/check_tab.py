@@ -12,7 +12,8 @@ import viser
 from gateway.calibration.movement_check import MOVEMENTS, Movement, MovementCheck, Seen, Verdict
 from gateway.contract.messages import PoseMessage
 from gateway.errors import GatewayError
-from gateway.viewer.step_tab import GOOD, POOR, Ask, StepTab, table
+from gateway.viewer.step_pictures import step_picture
+from gateway.viewer.step_tab import GOOD, POOR, Ask, StepTab, line, table
 
 READY_S, WATCHED_S, LOOK_S = 3, 6.0, 0.25
 Worn = Callable[[], Collection[str]]
@@ -58,10 +59,20 @@ class CheckTab(StepTab):
         all_of_them = self._button("check_all", self._do_all)
         names = tuple(self._say(f"move_{movement.name}") for movement in MOVEMENTS)
         self._movement = gui.add_dropdown(self._say("movement"), names)
+        self._movement.on_update(lambda _: self._show_picture(self._chosen()))
+        self._picture = gui.add_html("")
+        self._show_picture(self._chosen())
         again = self._button("check_one", self._do_one)
-        parts = [all_of_them, self._movement, again]
+        parts = [all_of_them, self._movement, self._picture, again]
         self._table = gui.add_html(self._told())
         return [*parts, self._table, self._button("check_clear", self._clear)]
+
+    def _chosen(self) -> Movement:
+        return MOVEMENTS[self._movement.options.index(self._movement.value)]
+
+    def _show_picture(self, movement: Movement) -> None:
+        told = self._say(f"do_{movement.name}")
+        self._picture.content = step_picture(f"move_{movement.name}", told) + line(told)
 
     def _told(self) -> str:
         rows = [
@@ -89,8 +100,7 @@ class CheckTab(StepTab):
         return self._summary()
 
     async def _do_one(self) -> str:
-        which = self._movement.options.index(self._movement.value)
-        await self._do(MOVEMENTS[which])
+        await self._do(self._chosen())
         return self._summary()
 
     async def _clear(self) -> str:
@@ -106,6 +116,8 @@ class CheckTab(StepTab):
         if not check.seen():
             return  # nothing of it is worn
         self._is_busy = True
+        self._movement.value = self._say(f"move_{movement.name}")  # type: ignore[misc]  # as in Playback
+        self._show_picture(movement)
         instruction = self._say(f"do_{movement.name}")
         try:
             for left in range(READY_S, 0, -1):

@@ -51,9 +51,10 @@ RECORDED_AFTER_S = 10.0
 """Older poses are told by their instant: they come from a recording."""
 MOST_UNDRAWN = 256
 """Poses between two pictures that muscles are told of."""
-RESETS = ("heading", "full", "mounting")
+RESETS = ("heading", "full", "mounting", "position")
+COUNTED_DOWN = {"heading": "countdown_heading", "full": "countdown", "mounting": "countdown"}
+"""Resets that want the wearer to stand somehow, who has to get there first; what is told meanwhile."""
 COUNTDOWN_S = 3
-"""Before a reset that wants the wearer to stand in the N-pose."""
 TEXTS_EVERY = 10
 """Texts and plots are brought up to date with every so manyeth picture."""
 
@@ -99,9 +100,9 @@ class LiveViewer:
             if not may_write
             else (
                 ButtonRow(
-                    "Recording", ("start", "stop", "mark"), lambda verb: self._ask("recording", verb, {})
+                    "recording", ("start", "stop", "mark"), lambda verb: self._ask("recording", verb, {})
                 ),
-                ButtonRow("Reset", RESETS, lambda kind: self._ask("reset", kind, {})),
+                ButtonRow("reset", RESETS, lambda kind: self._ask("reset", kind, {})),
             ),
             self._stage,
         )
@@ -110,6 +111,7 @@ class LiveViewer:
         self._replayed: ReplayedTake | None = None
         self._assistant: Assistant | None = None
         self._check: CheckTab | None = None
+        self._body_steps: BodySteps | None = None
         if may_write:
             self._add_assistant(server)
 
@@ -121,6 +123,8 @@ class LiveViewer:
         self._check = CheckTab(server, tabs, ask, loop, lambda: self._worn)
         takes = TakesTab(server, tabs, ask, loop, self._replay)
         self._assistant.leads(sensors, body, self._check, takes)
+        self._body_steps = body
+        self._panel.on_language(self._assistant.speak)
 
     async def run(self, waits: bool = False) -> None:
         """For ever. Raises ``BrokerUnreachableError`` if there is no broker at the start, unless it waits."""
@@ -130,7 +134,7 @@ class LiveViewer:
             except BrokerUnreachableError as error:
                 if not waits:
                     raise
-                self._panel.show_status("NO BROKER", str(error), is_alarm=True)
+                self._panel.show_status(self._panel.say("no_broker"), str(error), is_alarm=True)
             await asyncio.sleep(RETRY_S)
 
     async def _show(self) -> None:
@@ -176,6 +180,8 @@ class LiveViewer:
         self._scene = BodyScene(self._server, self._stage, skeleton, clicked)
         self._keeper = PostureKeeper(skeleton)
         self._scene.draw(self._keeper.before_any(), is_stale=True)
+        if self._body_steps is not None:
+            self._body_steps.look()
         if self._wires is not None:
             self._wires.remove()
         try:
@@ -250,22 +256,8 @@ class LiveViewer:
         self._scene.shows_names = self._panel.names.value
 
     def _show_texts(self, poses: PoseSubscriber) -> None:
-        state = poses.states.get(self._gateway, "state unknown")
+        self._show_headline(poses)
         age = self._view.age_s(gateway_time_ns())
-        name = "no gateway heard yet" if self._gateway == ANY_GATEWAY else f"{self._gateway}: {state}"
-        if self._replayed is not None:
-            told = self._replayed.told(self._loop.time())
-            self._panel.show_status(f"REPLAY {self._replayed.name}", told, is_alarm=False)
-        elif not poses.is_connected:
-            self._panel.show_status("NO BROKER", "trying to get it back", is_alarm=True)
-        elif age is None:
-            self._panel.show_status("NO DATA", f"{name}; no pose has come yet", is_alarm=True)
-        elif age > STALE_AFTER_S:
-            self._panel.show_status(
-                f"NO DATA for {age:.0f} s", f"{name}; this is the last pose", is_alarm=True
-            )
-        else:
-            self._panel.show_status(name, *self._pose_texts(), is_alarm=False)
         health = poses.healths.get(self._gateway)
         self._losses.add(health)
         comes = age is not None and age <= STALE_AFTER_S and poses.is_connected
@@ -275,31 +267,69 @@ class LiveViewer:
         self._panel.show_recording(self._recording.now(gateway_time_ns()))
         info = poses.infos.get(self._gateway)
         self._worn = frozenset() if info is None else frozenset(module.segment for module in info.modules)
-        rows = module_rows(health, info, self._silent())
-        self._panel.show_modules(module_table(rows))
+        language = self._panel.language
+        rows = module_rows(health, info, self._silent(), language)
+        self._panel.show_modules(module_table(rows, language))
         self._panel.draw_plot()
+
+    def _show_headline(self, poses: PoseSubscriber) -> None:
+        """What is shown, or why nothing comes."""
+        panel, say, now_ns = self._panel, self._panel.say, gateway_time_ns()
+        name = self._name(poses)
+        age = self._view.age_s(now_ns)
+        if self._replayed is not None:
+            told = self._replayed.told(self._loop.time())
+            panel.show_status(say("replay_of", name=self._replayed.name), told, is_alarm=False)
+        elif not poses.is_connected:
+            panel.show_status(say("no_broker"), say("gets_it_back"), is_alarm=True)
+        elif age is None:
+            panel.show_status(say("no_data"), say("no_pose", name=name), is_alarm=True)
+        elif age > STALE_AFTER_S:
+            headline = say("no_data_for", seconds=f"{age:.0f}")
+            panel.show_status(headline, say("last_pose", name=name), is_alarm=True)
+        else:
+            info = poses.infos.get(self._gateway)
+            awaited = None if info is None or info.kernels is None else info.kernels.awaited
+            waits = () if awaited is None else (say("compiling", name=awaited),)
+            panel.show_status(name, *waits, *self._pose_texts(), is_alarm=False, is_busy=bool(waits))
+
+    def _name(self, poses: PoseSubscriber) -> str:
+        """The gateway's name, and whether it runs."""
+        if self._gateway == ANY_GATEWAY:
+            return self._panel.say("no_gateway")
+        state = poses.states.get(self._gateway, "unknown")
+        known = state in ("online", "offline", "unknown")
+        return f"{self._gateway}: {self._panel.say(f'state_{state}') if known else state}"
 
     def _pose_texts(self) -> tuple[str, ...]:
         """Lines about poses that come."""
         latest = self._latest
         rate, latency = self._view.rate_hz or 0.0, self._view.latency_s or 0.0
-        when = f"latency {latency * 1e3:.1f} ms" if latency < RECORDED_AFTER_S else _instant(latest)
-        pace = f"{rate:.0f} poses/s, {when}"
+        say, language = self._panel.say, self._panel.language
+        when = (
+            say("latency", ms=f"{latency * 1e3:.1f}")
+            if latency < RECORDED_AFTER_S
+            else say("taken", when=_instant(latest))
+        )
+        pace = say("pace", rate=f"{rate:.0f}", when=when)
         if latest is None:
             return (pace,)
         markers = () if self._instant is None else self._instant.summary()
-        summary = status_summary(latest.pose.status, self._silent())
+        statuses = latest.pose.status
         # beside a warning the good word would be what is read
-        told = () if self._warnings() and summary.startswith("all ") else (summary,)
+        is_good = all(status == "measured" for status in statuses.values())
+        summary = status_summary(statuses, self._silent(), language)
+        told = () if self._warnings() and is_good else (summary,)
         status = self._recording.now(gateway_time_ns())
-        stands = health_line(len(self._worn), len(self._silent()), self._losses.share, status)
+        stands = health_line(len(self._worn), len(self._silent()), self._losses.share, status, language)
         return (pace, *told, stands, *markers)
 
     def _warnings(self) -> tuple[str, ...]:
         """What is amiss with poses that come."""
         latency_s = self._view.latency_s or 0.0
         late = latency_s if latency_s < RECORDED_AFTER_S else 0.0
-        return warnings_of(self._losses.share, late, self._recording.now(gateway_time_ns()))
+        status = self._recording.now(gateway_time_ns())
+        return warnings_of(self._losses.share, late, status, self._panel.language)
 
     def _silent(self) -> tuple[str, ...]:
         return () if self._latest is None else silent_segments(self._latest.pose.status, self._worn)
@@ -327,26 +357,29 @@ class LiveViewer:
             self._scene.marked = segment
 
     async def _request(self, family: str, verb: str, data: Mapping[str, Any]) -> None:
-        wish = f"{family} {verb}"
-        if family == "reset" and verb != "heading":
+        say, show = self._panel.say, self._panel.show_answer
+        wish = f"{say(f'{family}_row')}, {say(f'{family}_{verb}')}"
+        if family == "reset" and verb in COUNTED_DOWN:
             for left_s in range(COUNTDOWN_S, 0, -1):
-                self._panel.show_answer(f"{wish} in {left_s} s: stand upright, arms hanging")
+                show(say(COUNTED_DOWN[verb], wish=wish, left=left_s))
                 await asyncio.sleep(1.0)
-        self._panel.show_answer(f"{wish} …")
+        show(say("is_asked", wish=wish))
         try:
             answer = await self._answer_of(family, verb, data)
         except GatewayError as error:
-            self._panel.show_answer(f"{wish}: {error}")
+            show(say("went_wrong", wish=wish, error=error))
             return
-        self._panel.show_answer(f"{wish}: done{_told(family, answer)}")
+        show(say("is_done", wish=wish, told=self._told(family, answer)))
 
-
-def _told(family: str, answer: Mapping[str, Any]) -> str:
-    """What came of a request, in short."""
-    if family == "recording":
-        named = str(answer.get("file", "")).rpartition("/")[2]
-        return f"; {named}, {clock_of(answer.get('seconds'))}, {answer.get('marks', 0)} marks"
-    return "".join(f"; {name} {value}" for name, value in answer.items())
+    def _told(self, family: str, answer: Mapping[str, Any]) -> str:
+        """What came of a request, in short."""
+        if family == "recording":
+            file = str(answer.get("file", "")).rpartition("/")[2]
+            clock = clock_of(answer.get("seconds"))
+            return self._panel.say("told_recording", file=file, clock=clock, marks=answer.get("marks", 0))
+        turned, moved = answer.get("turned_deg", 0.0), answer.get("moved_m", 0.0)
+        count = len(answer.get("remounted_deg", ()))
+        return self._panel.say("told_reset", turned=f"{turned:g}", moved=f"{moved:g}", count=count)
 
 
 def _instant(received: ReceivedPose | None) -> str:
@@ -354,4 +387,4 @@ def _instant(received: ReceivedPose | None) -> str:
     if received is None:
         return ""
     taken = datetime.fromtimestamp(received.pose.t_ns * 1e-9, UTC)
-    return f"taken {taken:%Y-%m-%d %H:%M:%S} UTC"
+    return f"{taken:%Y-%m-%d %H:%M:%S}"

@@ -14,8 +14,9 @@ from pydantic import JsonValue
 from firmware_protocol import RELAY
 from gateway.contract.messages import BridgeHealth, BridgeInfo
 from gateway.frames import Status
+from gateway.viewer.texts import ENGLISH, say
 
-_COLUMNS = ("id", "segment", "bat.", "lost %", "ppm", "± µs")
+_COLUMNS = ("id", "segment", "col_battery", "col_lost", "ppm", "± µs")
 _LOST_COLUMN = 3
 _LOSSY_PERCENT = 1.0
 RELAY_NAME = str(RELAY)
@@ -27,7 +28,10 @@ _SPAN_NS = 10_000_000_000
 
 
 def module_rows(
-    health: BridgeHealth | None, info: BridgeInfo | None, silent: Collection[str] = ()
+    health: BridgeHealth | None,
+    info: BridgeInfo | None,
+    silent: Collection[str] = (),
+    language: str = ENGLISH,
 ) -> list[tuple[str, ...]]:
     """One row a module, as texts: of the rig, and others that were heard. Last comes why it is red, and what
     would do; empty where it is not.
@@ -40,28 +44,31 @@ def module_rows(
     heard: Mapping[str, JsonValue] = modules if isinstance(modules, dict) else {}
     worn = {str(m.module): m.segment for m in info.modules} if info is not None else {}
     names = sorted({*heard, *worn}, key=lambda name: (len(name), name))
-    rows = ((name, worn.get(name, "relay" if name == RELAY_NAME else "not in the rig")) for name in names)
-    shown = ((name, _row(name, place, None if place in silent else heard.get(name))) for name, place in rows)
-    return [(*row, _why_red(row[_LOST_COLUMN], str(why.get(name, "")))) for name, row in shown]
+    others = {name: say(language, "relay" if name == RELAY_NAME else "not_in_rig") for name in names}
+    found: list[tuple[str, ...]] = []
+    for name in names:
+        place = worn.get(name, others[name])
+        summary = None if place in silent else heard.get(name)
+        row = _row(name, place, summary, language)
+        doubt = str(why.get(name, ""))
+        found.append((*row, _why_red(isinstance(summary, dict), row[_LOST_COLUMN], doubt, language)))
+    return found
 
 
-SILENT_REMEDY = "silent: charge it, switch it on, see its plug; Set up tells whether it has another id"
-LOSSY_REMEDY = "losses: bring the receiver nearer, see cable and plug, or sample at a lower rate"
-
-
-def _why_red(lost: str, doubt: str) -> str:
+def _why_red(is_heard: bool, lost: str, doubt: str, language: str) -> str:
     """What is amiss with a module, and what would do. lost: as in its row."""
-    if lost == "silent":
-        return SILENT_REMEDY
+    if not is_heard:
+        return say(language, "remedy_silent", tab=say(language, "tab"))
     if doubt:
-        return f"doubtful: {doubt}"
-    return LOSSY_REMEDY if float(lost) > _LOSSY_PERCENT else ""
+        return say(language, "why_doubtful", why=doubt)
+    return say(language, "remedy_lossy") if float(lost) > _LOSSY_PERCENT else ""
 
 
-def module_table(rows: list[tuple[str, ...]]) -> str:
+def module_table(rows: list[tuple[str, ...]], language: str = ENGLISH) -> str:
     """The rows as an HTML table; modules that lose more than a per cent stand out, and
     those that are doubtful, with the reason."""
-    head = "".join(f'<th style="text-align:left;padding:1px 4px">{name}</th>' for name in _COLUMNS)
+    names = (say(language, key) if key.isidentifier() and key != "ppm" else key for key in _COLUMNS)
+    head = "".join(f'<th style="text-align:left;padding:1px 4px">{name}</th>' for name in names)
     body = "".join(_html_row(row) for row in rows)
     return (
         '<div style="padding:0 6px;overflow-x:auto">'
@@ -121,31 +128,36 @@ class RecordingStatus:
         return {**self._status, "seconds": seconds + max(0, now_ns - self._told_ns) * 1e-9}
 
 
-def health_line(worn: int, silent: int, lost: float, recording: Mapping[str, object]) -> str:
+def health_line(
+    worn: int, silent: int, lost: float, recording: Mapping[str, object], language: str = ENGLISH
+) -> str:
     """How modules, losses and the disk stand: ``16 of 17 modules, 0.2 % lost, 80.9 GB free``.
 
     lost: share of the samples, 0 to 1. recording: the gateway's status of it, which has the disk's room."""
-    parts = [f"{worn - silent} of {worn} modules"] if worn else []
-    parts.append(f"{100 * lost:.1f} % lost")
+    parts = [say(language, "modules_heard", heard=worn - silent, worn=worn)] if worn else []
+    parts.append(say(language, "share_lost", percent=f"{100 * lost:.1f}"))
     free_mb = recording.get("free_mb")
     if isinstance(free_mb, int | float):
-        parts.append(f"{free_mb / 1e3:.1f} GB free")
+        parts.append(say(language, "gb_free", gb=f"{free_mb / 1e3:.1f}"))
     return ", ".join(parts)
 
 
 def warnings_of(
-    lost: float, latency_s: float, recording: Mapping[str, object] | None = None
+    lost: float,
+    latency_s: float,
+    recording: Mapping[str, object] | None = None,
+    language: str = ENGLISH,
 ) -> tuple[str, ...]:
     """What is to be told loudly, with what would do. lost: share of the samples, 0 to 1."""
     found = []
     if lost >= MUCH_LOST:
         found.append(
-            f"{lost:.0%} of the samples are lost: see which module in Modules; come nearer, charge it"
+            say(language, "warn_lost", percent=f"{100 * lost:.0f}", modules=say(language, "modules"))
         )
     if latency_s >= LATE_S:
-        found.append(f"poses are {latency_s:.1f} s late: the gateway, the broker or the network is too busy")
+        found.append(say(language, "warn_late", seconds=f"{latency_s:.1f}"))
     if (recording or {}).get("is_low"):
-        found.append("the disk for recordings is nearly full: move or delete some, or choose another folder")
+        found.append(say(language, "warn_disk"))
     return tuple(found)
 
 
@@ -181,9 +193,9 @@ def recorded_table(rows: list[tuple[str, ...]]) -> str:
     )
 
 
-def _row(module: str, segment: str, summary: JsonValue) -> tuple[str, ...]:
+def _row(module: str, segment: str, summary: JsonValue, language: str) -> tuple[str, ...]:
     if not isinstance(summary, dict):
-        return (module, segment.replace("_", " "), "", "silent", "", "")
+        return (module, segment.replace("_", " "), "", say(language, "col_silent"), "", "")
     received, lost = _number(summary, "received"), _number(summary, "lost")
     share = 100.0 * lost / (received + lost) if received + lost else 0.0
     battery = summary.get("battery_percent")

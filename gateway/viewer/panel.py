@@ -16,6 +16,8 @@ from gateway.viewer.marker_points import MarkerInstant
 from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude, bend_deg
 from gateway.viewer.stage import STYLE, VIEWS, Stage
+from gateway.viewer.tab_names import rename
+from gateway.viewer.texts import ENGLISH, LANGUAGES, say
 
 PLOT_SPAN_S = 10.0
 _LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
@@ -26,7 +28,8 @@ _RESIDUALS = "distances of markers"
 class ButtonRow(NamedTuple):
     """Buttons side by side."""
 
-    label: str
+    name: str
+    """Its label is the text ``<name>_row``, that of an option ``<name>_<option>``."""
     options: tuple[str, ...]
     pressed: Callable[[str], None]
     """Called with the option, in a thread of the page's server."""
@@ -37,33 +40,86 @@ class Panel:
 
     def __init__(self, server: viser.ViserServer, rows: Sequence[ButtonRow], stage: Stage) -> None:
         gui = server.gui
+        self.language = ENGLISH
+        self._listeners: list[Callable[[str], None]] = []
+        self._rows: list[tuple[ButtonRow, viser.GuiButtonGroupHandle]] = []
+        self._choices: dict[str, viser.GuiInputHandle[bool]] = {}
         gui.add_html(STYLE)
         self._warnings = gui.add_html("")
         self._status = gui.add_html("")
         self._recording = gui.add_html("")
         for row in rows:
-            gui.add_button_group(row.label, row.options).on_click(_calls(row.pressed))
+            self._add_row(gui, row, lambda option, _client, row=row: row.pressed(option))
         self._answer = gui.add_html("")
-        gui.add_button_group("Camera", VIEWS).on_click(lambda event: self._look(event, stage))
+        looks = ButtonRow("camera", VIEWS, lambda _view: None)
+        self._add_row(gui, looks, lambda view, client: self._look(view, client, stage))
         self.tabs = tabs = gui.add_tab_group()
-        with tabs.add_tab("View"):
-            self.bones = gui.add_checkbox("Bones", False)
-            self.light = gui.add_checkbox("Light", False)
-            self.axes = gui.add_checkbox("Segment axes", False)
-            self.names = gui.add_checkbox("Segment names", False)
-            self.trail = gui.add_checkbox("Trail of the pelvis", False)
-            self.follow = gui.add_checkbox("Follow the body", True)
-            gui.add_html(legend())
-        with tabs.add_tab("Plot"):
-            self._plotted = gui.add_dropdown("Of", ("–",))
-            self._plot = SeriesPlot(server)
-        with tabs.add_tab("Modules"):
+        self._tabs = {name: tabs.add_tab(say(ENGLISH, name)) for name in ("view", "plot", "modules")}
+        with self._tabs["view"]:
+            language = gui.add_dropdown("Language / Sprache", tuple(LANGUAGES))
+            language.on_update(lambda _: self.speak(LANGUAGES[language.value]))
+            self.bones = self._add_choice(gui, "bones", False)
+            self.light = self._add_choice(gui, "light", False)
+            self.axes = self._add_choice(gui, "axes", False)
+            self.names = self._add_choice(gui, "names", False)
+            self.trail = self._add_choice(gui, "trail", False)
+            self.follow = self._add_choice(gui, "follow", True)
+            self._legend = gui.add_html(legend())
+        with self._tabs["plot"]:
+            self._plotted = gui.add_dropdown(self.say("of"), ("–",))
+            self._plot = SeriesPlot(server, self.say("last_seconds"))
+        with self._tabs["modules"]:
             self._modules = gui.add_html("")
         self._shown: dict[int, str] = {}
         self._offered: tuple[str, ...] = ()
         self._has_markers = False
         self.parents: Mapping[str, str] = {}
         """Of the body's segments, for the bend of each against its parent."""
+
+    def _add_row(
+        self,
+        gui: viser.GuiApi,
+        row: ButtonRow,
+        pressed: Callable[[str, viser.ClientHandle | None], None],
+    ) -> None:
+        texts = tuple(self.say(f"{row.name}_{option}") for option in row.options)
+        group = gui.add_button_group(self.say(f"{row.name}_row"), texts)
+
+        def clicked(event: viser.GuiEvent[Any]) -> None:
+            if event.target.value in group.options:
+                pressed(row.options[group.options.index(event.target.value)], event.client)
+
+        group.on_click(clicked)
+        self._rows.append((row, group))
+
+    def _add_choice(self, gui: viser.GuiApi, name: str, is_chosen: bool) -> viser.GuiInputHandle[bool]:
+        choice = gui.add_checkbox(self.say(name), is_chosen)
+        self._choices[name] = choice
+        return choice
+
+    def say(self, key: str, **values: object) -> str:
+        """A text in the language that is spoken."""
+        return say(self.language, key, **values)
+
+    def on_language(self, listener: Callable[[str], None]) -> None:
+        """Have somebody told of a language that is chosen, in a thread of the page's server."""
+        self._listeners.append(listener)
+
+    def speak(self, language: str) -> None:
+        """Say everything in that language from now on."""
+        self.language = language
+        for row, group in self._rows:
+            group.label = self.say(f"{row.name}_row")
+            group.options = tuple(self.say(f"{row.name}_{option}") for option in row.options)
+        for name, choice in self._choices.items():
+            choice.label = self.say(name)
+        for name, tab in self._tabs.items():
+            rename(self.tabs, tab, self.say(name))
+        self._legend.content = legend(language)
+        self._plotted.label = self.say("of")
+        self._plot.name(self.say("last_seconds"))
+        for listener in self._listeners:
+            listener(language)
 
     def add_pose(self, pose: PoseMessage) -> None:
         """A pose for the plot: attitudes of segments, and of joints the angles where poses carry them."""
@@ -103,14 +159,20 @@ class Panel:
         """Bring the plot up to date."""
         self._plot.draw()
 
-    def show_status(self, headline: str, *details: str, is_alarm: bool) -> None:
-        """The lines on top; the first is red when it is an alarm."""
+    def show_status(self, headline: str, *details: str, is_alarm: bool, is_busy: bool = False) -> None:
+        """The lines on top; the first is red when it is an alarm. is_busy: a bar runs below it."""
         colour = "var(--mocap-poor)" if is_alarm else "inherit"
         lines = "<br>".join(map(html.escape, details))
         self._set(
             self._status,
             f'<div style="padding:4px 12px"><div style="font-weight:600;font-size:15px;color:{colour}">'
-            f'{html.escape(headline)}</div><div style="font-size:12px">{lines}</div></div>',
+            f"{html.escape(headline)}</div>"
+            + (
+                f'<progress aria-label="{html.escape(headline)}" style="width:100%"></progress>'
+                if is_busy
+                else ""
+            )
+            + f'<div style="font-size:12px">{lines}</div></div>',
         )
 
     def show_warnings(self, warnings: Sequence[str]) -> None:
@@ -138,12 +200,11 @@ class Panel:
             f"<span style='font-size:11px'>{name}</span></div>",
         )
 
-    def _look(self, event: viser.GuiEvent[Any], stage: Stage) -> None:
+    def _look(self, view: str, client: viser.ClientHandle | None, stage: Stage) -> None:
         """A view was chosen: for the page that it was chosen on."""
-        if event.target.value == "follow":
-            # the library's property has a setter, which the type checker does not see
-            self.follow.value = True  # type: ignore[misc]
-        stage.look(event.client, event.target.value)
+        if view == "follow":
+            self.follow.value = True
+        stage.look(client, view)
 
     def show_answer(self, answer: str) -> None:
         """What became of the last button."""
@@ -160,20 +221,20 @@ class Panel:
             handle.content = content
 
 
-def _calls(pressed: Callable[[str], None]) -> Callable[[viser.GuiEvent[Any]], None]:
-    return lambda event: pressed(event.target.value)
-
-
 class SeriesPlot:
     """A few named series over the last seconds."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, server: viser.ViserServer, name: str) -> None:
         self._server = server
         self._title = ""
         self._history = History((), PLOT_SPAN_S)
-        self._slot = server.gui.add_folder("Last seconds", expand_by_default=True)
+        self._slot = server.gui.add_folder(name, expand_by_default=True)
         self._chart: viser.GuiUplotHandle | None = None
         self._is_changed = False
+
+    def name(self, name: str) -> None:
+        """Call it so from now on."""
+        self._slot.label = name
 
     def add(self, title: str, t_ns: int, names: Sequence[str], values: Sequence[float]) -> None:
         """One instant; another title or other names begin another plot."""

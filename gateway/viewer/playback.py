@@ -50,7 +50,7 @@ class Playback:
         self._scene, self._keeper = BodyScene(server, self._stage, skeleton), PostureKeeper(skeleton)
         self._wires = muscle_wires(server, self._stage, skeleton, muscles_kg)
         self._panel = Panel(
-            server, (ButtonRow("Playback", ("play", "pause", "begin"), self._press),), self._stage
+            server, (ButtonRow("playback", ("play", "pause", "begin"), self._press),), self._stage
         )
         self._panel.show_modules(recorded_table(recorded_rows(arrays.segment_names, arrays.status)))
         self._speed = server.gui.add_dropdown("Speed ×", SPEEDS, initial_value="1")
@@ -107,7 +107,7 @@ class Playback:
             self._wires.draw(self._times_s[index], posture)
         self._panel.add_pose(pose)
         where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"
-        lines = [where, status_summary(pose.status, silent)]
+        lines = [where, status_summary(pose.status, silent, self._panel.language)]
         if self._markers is not None and self._marker_scene is not None:
             instant = self._markers.at(index)
             self._marker_scene.draw(instant)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ class Posture:
     is_placed: bool
     """Whether the pose told where the body is; else it stands on the floor, always above the same point."""
     status: tuple[str, ...]
+    """As it is shown: see ``LastingStatus``."""
     sigma_rad: tuple[float | None, ...]
 
 
@@ -40,11 +42,42 @@ def skeleton_of(body: BodyMessage) -> Skeleton:
     )
 
 
+LASTS_S = 0.2
+"""From then on a status other than measured is shown: one lost sample would let a limb flash."""
+
+
+class LastingStatus:
+    """The status of each segment as it is shown: measured at once, any other when it has lasted."""
+
+    def __init__(self, n_segments: int) -> None:
+        self._since_ns: list[int | None] = [None] * n_segments
+        self._shown: list[str | None] = [None] * n_segments
+
+    def take(self, t_ns: int, status: Sequence[str]) -> tuple[str, ...]:
+        """Return what is shown of the status at an instant; one before the last begins anew."""
+        return tuple(self._of(s, t_ns, each) for s, each in enumerate(status))
+
+    def _of(self, s: int, t_ns: int, status: str) -> str:
+        shown, since_ns = self._shown[s], self._since_ns[s]
+        is_first = shown is None or (since_ns is not None and t_ns < since_ns)
+        if status == "measured" or is_first:
+            self._since_ns[s] = None if status == "measured" else t_ns
+            self._shown[s] = status
+            return status
+        assert shown is not None
+        if since_ns is None:
+            self._since_ns[s] = t_ns
+        elif shown != "measured" or t_ns - since_ns >= LASTS_S * 1e9:
+            self._shown[s] = shown = status
+        return shown
+
+
 class PostureKeeper:
     """Keeps the last known orientation of every segment, so that a silent one stays in the picture."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._skeleton = skeleton
+        self._lasting = LastingStatus(skeleton.n_segments)
         self._q_wb = np.tile(skeleton.neutral, (skeleton.n_segments, 1))
         self._root = int(np.flatnonzero(skeleton.parents < 0)[0])
 
@@ -68,7 +101,7 @@ class PostureKeeper:
             p_w=p_w,
             place=p_w[self._root],
             is_placed=place is not None and any(place),
-            status=tuple(pose.status.get(name, "missing") for name in names),
+            status=self._lasting.take(pose.t_ns, [pose.status.get(name, "missing") for name in names]),
             sigma_rad=tuple(sigma.get(name) for name in names),
         )
 

@@ -18,13 +18,9 @@ from gateway.geometry import quaternion
 FOLLOWING_S = 0.25
 """Time constant in which the view goes to the body, however many pictures are drawn: a walk at 1.5 m/s is
 shown 0.4 m off the middle, its sway is not followed."""
-FIRST_CAMERA: tuple[float, float, float] = (2.1, -2.3, 1.5)
-FIRST_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, 0.85)
 FIELD_OF_VIEW_DEG = 45.0
 NARROW = 0.8
 """Width by height of a page below which it is held upright, with the panel over its lower half."""
-NARROW_CAMERA: tuple[float, float, float] = (3.2, -3.5, 1.0)
-NARROW_LOOK_AT: tuple[float, float, float] = (0.0, 0.0, -0.12)
 FLOOR_M, SECTION_M = 24.0, 1.0
 LOST_M = 2.0
 """A place farther off than this is gone to at once."""
@@ -34,7 +30,11 @@ FLOOR_COLOURS = {
 }
 """Lines of cells and of sections, in the dark and in the light."""
 VIEWS = ("front", "side", "top", "follow")
-_FAR_M, _EYES_M, _MIDDLE_M = 3.3, 1.15, 0.9
+FIRST_VIEW = "first"
+"""Of a page that is opened: the face is seen, and which side is left."""
+_FAR_M, _EYES_M, _MIDDLE_M = 3.2, 1.2, 0.88
+_NARROW_FARTHER, _NARROW_LOWER_M = 1.65, 1.06
+"""On a page that is held upright the whole body stands above the panel."""
 
 
 class Stage:
@@ -43,15 +43,15 @@ class Stage:
     def __init__(self, server: viser.ViserServer) -> None:
         _theme(server, is_dark=True)
         _light(server.scene)
+        self._ahead = np.array([1.0, 0.0])
         camera = server.initial_camera
-        camera.position, camera.look_at = FIRST_CAMERA, FIRST_LOOK_AT
+        camera.position, camera.look_at = self._seen_from(FIRST_VIEW, is_narrow=False)
         camera.fov = math.radians(FIELD_OF_VIEW_DEG)
-        server.on_client_connect(_look_narrow)
+        server.on_client_connect(lambda client: self.look(client, FIRST_VIEW))
         self._world = server.scene.add_frame("/world", axes_length=0.25, axes_radius=0.006)
         self._floor = _floor(server.scene)
         self._server = server
         self._is_dark = True
-        self._ahead = np.array([1.0, 0.0])
         self.middle: FloatArray = np.zeros(3)
         """(3,) m: the place of the world that is shown in the middle; to be taken off whatever is drawn.
 
@@ -81,20 +81,26 @@ class Stage:
 
     def look(self, client: viser.ClientHandle | None, view: str) -> None:
         """Bring one page's camera to a view: front, side (its left one), top, or follow, from behind."""
-        x, y = self._ahead.tolist()
-        directions = {"front": (x, y), "side": (-y, x), "follow": (-0.8 * x + 0.6 * y, -0.8 * y - 0.6 * x)}
         for camera in [each.camera for each in ([client] if client else self._server.get_clients().values())]:
-            is_narrow = camera.aspect < NARROW
-            far = _FAR_M * (1.45 if is_narrow else 1.0)
-            low = -1.0 if is_narrow else 0.0
-            if view == "top":
-                camera.position = (-0.02 * x, -0.02 * y, far + 1.2)
-                camera.look_at = (0.0, 0.0, 0.0)
-                continue
-            toward = directions[view]
-            up = _EYES_M + (0.7 if view == "follow" else 0.0)
-            camera.position = (far * toward[0], far * toward[1], up)
-            camera.look_at = (0.0, 0.0, _MIDDLE_M + low)
+            camera.position, camera.look_at = self._seen_from(view, camera.aspect < NARROW)
+
+    def _seen_from(self, view: str, is_narrow: bool) -> tuple[FloatArray, FloatArray]:
+        """Return where a camera is for a view, (3,) m, and what it looks at, (3,) m."""
+        x, y = self._ahead.tolist()
+        far = _FAR_M * (_NARROW_FARTHER if is_narrow else 1.0)
+        lower = _NARROW_LOWER_M if is_narrow else 0.0
+        if view == "top":
+            below = np.array([-lower * x, -lower * y, 0.0])
+            return below + np.array([-0.02 * x, -0.02 * y, far + 1.2]), below
+        ahead, left = {
+            "front": (1.0, 0.0),
+            "side": (0.0, 1.0),
+            "follow": (-0.8, -0.6),
+            FIRST_VIEW: (0.86, 0.51),
+        }[view]
+        up = _EYES_M + (0.7 if view == "follow" else 0.0)
+        place = np.array([far * (ahead * x - left * y), far * (ahead * y + left * x), up])
+        return place, np.array([0.0, 0.0, _MIDDLE_M - lower])
 
     def show_dark(self, is_dark: bool) -> None:
         """Dark or light, on all pages."""
@@ -111,18 +117,20 @@ STYLE = """<style>
 [data-mantine-color-scheme=light] { --mantine-color-blue-filled: #1864ab !important;
   --mantine-color-blue-outline: #1864ab !important; --mantine-primary-color-filled: #1864ab !important; }
 label, p:has(> label) { opacity: 1 !important; color: inherit !important; }
+[aria-hidden=true][inert] { display: none !important; }
+.mantine-Notification-root[style*="orange"] { display: none !important; }
+@media (max-width: 600px) {
+  .mantine-Paper-root[style*="max-height: 60%"] { width: 100% !important; max-height: 52% !important; }
+  .mantine-ScrollArea-content > div[style="width: 20em;"] { width: 100% !important; }
+}
 </style>"""
-"""Colours that can be read on the panel, in the dark and in the light; labels as dark as other texts."""
+"""Colours that can be read on the panel, in the dark and in the light; labels as dark as other texts. What is
+folded away takes no room while the page is loaded; that no graphics processor is there is no warning, for
+none is needed; on a phone the panel takes the lower half."""
 
 
 def _theme(server: viser.ViserServer, is_dark: bool) -> None:
     server.gui.configure_theme(dark_mode=is_dark, show_logo=False, show_share_button=False)
-
-
-def _look_narrow(client: viser.ClientHandle) -> None:
-    """On a phone the body stands in the upper half, above the panel."""
-    if client.camera.aspect < NARROW:
-        client.camera.position, client.camera.look_at = NARROW_CAMERA, NARROW_LOOK_AT
 
 
 def _light(scene: viser.SceneApi) -> None:

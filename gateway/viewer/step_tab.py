@@ -12,7 +12,8 @@ from typing import Any
 import viser
 
 from gateway.errors import GatewayError
-from gateway.viewer.texts import say
+from gateway.viewer.tab_names import rename
+from gateway.viewer.texts import ENGLISH, say
 
 Ask = Callable[[str, str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 """Family, verb and data to the gateway's answer. Raises ``GatewayError``."""
@@ -80,8 +81,9 @@ class StepTab(ABC):
     ) -> None:
         """name: key of the tab's name in the texts."""
         self._server, self._ask, self._errands = server, ask, Errands(loop)
-        self._tab = tabs.add_tab(say("en", name))
-        self._language = "en"
+        self._tabs, self._name = tabs, name
+        self._tab = tabs.add_tab(say(ENGLISH, name))
+        self._language = ENGLISH
         self._handles: list[Any] = []
         self._places: list[Any] = []
         """Below each button: where it is told what became of it."""
@@ -100,6 +102,7 @@ class StepTab(ABC):
         """Say everything in that language from now on."""
         if language != self._language:
             self._language = language
+            rename(self._tabs, self._tab, self._say(self._name))
             self.build()
 
     @abstractmethod

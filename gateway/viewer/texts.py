@@ -1,4 +1,4 @@
-"""What the set-up assistant says, in each language: all of it stands in ``texts.json``."""
+"""What the page says, in each language: all of it stands in ``texts.json``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import json
 from functools import cache
 from pathlib import Path
 
-LANGUAGES = {"English": "en", "Deutsch": "de"}
+ENGLISH = "en"
+LANGUAGES = {"English": ENGLISH, "Deutsch": "de"}
 """Name of a language in itself, and its texts."""
 _FILE = Path(__file__).with_name("texts.json")
 

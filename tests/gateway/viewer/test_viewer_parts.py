@@ -37,8 +37,6 @@ from gateway.viewer.appearance import (
 )
 from gateway.viewer.history import History
 from gateway.viewer.module_table import (
-    LOSSY_REMEDY,
-    SILENT_REMEDY,
     RecentLosses,
     clock_of,
     health_line,
@@ -49,7 +47,8 @@ from gateway.viewer.module_table import (
 )
 from gateway.viewer.pace import pictures
 from gateway.viewer.pose_table import bend_deg
-from gateway.viewer.posture import PostureKeeper, skeleton_of
+from gateway.viewer.posture import LASTS_S, LastingStatus, PostureKeeper, skeleton_of
+from gateway.viewer.texts import say
 from tests.simulated_time import in_simulated_time
 
 SKELETON = load_rig("suit_17").skeleton
@@ -246,8 +245,8 @@ def test_the_module_table_names_the_silent_and_the_lossy():
     )
     rows = module_rows(health, info)
     assert rows == [
-        ("1", "head", "77 %", "10.00", "-12.3", "56", LOSSY_REMEDY),
-        ("2", "<b>", "", "silent", "", "", SILENT_REMEDY),
+        ("1", "head", "77 %", "10.00", "-12.3", "56", say("en", "remedy_lossy")),
+        ("2", "<b>", "", "silent", "", "", say("en", "remedy_silent", tab="1–3 Suit")),
     ]
     table = module_table(rows)
     assert table.count("color:var(--mocap-poor)") == 4
@@ -369,3 +368,16 @@ def test_names_stand_apart_in_their_order_and_are_moved_no_more_than_need_be(hei
         np.testing.assert_allclose(moved, heights, atol=1e-12)
     if heights:
         assert np.mean(moved) == pytest.approx(np.mean(heights), abs=1e-9)
+
+
+def test_one_lost_sample_lets_no_limb_flash_and_what_lasts_is_shown():
+    lasting, step_ns = LastingStatus(2), round(LASTS_S * 1e9 / 10)
+    assert lasting.take(0, ["measured", "missing"]) == ("measured", "missing")  # the first is shown as it is
+    assert lasting.take(step_ns, ["interpolated", "missing"])[0] == "measured"
+    assert lasting.take(2 * step_ns, ["measured", "missing"])[0] == "measured"
+    shown = [lasting.take(k * step_ns, ["predicted", "predicted"]) for k in range(3, 15)]
+    assert [status for status, _ in shown] == ["measured"] * 10 + ["predicted"] * 2
+    assert {status for _, status in shown} == {"predicted"}  # from one that is not measured to another
+    assert lasting.take(15 * step_ns, ["measured", "held"]) == ("measured", "held")
+    lasting.take(16 * step_ns, ["held", "held"])
+    assert lasting.take(0, ["held", "held"])[0] == "held"  # a recording begins anew
