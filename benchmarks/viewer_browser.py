@@ -33,7 +33,6 @@ async def browser_page(
         if prepare is not None:
             prepare(page)
         await _open(page, url)
-        await _take_hint_away(page)
         yield page
     finally:
         await browser.close()
@@ -47,10 +46,3 @@ async def _open(page: Page, url: str) -> None:
             return
         await asyncio.sleep(wait_s)
     await page.goto(url)
-
-
-async def _take_hint_away(page: Page) -> None:
-    """The library's remark that there is no graphics processor."""
-    hint = page.locator(".mantine-Notification-closeButton")
-    await hint.first.wait_for()
-    await hint.first.click()

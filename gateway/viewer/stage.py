@@ -35,6 +35,8 @@ FIRST_VIEW = "first"
 _FAR_M, _EYES_M, _MIDDLE_M = 3.2, 1.2, 0.88
 _NARROW_FARTHER, _NARROW_LOWER_M = 1.65, 1.06
 """On a page that is held upright the whole body stands above the panel."""
+_ASIDE_M = 0.4
+"""On any other page it stands to the left of the middle, for the panel is on the right."""
 
 
 class Stage:
@@ -99,8 +101,9 @@ class Stage:
             FIRST_VIEW: (0.86, 0.51),
         }[view]
         up = _EYES_M + (0.7 if view == "follow" else 0.0)
-        place = np.array([far * (ahead * x - left * y), far * (ahead * y + left * x), up])
-        return place, np.array([0.0, 0.0, _MIDDLE_M - lower])
+        toward = np.array([ahead * x - left * y, ahead * y + left * x])
+        aside = (0.0 if is_narrow else _ASIDE_M) * np.array([-toward[1], toward[0]])
+        return np.array([*(far * toward + aside), up]), np.array([*aside, _MIDDLE_M - lower])
 
     def show_dark(self, is_dark: bool) -> None:
         """Dark or light, on all pages."""

@@ -75,9 +75,9 @@ async def test_what_was_begun_on_a_page_is_gone_on_with_on_another(tumbled, unus
     for begins in (True, False):
         async with page_of(mqtt, unused_port, chromium) as (page, _):
             await page.get_by_text(f"{GATEWAY}: online").wait_for()
-            await open_tab(page, "Sensors")
+            await open_tab(page, "4 Sensors")
             if begins:
-                await press(page, "4 · Begin with the sensors")
+                await press(page, "Begin with the sensors")
             else:
                 await press(page, "Go on with what was begun")
             await page.get_by_role("cell", name="right forearm").wait_for()

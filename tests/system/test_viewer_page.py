@@ -14,7 +14,7 @@ from gateway.contract.messages import BridgeState, PoseMessage, describe_body
 from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
 from tests.patience import PATIENCE_S
-from tests.shown_page import SIZES, TOKEN, browser_of, choose, new_page, page_of
+from tests.shown_page import SIZES, TOKEN, browser_of, choose, new_page, open_tab, page_of
 from tests.suit_service import GATEWAY, started, suit_config
 
 pytestmark = pytest.mark.system
@@ -88,7 +88,7 @@ async def test_modules_that_share_an_id_are_set_up_on_the_page(
     await started(command, tmp_path, mosquitto.port, "arm_3", "--id-conflict", allow_device_writes=True)
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, size) as (page, _):
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
-        await page.get_by_role("tab", name="Set up").click()
+        await page.get_by_role("tab", name="1–3 Suit").click()
         await page.get_by_role("button", name="Look for modules").click()
         await page.get_by_text("2 modules have id").wait_for()
         separate = page.get_by_role("button", name="Give them ids of their own")
@@ -98,8 +98,8 @@ async def test_modules_that_share_an_id_are_set_up_on_the_page(
         await separate.click()
         await page.get_by_text("modules that have ids of their own now").wait_for()
         await page.get_by_text("2 modules have id").wait_for(state="detached")
-        await choose(page, 1, "63 · ")
-        await choose(page, 2, "right_forearm")
+        await choose(page, 0, "63 · ")
+        await choose(page, 1, "right_forearm")
         assign = page.get_by_role("button", name="Assign", exact=True)
         await assign.click()
         await page.get_by_text("written: right forearm: module 63 becomes 9").wait_for()
@@ -109,7 +109,10 @@ async def test_modules_that_share_an_id_are_set_up_on_the_page(
         await page.get_by_role("button", name="Take back").click()
         await page.get_by_text("taken back, changes: 1").wait_for()
         await page.get_by_text("2 modules have id").wait_for()
+        await open_tab(page, "View")
         await choose(page, 0, "Deutsch")
+        await page.get_by_text(f"{GATEWAY}: in Betrieb").wait_for()
+        await open_tab(page, "1–3 Anzug")
         await page.get_by_role("button", name="Module suchen").wait_for()
         await page.get_by_text("nicht gehört: right forearm").wait_for()
 
@@ -122,9 +125,9 @@ async def test_a_body_is_calibrated_on_the_page(
     await started(command, tmp_path, mosquitto.port, "suit_lower_7", "--strap-on", "random")
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
-        await page.get_by_role("tab", name="Body").click()
+        await page.get_by_role("tab", name="5 Body").click()
         await page.get_by_role("button", name="Do this step").click()
-        await page.get_by_text("press «5 · Begin with the poses» first").wait_for()
+        await page.get_by_text("press «Begin with the poses» first").wait_for()
         await page.get_by_role("button", name="Begin with the poses").click()
         await page.get_by_text("steps: do them one after another").wait_for()
         await page.get_by_role("button", name="Do this step").click()

@@ -38,10 +38,10 @@ async def test_a_take_is_recorded_listed_replayed_exported_and_downloaded(
     await configured()
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, size) as (page, _):
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
-        await open_tab(page, "Takes")
+        await open_tab(page, "7 Takes")
         await press(page, "Replay it here")
         await page.get_by_text("press «List recordings», and choose a recording").wait_for()
-        await press(page, "7 · Record")
+        await press(page, "Record")
         await page.get_by_text("recording to ").wait_for()
         await page.get_by_text(_TWO_SECONDS).wait_for()
         await press(page, "Stop")
@@ -72,12 +72,14 @@ async def test_ports_and_findings_are_told_before_anything_is_set_up(
     await configured()
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
-        await open_tab(page, "Set up")
+        await open_tab(page, "1–3 Suit")
         await press(page, "1 · Ports and devices")
         await page.get_by_text("3 modules on body 'arm_3'").wait_for()
         assert await page.get_by_text("suit: port", exact=True).count() == 1
         assert await page.get_by_text("free for recordings in").count() == 1
+        await open_tab(page, "View")
         await choose(page, 0, "Deutsch")
+        await open_tab(page, "1–3 Anzug")
         await page.get_by_text("Anschlüsse am Rechner des Gateways").wait_for()
 
 
@@ -94,10 +96,10 @@ async def test_a_link_without_a_port_is_given_one_on_the_page(
     running = asyncio.create_task(Supervisor(config, load_service(config)).run())
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
-        await open_tab(page, "Set up")
+        await open_tab(page, "1–3 Suit")
         await press(page, "1 · Ports and devices")
         await page.get_by_text("no such port").first.wait_for()
-        await choose(page, 2, port.name)
+        await choose(page, 1, port.name)
         await press(page, "Use this port")
         await page.get_by_text("look for modules").wait_for()
         await page.get_by_text("poses/s").wait_for()

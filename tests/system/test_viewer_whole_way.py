@@ -28,6 +28,7 @@ from devices.link import gateway_time_ns
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, worn_wrong
 from gateway.outputs.settings import MqttSettings
+from gateway.settings import load_gateway_settings
 from tests.shown_page import SIZES, choose, open_tab, page_of, press
 from tests.suit_service import GATEWAY, suit_config
 
@@ -130,12 +131,12 @@ async def test_a_suit_is_set_up_checked_and_captured_without_a_terminal(
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, size) as (page, _):
         way, begun_s = Way(page, kind, motion, suit), time.monotonic()
         await way.sees("poses/s")
-        await page.locator(".mantine-Notification-closeButton").first.click()  # no graphics processor
         await modules_are_assigned(way)
         await a_module_upside_down_is_seen(way)
         await the_body_is_calibrated(way, mosquitto)
         await all_but_the_dead_module_follow(way)
         await a_take_becomes_a_file(way, tmp_path)
+        assert load_gateway_settings(tmp_path / "gateway.yaml").rig == "suit_17.worn.yaml"
         took_s = time.monotonic() - begun_s
     print(f"{kind}: {took_s:.0f} s")
     if PICTURES is not None:  # of a machine that does little else
@@ -145,7 +146,7 @@ async def test_a_suit_is_set_up_checked_and_captured_without_a_terminal(
 async def modules_are_assigned(way):
     """Steps 1 to 3, with an id conflict and a dead module."""
     page = way.page
-    await open_tab(page, "Set up")
+    await open_tab(page, "1–3 Suit")
     await press(page, "1 · Ports and devices")
     await way.sees("free for recordings in")
     await way.picture("1_ports")
@@ -155,8 +156,8 @@ async def modules_are_assigned(way):
     await page.get_by_role("checkbox", name="Write to the modules").click()
     await press(page, "Give them ids of their own")
     await way.sees("modules that have ids of their own now")
-    await choose(page, 1, "63 · ")
-    await choose(page, 2, "right_foot")
+    await choose(page, 0, "63 · ")
+    await choose(page, 1, "right_foot")
     await way.picture("3_assign")
     await press(page, "Assign")
     await way.sees("written: right foot: module 63 becomes 16")
@@ -165,7 +166,7 @@ async def modules_are_assigned(way):
 
 async def a_module_upside_down_is_seen(way):
     """Step 6 before step 5: the shank goes the other way."""
-    await open_tab(way.page, "Check")
+    await open_tab(way.page, "6 Check")
     await does(way, "left leg", "left_leg")
     await way.page.get_by_role("row", name="left leg left shank goes the other way").wait_for()
     await way.picture("6_wrong_way_round")
@@ -182,11 +183,15 @@ async def does(way, movement, step):
 async def the_body_is_calibrated(way, mosquitto):
     """Step 5; the broker is restarted in the middle."""
     page = way.page
-    await open_tab(page, "Body")
-    await press(page, "5 · Begin with the poses")
+    await open_tab(page, "5 Body")
+    await page.get_by_role("textbox", name="Height, m").fill("1.75")
+    await press(page, "Keep the measures")
+    await way.sees("height 1.75 m is used and kept in")
+    await way.sees("poses/s")
+    await press(page, "Begin with the poses")
     await way.sees("7 steps: do them one after another")
     for step in timetable():
-        await choose(page, 0, step)
+        await choose(page, 1, step)
         await press(page, "Do this step")
         await way.obeys(step)
         if step == "squat":
@@ -209,7 +214,7 @@ async def the_body_is_calibrated(way, mosquitto):
 async def all_but_the_dead_module_follow(way):
     """Step 6."""
     page = way.page
-    await open_tab(page, "Check")
+    await open_tab(page, "6 Check")
     for movement, step in (("left leg", "left_leg"), ("right leg", "right_leg"), ("left arm", "arms")):
         await does(way, movement, step)
     for segment in ("left thigh", "left shank", "left foot"):
@@ -223,8 +228,8 @@ async def all_but_the_dead_module_follow(way):
 async def a_take_becomes_a_file(way, folder):
     """Step 7."""
     page = way.page
-    await open_tab(page, "Takes")
-    await press(page, "7 · Record")
+    await open_tab(page, "7 Takes")
+    await press(page, "Record")
     await way.sees(re.compile("REC 0:(0[5-9]|[1-5])"))
     await way.picture("7_recording")
     await press(page, "Stop")
