@@ -131,6 +131,8 @@ class BodySteps(StepTab):
         while (status := await self._ask("calibration", "status", {}))["phase"] not in ("ready", "idle"):
             self._tell(progress(status, instruction, self._language))
             await asyncio.sleep(LOOK_S)
+        if status["phase"] == "idle":  # given up elsewhere, or the gateway began anew
+            return self._say("nothing_begun", begin=self._say("begin"))
         return self._next_of(status)
 
     async def _find(self) -> str:

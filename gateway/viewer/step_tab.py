@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import html
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -15,6 +16,7 @@ from gateway.errors import GatewayError
 from gateway.viewer.tab_names import rename
 from gateway.viewer.texts import ENGLISH, say
 
+_log = logging.getLogger(__name__)
 Ask = Callable[[str, str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 """Family, verb and data to the gateway's answer. Raises ``GatewayError``."""
 Deed = Callable[[], Awaitable[str]]
@@ -61,6 +63,9 @@ class Errands:
                 said = await deed()
             except GatewayError as error:
                 said = str(error)
+            except Exception as error:  # a button that says nothing would be pressed again and again
+                _log.exception("a button of the page")
+                said = f"this should not have happened ({error!r}); please report it"
             tell(said)
 
         future = asyncio.run_coroutine_threadsafe(work(), self._loop)

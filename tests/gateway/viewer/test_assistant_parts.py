@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import string
 
 import pytest
 
+from devices.calibration_script import timetable
+from gateway.calibration.movement_check import MOVEMENTS
 from gateway.calibration.procedure import PROCEDURE
+from gateway.errors import GatewayError
 from gateway.modules.assignment import Wardrobe
 from gateway.viewer.assistant import conflict_lines, devices_of, findings, found_table, told
 from gateway.viewer.body_steps import instruction_of, progress, result_table
 from gateway.viewer.module_table import RecordingStatus
+from gateway.viewer.step_pictures import step_picture
+from gateway.viewer.step_tab import Errands
 from gateway.viewer.takes import takes_list
 from gateway.viewer.texts import LANGUAGES, say, texts
 
@@ -165,3 +171,25 @@ def test_a_recording_s_clock_goes_on_between_messages():
     assert status.now(7_000_000_000)["seconds"] == 4.0
     status.take({"state": "off", "seconds": 4.2}, 8_000_000_000)
     assert status.now(9_000_000_000)["seconds"] == 4.2
+
+
+@pytest.mark.parametrize(
+    ("error", "said"), [(GatewayError("no suit"), "no suit"), (KeyError("x"), "report it")]
+)
+async def test_what_goes_wrong_is_told_whatever_it_is(error, said):
+    told = asyncio.Queue()
+
+    async def deed():
+        raise error
+
+    Errands(asyncio.get_running_loop()).start(deed, told.put_nowait)
+    assert said in await told.get()
+
+
+def test_there_is_a_picture_of_every_step_and_movement():
+    steps = [*timetable(), *(f"move_{movement.name}" for movement in MOVEMENTS)]
+    for step in steps:
+        picture = step_picture(step, "<what to do>")
+        assert picture.count("<line") > 30
+        assert 'aria-label="&lt;what to do&gt;"' in picture
+    assert step_picture("unknown", "") == ""

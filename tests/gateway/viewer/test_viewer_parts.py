@@ -194,7 +194,7 @@ def test_segments_of_silent_modules_are_told_by_name():
     silent = silent_segments(status, {"pelvis", "head", "left_hand"})
     assert silent == ("head", "left_hand")  # l5 bears no module: it is predicted by nature
     summary = status_summary(status, silent)
-    assert summary == "1 measured, 2 predicted, 1 missing; no data of head, left_hand"
+    assert summary == "1 measured, 2 predicted, 1 missing; no data of head, left hand"
     assert status_summary({"a": "measured", "b": "measured"}, ()) == "all 2 segments measured"
     many = [f"s{k}" for k in range(9)]
     assert status_summary(dict.fromkeys(many, "missing"), many).endswith("of s0, s1, s2, …")
