@@ -68,7 +68,8 @@ class BodySteps(StepTab):
         self._picture.content = step_picture(name, told) + (line(told) if told else "")
 
     def _show_length(self) -> None:
-        self._metres.value = self._measures["lengths"].get(self._length.value, 0.0)
+        metres = self._measures["lengths"].get(self._length.value, 0.0)
+        self._metres.value = metres  # type: ignore[misc]  # as in Playback
 
     async def _take_measures(self) -> str:
         try:
@@ -79,7 +80,8 @@ class BodySteps(StepTab):
         return ""
 
     def _show_measures(self) -> None:
-        self._height.value = self._measures["subject"].get("height_m", USUAL_HEIGHT_M)
+        height_m = self._measures["subject"].get("height_m", USUAL_HEIGHT_M)
+        self._height.value = height_m  # type: ignore[misc]  # as in Playback
         chosen = self._length.value
         self._length.options = (NOTHING, *self._measures["lengths"])
         if chosen in self._measures["lengths"]:

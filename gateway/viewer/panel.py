@@ -49,7 +49,7 @@ class Panel:
         self._status = gui.add_html("")
         self._recording = gui.add_html("")
         for row in rows:
-            self._add_row(gui, row, lambda option, _client, row=row: row.pressed(option))
+            self._add_row(gui, row, _on_any_page(row.pressed))
         self._answer = gui.add_html("")
         looks = ButtonRow("camera", VIEWS, lambda _view: None)
         self._add_row(gui, looks, lambda view, client: self._look(view, client, stage))
@@ -203,7 +203,8 @@ class Panel:
     def _look(self, view: str, client: viser.ClientHandle | None, stage: Stage) -> None:
         """A view was chosen: for the page that it was chosen on."""
         if view == "follow":
-            self.follow.value = True
+            # the library's property has a setter, which the type checker does not see
+            self.follow.value = True  # type: ignore[misc]
         stage.look(client, view)
 
     def show_answer(self, answer: str) -> None:
@@ -219,6 +220,10 @@ class Panel:
         if self._shown.get(id(handle)) != content:
             self._shown[id(handle)] = content
             handle.content = content
+
+
+def _on_any_page(pressed: Callable[[str], None]) -> Callable[[str, viser.ClientHandle | None], None]:
+    return lambda option, _client: pressed(option)
 
 
 class SeriesPlot:
