@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.analysis.inertia import BodyInertia
 from gateway.analysis.inverse_dynamics import inverse_dynamics
 from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.inertia import BodyInertia
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray
 

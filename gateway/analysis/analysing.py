@@ -11,13 +11,13 @@ from devices.deferred import make_interp_spline
 from devices.marker_files.force_plates import ForcePlates
 from gateway.analysis.contact import estimated_floor
 from gateway.analysis.floor import FloorForces, feet
-from gateway.analysis.inertia import BodyInertia
 from gateway.analysis.inverse_dynamics import Dynamics, inverse_dynamics
 from gateway.analysis.joint_torques import angle_axes, joint_torques
 from gateway.analysis.plates import LEVEL_M, measured_floor
 from gateway.analysis.smooth_motion import SmoothMotion, smooth_motion
 from gateway.analysis.trust import WHOLE_BODY
 from gateway.analysis.trust import told as told_notes
+from gateway.body.inertia import BodyInertia
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray

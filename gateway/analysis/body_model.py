@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 
 from devices.extras import how_to_add
-from gateway.analysis.inertia import BodyInertia
+from gateway.body.inertia import BodyInertia
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray

@@ -8,8 +8,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.analysis.inertia import HEEL_BEHIND_ANKLE, leg_stature, part_name
 from gateway.body.anthropometry import LENGTH_OF_STATURE
+from gateway.body.inertia import HEEL_BEHIND_ANKLE, leg_stature, part_name
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray, IntArray
 

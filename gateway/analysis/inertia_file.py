@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from gateway.analysis.inertia import NO_MASS_KG, BodyInertia
+from gateway.body.inertia import NO_MASS_KG, BodyInertia
 from gateway.body.rig import Vector
 from gateway.body.skeleton import Skeleton
 from gateway.errors import SettingsError, nearest

@@ -9,8 +9,8 @@ import numpy as np
 
 from gateway.analysis.body_model import compiled_model
 from gateway.analysis.floor import FloorForces
-from gateway.analysis.inertia import BodyInertia
 from gateway.analysis.smooth_motion import SmoothMotion
+from gateway.body.inertia import BodyInertia
 from gateway.frames import FloatArray
 
 Progress = Callable[[int, int], None]

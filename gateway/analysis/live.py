@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.analysis.contact import estimated_floor
-from gateway.analysis.inertia import body_inertia
 from gateway.analysis.inverse_dynamics import Dynamics, inverse_dynamics
 from gateway.analysis.joint_torques import angle_axes, joint_torques
 from gateway.analysis.muscle_model import muscle_model
@@ -21,6 +20,7 @@ from gateway.analysis.muscle_paths import MusclePaths
 from gateway.analysis.muscles import knee_flexion, moment_arms, muscle_torques
 from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ, SmoothMotion, relative, smooth_motion
 from gateway.analysis.tension import TensionSolver
+from gateway.body.inertia import body_inertia
 from gateway.body.joint_angles import joint_angles
 from gateway.body.skeleton import Skeleton
 from gateway.frames import FloatArray

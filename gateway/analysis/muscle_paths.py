@@ -7,9 +7,9 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 
-from gateway.analysis.inertia import neutral_positions
 from gateway.analysis.muscle_model import PATELLA, TRUNK, MuscleModel, WirePoint
 from gateway.body.anthropometry import SIDES
+from gateway.body.inertia import neutral_positions
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray

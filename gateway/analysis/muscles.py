@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.analysis.analysing import Analysis
-from gateway.analysis.inertia import part_name
 from gateway.analysis.muscle_curves import force_shares
 from gateway.analysis.muscle_model import muscle_model
 from gateway.analysis.muscle_paths import MusclePaths, absent_segments
 from gateway.analysis.muscle_settings import MuscleCosts, plain_costs
 from gateway.analysis.tension import TensionSolver
 from gateway.body.anthropometry import SIDES
+from gateway.body.inertia import part_name
 from gateway.body.skeleton import Skeleton
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray

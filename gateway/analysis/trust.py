@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.analysis.floor import FloorForces, Source, feet
-from gateway.analysis.inertia import BodyInertia
 from gateway.analysis.inverse_dynamics import Dynamics
 from gateway.analysis.smooth_motion import SmoothMotion
+from gateway.body.inertia import BodyInertia
 
 WHOLE_BODY = 0.97
 """A body that carries this share of its person's mass is all of it."""

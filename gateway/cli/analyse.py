@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from gateway.analysis.inertia import BodyInertia, body_inertia
 from gateway.analysis.smooth_motion import DEFAULT_CUTOFF_HZ
+from gateway.body.inertia import BodyInertia, body_inertia
 from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.cli.terminal import progress_bar
 from gateway.errors import GatewayError

@@ -18,10 +18,10 @@ pytest.importorskip("myo_sim", reason="the extra 'biomech' is not installed")
 import viser
 
 from gateway.analysis.analysing import analyse_motion
-from gateway.analysis.inertia import body_inertia
 from gateway.analysis.live import GRAVITY, LiveMuscles
 from gateway.analysis.muscles import find_muscles
 from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.inertia import body_inertia
 from gateway.body.rig import load_rig
 from gateway.contract.messages import BridgeState, PoseMessage, describe_body
 from gateway.contract.topics import Topics

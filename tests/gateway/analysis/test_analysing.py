@@ -13,12 +13,12 @@ pytest.importorskip("osqp")
 
 from gateway.analysis.analysing import analyse
 from gateway.analysis.film import write_film
-from gateway.analysis.inertia import body_inertia, leg_stature, neutral_positions
 from gateway.analysis.inertia_file import load_inertia
 from gateway.analysis.muscles import find_muscles, muscle_torques
 from gateway.analysis.page import write_page
 from gateway.analysis.smooth_motion import low_pass, rotation_derivatives
 from gateway.analysis.tables import tables, write_tables
+from gateway.body.inertia import body_inertia, leg_stature, neutral_positions
 from gateway.body.rig import load_body
 from gateway.cli.main import app
 from gateway.errors import GatewayError

@@ -11,10 +11,10 @@ from devices.marker_files.force_plates import ForcePlate, ForcePlates
 from gateway.analysis.analysing import MeasuredForces, analyse_motion
 from gateway.analysis.contact import ContactSettings, estimated_floor, smooth_split
 from gateway.analysis.floor import Source, feet
-from gateway.analysis.inertia import body_inertia
 from gateway.analysis.inverse_dynamics import inverse_dynamics
 from gateway.analysis.plates import measured_floor
 from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.inertia import body_inertia
 from gateway.body.rig import load_body
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gateway.analysis.inertia import BodyInertia, body_inertia
 from gateway.analysis.inverse_dynamics import inverse_dynamics
 from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.inertia import BodyInertia, body_inertia
 from gateway.body.rig import load_body
 from gateway.body.skeleton import Skeleton
 

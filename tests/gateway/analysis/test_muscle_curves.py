@@ -8,13 +8,13 @@ pytest.importorskip("osqp")
 pytest.importorskip("myo_sim")
 
 from gateway.analysis.analysing import analyse_motion
-from gateway.analysis.inertia import body_inertia
 from gateway.analysis.muscle_curves import LEAST_SHARE, Curves, force_shares
 from gateway.analysis.muscle_model import muscle_model
 from gateway.analysis.muscle_paths import MusclePaths
 from gateway.analysis.muscle_settings import load_costs
 from gateway.analysis.muscles import find_muscles
 from gateway.analysis.smooth_motion import smooth_motion
+from gateway.body.inertia import body_inertia
 from gateway.body.rig import load_body
 
 BODY = load_body("human_17")

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("mujoco")
 
 from gateway.analysis.analysing import analyse
-from gateway.analysis.inertia import body_inertia
 from gateway.analysis.inertia_file import load_inertia
+from gateway.body.inertia import body_inertia
 from gateway.body.rig import load_body
 from gateway.errors import GatewayError
 from gateway.frames import Status
