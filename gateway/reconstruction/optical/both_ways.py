@@ -17,18 +17,23 @@ from gateway.body.skeleton import Skeleton
 from gateway.frames import IntArray, MarkerFrame, SkeletonFrame
 from gateway.reconstruction.optical.joint_smoothing import (
     Seen,
+    SeenPlace,
     from_turns,
     information,
     joint_turns,
+    markers_covariance,
+    smoothed_places,
     smoothed_turns,
 )
-from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Pose
+from gateway.reconstruction.optical.pose_solver import HELD_SIGMA, Held, Pose
 from gateway.reconstruction.optical.reconstructor import OpticalReconstructor
 
 Progress = Callable[[int, int], None]
 
 BRIDGED_SIGMA = np.radians(5.0)
-"""How far a joint may be from where it was smoothed to before that counts, rad."""
+"""How far a joint, or the root, may be from where it was smoothed to before that counts, rad."""
+BRIDGED_PLACE_SIGMA = 0.03
+"""The same of the root's place, m."""
 
 
 def solve_both_ways(
@@ -37,8 +42,8 @@ def solve_both_ways(
     frames: Sequence[MarkerFrame],
     progress: Progress | None = None,
 ) -> tuple[list[SkeletonFrame], Counter[str]]:
-    """All frames, and what was put right. Frames without a pose of their own stay as the streaming method has
-    them."""
+    """All frames, and what was put right. Before the first frame with a pose and after the last one frames
+    stay as the streaming method has them; between them all have a pose, predicted where nothing was seen."""
     forward = OpticalReconstructor(skeleton, markers)
     poses: list[Pose | None] = []
     solved: list[SkeletonFrame] = []
@@ -53,21 +58,26 @@ def solve_both_ways(
     parents = forward.model.parents
     first, last = known[0], known[-1] + 1
     times = np.array([each.time_ns for each in frames[first:last]]) * 1e-9
-    turns = smoothed_turns(times - times[0], [_seen(parents, pose) for pose in poses[first:last]])
+    times -= times[0]
+    seen = [_seen(parents, pose) for pose in poses[first:last]]
+    turns = smoothed_turns(times, [each and each[0] for each in seen])
+    places = smoothed_places(times, [each and each[1] for each in seen])
     again = OpticalReconstructor(skeleton, markers)
-    for f in known:
-        pose, fit = poses[f], solved[f].markers
-        assert pose is not None
-        assert fit is not None
-        held = from_turns(parents, turns[f - first])
-        solved[f] = again.solve_again(frames[f], fit, held, pose.root, BRIDGED_SIGMA**-2)
+    for f, turn, place in zip(range(first, last), turns, places, strict=True):
+        pose = poses[f]
+        held = Held(
+            from_turns(parents, turn), BRIDGED_SIGMA**-2, place, BRIDGED_SIGMA**-2, BRIDGED_PLACE_SIGMA**-2
+        )
+        root = place if pose is None else pose.root
+        solved[f] = again.solve_again(frames[f], solved[f].markers, held, root)
         if progress is not None:
             progress(len(frames) + f, 2 * len(frames))
     return solved, forward.counts
 
 
-def _seen(parents: IntArray, pose: Pose | None) -> Seen | None:
+def _seen(parents: IntArray, pose: Pose | None) -> tuple[Seen, SeenPlace] | None:
     if pose is None or not np.isfinite(pose.factor).all():
         return None
-    told = information(parents, pose.R, pose.factor, HELD_SIGMA**-2)
-    return Seen(joint_turns(parents, pose.R), told)
+    covariance = markers_covariance(pose.factor, HELD_SIGMA**-2)
+    turns = Seen(joint_turns(parents, pose.R), information(parents, pose.R, covariance))
+    return turns, SeenPlace(pose.root, np.asarray(np.linalg.inv(covariance[:3, :3]), np.float64))

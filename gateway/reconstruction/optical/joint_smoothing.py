@@ -1,9 +1,10 @@
-"""How joints turned through gaps: each joint's rotation smoothed over a whole trial, by what markers showed.
+"""How a body moved through gaps: each joint's rotation and the root's place, smoothed over a whole trial by
+what markers showed.
 
-A Kalman filter with constant rate and white angular acceleration on the rotation of every joint, and the
-smoother of Rauch, Tung and Striebel (1965, AIAA J. 3: 1445) backwards, in the tangent space of the rotation
-(Solà et al. 2018, arXiv 1812.01537). A direction in which a pose was not determined carries no information
-there, so that it follows from what was seen before and after.
+A Kalman filter on the rotation of every joint, whose rate fades and is driven by white angular acceleration,
+and the smoother of Rauch, Tung and Striebel (1965, AIAA J. 3: 1445) backwards, in the tangent space of the
+rotation (Solà et al. 2018, arXiv 1812.01537); the same on the root's place. A direction in which a pose was
+not determined carries no information there, so that it follows from what was seen before and after.
 """
 
 from __future__ import annotations
@@ -17,7 +18,15 @@ from gateway.frames import FloatArray, IntArray
 
 ACCELERATION = 100.0
 """Spectral density of joints' angular acceleration, rad²/s³: 10 rad/s² that turn about every second."""
+FADES_S = 1.0
+"""Time constant in which a rate fades that nothing shows, s: through a long gap a joint or the root goes from
+where it was last seen to where it was seen next, and swings no farther."""
+_ROOT_ACCELERATION = 10.0
+"""The same of the root's place, m²/s³."""
 _FIRST_SIGMA, _FIRST_RATE = np.pi, 10.0  # rad, rad/s
+_FIRST_PLACE, _FIRST_SPEED = 10.0, 5.0  # m, m/s
+_WEAK = float(np.radians(60.0) ** -2)
+"""What is known of a joint without markers, 1/rad²."""
 _FORGOTTEN = 0.999
 """Share of a pose's information that its prior explains, beyond which its markers told nothing."""
 
@@ -50,19 +59,25 @@ def from_turns(parents: IntArray, turns: FloatArray) -> FloatArray:
     return R
 
 
-def information(parents: IntArray, R: FloatArray, factor: FloatArray, prior: float) -> FloatArray:
-    """(S, 3, 3) 1/rad²: what markers told of every joint's turn, distal axes.
+def markers_covariance(factor: FloatArray, prior: float) -> FloatArray:
+    """(3 + 3 S, 3 + 3 S) of a pose's changes by its markers, and next to nothing known of joints beside.
 
-    factor: of a pose's normal matrix, see ``Pose``; prior: the stiffness in it that drew joints to a pose
-    known before, 1/rad², which tells nothing new.
+    factor: of the pose's normal matrix, see ``Pose``; prior: the stiffness in it that drew joints to a pose
+    known before, 1/rad²: what it tells is not new, of its own joint or, through that, of any other.
     """
-    inverse = np.linalg.inv(np.tril(factor))
-    n = len(parents)
-    blocks = inverse[:, 3:].reshape(len(factor), n, 3)
-    covariance = np.einsum("ksi,ksj->sij", blocks, blocks)
-    local = np.swapaxes(R, 1, 2) @ covariance @ R
-    values, vectors = np.linalg.eigh(local)
-    told = np.where(parents >= 0, prior, 0.0)[:, None]
+    L = np.tril(factor)
+    H = L @ L.T
+    joints = np.arange(6, len(H))
+    H[joints, joints] -= prior - _WEAK
+    covariance: FloatArray = np.asarray(np.linalg.inv(H), dtype=np.float64)
+    return covariance
+
+
+def information(parents: IntArray, R: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(S, 3, 3) 1/rad²: what markers told of every joint's turn, distal axes, of ``markers_covariance``."""
+    turns = np.stack([covariance[k : k + 3, k : k + 3] for k in range(3, len(covariance), 3)])
+    values, vectors = np.linalg.eigh(np.swapaxes(R, 1, 2) @ turns @ R)
+    told = np.where(parents >= 0, _WEAK, 0.0)[:, None]
     new = np.where(told * values < _FORGOTTEN, 1.0 / values - told, 0.0)
     found: FloatArray = (vectors * np.maximum(new, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     return found
@@ -91,13 +106,11 @@ def smoothed_turns(times_s: FloatArray, seen: list[Seen | None]) -> FloatArray:
 
 def _predicted(state: _State, step: float) -> tuple[_State, FloatArray]:
     """The state a step (s) later, and how errors pass over."""
-    ahead = Rotation.from_rotvec(step * state.rate)
-    F = np.tile(np.eye(6), (len(state.rate), 1, 1))
+    ahead = Rotation.from_rotvec(FADES_S * (1.0 - np.exp(-step / FADES_S)) * state.rate)
+    F = np.tile(_carried_on(step), (len(state.rate), 1, 1))
     F[:, :3, :3] = ahead.inv().as_matrix()
-    F[:, :3, 3:] = step * np.eye(3)
-    noise = np.kron([[step**3 / 3, step**2 / 2], [step**2 / 2, step]], ACCELERATION * np.eye(3))
-    P = F @ state.P @ np.swapaxes(F, 1, 2) + noise
-    return _State(state.turn * ahead, state.rate, P), F
+    P = F @ state.P @ np.swapaxes(F, 1, 2) + _noise(step, ACCELERATION)
+    return _State(state.turn * ahead, state.rate * np.exp(-step / FADES_S), P), F
 
 
 def _updated(state: _State, seen: Seen) -> _State:
@@ -118,3 +131,53 @@ def _looked_back(state: _State, predicted: _State, F: FloatArray, later: _State)
     )
     change = np.einsum("sij,sj->si", gain, apart)
     return _State(state.turn * Rotation.from_rotvec(change[:, :3]), state.rate + change[:, 3:], state.P)
+
+
+class SeenPlace(NamedTuple):
+    """What one instant showed of the root's place."""
+
+    place: FloatArray  # (3,) m
+    information: FloatArray  # (3, 3) 1/m²
+
+
+def smoothed_places(times_s: FloatArray, seen: list[SeenPlace | None]) -> FloatArray:
+    """(F, 3) m: the root's place at F instants; None: nothing was seen at that one. The first must be
+    seen."""
+    first = seen[0]
+    assert first is not None
+    x, P = np.append(first.place, np.zeros(3)), np.diag([_FIRST_PLACE**2] * 3 + [_FIRST_SPEED**2] * 3)
+    states = [_with_place(x, P, first)]
+    predictions = [(x, P, np.eye(6))]
+    for step, each in zip(np.diff(times_s), seen[1:], strict=True):
+        F = _carried_on(float(step))
+        x, P = F @ states[-1][0], F @ states[-1][1] @ F.T + _noise(float(step), _ROOT_ACCELERATION)
+        predictions.append((x, P, F))
+        states.append((x, P) if each is None else _with_place(x, P, each))
+    x = states[-1][0]
+    places = [x[:3]]
+    for (own, P), (predicted, P_ahead, F) in zip(states[-2::-1], predictions[:0:-1], strict=True):
+        x = own + np.linalg.solve(P_ahead, F @ P).T @ (x - predicted)
+        places.append(x[:3])
+    return np.array(places[::-1])
+
+
+def _with_place(x: FloatArray, P: FloatArray, seen: SeenPlace) -> tuple[FloatArray, FloatArray]:
+    """The state by what was seen, as ``_updated`` has it."""
+    K = P[:, :3] @ np.linalg.solve(np.eye(3) + seen.information @ P[:3, :3], seen.information)
+    P = P - K @ P[:3, :]
+    return x + K @ (seen.place - x[:3]), 0.5 * (P + P.T)
+
+
+def _carried_on(step: float) -> FloatArray:
+    """(6, 6): how place and rate pass over a step (s)."""
+    fading = np.exp(-step / FADES_S)
+    both = np.array([[1.0, FADES_S * (1.0 - fading)], [0.0, fading]])
+    F: FloatArray = np.asarray(np.kron(both, np.eye(3)), dtype=np.float64)
+    return F
+
+
+def _noise(step: float, density: float) -> FloatArray:
+    """(6, 6) that a step (s) adds; the step is short against ``FADES_S``."""
+    both = density * np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
+    noise: FloatArray = np.asarray(np.kron(both, np.eye(3)), dtype=np.float64)
+    return noise

@@ -59,11 +59,17 @@ class Seen(NamedTuple):
     scale: float  # m, distance at which a marker begins to lose its say
 
 
+_NOWHERE = np.zeros(3)
+
+
 class Held(NamedTuple):
-    """A pose to whose joints those of another are drawn."""
+    """A pose to whose joints those of another are drawn, and its root if wanted."""
 
     R: FloatArray  # (S, 3, 3)
     stiffness: float = 0.0  # 1/rad²; 0: not drawn
+    root: FloatArray = _NOWHERE  # (3,) m
+    root_stiffness: float = 0.0  # 1/rad²; 0: not drawn
+    place_stiffness: float = 0.0  # 1/m²; 0: not drawn
 
 
 class Pose(NamedTuple):
@@ -130,10 +136,20 @@ def _cost(model: BodyModel, observed: FloatArray, say: FloatArray, R: FloatArray
 
 
 @compiled
-def add_held(H: FloatArray, g: FloatArray, model: BodyModel, R: FloatArray, held: Held) -> float:
-    """Draw every joint to the rotation it has in the pose held. Return the cost."""
+def add_held(
+    H: FloatArray, g: FloatArray, model: BodyModel, R: FloatArray, root: FloatArray, held: Held
+) -> float:
+    """Draw every joint to the rotation it has in the pose held, and the root to its own. Return the cost."""
     stiffness = held.stiffness
+    turn = rm.rotate(R[0], rm.increment(held.R[0], R[0]))
     cost = 0.0
+    for i in range(3):
+        H[i, i] += held.place_stiffness
+        g[i] -= held.place_stiffness * (root[i] - held.root[i])
+        H[3 + i, 3 + i] += held.root_stiffness
+        g[3 + i] -= held.root_stiffness * turn[i]
+        cost += 0.5 * held.place_stiffness * (root[i] - held.root[i]) ** 2
+        cost += 0.5 * held.root_stiffness * turn[i] ** 2
     for d in model.distals:
         parent = model.parents[d]
         turned = rm.multiply(R[parent], rm.multiply(held.R[parent].T.copy(), held.R[d]))
@@ -197,7 +213,7 @@ def solve_pose(
     y = kernels.marker_places(model.segments, model.positions, R, p)
     say = _say(model, seen, y)
     H, g, joints = normal_equations(model, observed, say, R, p)
-    joints += add_held(H, g, model, R, held)
+    joints += add_held(H, g, model, R, root, held)
     damping = _FIRST_DAMPING
     steps = 0
     while steps < longest and damping < _WORST_DAMPING:
@@ -214,7 +230,7 @@ def solve_pose(
         p_new = kernels.places(model.parents, model.offsets, R_new, root_new)
         before = _cost(model, observed, say, R, p) + joints
         H_new, g_new, joints_new = normal_equations(model, observed, say, R_new, p_new)
-        joints_new += add_held(H_new, g_new, model, R_new, held)
+        joints_new += add_held(H_new, g_new, model, R_new, root_new, held)
         after = _cost(model, observed, say, R_new, p_new) + joints_new
         if after > before * (1.0 + 1e-12):
             damping = max(10.0 * damping, 1e-4)
@@ -224,7 +240,7 @@ def solve_pose(
         y = kernels.marker_places(model.segments, model.positions, R, p)
         say = _say(model, seen, y)
         H, g, joints = normal_equations(model, observed, say, R, p)
-        joints += add_held(H, g, model, R, held)
+        joints += add_held(H, g, model, R, root, held)
         if np.max(np.abs(delta)) < _SMALLEST_STEP or before - after < _SMALLEST_GAIN * before:
             break
     return Pose(R, root, _residuals(observed, y), say, _factor(H), steps)

@@ -75,13 +75,14 @@ class OpticalReconstructor:
         return None if self._now is None else self._now[1]
 
     def solve_again(
-        self, observation: MarkerFrame, fit: MarkerFit, held: FloatArray, root: FloatArray, stiffness: float
+        self, observation: MarkerFrame, fit: MarkerFit | None, held: Held, root: FloatArray
     ) -> SkeletonFrame:
-        """The pose of an instant from markers already named, with its joints drawn to those of a pose
-        ``held`` (S, 3, 3), and begun from there. root: (3,) m; stiffness: 1/rad²."""
-        seen = everyone(np.ascontiguousarray(fit.positions), NEAR)
-        pose = solve_pose(self.model, seen, held, root, Held(held, stiffness), _LONGEST)
-        self.last = self._explained(observation, pose, fit.renamed)
+        """The pose of an instant drawn to a pose ``held``, from its orientations and ``root`` (3,) m, by
+        markers already named; without a fit, by whatever was seen under the names that it came with."""
+        positions, renamed = (observation.positions, ()) if fit is None else (fit.positions, fit.renamed)
+        seen = everyone(np.ascontiguousarray(positions), NEAR)
+        pose = solve_pose(self.model, seen, held.R, root, held, _LONGEST)
+        self.last = self._explained(observation, pose, renamed)
         return self._frame(observation, pose)
 
     def update(self, observation: MarkerFrame) -> SkeletonFrame:

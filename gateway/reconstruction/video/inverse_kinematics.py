@@ -115,7 +115,7 @@ def orientation_sigmas(
     """
     model = body.model
     places = keypoint_places(model, pose.R, pose.root)
-    goal = Goal(places, weights, Held(pose.R, stiffness), -np.inf)
+    goal = Goal(places, weights, Held(pose.R, stiffness, pose.root, 0.0, 0.0), -np.inf)
     H, _, _ = _equations(body, goal, pose.R, pose.root)
     T = turn_matrix(body.freedom, model.parents, pose.R)
     A = T.T @ (H @ T)
@@ -152,7 +152,7 @@ def _equations(
     model, targets, weights = body.model, goal.targets, goal.weights
     p = kernels.places(model.parents, model.offsets, R, root)
     H, g, cost = normal_equations(model, targets, weights, R, p)
-    cost += add_held(H, g, model, R, goal.held)
+    cost += add_held(H, g, model, R, root, goal.held)
     for m in range(len(targets)):
         if weights[m] > 0.0:
             s = model.segments[m]

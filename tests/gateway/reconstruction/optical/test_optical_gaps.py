@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import load_body
-from gateway.frames import FloatArray, MarkerFrame
+from gateway.frames import FloatArray, MarkerFrame, Status
 from gateway.geometry import quaternion
 from gateway.geometry import rotation_matrix as rm
 from gateway.reconstruction.optical import kernels, point_rules
@@ -73,17 +73,46 @@ def test_a_gap_is_carried_on_live_and_bridged_offline():
     assert np.isnan(solved[100].markers.residuals[markers.segments == HAND]).all()
 
 
-def test_frames_without_a_pose_stay_as_they_are():
+def test_frames_before_the_first_pose_stay_as_they_are_and_those_between_are_bridged():
     markers = _markers()
     model = body_model(BODY, markers)
     nothing = np.full((len(markers.labels), 3), np.nan)
     seen = _seen(model, _waving(1)[0])
     frames = [MarkerFrame(f, f * STEP_NS, each) for f, each in enumerate([nothing, seen, nothing, seen])]
     solved, counts = solve_both_ways(BODY, markers, frames)
-    assert [each.markers is None for each in solved] == [True, False, True, False]
+    assert [each.markers is None for each in solved] == [True, False, False, False]
     assert np.isnan(solved[0].q_wb).all()
+    assert (solved[2].status == Status.PREDICTED).all()
+    np.testing.assert_allclose(solved[2].p_w, solved[1].p_w, atol=1e-3)
     assert counts["lost"] == 2
     assert solve_both_ways(BODY, markers, frames[:1])[0][0].markers is None
+
+
+@pytest.mark.parametrize("hidden", ["all", "half"])
+def test_somebody_who_walks_on_unseen_is_bridged_at_the_root_too(hidden):
+    """A second in which a turning walker goes 1.4 m, with no marker or those of the left side."""
+    markers = _markers()
+    model = body_model(BODY, markers)
+    n, gap = 260, slice(80, 180)
+    waving = _waving(n)
+    turn = Rotation.from_euler("z", 0.5 * np.sin(0.015 * np.arange(n))[:, None]).as_matrix()
+    R = turn[:, None] @ waving
+    place = np.column_stack([0.014 * np.arange(n), 0.1 * np.sin(0.03 * np.arange(n)), np.zeros(n)])
+    observed = np.array([_seen(model, each) for each in R]) + place[:, None]
+    observed += np.random.default_rng(5).normal(0.0, 0.0005, observed.shape)
+    left = np.array([name.startswith("left") for name in BODY.segment_names])[markers.segments]
+    observed[gap, left if hidden == "half" else slice(None)] = np.nan
+    frames = [MarkerFrame(f, f * STEP_NS, seen) for f, seen in enumerate(observed)]
+    solved, _ = solve_both_ways(BODY, markers, frames)
+    true = place + np.array([0.0, 0.0, 0.95])
+    apart = np.linalg.norm(np.array([each.p_w[0] for each in solved]) - true, axis=1)
+    assert apart[gap].max() < (0.06 if hidden == "all" else 0.003)
+    turned = np.array([quaternion.to_matrix(each.q_wb[0]) for each in solved])
+    assert _apart_deg(turned, R[:, 0])[gap].max() < 6.0
+    assert np.delete(apart, np.r_[gap]).max() < 0.003
+    if hidden == "all":
+        assert (solved[130].status == Status.PREDICTED).all()
+        assert np.isfinite(solved[130].angular_rate).all()
 
 
 def test_a_joint_smoothed_through_a_gap_follows_its_sine():
