@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -58,10 +59,13 @@ def export(
         Axes | None, typer.Option(help="World axes; else those that the format usually has.")
     ] = None,
     unit: Annotated[Unit | None, typer.Option(help="Length unit; else the format's usual one.")] = None,
+    mass: Annotated[
+        float | None, typer.Option(min=2, max=400, help="Of the person, kg, for osim; else 75.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace files that are there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
-    """Write a recording as BVH, C3D, glTF, .sto, .mot, TRC, CSV, Parquet, for ROS 2 or Foxglove.
+    """Write a recording as BVH, C3D, glTF, TRC, CSV, Parquet, for OpenSim, ROS 2 or Foxglove.
 
     Instants that were not recorded, and orientations that were not known, are interpolated; how many is
     told. C3D, Parquet and glTF need the extra `export`, Foxglove needs `foxglove`. ros2 and foxglove keep the
@@ -83,7 +87,7 @@ def export(
             kind = FORMATS[name]
             wanted = axes or kind.axes
             if wanted not in takes:
-                takes[wanted] = take_of(arrays, file.stem, wanted, recording)
+                takes[wanted] = replace(take_of(arrays, file.stem, wanted, recording), mass_kg=mass)
             per_m = kind.units_per_m if unit is None else units_per_m(unit)
             kind.write(takes[wanted], path, per_m)
             written.append(_summary_of(name, path, takes[wanted], per_m))

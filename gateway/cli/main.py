@@ -86,7 +86,7 @@ class _Commands(LazyGroup):
         ),
         "export": LazyCommand(
             "gateway.cli.export:export",
-            "Write a recording as BVH, C3D, glTF, .sto, .mot, TRC, CSV, Parquet, for ROS 2 or Foxglove.",
+            "Write a recording as BVH, C3D, glTF, TRC, CSV, Parquet, for OpenSim, ROS 2 or Foxglove.",
             "Examples: mocap-gateway export walk.mcap --to bvh; "
             "mocap-gateway export walk.mcap --to c3d --to csv -o exports/ --axes y-up --unit mm",
         ),

@@ -42,6 +42,9 @@ FORMATS: dict[str, Format] = {
         ".sto", "orientations for OpenSim (OpenSense)", Axes.Y_UP, 1.0, _writer("opensim.write_sto")
     ),
     "mot": Format(".mot", "joint angles for OpenSim", Axes.Y_UP, 1.0, _writer("opensim.write_mot")),
+    "osim": Format(
+        ".osim", "the body as a model of OpenSim", Axes.Y_UP, 1.0, _writer("opensim_model.write_osim")
+    ),
     "trc": Format(".trc", "joint centres as markers", Axes.Y_UP, 1000.0, _writer("trc.write")),
     "csv": Format(".csv", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_csv")),
     "parquet": Format(".parquet", "everything as a table", Axes.Z_UP, 1.0, _writer("tables.write_parquet")),

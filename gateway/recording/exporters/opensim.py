@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.frames import FloatArray
+from gateway.recording.exporters.opensim_angles import Columns, model_columns, rajagopal_columns
 from gateway.recording.exporters.opensim_names import COORDINATES
-from gateway.recording.exporters.take import Take, rotation
+from gateway.recording.exporters.take import Take
 
 _VERSION = "4.5"
 
@@ -35,12 +35,14 @@ def write_sto(take: Take, path: Path, _units_per_m: float) -> None:
 
 
 def write_mot(take: Take, path: Path, units_per_m: float) -> None:
-    """Angles in degrees: those that the model knows under its names, the others under ours.
+    """Angles in degrees, and the root's place: coordinates of the body's own model, those that only
+    Rajagopal's has, and our angles that are in neither. A model passes over what it does not know.
 
     Raises ``OSError``.
     """
     columns, values = ["time"], [take.time_s]
-    for name, series in (*_root_columns(take, units_per_m), *_angle_columns(take)):
+    known = [*model_columns(take, units_per_m), *rajagopal_columns(take)]
+    for name, series in (*known, *_other_angles(take, {name for name, _ in known})):
         columns.append(name)
         values.append(series)
     table = np.column_stack(values)
@@ -58,23 +60,11 @@ def write_mot(take: Take, path: Path, units_per_m: float) -> None:
         np.savetxt(file, table, fmt="%.8f", delimiter="\t")
 
 
-def _root_columns(take: Take, units_per_m: float) -> list[tuple[str, FloatArray]]:
-    """The root against the ground, by the order of rotations of OpenSim's pelvis: z, x, y."""
-    root = int(np.flatnonzero(take.skeleton.parents < 0)[0])
-    angles = np.degrees(np.unwrap(rotation(take.q_wb[:, root]).as_euler("ZXY"), axis=0))
-    name = take.skeleton.segment_names[root]
-    turns = zip(("tilt", "list", "rotation"), angles.T, strict=True)
-    places = zip("xyz", take.p_w[:, root].T * units_per_m, strict=True)
-    return [(f"{name}_{turn}", series) for turn, series in turns] + [
-        (f"{name}_t{axis}", series) for axis, series in places
-    ]
-
-
-def _angle_columns(take: Take) -> list[tuple[str, FloatArray]]:
-    columns = []
+def _other_angles(take: Take, known: set[str]) -> Columns:
+    """Our angles, degrees, but for those that have a name in the model."""
+    columns: Columns = []
     for joint, angle, name in take.angle_names:
-        coordinate, sign = COORDINATES.get(name, (name, 1.0))
         series = take.joint_angles[:, joint, angle]
-        if not np.isnan(series).any():
-            columns.append((coordinate, sign * np.degrees(series)))
+        if name not in known and name not in COORDINATES and not np.isnan(series).any():
+            columns.append((name, np.degrees(series)))
     return columns

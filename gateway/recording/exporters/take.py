@@ -41,6 +41,8 @@ class Take:
     """Time of the first frame, s: that of the files it was made from."""
     recording: Recording | None = None
     """What it was made of, for formats that hold more than poses."""
+    mass_kg: float | None = None
+    """Of the person, where it is told."""
 
     @property
     def time_s(self) -> FloatArray:
