@@ -6,10 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from devices.deferred import make_interp_spline
 from devices.marker_files.force_plates import ForcePlates
-from gateway.analysis.contact import estimated_floor
+from gateway.analysis.contact import estimated_floor, with_unknown
 from gateway.analysis.floor import FloorForces, feet
 from gateway.analysis.inverse_dynamics import Dynamics, inverse_dynamics
 from gateway.analysis.joint_torques import angle_axes, joint_torques
@@ -60,6 +61,27 @@ class Analysis:
     @property
     def time_s(self) -> FloatArray:
         return self.motion.time_s
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the body is all of the person."""
+        return self.inertia.share > WHOLE_BODY
+
+    @property
+    def is_known(self) -> NDArray[np.bool_]:
+        """(F, J) whether every force of the floor beyond a joint is known."""
+        known = self.floor.known_beyond(self.skeleton)
+        return known[:, [joint.distal for joint in self.skeleton.joints]]
+
+    @property
+    def known_torques(self) -> FloatArray:
+        """``torques``, NaN where a foot stands beyond the joint whose force nothing tells."""
+        return np.where(self.is_known[..., None], self.torques, np.nan)
+
+    @property
+    def known_power(self) -> FloatArray:
+        """``power``, likewise."""
+        return np.where(self.is_known, self.power, np.nan)
 
     @property
     def weight_n(self) -> float:
@@ -129,10 +151,10 @@ def _floor(
     if len(on) and inertia.share > WHOLE_BODY and is_level:
         return estimated_floor(motion, free, known, progress=told("floor forces"))
     if known is not None:
-        return known
+        return with_unknown(motion, free, known)
     nothing = np.zeros((frames, len(on), 3))
     none = np.zeros(nothing.shape[:2])
-    return FloorForces(on, nothing, nothing, none.astype(np.uint8), none)
+    return with_unknown(motion, free, FloorForces(on, nothing, nothing, none.astype(np.uint8), none))
 
 
 def _derivatives(time_s: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatArray]:

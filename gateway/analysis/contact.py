@@ -10,7 +10,7 @@ floor): there the load is asked to go over smoothly from the foot that leaves to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +110,18 @@ def stances(time_s: FloatArray, paths: FloatArray, height_m: float, settings: Co
     slow = expit((settings.speed_m_s - speed) / settings.speed_spread_m_s)
     sure: FloatArray = np.maximum(low * slow, settings.least_share)
     return sure
+
+
+def with_unknown(motion: SmoothMotion, free: Dynamics, floor: FloorForces) -> FloorForces:
+    """The same, told where a foot stands whose force nothing tells. free: the dynamics without any floor."""
+    carriers, points = sole_points(motion.skeleton)
+    if not len(carriers) or not len(floor.segments):
+        return floor
+    paths = sole_paths(carriers, points, free.p_w, free.rotation_wb)
+    sure = stances(motion.time_s, paths, floor_height(paths), ContactSettings())
+    stands = np.stack([(sure[:, carriers == s] > _STANDS).any(axis=1) for s in floor.segments], axis=1)
+    unknown = stands & (floor.source == Source.NONE)
+    return replace(floor, source=np.where(unknown, np.uint8(Source.UNKNOWN), floor.source))
 
 
 def smooth_split(

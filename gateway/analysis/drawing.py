@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.body_model import EXTRA
+from gateway.analysis.floor import Source
 from gateway.analysis.muscles import MuscleResult
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
@@ -20,6 +21,8 @@ WIDTH = 760
 _PANE = WIDTH // 2
 _BACKGROUND, _FLOOR, _BONE, _TEXT = (255, 255, 255), (170, 170, 170), (120, 110, 105), (60, 50, 40)
 _FORCE, _MASS = (60, 150, 60), (200, 110, 30)
+_SIDES = {"left": (150, 60, 160), "right": (150, 120, 0)}
+"""Blue, green, red of bones of one side."""
 _STOPS = np.array([[205, 185, 165], [60, 190, 245], [40, 40, 215]], dtype=np.float64)
 """Colours (blue, green, red) of activity 0, 0.5 and 1."""
 _SUBPIXEL = 4
@@ -74,6 +77,11 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
             _wires(view, muscles, frame, depth)
         _forces(view, found, frame)
     _write(picture, f"{found.time_s[frame]:.2f} s", (10, 22), 0.5)
+    for k, (side, colour) in enumerate(_SIDES.items()):
+        _write(picture, side, (100 + 50 * k, 22), 0.45, colour)
+    for k, c in enumerate(np.flatnonzero(found.floor.source[frame] == Source.UNKNOWN).tolist()):
+        name = found.skeleton.segment_names[int(found.floor.segments[c])].replace("_", " ")
+        _write(picture, f"{name} stands on an unknown force", (10, 44 + 18 * k), 0.42)
     if muscles is not None:
         _scale(cv2, picture)
     return picture
@@ -129,12 +137,13 @@ def _bones(view: _View, found: Analysis, frame: int) -> None:
     for s, name in enumerate(found.skeleton.segment_names):
         parent = int(found.skeleton.parents[s])
         tip = p_w[s] + turned[s] @ found.skeleton.tips[s]
+        colour = _SIDES.get(name.partition("_")[0], _BONE)
         if parent >= 0:
-            view.line(np.stack([p_w[parent], p_w[s]]), _BONE, 1)
+            view.line(np.stack([p_w[parent], p_w[s]]), colour, 1)
         if name == "head":
             view.circle(0.5 * (p_w[s] + tip), _HEAD_M, _BONE, 2)
         else:
-            view.line(np.stack([p_w[s], tip]), _BONE, 4)
+            view.line(np.stack([p_w[s], tip]), colour, 4)
 
 
 def _wires(view: _View, muscles: MuscleResult, frame: int, depth: FloatArray) -> None:
@@ -162,9 +171,11 @@ def colour_of(activity: float) -> tuple[int, int, int]:
     return blue, green, red
 
 
-def _write(picture: Picture, text: str, at: tuple[int, int], size: float) -> None:
+def _write(
+    picture: Picture, text: str, at: tuple[int, int], size: float, colour: tuple[int, ...] = _TEXT
+) -> None:
     cv2 = require_opencv()
-    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, _TEXT, 1, cv2.LINE_AA)
+    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
 
 
 def _scale(cv2: Any, picture: Picture) -> None:

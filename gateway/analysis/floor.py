@@ -29,6 +29,8 @@ class Source(IntEnum):
     NONE = 0
     MEASURED = 1
     ESTIMATED = 2
+    UNKNOWN = 3
+    """The foot stands, and nothing tells its force."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,16 @@ class FloorForces:
         """(F, 3) N."""
         summed: FloatArray = self.force.sum(axis=1)
         return summed
+
+    def known_beyond(self, skeleton: Skeleton) -> NDArray[np.bool_]:
+        """(F, S) whether the force on every foot that hangs on a segment, or is it, is known."""
+        known = np.ones((len(self.source), skeleton.n_segments), dtype=bool)
+        for c, foot in enumerate(self.segments.tolist()):
+            segment = foot
+            while segment >= 0:
+                known[:, segment] &= self.source[:, c] != Source.UNKNOWN
+                segment = int(skeleton.parents[segment])
+        return known
 
     def part(self, instants: slice) -> FloorForces:
         """Those of some instants."""

@@ -24,17 +24,15 @@ def rates(found: Analysis) -> bytes:
 
 def torques(found: Analysis) -> bytes:
     """Of every joint, N m a kilogram of the person."""
-    return _by_joint(found, found.torques / found.inertia.body_kg)
+    return _by_joint(found, found.known_torques / found.inertia.body_kg)
 
 
 def powers(found: Analysis) -> bytes:
     """Of every joint, W a kilogram."""
+    power = found.known_power / found.inertia.body_kg
     return small_multiples(
         found.time_s,
-        [
-            (joint.name, found.power[:, j : j + 1] / found.inertia.body_kg, ("power",))
-            for j, joint in enumerate(found.skeleton.joints)
-        ],
+        [(joint.name, power[:, j : j + 1], ("power",)) for j, joint in enumerate(found.skeleton.joints)],
     )
 
 
@@ -57,7 +55,10 @@ def centre_of_mass(found: Analysis) -> bytes:
     path = found.dynamics.centre_of_mass
     _lines(axes[0], found.time_s, path - path[0])
     _lines(axes[1], found.time_s, found.dynamics.centre_of_mass_velocity)
-    axes[0].set_title("centre of mass from where it began, m", fontsize=8)
+    whose = (
+        "" if found.is_whole else f" of the {100 * found.inertia.share:.0f} % of the person that are there"
+    )
+    axes[0].set_title(f"centre of mass{whose} from where it began, m", fontsize=8)
     axes[1].set_title("its velocity, m/s", fontsize=8)
     return png(figure)
 

@@ -14,6 +14,7 @@ from gateway.analysis.analysing import Analysis
 from gateway.analysis.drawing import draw, scene_of
 from gateway.analysis.drawing import png as drawn_png
 from gateway.analysis.muscles import MuscleResult
+from gateway.frames import FloatArray
 from gateway.report.elements import document, picture, require_matplotlib, table, tiles
 from gateway.support.whole_files import writing
 
@@ -40,18 +41,21 @@ def _sections(found: Analysis, muscles: MuscleResult | None, film: Path | None) 
     yield _tiles(found)
     yield "".join(f"<p>{html.escape(note)}</p>" for note in found.notes)
     yield from _pictures(found, muscles, film)
+    if found.skeleton.joints:
+        yield "<h2>Joint angles, °</h2>" + picture(graphs.angles(found), "joint angles over time")
+        yield "<h2>Torques, N m/kg</h2>" + _torque_table(found)
+        yield picture(graphs.torques(found), "torques of every joint over time")
+        yield "<h2>Powers, W/kg</h2>" + picture(graphs.powers(found), "powers of every joint over time")
     if found.floor.force.any():
         yield "<h2>Floor</h2>" + picture(graphs.floor(found), "floor force on each foot over time")
-    yield "<h2>Centre of mass</h2>" + picture(graphs.centre_of_mass(found), "path of the centre of mass")
+    part = "" if found.is_whole else " of the part of the person that is there"
+    yield f"<h2>Centre of mass{part}</h2>"
+    yield picture(graphs.centre_of_mass(found), "path of the centre of mass")
     if muscles is not None:
         yield "<h2>Muscles: activity</h2>" + picture(graphs.muscle_map(found, muscles), "activity of muscles")
         yield "<h2>Muscles: tension, N</h2>" + picture(graphs.tensions(found, muscles), "tension of muscles")
         yield _muscle_note(muscles)
     if found.skeleton.joints:
-        yield "<h2>Torques, N m/kg</h2>" + _torque_table(found)
-        yield picture(graphs.torques(found), "torques of every joint over time")
-        yield "<h2>Powers, W/kg</h2>" + picture(graphs.powers(found), "powers of every joint over time")
-        yield "<h2>Joint angles, °</h2>" + picture(graphs.angles(found), "joint angles over time")
         yield "<h2>Angular velocities, °/s</h2>" + picture(graphs.rates(found), "rates of the joint angles")
 
 
@@ -65,6 +69,14 @@ def _pictures(found: Analysis, muscles: MuscleResult | None, film: Path | None) 
         frames = np.linspace(0, len(found.time_s) - 1, 2 * _PICTURES + 1)[1::2].astype(int)
         drawn = np.hstack([draw(found, muscles, frame, scene) for frame in frames.tolist()])
         yield "<h2>Motion</h2>" + picture(drawn_png(drawn), "body and muscles at three instants")
+
+
+def _extremes(torque: FloatArray, kg: float) -> tuple[str, str, str]:
+    """Least, most and largest for each kilogram, of what is known of a torque (F,)."""
+    known = torque[np.isfinite(torque)]
+    if not len(known):
+        return "–", "–", "–"
+    return f"{known.min():.1f}", f"{known.max():.1f}", f"{np.abs(known).max() / kg:.2f}"
 
 
 def _muscle_note(muscles: MuscleResult) -> str:
@@ -98,14 +110,13 @@ def _tiles(found: Analysis) -> str:
 
 
 def _torque_table(found: Analysis) -> str:
+    torques = found.known_torques
     rows = [
         [
             joint.name.replace("_", " "),
             angle.name.replace("_", " "),
             f"{np.degrees(found.angles[:, j, k]).min():.0f} … {np.degrees(found.angles[:, j, k]).max():.0f}",
-            f"{found.torques[:, j, k].min():.1f}",
-            f"{found.torques[:, j, k].max():.1f}",
-            f"{np.abs(found.torques[:, j, k]).max() / found.inertia.body_kg:.2f}",
+            *_extremes(torques[:, j, k], found.inertia.body_kg),
         ]
         for j, joint in enumerate(found.skeleton.joints)
         for k, angle in enumerate(joint.angles)

@@ -36,7 +36,7 @@ def tables(found: Analysis, muscles: MuscleResult | None = None) -> dict[str, Co
         "joints": _joints(found),
         "segments": _segments(found),
         "floor": _floor(found),
-        "centre_of_mass": _centre_of_mass(found),
+        "centre_of_mass" if found.is_whole else "centre_of_mass_of_part": _centre_of_mass(found),
     }
     if muscles is not None:
         made["muscles"] = _muscles(found, muscles)
@@ -45,14 +45,15 @@ def tables(found: Analysis, muscles: MuscleResult | None = None) -> dict[str, Co
 
 def _joints(found: Analysis) -> Columns:
     columns: Columns = {}
+    torques, power = found.known_torques, found.known_power
     for j, joint in enumerate(found.skeleton.joints):
         for k, angle in enumerate(joint.angles):
             name = f"{joint.name}_{angle.name}"
             columns[f"{name}_deg"] = np.degrees(found.angles[:, j, k])
             columns[f"{name}_rate_deg_per_s"] = np.degrees(found.angle_rates[:, j, k])
             columns[f"{name}_acceleration_deg_per_s2"] = np.degrees(found.angle_accelerations[:, j, k])
-            columns[f"{name}_torque_n_m"] = found.torques[:, j, k]
-        columns[f"{joint.name}_power_w"] = found.power[:, j]
+            columns[f"{name}_torque_n_m"] = torques[:, j, k]
+        columns[f"{joint.name}_power_w"] = power[:, j]
     return columns
 
 
@@ -84,9 +85,10 @@ def _centre_of_mass(found: Analysis) -> Columns:
 
 def _muscles(found: Analysis, muscles: MuscleResult) -> Columns:
     columns: Columns = {}
+    is_known = found.is_known.all(axis=1)
     for i, name in enumerate(muscles.names):
-        columns[f"{name}_activity"] = muscles.activity[:, i]
-        columns[f"{name}_tension_n"] = muscles.tension[:, i]
+        columns[f"{name}_activity"] = np.where(is_known, muscles.activity[:, i], np.nan)
+        columns[f"{name}_tension_n"] = np.where(is_known, muscles.tension[:, i], np.nan)
     for r, (j, k) in enumerate(muscles.torques):
         joint = found.skeleton.joints[j]
         columns[f"{joint.name}_{joint.angles[k].name}_left_n_m"] = muscles.left[:, r]

@@ -35,7 +35,7 @@ def told(
             f"The body carries {100 * inertia.share:.0f} % of the person: floor forces are not estimated, "
             "and what is left over at the root is the part that is not there."
         )
-    if has_feet and not (floor.source != Source.NONE).any():
+    if has_feet and not np.isin(floor.source, (Source.MEASURED, Source.ESTIMATED)).any():
         notes.append(
             "No floor force is known: the torques of the legs, and their muscles, are those of legs that "
             "hang in the air. Give force plates with --forces, or record the whole body."
@@ -44,6 +44,12 @@ def told(
         share = float((floor.source == source).any(axis=1).mean()) if floor.source.size else 0.0
         if share:
             notes.append(f"Floor forces are {word} in {100 * share:.0f} % of the frames.")
+    unknown = (floor.source == Source.UNKNOWN).any(axis=1)
+    if unknown.any():
+        notes.append(
+            f"In {100 * float(unknown.mean()):.0f} % of the frames a foot stands whose force nothing tells: "
+            "torques, powers and muscles that it would change are left out there."
+        )
     notes += floor.notes
     return [*notes, *_left_over(dynamics, weight_n, has_feet and is_whole)]
 

@@ -60,7 +60,8 @@ def analyse_file(
     ] = None,
     sex: Annotated[Sex | None, typer.Option(help="For the masses of segments; else the mean.")] = None,
     forces: Annotated[
-        str, typer.Option(metavar="auto|none|FILE", help="Force plates: the trial's own, none, or a C3D's.")
+        str,
+        typer.Option(metavar="auto|none|FILE", help="Force plates: the trial's, none, a C3D's, a .mot."),
     ] = "auto",
     muscles: Annotated[
         str,
@@ -122,13 +123,14 @@ def _write(
 ) -> list[Path]:  # fmt: skip
     """Everything into the folder. slower: of the film; None: without."""
     from gateway.analysis.film import write_film
+    from gateway.analysis.opensim_loads import write_loads
     from gateway.analysis.page import write_page
     from gateway.analysis.tables import write_tables
 
     page, moving = folder / "report.html", folder / "film.webm"
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        written = write_tables(found, pulled, folder, to.value)
+        written = [*write_tables(found, pulled, folder, to.value), *write_loads(found, folder)]
     if slower is not None:
         with progress_bar("film", is_shown=not as_json) as tell:
             write_film(found, pulled, moving, slower, tell)
@@ -202,11 +204,15 @@ def _inertia(
 def _measured(file: Path, forces: str, suit: WornSuit) -> MeasuredForces | None:
     """The plates asked for; None where there are none and none were asked for."""
     from devices.marker_files.force_plates import read_force_plates
+    from devices.marker_files.ground_reaction import SUFFIXES as REACTION_SUFFIXES
+    from devices.marker_files.ground_reaction import read_ground_reactions
     from gateway.analysis.analysing import MeasuredForces
 
     source = file if forces == "auto" else Path(forces)
     if forces == "none" or (forces == "auto" and file.suffix.lower() != ".c3d"):
         return None
+    if source.suffix.lower() in REACTION_SUFFIXES:
+        return MeasuredForces(read_ground_reactions(source), "y")
     plates = read_force_plates(source)
     if not plates.plates:
         if forces == "auto":
