@@ -13,13 +13,26 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from devices.cameras.keypoint_files import is_keypoints
 from gateway.body.camera import Camera
 from gateway.body.skeleton import WornSuit
+from gateway.calibration.cameras_file import axis_of, load_cameras
 from gateway.cameras.camera_process import CameraTask
 from gateway.cli.export import export
 from gateway.cli.options import refuse_existing, with_options
 from gateway.cli.terminal import progress_bar
-from gateway.cli.video import Cameras, Join, People, Pictures, Places, joined_of, matched, people_of
+from gateway.cli.video import (
+    Cameras,
+    Join,
+    People,
+    Pictures,
+    Places,
+    joined_of,
+    matched,
+    named,
+    offsets_of,
+    people_of,
+)
 from gateway.errors import GatewayError
 from gateway.reconstruction.video.networks.weights import weights_of
 from gateway.recording.exporters.formats import FORMATS
@@ -74,13 +87,16 @@ def solve(
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:
     """Solve synchronised videos of calibrated cameras, into a recording that replays, exports and reports
-    like any other."""
+    like any other.
+
+    In the place of videos, keypoints that another program found: a folder of JSON a camera (OpenPose,
+    RTMPose of Pose2Sim), or COCO's results; with --rate.
+    """
     from gateway.body.rig import load_rig
     from gateway.cameras.consistency import consistency_of
     from gateway.cameras.rig_of_cameras import RigOptions
     from gateway.recording.video import video_suit
 
-    require_video_extra()
     wanted = people_of(people)
     if subject is not None and wanted != 1:
         raise GatewayError(
@@ -88,11 +104,16 @@ def solve(
         )
     target = _target(files, output, to or [])
     _places(target, wanted or 1, force=force)
-    seen, tasks = matched(files, cameras, pictures)
+    network = pictures.network
+    if all(is_keypoints(each.rpartition("=")[2]) for each in files):
+        seen, network, captured, rate_hz = _imported(files, cameras, pictures, wanted, frames)
+    else:
+        require_video_extra()
+        seen, tasks = matched(files, cameras, pictures)
+        options = RigOptions(not unequal, wanted, joined_of(join or [], seen))
+        captured, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
     if len(seen) < 2:
         typer.echo("note: one camera tells no depth: it follows from the floor (height 0), roughly", err=True)
-    options = RigOptions(not unequal, wanted, joined_of(join or [], seen))
-    captured, rate_hz = looked_at(seen, tasks, frames, options, is_shown=not as_json)
     if wanted is None:
         captured = _real_people(captured, seen)
     known = None if subject is None else load_rig(str(subject))
@@ -100,7 +121,7 @@ def solve(
     for messages, place, person in _people(captured, target, fit_subject, force=force):
         checked = consistency_of(seen, messages)
         checked.refuse_wrong(cameras)
-        suit = video_suit(seen, pictures.network, messages, known)
+        suit = video_suit(seen, network, messages, known)
         if person is not None:
             _write_subject(person, suit, force=force)
         done = _written(messages, rate_hz, suit, place, offline=offline, is_shown=not as_json)
@@ -111,6 +132,27 @@ def solve(
             export(place, to=to, force=force)  # type: ignore[arg-type]  # names of formats, checked above
     if as_json:
         typer.echo(json.dumps(outcomes if wanted != 1 else outcomes[0], indent=2))
+
+
+def _imported(
+    files: Sequence[str], calibration: Path, pictures: Pictures, wanted: int | None, frames: int | None
+) -> tuple[tuple[Camera, ...], str, list[Instants], float]:
+    """Cameras, keypoint set, messages by person and rate of keypoints that another program found."""
+    from devices.cameras.keypoint_files import read_keypoints
+    from gateway.cameras.imported_keypoints import keypoint_messages
+
+    if pictures.rate is None:
+        raise GatewayError(
+            "keypoints do not tell when pictures were taken: say how many a second with --rate"
+        )
+    axis = None if pictures.up is None else axis_of(pictures.up)
+    known = {camera.name: camera for camera in load_cameras(calibration, axis, pictures.unit)}
+    places = named(files, list(known), calibration)
+    cameras = tuple(known[name] for name in places)
+    read = [read_keypoints(Path(place)) for place in places.values()]
+    skipped = offsets_of(pictures.offset or [], list(known))
+    network, captured = keypoint_messages(cameras, read, skipped, pictures.rate, wanted)
+    return cameras, network, [each[:frames] for each in captured], pictures.rate
 
 
 def _real_people(captured: list[Instants], cameras: Sequence[Camera]) -> list[Instants]:

@@ -26,7 +26,7 @@ from gateway.frames import HeatMapFrame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction.video.keypoint_set import load_keypoint_set
 from gateway.reconstruction.video.low_pass import DELAY
-from gateway.reconstruction.video.networks.weights import weights_of
+from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.offline import reconstruct_recorded
 from gateway.reconstruction.video.reconstructor import VideoPose, VideoReconstructor
 from gateway.reconstruction.video.tracker import VideoOptions
@@ -80,13 +80,13 @@ def video_suit(
     """
     video = VideoSetUp(tuple(cameras), network)
     if known is not None:
-        wanted = load_keypoint_set(weights_of(network).keypoint_set).names
+        wanted = load_keypoint_set(keypoint_set_of(network)).names
         if known.markers is None or known.markers.labels != wanted:
             raise GatewayError(
                 f"--subject has no keypoints of the network '{network}': fit one with --fit-subject"
             )
         return replace(known, video=video)
-    keypoints = load_keypoint_set(weights_of(network).keypoint_set)
+    keypoints = load_keypoint_set(keypoint_set_of(network))
     reconstructor = VideoReconstructor(cameras, keypoints)
     found = 0
     for sequence, instant in enumerate(messages):
@@ -109,7 +109,7 @@ def video_subject(name: str, suit: WornSuit) -> dict[str, Any]:
     assert suit.markers is not None
     assert suit.video is not None
     content = subject_content(
-        name, weights_of(suit.video.network).keypoint_set, body_of(suit.skeleton), suit.skeleton,
+        name, keypoint_set_of(suit.video.network), body_of(suit.skeleton), suit.skeleton,
         suit.markers, {}, {},
     )  # fmt: skip
     cameras = [entry_of(camera) for camera in suit.video.cameras]
@@ -163,7 +163,7 @@ def write_offline_video(
     recovered from later instants. Raises as ``write_solved_video``."""
     assert suit.video is not None
     assert suit.markers is not None
-    keypoints = load_keypoint_set(weights_of(suit.video.network).keypoint_set)
+    keypoints = load_keypoint_set(keypoint_set_of(suit.video.network))
     keypoints = replace(keypoints, skeleton=suit.skeleton, markers=suit.markers)
     done = itertools.count(1)
 

@@ -13,7 +13,7 @@ from gateway.body.skeleton import Skeleton, WornSuit
 from gateway.frames import FloatArray, HeatMapFrame, SkeletonFrame
 from gateway.reconstruction.video.camera import Camera
 from gateway.reconstruction.video.keypoint_set import KeypointSet, load_keypoint_set
-from gateway.reconstruction.video.networks.weights import weights_of
+from gateway.reconstruction.video.networks.weights import keypoint_set_of
 from gateway.reconstruction.video.posing import SmoothedPoses, no_frame, skeleton_frame, statuses
 from gateway.reconstruction.video.region import PersonRegion
 from gateway.reconstruction.video.regions import person_region
@@ -140,6 +140,6 @@ def video_reconstructor(suit: WornSuit) -> VideoReconstructor:
     """Return a reconstructor of the person that a suit with cameras tells of, whose lengths are known."""
     assert suit.video is not None
     assert suit.markers is not None
-    keypoints = load_keypoint_set(weights_of(suit.video.network).keypoint_set)
+    keypoints = load_keypoint_set(keypoint_set_of(suit.video.network))
     person = replace(keypoints, skeleton=suit.skeleton, markers=suit.markers)
     return VideoReconstructor(suit.video.cameras, person, VideoOptions(is_measured=True))

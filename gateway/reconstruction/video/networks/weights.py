@@ -117,6 +117,15 @@ NETWORKS = {
 """Every network that can be asked for, the default first."""
 
 
+IMPORTED_SETS = ("coco_17", "coco_23", "feet_24", "openpose_18")
+"""Sets of keypoints that other programs found: these stand in the place of a network's name."""
+
+
+def keypoint_set_of(network: str) -> str:
+    """The name of a network's keypoint set. Raises ``GatewayError`` for an unknown network."""
+    return network if network in IMPORTED_SETS else weights_of(network).keypoint_set
+
+
 def weights_of(name: str) -> Weights:
     """The weights of a network by its name. Raises ``GatewayError`` for an unknown one."""
     if name not in NETWORKS:

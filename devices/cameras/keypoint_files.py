@@ -1,0 +1,118 @@
+"""Keypoints in pictures, found by other programs, as files: JSON of OpenPose's kind and of COCO's.
+
+OpenPose, RTMPose and AlphaPose by way of Pose2Sim, and OpenPifPaf's converters write a folder a camera with a
+file a picture, ``{"people": [{"pose_keypoints_2d": [x, y, likelihood, …]}]}``. COCO's results are one list
+(or the ``annotations`` of a dictionary) of ``{"image_id": …, "keypoints": [x, y, likelihood, …]}``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.vendor_formats.sheets import FormatError
+
+_NUMBERS = re.compile(r"\d+")
+_FIELDS = ("pose_keypoints_2d", "keypoints")
+
+
+@dataclass(frozen=True)
+class PictureKeypoints:
+    """The pictures of one camera."""
+
+    path: Path
+    people: tuple[tuple[NDArray[np.float64], ...], ...]
+    """Of each picture each person's (n, 3): x, y, likelihood, pixels of the picture; all zero: not found."""
+
+    @property
+    def n_keypoints(self) -> int:
+        """Of every person; 0 where nobody is in any picture."""
+        return next((len(person) for people in self.people for person in people), 0)
+
+
+def is_keypoints(place: str) -> bool:
+    """Whether a path holds keypoints: a ``.json``, or a folder with such files."""
+    path = Path(place)
+    return (path.suffix.lower() == ".json" and path.is_file()) or (path.is_dir() and any(path.glob("*.json")))
+
+
+def read_keypoints(path: Path) -> PictureKeypoints:
+    """A folder of files, one a picture, in the order of the last numbers in their names; or one file for all.
+
+    Raises ``FormatError``.
+    """
+    found = _of_folder(path) if path.is_dir() else _of_file(path)
+    counts = {len(person) for people in found for person in people}
+    if len(counts) > 1:
+        raise FormatError(
+            f"{path}: people of {' and '.join(map(str, sorted(counts)))} keypoints: one network's"
+        )
+    if not counts:
+        raise FormatError(f"{path}: nobody in any of {len(found)} pictures")
+    return PictureKeypoints(path, tuple(found))
+
+
+def _of_folder(path: Path) -> list[tuple[NDArray[np.float64], ...]]:
+    files = sorted(path.glob("*.json"), key=lambda each: (_number(each), each.name))
+    return [_people(_loaded(file), file) for file in files]
+
+
+def _number(path: Path) -> int:
+    numbers = _NUMBERS.findall(path.stem)
+    return int(numbers[-1]) if numbers else -1
+
+
+def _loaded(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path}: cannot be read as JSON: {error}") from error
+
+
+def _people(content: Any, file: Path) -> tuple[NDArray[np.float64], ...]:
+    if not isinstance(content, dict) or not isinstance(content.get("people"), list):
+        raise FormatError(f"{file}: no list 'people': files of OpenPose's kind have one")
+    return tuple(_person(each, file) for each in content["people"])
+
+
+def _of_file(path: Path) -> list[tuple[NDArray[np.float64], ...]]:
+    content = _loaded(path)
+    if isinstance(content, dict) and "people" in content:
+        return [_people(content, path)]
+    entries = content.get("annotations") if isinstance(content, dict) else content
+    if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
+        raise FormatError(f"{path}: neither 'people' of OpenPose nor a list of COCO's results")
+    by_picture: dict[int, list[NDArray[np.float64]]] = {}
+    for entry in entries:
+        by_picture.setdefault(_picture_of(entry, path), []).append(_person(entry, path))
+    if not by_picture:
+        raise FormatError(f"{path}: an empty list")
+    first, last = min(by_picture), max(by_picture)
+    return [tuple(by_picture.get(picture, ())) for picture in range(first, last + 1)]
+
+
+def _picture_of(entry: dict[str, Any], path: Path) -> int:
+    told = entry.get("image_id", entry.get("frame_id"))
+    numbers = _NUMBERS.findall(Path(str(told)).stem)
+    if not numbers:
+        raise FormatError(f"{path}: image_id {told!r} has no number: pictures are put in order by it")
+    return int(numbers[-1])
+
+
+def _person(entry: Any, path: Path) -> NDArray[np.float64]:
+    values = next((entry[field] for field in _FIELDS if isinstance(entry, dict) and field in entry), None)
+    try:
+        found = np.array(values, dtype=np.float64).reshape(-1, 3)
+    except (TypeError, ValueError) as error:
+        raise FormatError(
+            f"{path}: a person without {' or '.join(_FIELDS)}, a list of x, y and likelihood by turns"
+        ) from error
+    if not np.isfinite(found).all():
+        raise FormatError(f"{path}: keypoints that are no numbers")
+    return found

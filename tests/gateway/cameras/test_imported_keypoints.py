@@ -1,0 +1,180 @@
+"""Keypoints that other programs found: files of every kind, people told apart, poses of a known walk."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from devices.cameras.keypoint_files import is_keypoints, read_keypoints
+from devices.vendor_formats.sheets import FormatError
+from gateway.body.camera import project
+from gateway.calibration.cameras_file import cameras_text
+from gateway.cameras.imported_keypoints import keypoint_messages
+from gateway.cli.main import app
+from gateway.emulation.video_truth import KnownPerson, ring_of_cameras, walking
+from gateway.errors import GatewayError
+from gateway.frames import FloatArray
+from gateway.reconstruction.video.keypoint_set import load_keypoint_set
+from gateway.reconstruction.video.networks.imported import LAYOUTS, layout_of
+from gateway.reconstruction.video.reconstructor import VideoReconstructor
+from gateway.recording import open_recording
+from gateway.recording.solving import verify
+from gateway.sources.heat_maps import heat_map_frame
+
+CAMERAS = ring_of_cameras(4)
+FRAMES = 16
+
+
+def _found(
+    person: KnownPerson, camera: int, frame: int, layout: tuple[str, ...], names: tuple[str, ...]
+) -> FloatArray:
+    """(n, 3) of somebody in a picture, in the order of a program."""
+    pixels = project(CAMERAS[camera], person.keypoints[frame])
+    found = np.zeros((len(layout), 3))
+    for row, name in enumerate(layout):
+        if name:
+            found[row] = *pixels[names.index(name)], 0.9
+    return found
+
+
+def _folder(path: Path, people: list[list[FloatArray]]) -> Path:
+    """Files of OpenPose's kind, a picture each; numbers without leading zeros."""
+    path.mkdir()
+    for f, each in enumerate(people):
+        content = {"version": 1.3, "people": [{"pose_keypoints_2d": p.ravel().tolist()} for p in each]}
+        (path / f"film2_{f}_keypoints.json").write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("n_keypoints", [17, 18, 25, 26, 133])
+def test_every_layout_names_the_keypoints_of_its_set(n_keypoints: int) -> None:
+    keypoint_set, layout = layout_of(n_keypoints, "there")
+    assert len(layout) == n_keypoints
+    names = [name for name in layout if name]
+    assert sorted(names) == sorted(load_keypoint_set(keypoint_set).names)
+    assert len(set(names)) == len(names)
+
+
+def test_an_unknown_number_of_keypoints_is_refused() -> None:
+    with pytest.raises(GatewayError, match="there: 21 keypoints a person: known are 17, 18, 25, 26, 133"):
+        layout_of(21, "there")
+
+
+def test_files_of_both_kinds_are_read(tmp_path: Path) -> None:
+    person = np.arange(51.0).reshape(17, 3)
+    folder = _folder(tmp_path / "a", [[person], [], *[[person + f] for f in range(9)]])
+    read = read_keypoints(folder)
+    assert (len(read.people), read.n_keypoints, len(read.people[1])) == (11, 17, 0)
+    np.testing.assert_array_equal(read.people[10][0], person + 8)  # 10 after 9, not after 1
+    results = [
+        {"image_id": f"film2_{f:03d}.png", "keypoints": person.ravel().tolist(), "score": 1}
+        for f in (4, 6, 6)
+    ]
+    file = tmp_path / "b.json"
+    file.write_text(json.dumps(results))
+    assert [len(each) for each in read_keypoints(file).people] == [1, 0, 2]
+    file.write_text(json.dumps({"annotations": results}))
+    assert [len(each) for each in read_keypoints(file).people] == [1, 0, 2]
+    assert [is_keypoints(str(each)) for each in (folder, file)] == [True, True]
+    assert not is_keypoints(str(tmp_path / "film.mp4"))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("{", "cannot be read as JSON"),
+        ("{}", "neither 'people'"),
+        ("[]", "an empty list"),
+        ('[{"image_id": 1}]', "a person without pose_keypoints_2d or keypoints"),
+        ('[{"image_id": 1, "keypoints": [1, 2]}]', "a person without"),
+        ('[{"image_id": "first", "keypoints": [1, 2, 3]}]', "has no number"),
+        ('[{"image_id": 1, "keypoints": [1, 2, NaN]}]', "are no numbers"),
+        ('{"people": []}', "nobody in any of 1 pictures"),
+        ('{"people": [{"pose_keypoints_2d": [1,2,3]}, {"pose_keypoints_2d": [1,2,3,4,5,6]}]}', "of 1 and 2"),
+    ],
+)
+def test_what_is_no_such_file_is_refused(tmp_path: Path, content: str, said: str) -> None:
+    file = tmp_path / "bad.json"
+    file.write_text(content)
+    with pytest.raises(FormatError, match=said):
+        read_keypoints(file)
+
+
+@pytest.mark.timeout(600)
+def test_two_walkers_are_told_apart_and_found_where_they_are(tmp_path: Path) -> None:
+    """OpenPose's BODY_25; each camera lists the people in another order, and loses one for three pictures."""
+    keypoint_set, layout = LAYOUTS[25]
+    keypoints = load_keypoint_set(keypoint_set)
+    people = [
+        walking(keypoints, FRAMES, (-0.1, 0.6), (0.8, 0.0)),
+        walking(keypoints, FRAMES, (0.1, -0.6), (-0.8, 0.1), phase=1.0),
+    ]
+    read = []
+    for c in range(len(CAMERAS)):
+        pictures = []
+        for f in range(FRAMES):
+            order = people if (c + f) % 2 else people[::-1]
+            kept = [p for p in order if not (c == 1 and p is people[0] and 5 <= f < 8)]
+            pictures.append([_found(person, c, f, layout, keypoints.names) for person in kept])
+        read.append(read_keypoints(_folder(tmp_path / f"camera{c}", pictures)))
+    network, captured = keypoint_messages(CAMERAS, read, {}, 60.0, 2)
+    assert (network, len(captured), len(captured[0])) == ("feet_24", 2, FRAMES)
+    places = []
+    for messages in captured:
+        reconstructor = VideoReconstructor(CAMERAS, keypoints)
+        for f, instant in enumerate(messages):
+            pose = reconstructor.update(heat_map_frame(f, instant))
+        places.append(pose.keypoints)
+    for person in people:
+        errors = [np.median(np.linalg.norm(at - person.keypoints[-1], axis=1)) for at in places]
+        assert min(errors) < 0.01
+        assert max(errors) > 0.5
+
+
+def test_cameras_of_different_networks_are_refused(tmp_path: Path) -> None:
+    read = [read_keypoints(_folder(tmp_path / str(n), [[np.ones((n, 3))]])) for n in (17, 25)]
+    with pytest.raises(GatewayError, match="different networks"):
+        keypoint_messages(CAMERAS[:2], read, {}, 60.0, 1)
+
+
+def test_nobody_whom_two_cameras_see_is_one_error(tmp_path: Path) -> None:
+    read = [read_keypoints(_folder(tmp_path / str(c), [[np.zeros((17, 3))]])) for c in range(4)]
+    with pytest.raises(GatewayError, match="no two cameras see"):
+        keypoint_messages(CAMERAS, read, {}, 60.0, 1)
+
+
+@pytest.mark.timeout(600)
+def test_the_command_solves_them(tmp_path: Path) -> None:
+    """Halpe's 26, as RTMPose writes them for Pose2Sim."""
+    keypoint_set, layout = LAYOUTS[26]
+    keypoints = load_keypoint_set(keypoint_set)
+    person = walking(keypoints, FRAMES, (-0.1, 0.0), (0.8, 0.3))
+    places = [
+        str(
+            _folder(
+                tmp_path / f"{camera.name}_json",
+                [[_found(person, c, f, layout, keypoints.names)] for f in range(FRAMES)],
+            )
+        )
+        for c, camera in enumerate(CAMERAS)
+    ]
+    calibration, target = tmp_path / "cameras.yaml", tmp_path / "walk.mcap"
+    calibration.write_text(cameras_text(CAMERAS))
+    command = ["video", "solve", *places, "--cameras", str(calibration), "-o", str(target)]
+    without_rate = CliRunner().invoke(app, command)
+    assert "--rate" in str(without_rate.exception)
+    done = CliRunner().invoke(app, [*command, "--rate", "60"])
+    assert done.exit_code == 0, done.output
+    recording = open_recording(target)
+    arrays = recording.skeleton_arrays()
+    assert arrays.rate_hz == pytest.approx(60.0)
+    joints = [
+        arrays.skeleton.index(f"{side}_{part}") for side in ("left", "right") for part in ("hand", "foot")
+    ]
+    apart = np.linalg.norm(arrays.p_w[-1, joints] - person.joints[len(arrays.p_w) - 1, joints], axis=1)
+    assert apart.max() < 0.03
+    assert verify(recording).is_identical
