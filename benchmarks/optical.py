@@ -81,7 +81,8 @@ def run() -> Report:
         "### Held-out frames: distance of markers and body, RMSE in mm\n\n"
         "Left-out markers are not shown to the pose and looked for where the body, fitted with them to other "
         "frames, has them. *Held*: of segments that carry two others; *unheld*: of all others, where joints "
-        "and what they are allowed must tell.\n\n"
+        "and what they are allowed must tell. *Published* is timed in one pass over the trial; the command "
+        "makes up to eight.\n\n"
         + table(
             ["trial", "method", "held-out frames", "left out, held", "left out, unheld", "ms a frame"],
             compared,

@@ -118,7 +118,7 @@ def fit(
     if as_json:
         typer.echo(json.dumps(outcome, indent=2))
     else:
-        _print_fit(found, outcome)
+        _print_fit(found, outcome, functional=functional)
 
 
 def _read_trials(files: list[Path], is_shown: bool) -> list[MarkerTrial]:
@@ -198,6 +198,7 @@ def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, objec
         "up": found.markers.vertical,
         "angles_deg": {name: round(math.degrees(a), 2) for name, a in found.angles.items() if a},
         "left_out": list(found.left_out),
+        "functional": found.is_functional,
         "too_few": {name: list(labels) for name, labels in found.too_few.items()},
         "lengths_mm": lengths_mm,
         "uneven": uneven_sides(lengths_mm),
@@ -227,7 +228,7 @@ def _worn(found: Fit, name: str) -> str:
     return " ".join(label for label, where in on if where == segment)
 
 
-def _print_fit(found: Fit, outcome: dict[str, object]) -> None:
+def _print_fit(found: Fit, outcome: dict[str, object], *, functional: bool) -> None:
     from gateway.reconstruction.optical.fitting import by_lacking
 
     lengths, moved = outcome["lengths_mm"], outcome["moved_mm"]
@@ -244,6 +245,12 @@ def _print_fit(found: Fit, outcome: dict[str, object]) -> None:
     for name, angle in found.angles.items():
         if angle:
             typer.echo(f"{name}: {math.degrees(angle):.1f}° (--angle {name}=0 takes the wand as it stands)")
+    if found.is_functional and not functional:
+        typer.echo(
+            "note: joint centres are where the motion has them, as with --functional: markers are met far "
+            "better so than where rules have them (--rules-only keeps to those)",
+            err=True,
+        )
     if found.left_out:
         typer.echo(f"note: no markers on {', '.join(found.left_out)}: the body goes without them", err=True)
     for lacking, names in by_lacking(found.too_few).items():

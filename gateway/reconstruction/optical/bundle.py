@@ -10,6 +10,7 @@ where the rules have them, each by its trust.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,14 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray, IntArray
 from gateway.reconstruction.optical import kernels
 from gateway.reconstruction.optical.bundle_kernels import Reduced, back_substituted, eliminate
-from gateway.reconstruction.optical.pose_solver import BodyModel, Held, Pose, everyone, solve_pose
+from gateway.reconstruction.optical.pose_solver import (
+    FIXED_SIGMA,
+    BodyModel,
+    Held,
+    Pose,
+    everyone,
+    solve_pose,
+)
 
 INDEPENDENT_FRAMES = 2.0
 """Frames count as no more than so many independent ones: skin moves alike in frames near each other."""
@@ -43,14 +51,19 @@ class Adjusted:
 
 
 def adjusted(
-    model: BodyModel, observed: FloatArray, poses: list[Pose], trust: FloatArray, scale: float
+    model: BodyModel,
+    observed: FloatArray,
+    poses: list[Pose],
+    trust: FloatArray,
+    scale: float,
+    bending: Sequence[int] = (),
 ) -> Adjusted:
     """The body that fits K frames.
 
     observed: (K, M, 3) m, NaN where not seen; poses: K to begin with; trust: (S,) m, 1 σ of every joint's
-    place in its parent. scale: see ``solve_pose``.
+    place in its parent. scale: see ``solve_pose``. bending: segments whose joints bend in one plane only.
     """
-    allowed, model = model, _loose(model)
+    allowed, model = model, _loose(model, bending)
     first = np.concatenate([model.offsets[model.parents >= 0].ravel(), model.positions.ravel()])
     joints = int((model.parents >= 0).sum())
     stiffness = _stiffness(model, trust)
@@ -96,14 +109,17 @@ def _stiffness(model: BodyModel, trust: FloatArray) -> FloatArray:
     return stiffness
 
 
-def _loose(model: BodyModel) -> BodyModel:
+def _loose(model: BodyModel, bending: Sequence[int] = ()) -> BodyModel:
     """What joints are allowed must hold poses that markers leave open, and not bend the body to fit.
 
     A segment with a single marker of its own keeps its stiffness: how it turns about the line through marker
-    and joint is not seen, and turns made up for it would move the joints on it.
+    and joint is not seen, and turns made up for it would move the joints on it. One that bends in a plane
+    keeps that of the angles it does not have: skin turns about a bone's length by more than such a joint.
     """
-    looseness = np.where(own_markers(model)[model.distals] == 1, 1.0, LOOSENESS)
-    return model._replace(stiffness=model.stiffness * looseness[:, None], limit_stiffness=0.0)
+    looseness = np.where(own_markers(model)[model.distals] == 1, 1.0, LOOSENESS)[:, None]
+    is_held = np.isin(model.distals, bending)[:, None] & (model.stiffness >= FIXED_SIGMA**-2)
+    stiffness = model.stiffness * np.where(is_held, 1.0, looseness)
+    return model._replace(stiffness=stiffness, limit_stiffness=0.0)
 
 
 def own_markers(model: BodyModel) -> IntArray:

@@ -16,7 +16,12 @@ from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry import quaternion
 from gateway.reconstruction.optical import kernels
-from gateway.reconstruction.optical.anchoring import turned, turns_to_neutral, turns_to_rules
+from gateway.reconstruction.optical.anchoring import (
+    turned,
+    turns_to_bending,
+    turns_to_neutral,
+    turns_to_rules,
+)
 from gateway.reconstruction.optical.bundle import (
     Adjusted,
     adjusted,
@@ -64,6 +69,9 @@ the say, by ``_HELD`` of their trust."""
 _HELD = 0.2
 _FEWEST_SEGMENTS = 3
 """That carry markers and lie somewhere: fewer are no body."""
+_FAR_BETTER = 0.5
+"""Of the rest with rules, below which the motion counts as showing all joints by itself: markers on skin
+leave more, whatever the joints."""
 _STILL = 0.05  # m, of a marker's standard deviation
 
 
@@ -107,6 +115,8 @@ class Fit:
     """Segments of the marker set's body that carry no marker of these trials."""
     too_few: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Segments that carry too few for their axes, and those beyond them: with the markers that lack."""
+    is_functional: bool = False
+    """Whether joints are where the motion has them, whatever rules say."""
 
 
 def by_lacking(too_few: Mapping[str, tuple[str, ...]]) -> dict[str, list[str]]:
@@ -152,12 +162,15 @@ def fit_body(
         progress(1, 2)
     begun = Adjusted(model, poses, weighted_rmse(poses), 0)
     moved = np.zeros(skeleton.n_segments)
-    done, tips = begun, skeleton.tips
+    bending = [] if options.neutral is not None else _bending(marker_set)
+    done, tips = turned(begun, skeleton.tips, turns_to_bending(model, poses, bending))
+    is_functional = options.centres == "motion"
     if options.centres != "rules":
-        done = _moved_by_motion(marker_set, begun, observed, options.centres)
+        done, is_functional = _found_in_motion(marker_set, done, observed, options.centres, bending)
         moved = np.linalg.norm(done.model.offsets - skeleton.offsets, axis=1)
         if options.neutral is None:
             done, tips = turned(done, tips, turns_to_rules(done.poses, axes))
+            done, tips = turned(done, tips, turns_to_bending(done.model, done.poses, bending))
         else:
             stood = _standing(sightings[0], markers, marker_set, options.neutral, trials[0])
             done, tips = _anchored_in_neutral(marker_set, done, observed, stood, tips, options.centres)
@@ -167,7 +180,7 @@ def fit_body(
     own_labels = tuple(dressed.file_labels[label] for label in markers.labels)
     sized = resized(marker_set, final.offsets, tips)
     return Fit(
-        skeleton=replace(sized, joints=shown_joints(sized, final, done.poses)),
+        skeleton=replace(sized, joints=shown_joints(sized, final, done.poses, bending)),
         markers=replace(markers, labels=own_labels, positions=final.positions, sigmas=final.sigmas),
         marker_set=marker_set.file.name,
         lengths=measured.lengths,
@@ -178,14 +191,37 @@ def fit_body(
         moved=moved,
         left_out=dressed.left_out,
         too_few=too_few,
+        is_functional=is_functional,
     )
 
 
-def _moved_by_motion(marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str) -> Adjusted:
+def _moved_by_motion(
+    marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str, bending: Sequence[int]
+) -> Adjusted:
     """The body found together with its poses: first with all markers heard, then each by its own σ."""
     trust = _trust(marker_set, begun.model, centres)
-    done = adjusted(begun.model, observed, begun.poses, trust, _NEAR_AT_FIRST)
-    return adjusted(with_sigmas(done.model, done.poses, SMALLEST_SIGMA), observed, done.poses, trust, NEAR)
+    done = adjusted(begun.model, observed, begun.poses, trust, _NEAR_AT_FIRST, bending)
+    known = with_sigmas(done.model, done.poses, SMALLEST_SIGMA)
+    return adjusted(known, observed, done.poses, trust, NEAR, bending)
+
+
+def _found_in_motion(
+    marker_set: MarkerSet, begun: Adjusted, observed: FloatArray, centres: str, bending: Sequence[int]
+) -> tuple[Adjusted, bool]:
+    """The body as the motion and rules have it, and whether rules were left aside: asked for, or since joints
+    went as far as rules let them and markers are met far better without."""
+    done = _moved_by_motion(marker_set, begun, observed, centres, bending)
+    away = np.linalg.norm(done.model.offsets - begun.model.offsets, axis=1)
+    if centres == "motion" or not (away > _trust(marker_set, begun.model, centres)).any():
+        return done, centres == "motion"
+    free = _moved_by_motion(marker_set, begun, observed, "motion", bending)
+    return (free, True) if free.rmse < _FAR_BETTER * done.rmse else (done, False)
+
+
+def _bending(marker_set: MarkerSet) -> list[int]:
+    """Segments whose joints bend in one plane."""
+    entries = marker_set.file.segments
+    return [s for s, name in enumerate(marker_set.body.segment_names) if entries[name].bends]
 
 
 def _anchored_in_neutral(

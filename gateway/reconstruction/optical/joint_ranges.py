@@ -23,9 +23,14 @@ _OUTLIERS = 2.0
 """Percent of the frames at either end that do not count."""
 
 
-def shown_joints(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) -> tuple[Joint, ...]:
+def shown_joints(
+    skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose], bending: Sequence[int] = ()
+) -> tuple[Joint, ...]:
     """The skeleton's joints with limits wide enough for the poses; angles that leave their neutral place by
-    more than ``FIXED_SIGMA`` count as free from now on."""
+    more than ``FIXED_SIGMA`` count as free from now on.
+
+    bending: segments whose joints bend in one plane: angles that those do not have stay held.
+    """
     rows = {int(distal): row for row, distal in enumerate(model.distals)}
     joints = []
     for joint in skeleton.joints:
@@ -36,7 +41,7 @@ def shown_joints(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) ->
         if len(set(joint.sequence)) != 3:
             joints.append(joint)
             continue
-        joints.append(_widened(joint, _angles(model, row, poses)))
+        joints.append(_widened(joint, _angles(model, row, poses), only_free=joint.distal in bending))
     return tuple(joints)
 
 
@@ -48,9 +53,12 @@ def _angles(model: BodyModel, row: int, poses: Sequence[Pose]) -> FloatArray:
     return np.array(regular).reshape(-1, 3)
 
 
-def _widened(joint: Joint, shown: FloatArray) -> Joint:
+def _widened(joint: Joint, shown: FloatArray, *, only_free: bool) -> Joint:
     if not len(shown):
         return joint
+    if only_free:
+        held = np.array([angle.name not in joint.free for angle in joint.angles])
+        shown = np.where(held, 0.0, shown)
     low, high = np.percentile(shown, [_OUTLIERS, 100.0 - _OUTLIERS], axis=0)
     angles = tuple(_wider(angle, low[k], high[k]) for k, angle in enumerate(joint.angles))
     moving = {

@@ -204,6 +204,10 @@ class SegmentRule(_Strict):
     trust_mm: Annotated[float, Field(gt=0, le=500)] = Field(
         default=5, description="how far the motion may move the joint from where the rule has it, 1 σ"
     )
+    bends: bool = Field(
+        default=False,
+        description="its joint bends in one plane, which tells how its parent is turned about its length",
+    )
 
 
 class MarkerSetFile(_Strict):
