@@ -120,7 +120,7 @@ test-socketcan: install-dev firmware
 
 # What the firmware is built with, and run in; without a C compiler and the right to install one, a wheel has it.
 FIRMWARE_TOOLS := make=make cc=gcc+libc6-dev arm-none-eabi-gcc=gcc-arm-none-eabi qemu-system-arm=qemu-system-arm
-HOST_CC = $(shell for c in cc gcc clang; do command -v $$c && break; done || echo "$(BIN)/python -m ziglang cc")
+HOST_CC = $(shell for c in cc gcc clang; do command -v $$c && break; done || echo "$(CURDIR)/$(BIN)/python -m ziglang cc")
 
 firmware-tools: $(VENV)/pyvenv.cfg
 	@$(MAKE) -s system-tools SYSTEM_TOOLS="$(FIRMWARE_TOOLS)"
