@@ -3,13 +3,19 @@
 #define CAPACITY 512u /* powers of two: the indices run freely */
 #define STAMPS 16u
 
-static uint8_t ring[CAPACITY];
-static uint32_t stamps[STAMPS]; /* of the delimiters in the ring */
+/* All of it volatile: else the compiler might read what lies in the ring before it looks whether anything does. */
+static volatile uint8_t ring[CAPACITY];
+static volatile uint32_t stamps[STAMPS]; /* of the delimiters in the ring */
 static volatile uint16_t put, got;
 static volatile uint8_t stamps_put, stamps_got;
 
 void inbox_on_byte(uint8_t byte) {
+    static bool was_end;
     const bool is_end = byte == MOCAP_DELIMITER;
+    if (is_end && was_end) {
+        return; /* a line that is idle, or held low */
+    }
+    was_end = is_end;
     if ((uint16_t)(put - got) == CAPACITY || (is_end && (uint8_t)(stamps_put - stamps_got) == STAMPS)) {
         return; /* the checksum will tell, and the host asks again */
     }

@@ -90,17 +90,22 @@ void samples_on_timer(void) {
     board_wake_at(due);
 }
 
+/* The interrupt is kept out here and in samples_done() not for the indices' sake: it is what holds the compiler, and a second
+ * core, to reading a sample after it was put and before its place is given back. */
 const sample *samples_next(void) {
-    return put == got ? NULL : &waiting[got % WAITING];
+    const uint32_t before = board_interrupts_off();
+    const sample *next = put == got ? NULL : &waiting[got % WAITING];
+    board_interrupts_on(before);
+    return next;
 }
 
 void samples_done(bool was_sent) {
+    const uint32_t before = board_interrupts_off();
     ++got;
     if (!was_sent) {
-        const uint32_t before = board_interrupts_off();
         ++counts.dropped;
-        board_interrupts_on(before);
     }
+    board_interrupts_on(before);
 }
 
 sample_counts samples_counted(void) {

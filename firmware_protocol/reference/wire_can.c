@@ -110,24 +110,33 @@ static void complain(void) {
     }
 }
 
+/* The oldest frame that came. False where there is none. */
+static bool take_arrival(arrival *came) {
+    const uint32_t before = board_interrupts_off(); /* see samples_next() */
+    const bool is_there = arrivals_put != arrivals_got;
+    if (is_there) {
+        *came = arrivals[arrivals_got % FRAMES];
+        ++arrivals_got;
+    }
+    board_interrupts_on(before);
+    return is_there;
+}
+
 bool wire_take(mocap_wire_frame *frame, uint32_t *came_us) {
+    arrival came;
     if (was_bus_off) {
         was_bus_off = false;
         reports_log(MOCAP_LOG_LINE_LEVEL_WARNING, "the controller had left the bus", REPORTS_NO_NUMBER);
     }
-    while (arrivals_put != arrivals_got) {
-        const arrival *came = &arrivals[arrivals_got % FRAMES];
-        const uint8_t kind = (uint8_t)(came->frame.identifier >> MOCAP_CAN_KIND_SHIFT & 0xFFu);
-        const uint8_t module = (uint8_t)(came->frame.identifier >> MOCAP_CAN_MODULE_SHIFT & 0xFFu);
-        bool is_whole = false;
-        *came_us = came->came_us;
-        if (is_from_host(kind)) { /* that of other modules would only push the host's pieces out */
-            is_whole = mocap_can_decoder_push(&decoder, &came->frame, frame);
-        } else if (module == wire_module()) {
-            complain();
-        }
-        ++arrivals_got;
-        if (is_whole) {
+    while (take_arrival(&came)) {
+        const uint8_t kind = (uint8_t)(came.frame.identifier >> MOCAP_CAN_KIND_SHIFT & 0xFFu);
+        const uint8_t module = (uint8_t)(came.frame.identifier >> MOCAP_CAN_MODULE_SHIFT & 0xFFu);
+        *came_us = came.came_us;
+        if (!is_from_host(kind)) { /* that of other modules would only push the host's pieces out */
+            if (module == wire_module()) {
+                complain();
+            }
+        } else if (mocap_can_decoder_push(&decoder, &came.frame, frame)) {
             return true;
         }
     }
