@@ -4,6 +4,9 @@
 
 #include "mocap_protocol.h"
 
+/* Without one every command about it is answered with MOCAP_RESULT_NOT_SUPPORTED, whatever its arguments. */
+bool card_is_there(void);
+
 /* Each fills in the payload of its answer and says how it ended. */
 
 mocap_result card_list(uint16_t first, uint8_t *payload, size_t capacity, size_t *size);

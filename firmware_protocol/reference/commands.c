@@ -137,6 +137,9 @@ static mocap_result factory_reset(request *asked) {
 
 static mocap_result list_card(request *asked) {
     mocap_card_list_arguments arguments;
+    if (!card_is_there()) {
+        return MOCAP_RESULT_NOT_SUPPORTED;
+    }
     if (mocap_decode_card_list_arguments(asked->arguments, asked->arguments_size, &arguments) != MOCAP_GOOD) {
         return MOCAP_RESULT_BAD_ARGUMENTS;
     }
@@ -145,6 +148,9 @@ static mocap_result list_card(request *asked) {
 
 static mocap_result read_card(request *asked) {
     mocap_card_read_arguments arguments;
+    if (!card_is_there()) {
+        return MOCAP_RESULT_NOT_SUPPORTED;
+    }
     if (mocap_decode_card_read_arguments(asked->arguments, asked->arguments_size, &arguments) != MOCAP_GOOD) {
         return MOCAP_RESULT_BAD_ARGUMENTS;
     }
@@ -153,6 +159,9 @@ static mocap_result read_card(request *asked) {
 
 static mocap_result erase_card(request *asked) {
     mocap_card_erase_arguments arguments;
+    if (!card_is_there()) {
+        return MOCAP_RESULT_NOT_SUPPORTED;
+    }
     if (mocap_decode_card_erase_arguments(asked->arguments, asked->arguments_size, &arguments) != MOCAP_GOOD) {
         return MOCAP_RESULT_BAD_ARGUMENTS;
     }

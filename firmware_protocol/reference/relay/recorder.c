@@ -168,7 +168,7 @@ void recorder_mount(void) {
             memcpy(erased, block + START_OF_DATA, sizeof erased);
         }
     }
-    if (!is_ours && recorder_has_card() && is_blank(0u) && is_blank(1u)) {
+    if (!is_ours && card_is_there() && is_blank(0u) && is_blank(1u)) {
         epoch = 1u;
         is_ours = write_head();
     }
@@ -177,7 +177,7 @@ void recorder_mount(void) {
     }
 }
 
-bool recorder_has_card(void) {
+bool card_is_there(void) {
     return board_blocks() > HEADS;
 }
 
@@ -277,9 +277,6 @@ static uint16_t files_there(void) {
 mocap_result card_list(uint16_t first, uint8_t *payload, size_t capacity, size_t *size) {
     const mocap_card_list_payload told = {files_there()};
     uint16_t i, place = 0u;
-    if (!recorder_has_card()) {
-        return MOCAP_RESULT_NOT_SUPPORTED;
-    }
     *size = mocap_encode_card_list_payload(&told, payload, capacity);
     for (i = 0u; i < n_files && capacity - *size >= MOCAP_CARD_LIST_ENTRY_MAX_SIZE; ++i) {
         const mocap_card_list_entry entry = {files[i].number, files[i].size, files[i].start_us, files[i].crc};
@@ -312,9 +309,6 @@ mocap_result card_read(const mocap_card_read_arguments *wanted, uint8_t *payload
     uint8_t data[MOCAP_CARD_READ_ARGUMENTS_LENGTH_MAX];
     const file_entry *entry = find(wanted->file);
     mocap_card_read_payload answer = {wanted->file, wanted->offset, data, wanted->length};
-    if (!recorder_has_card()) {
-        return MOCAP_RESULT_NOT_SUPPORTED;
-    }
     if (entry == NULL) {
         return MOCAP_RESULT_NO_SUCH_FILE;
     }
@@ -341,9 +335,6 @@ static mocap_result erase_all(void) {
 
 mocap_result card_erase(uint16_t number) {
     file_entry *entry = find(number);
-    if (!recorder_has_card()) {
-        return MOCAP_RESULT_NOT_SUPPORTED;
-    }
     if (entry == NULL && number != MOCAP_ALL_FILES) {
         return MOCAP_RESULT_NO_SUCH_FILE;
     }

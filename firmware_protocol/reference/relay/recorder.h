@@ -18,7 +18,4 @@ bool recorder_write(const uint8_t *data, size_t size);
 /* Brings what waits in memory to the card, once a second: more than that is not lost with the power. */
 void recorder_work(uint32_t now_us);
 
-/* Whether there is a card. */
-bool recorder_has_card(void);
-
 #endif

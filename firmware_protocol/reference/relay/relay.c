@@ -4,6 +4,7 @@
  * next batch: the host measures how long they take.
  */
 #include "board.h"
+#include "card.h"
 #include "commands.h"
 #include "module.h"
 #include "outbox.h"
@@ -30,7 +31,7 @@ static void say_full(void) {
 }
 
 void module_start_sampling(void) {
-    if (recorder_has_card() && !recorder_begin(board_time_us())) {
+    if (card_is_there() && !recorder_begin(board_time_us())) {
         say_full();
     }
 }
