@@ -128,6 +128,7 @@ void module_act_by_settings(void) {
 }
 
 void module_begin(void) {
+    board_watchdog_begin(); /* first: sensors that do not answer may hold up what follows */
     store_begin();
     wire_begin();
     is_sampling = true;
@@ -138,7 +139,6 @@ void module_begin(void) {
     if (store_is_factory()) {
         reports_event(MOCAP_EVENT_STARTED_FROM_THE_FACTORY_SETTINGS, 0u);
     }
-    board_watchdog_begin();
 }
 
 static void take_what_came(void) {
@@ -148,6 +148,7 @@ static void take_what_came(void) {
         const bool is_for_me = frame.module == wire_module() || frame.module == MOCAP_BROADCAST;
         if (frame.kind == MOCAP_KIND_COMMAND) {
             commands_take(&frame); /* one by unique id concerns this module whatever its id */
+            (void)commands_work(); /* before so many have come that their answers are forgotten */
         } else if (is_for_me && frame.kind == MOCAP_KIND_SYNC_REQUEST) {
             answer_time_request(&frame, came_us);
         } else if (is_for_me && frame.kind == MOCAP_KIND_SAMPLING_TRIGGER) {

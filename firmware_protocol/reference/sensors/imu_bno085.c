@@ -41,6 +41,7 @@ static const step of_force = {53463, 20050}, of_rate = {120158, 17850}, of_field
 #define RESET_US 300000u
 #define WAIT_US 2000u
 #define WAITS 100u
+#define MOST_AFTER_RESET 50u /* transfers: a bus that is stuck has no end of them */
 
 static uint8_t sequences[CHANNELS];
 static uint8_t came[320];
@@ -79,7 +80,7 @@ static bool put(const uint8_t *from, step in, int16_t to[3]) {
     bool is_clipped = false;
     uint8_t i;
     for (i = 0u; i < 3u; ++i) {
-        const int16_t value = (int16_t)mocap_get_u16(from + 2u * i);
+        const int16_t value = mocap_get_i16(from + 2u * i);
         const int64_t product = (int64_t)value * in.scale;
         const int64_t steps = (product + (product < 0 ? -32768 : 32768)) / 65536;
         is_clipped = is_clipped || value >= in.end || value <= -in.end;
@@ -167,7 +168,7 @@ static bool is_there(void) {
     }
     memset(sequences, 0, sizeof sequences);
     board_delay_us(RESET_US);
-    while (take_transfer()) { /* the advertisement, and that it was reset */
+    for (waits = 0u; waits < MOST_AFTER_RESET && take_transfer(); ++waits) { /* the advertisement, and that it was reset */
     }
     if (!say(CHANNEL_CONTROL, asked, sizeof asked)) {
         return false;
