@@ -9,7 +9,8 @@
  *     can_on_sent()        a mailbox for frames is free again
  *     can_on_bus_off()     the controller has left the bus, and all that it was given is lost
  *
- * Interrupts of the same board do not interrupt each other.
+ * The line's or the bus's may interrupt the alarm's, and should where each byte waits for its own: reading the sensors takes
+ * longer than a byte. They have nothing in common. Else interrupts of the same board do not interrupt each other.
  */
 #ifndef MODULE_BOARD_H
 #define MODULE_BOARD_H

@@ -16,12 +16,13 @@ static bool read(void *context, uint32_t address, uint8_t *data, size_t size) {
 }
 
 static bool erase(void *context, uint8_t slot) {
-    volatile uint8_t *start = image_bytes() + slot * BOARD_SLOT_SIZE;
+    volatile uint8_t *start;
     uint32_t at, i;
     (void)context;
     if (slot >= SLOTS) {
         return false;
     }
+    start = image_bytes() + slot * BOARD_SLOT_SIZE;
     for (at = 0u; at < BOARD_SLOT_SIZE; at += IMAGE_ERASE_STEP) {
         for (i = at; i < at + IMAGE_ERASE_STEP; ++i) {
             start[i] = 0xFFu;
@@ -32,12 +33,13 @@ static bool erase(void *context, uint8_t slot) {
 }
 
 static bool program(void *context, uint32_t address, const uint8_t *data, size_t size) {
-    volatile uint8_t *start = image_bytes() + address;
+    volatile uint8_t *start;
     size_t at;
     (void)context;
     if (!slots_hold(address, size)) {
         return false;
     }
+    start = image_bytes() + address;
     for (at = 0u; at < size; ++at) {
         start[at] = (uint8_t)(start[at] & data[at]);
         if (at % WORD == WORD - 1u || at + 1u == size) {

@@ -80,6 +80,8 @@ enum { A, B, C };
 #define IWDG_BUSY REGISTER(0x4000300Cu)
 
 #define NVIC_ENABLE(irq) REGISTER(0xE000E100u + 4u * ((irq) / 32u))
+#define NVIC_PRIORITY(irq) (*(volatile uint8_t *)(0xE000E400u + (irq)))
+#define BELOW_THE_LINE 0x80u
 #define IRQ_TIM2 28u
 #define IRQ_USART1 37u
 
@@ -356,6 +358,7 @@ void board_begin(void) {
     board_led(false);
     pin(C, LIGHT, OUTPUT, 0u);
     PULL(C) |= 1u << 2u * JUMPER;
+    NVIC_PRIORITY(IRQ_TIM2) = BELOW_THE_LINE; /* a byte comes each 10 us, and the sensors are read for 60 */
     NVIC_ENABLE(IRQ_TIM2) = BIT(IRQ_TIM2 % 32u);
     NVIC_ENABLE(IRQ_USART1) = BIT(IRQ_USART1 % 32u);
 }
