@@ -13,7 +13,10 @@ import random
 import select
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -24,7 +27,9 @@ from devices.device_errors import DeviceError
 from devices.endpoints import link_from_url
 from devices.link import LinkError
 from devices.setting_values import SETTING_KEYS, encoded_setting
+from firmware_protocol import MAX_MODULE
 from firmware_protocol.commands import Verb
+from firmware_protocol.flash_slots import SLOT_SIZE, decode_slot
 from tests.firmware.machines import ESP32, POSIX, QEMU, Machine
 from tests.fixtures.commands import Command
 from tests.patience import PATIENCE_S
@@ -177,35 +182,70 @@ async def assign_and_cut(pair, wanted, cut_s, which):
 # As somebody types it.
 
 PAIR = (8, 9)
-"""Ids of the arm's two modules in rig arm_3."""
+"""Ids of the arm's first two modules in rig arm_3."""
+SEGMENTS = ("right_upper_arm", "right_forearm")
+"""That wear them."""
+N_LANES = 6
+"""Modules, or pairs of them, cut beside each other: commands wait more than they work."""
+COMMIT_S = 0.04
+"""A little more than what a commit takes on the chip."""
+PAUSE_S = 0.03
+"""Between two commits of one command flash lies still for longer than that."""
+LOOK_S = 0.001
 
 
 def flash_of(machines: Iterable[Machine]) -> list[bytes]:
     """What stands in the slots of settings of each."""
-    return [machine.memory.read(0, 0x1000) for machine in machines]
+    return [machine.memory.read(0, 2 * SLOT_SIZE) for machine in machines]
 
 
-def cut_as_it_writes(
-    process: Command, machines: list[Machine], which: int, after_s: float, n_changes: int
-) -> None:
-    """Cut the power of a module so long after flash was seen to change so often, or at the command's end."""
-    seen, changes = flash_of(machines), 0
-    while process.returncode is None and changes < n_changes:
-        now = flash_of(machines)
-        changes += now != seen
-        seen = now
-    time.sleep(after_s)
-    machines[which].cut_power()
+def is_torn(flash: bytes) -> bool:
+    """Whether a slot is neither erased nor good."""
+    slots = flash[:SLOT_SIZE], flash[SLOT_SIZE:]
+    return any(set(slot) != {0xFF} and decode_slot(slot) is None for slot in slots)
 
 
-@contextlib.contextmanager
-def speaking(machine: Machine) -> Iterator[None]:
-    """Switch a module on and wait until it is heard: QEMU looks once a second whether its line was opened."""
-    machine.switch_on()
+class Instant:
+    """When the power is to go: mostly within a commit of the command's, now and then anywhere in it."""
+
+    def __init__(self, rng: random.Random, n_commits: int) -> None:
+        self.commit = 0 if rng.random() < 0.1 else rng.randint(1, n_commits)
+        """Which, from 1; 0: none is waited for."""
+        self.after_s = rng.uniform(0.0, COMMIT_S if self.commit else 2.0)
+        """So long after its begin."""
+
+    async def come(self, process: Command, machines: list[Machine]) -> Machine:
+        """Wait for it, or for the command's end; which machine wrote last."""
+        seen, begun, changed_s, writing = flash_of(machines), 0, 0.0, machines[0]
+        while begun < self.commit and process.returncode is None:
+            await asyncio.sleep(LOOK_S)
+            now = flash_of(machines)
+            if now != seen:
+                writing = next(m for m, old, new in zip(machines, seen, now, strict=True) if old != new)
+                begun += time.monotonic() - changed_s > PAUSE_S
+                changed_s, seen = time.monotonic(), now
+        await asyncio.sleep(self.after_s)
+        return writing
+
+
+@contextlib.asynccontextmanager
+async def speaking(machines: list[Machine]) -> AsyncIterator[None]:
+    """Switch modules on and wait until they are heard: QEMU looks once a second whether a line was opened."""
+    try:
+        for machine in machines:
+            await asyncio.to_thread(machine.switch_on)
+        await asyncio.gather(*(asyncio.to_thread(wait_until_heard, machine) for machine in machines))
+        yield
+    finally:
+        for machine in machines:
+            machine.cut_power()
+
+
+def wait_until_heard(machine: Machine) -> None:
+    """Wait until it says something. The line is closed again: commands refuse one that another has open."""
     line = os.open(machine.url, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         assert select.select([line], [], [], PATIENCE_S)[0], "it says nothing"
-        yield
     finally:
         os.close(line)
 
@@ -215,67 +255,168 @@ def _state_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
-def cuts_of_typed_settings(command: Callable[..., Command], machine: Machine, n: int) -> Counter[str]:
-    """Type ``modules set``, and cut the power while it writes; how often the old and the new stood then."""
-    rng, ended = random.Random(SEED), Counter[str]()
+async def in_lanes(lanes: Iterable[Coroutine[Any, Any, Counter[str]]]) -> Counter[str]:
+    """Run them beside each other; the sum of what they counted."""
+    return sum(await asyncio.gather(*lanes), Counter())
+
+
+async def cut_typed_settings(
+    command: Callable[..., Command], machine: Machine, n: int, lane: int | None = None
+) -> Counter[str]:
+    """Type ``modules set``, and cut the power while it writes; how often the old and the new stood then.
+
+    lane: one of several; the command is then killed with the module, as it would wait for it.
+    """
+    rng, ended = random.Random(SEED + (lane or 0)), Counter[str]()
+    uid = machine.memory.read(0x1800, 12).hex()
     for turn in range(n):
-        wanted = {"sampling_rate": 50 + turn % 100, "label": f"turn {turn}"}
+        wanted = {"module_id": turn % 64, "sampling_rate": 50 + turn % 100, "label": f"turn {turn}"}
         new = {name: encoded_setting(name, value) for name, value in wanted.items()}
         old = kept(machine, new)
         words = [f"{name}={value}" for name, value in wanted.items()]
-        typed = ("01010101", *words, "--allow-writes", "--link", machine.url, "--rig", "single")
-        with speaking(machine):
+        typed = (uid, *words, "--allow-writes", "--link", machine.url, "--rig", "single")
+        async with speaking([machine]):
             process = command("modules", "set", *typed)
-            cut_as_it_writes(process, [machine], 0, rng.uniform(0.0, 0.03), rng.randrange(1, 60))
-        code = process.wait()
-        assert "Traceback" not in process.errors
+            await Instant(rng, 1).come(process, [machine])
         now = kept(machine, new)
         assert now in (old, new), f"turn {turn}: neither {old} nor {new} but {now}"
-        assert now == new or code != 0, f"turn {turn}: it ended well"
         ended["new" if now == new else "old"] += 1
+        ended["torn"] += is_torn(flash_of([machine])[0])
+        code = await end_of(process, lane)
+        assert now == new or code != 0, f"turn {turn}: it ended well"
     return ended
+
+
+async def end_of(process: Command, lane: int | None) -> int:
+    """Return how a command ended whose module lost its power."""
+    if lane is not None:
+        process.kill()
+    code = await process.ended()
+    assert "Traceback" not in process.errors
+    return code
 
 
 @pytest.mark.usefixtures("_state_of_its_own")
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("board", [POSIX, QEMU])
-def test_modules_set_leaves_the_old_or_the_new(module, board, command):
+async def test_modules_set_leaves_the_old_or_the_new(module, board, command):
     machine = module(board, settings={"module_id": 63}, is_on=False)
-    print(dict(cuts_of_typed_settings(command, machine, 2)))
-    typed = ("63", "label=well", "--allow-writes", "--link", machine.url, "--rig", "single")
-    with speaking(machine):
+    print(dict(await cut_typed_settings(command, machine, 2)))
+    held = machine.memory.settings["module_id"]
+    typed = (held, "label=well", "--allow-writes", "--link", machine.url, "--rig", "single")
+    async with speaking([machine]):
         process = command("modules", "set", *typed)
-        assert process.wait() == 0, process.errors
+        assert await process.ended() == 0, process.errors
+    assert machine.memory.settings["label"] == "well"
+
+
+@pytest.mark.slow(reason="250 commands take some minutes")
+@pytest.mark.usefixtures("_state_of_its_own")
+@pytest.mark.timeout(3000)
+async def test_two_hundred_and_fifty_cuts_while_settings_are_typed(module, command, figure):
+    machines = [module(QEMU, 1 + lane, settings={"module_id": 63}, is_on=False) for lane in range(N_LANES)]
+    shares = [len(range(lane, 250, N_LANES)) for lane in range(N_LANES)]
+    ended = await in_lanes(
+        cut_typed_settings(command, machine, n, lane)
+        for lane, (machine, n) in enumerate(zip(machines, shares, strict=True))
+    )
+    figure(
+        f"Power cut {sum(shares)} times while `modules set` writes, {QEMU}",
+        f"the old settings stood then {ended['old']} times, the new {ended['new']} times, never others; "
+        f"a slot was half written {ended['torn']} times",
+    )
+    assert ended["old"] > 25
+    assert ended["new"] > 25
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Two modules that ``modules assign`` is typed for."""
+
+    pair: list[Machine]
+    config: Path
+    command: Callable[..., Command]
+
+    def ids(self) -> list[int]:
+        """Return what the flash of each holds."""
+        return [machine.memory.settings["module_id"] for machine in self.pair]
+
+    def assign(self, machine: Machine, module_id: int) -> Command:
+        """Type that this module is to be the one of the segment that wears this id."""
+        uid = machine.memory.read(0x1800, 12).hex()
+        typed = ("--segment", SEGMENTS[PAIR.index(module_id)], "--device", uid, "--yes", "--allow-writes")
+        return self.command("modules", "assign", *typed, "-c", self.config)
+
+
+@pytest.fixture
+def arm(module, command, tmp_path) -> Callable[[str, int], Arm]:
+    """``arm(board, place)``: two modules with a configuration of their own, switched off."""
+
+    def make(board: str, place: int = 0) -> Arm:
+        pair = [
+            module(board, 2 * place + k, settings={"module_id": number}, is_on=False)
+            for k, number in enumerate(PAIR, start=1)
+        ]
+        links = [{"name": f"line {n}", "url": each.url} for n, each in zip(PAIR, pair, strict=True)]
+        config = tmp_path / f"gateway{place}.yaml"
+        config.write_text(yaml.safe_dump({"gateway": "lab", "rig": "arm_3", "links": links}))
+        return Arm(pair, config, command)
+
+    return make
+
+
+async def cut_typed_ids(arm: Arm, n: int, lane: int | None = None) -> Counter[str]:
+    """Type ``modules assign`` so that two change places, and cut one's power; how many then had done so.
+
+    lane: as of ``cut_typed_settings``.
+    """
+    rng, ended = random.Random(SEED + (lane or 0)), Counter[str]()
+    for turn in range(n):
+        before = arm.ids()
+        holder = arm.pair[before.index(PAIR[1])]
+        async with speaking(arm.pair):
+            process = arm.assign(holder, PAIR[0])
+            writing = await Instant(rng, 3).come(process, arm.pair)
+            (writing if rng.random() < 0.7 else rng.choice(arm.pair)).cut_power()
+            then = arm.ids()
+            ended["torn"] += any(map(is_torn, flash_of(arm.pair)))
+            await end_of(process, lane)
+        for ids in (then, arm.ids()):
+            assert len(set(ids)) == 2, f"turn {turn}: both are {ids[0]}"
+            assert set(ids) <= {*PAIR, MAX_MODULE}, f"turn {turn}: {ids} of ids that nobody assigned"
+        have = sum(now not in (old, MAX_MODULE) for now, old in zip(then, before, strict=True))
+        ended[("neither", "one", "both")[have]] += 1
+        await assign_again(arm, holder)
+    return ended
+
+
+async def assign_again(arm: Arm, first: Machine) -> None:
+    """Type it until both have the ids that they were to have, of the two the displaced one last."""
+    (other,) = [machine for machine in arm.pair if machine is not first]
+    async with speaking(arm.pair):
+        for machine, module_id in zip((first, other), PAIR, strict=True):
+            if machine.memory.settings["module_id"] != module_id:
+                process = arm.assign(machine, module_id)
+                assert await process.ended() == 0, process.report()
+    assert [machine.memory.settings["module_id"] for machine in (first, other)] == list(PAIR)
 
 
 @pytest.mark.usefixtures("_state_of_its_own")
 @pytest.mark.timeout(400)
-def test_modules_assign_never_loses_or_doubles_an_id(module, command, tmp_path):
-    rng = random.Random(SEED)
-    pair = [module(POSIX, number, settings={"module_id": number}, is_on=False) for number in PAIR]
-    config = tmp_path / "gateway.yaml"
-    links = [{"name": f"line {n}", "url": each.url} for n, each in zip(PAIR, pair, strict=True)]
-    config.write_text(yaml.safe_dump({"gateway": "lab", "rig": "arm_3", "links": links}))
-    for turn in range(2):
-        for machine in pair:
-            machine.switch_on()
-        holder = next(each for each in pair if each.memory.settings["module_id"] != PAIR[0])
-        uid = holder.memory.read(0x1800, 12).hex()
-        typed = ("modules", "assign", "--segment", "right_upper_arm", "--device", uid, "--yes",
-                 "--allow-writes", "-c", config)  # fmt: skip
-        process = command(*typed)
-        cut_as_it_writes(process, pair, rng.randrange(2), rng.uniform(0.0, 0.03), rng.randrange(1, 150))
-        process.wait()
-        assert "Traceback" not in process.errors
-        for machine in pair:
-            machine.cut_power()
-        ids = [machine.memory.settings["module_id"] for machine in pair]
-        assert len(set(ids)) == 2, f"turn {turn}: both are {ids[0]}"
-        for machine in pair:
-            machine.switch_on()
-        process = command(*typed)
-        assert process.wait() == 0, process.errors
-        assert holder.memory.settings["module_id"] == PAIR[0]
-        assert len({machine.memory.settings["module_id"] for machine in pair}) == 2
-        for machine in pair:
-            machine.cut_power()
+@pytest.mark.parametrize("board", [POSIX, QEMU])
+async def test_modules_assign_never_loses_or_doubles_an_id(arm, board):
+    print(dict(await cut_typed_ids(arm(board), 1)))
+
+
+@pytest.mark.slow(reason="750 commands take a quarter of an hour")
+@pytest.mark.usefixtures("_state_of_its_own")
+@pytest.mark.timeout(3000)
+async def test_two_hundred_and_fifty_cuts_while_ids_are_typed(arm, figure):
+    shares = [len(range(lane, 250, N_LANES)) for lane in range(N_LANES)]
+    ended = await in_lanes(cut_typed_ids(arm(QEMU, lane), n, lane) for lane, n in enumerate(shares))
+    figure(
+        f"Power cut {sum(shares)} times while `modules assign` has two change places, {QEMU}",
+        f"no id lost or doubled; neither had its new one then {ended['neither']} times, one {ended['one']} "
+        f"times, both {ended['both']} times; a slot was half written {ended['torn']} times",
+    )
+    assert ended["one"] > 10
