@@ -81,3 +81,19 @@ async def press(page: Any, name: str) -> None:
 async def open_tab(page: Any, name: str) -> None:
     """Bring a tab to the front."""
     await page.get_by_role("tab", name=name, exact=True).click()
+
+
+async def reach(page: Any, name: str) -> None:
+    """Go to what bears a name by the Tab key alone."""
+    for _ in range(90):
+        await page.keyboard.press("Tab")
+        if await page.evaluate(_FOCUSED) == name:
+            return
+    raise AssertionError(f"no Tab leads to '{name}'")
+
+
+_FOCUSED = """() => {
+    const e = document.activeElement;
+    const label = e.labels && e.labels[0] ? e.labels[0].innerText : "";
+    return (label || e.innerText || e.getAttribute("aria-label") || "").trim();
+}"""

@@ -47,7 +47,7 @@ async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitt
             await page.get_by_text(f"{GATEWAY}: online").wait_for()
             assert await page.locator("canvas").count() >= 1
             await page.get_by_text("start", exact=True).click()
-            await page.get_by_text("did not answer").or_(page.get_by_text("recording start")).wait_for()
+            await page.get_by_text("Recording, start").wait_for()
             is_ended.set()
             await page.get_by_text("NO DATA for").wait_for()
             assert requested
@@ -75,7 +75,7 @@ async def test_who_may_only_look_finds_no_button_that_asks_anything(
                 page = await new_page(browser)
                 await page.goto(f"http://127.0.0.1:{unused_port}/?token={token}")
                 await page.get_by_text(f"{GATEWAY}: online").wait_for()
-                for button in ("start", "stop", "heading", "full", "mounting"):
+                for button in ("start", "stop", "heading", "full", "mounting", "position"):
                     assert await page.get_by_role("button", name=button, exact=True).count() == buttons
                 assert await page.get_by_role("button", name="front", exact=True).count() == 1
 

@@ -12,7 +12,7 @@ from gateway.cli.run import _Supervisor as Supervisor
 from gateway.outputs.settings import MqttSettings
 from gateway.recording import open_recording
 from gateway.settings import load_gateway_settings
-from tests.shown_page import SIZES, choose, open_tab, page_of, press
+from tests.shown_page import SIZES, TOKEN, choose, new_page, open_tab, page_of, press, reach
 from tests.suit_service import GATEWAY, started, suit_config
 
 pytestmark = pytest.mark.system
@@ -106,3 +106,54 @@ async def test_a_link_without_a_port_is_given_one_on_the_page(
     assert load_gateway_settings(config).links[0].url == str(port)
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_everything_is_reached_by_keyboard_alone(mosquitto, unused_port, chromium, configured):
+    """Tabs, buttons, lists and switches, without a pointer."""
+    await configured()
+    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
+        await page.get_by_text("poses/s").wait_for()
+        await reach(page, "1–3 Suit")
+        await page.keyboard.press("Enter")
+        await reach(page, "2 · Look for modules")
+        await page.keyboard.press("Enter")
+        await page.get_by_text("devices heard").wait_for()
+        await reach(page, "Segment")
+        await page.keyboard.type("right_forearm")
+        await page.keyboard.press("ArrowDown")
+        await page.keyboard.press("Enter")
+        await page.get_by_text("right forearm", exact=True).first.wait_for()
+        await reach(page, "Write to the modules")
+        await page.keyboard.press("Space")
+        assert await page.get_by_role("checkbox", name="Write to the modules").is_checked()
+
+
+async def test_a_run_goes_on_after_a_reload_and_on_another_page(
+    mosquitto, unused_port, chromium, configured, tmp_path
+):
+    """Left in the middle, seen by two, and a take that is deleted while it is played."""
+    await configured()
+    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium) as (page, _):
+        await page.get_by_text("poses/s").wait_for()
+        await open_tab(page, "7 Takes")
+        await press(page, "Record")
+        await page.get_by_text(_TWO_SECONDS).wait_for()
+        await page.reload()
+        await page.get_by_text(re.compile("REC 0:")).wait_for()
+        other = await new_page(page.context.browser)
+        await other.goto(f"http://127.0.0.1:{unused_port}/?token={TOKEN}")
+        await open_tab(other, "7 Takes")
+        await press(other, "Stop")
+        await other.get_by_text("recorded 0:").wait_for()
+        await page.get_by_text(re.compile("REC 0:")).wait_for(state="detached")
+        await open_tab(page, "7 Takes")
+        (file,) = (tmp_path / "recordings").glob("*.mcap")
+        await choose(page, 0, file.name)
+        await press(page, "Replay it here")
+        await other.get_by_text(f"REPLAY {file.name}").wait_for()
+        file.unlink()
+        await press(page, "Export and download")
+        await page.get_by_text(f"there is no recording {file.name}").wait_for()
+        assert await page.get_by_text(f"REPLAY {file.name}").count() == 1
+        await press(page, "Back to live")
+        await page.get_by_text(f"{GATEWAY}: online").wait_for()
