@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.floor import Source
+from gateway.analysis.gait import GaitEvent, gait_events
 from gateway.analysis.muscles import MuscleResult
 from gateway.recording.exporters.tables import write_csv_columns, write_parquet_columns
 
@@ -23,7 +24,14 @@ def write_tables(found: Analysis, muscles: MuscleResult | None, folder: Path, ki
     """All tables into a folder that exists. kind: of ``WRITERS``. Raises ``OSError``, and ``GatewayError``
     for Parquet without its extra."""
     written = []
-    for name, columns in tables(found, muscles).items():
+    made = tables(found, muscles)
+    events = gait_events(found.skeleton, found.floor, found.time_s)
+    if events:
+        made["gait_events"] = {
+            name: np.array(values)
+            for name, values in zip(GaitEvent._fields, zip(*events, strict=True), strict=True)
+        }
+    for name, columns in made.items():
         path = folder / f"{name}.{kind}"
         WRITERS[kind](columns, path)
         written.append(path)
