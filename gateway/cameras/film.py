@@ -26,7 +26,8 @@ def drawn_instants(
     every: int = 1,
     has_maps: bool = True,
 ) -> Iterator[Picture]:
-    """The pictures of all cameras in a row, ``height`` pixels high, with what the recording has of them.
+    """The pictures of all cameras in a row, ``height`` pixels high, with what the recording has of them; the
+    first bears the recording's name and the number of the picture.
 
     pictures: of every instant, in the order of the cameras.
     """
@@ -47,7 +48,8 @@ def drawn_instants(
             )
             for c, picture in enumerate(row)
         ]
-        yield side_by_side(drawn, names, height)
+        told = f"{names[0]}  {recording.meta.path.stem}  picture {sequence}"
+        yield side_by_side(drawn, [told, *names[1:]], height)
 
 
 def _drawn(
