@@ -7,12 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+pytest.importorskip("cv2")
+
 from typer.testing import CliRunner
 
 from devices.cameras.keypoint_files import is_keypoints, read_keypoints
 from devices.vendor_formats.sheets import FormatError
 from gateway.body.camera import project
 from gateway.calibration.cameras_file import cameras_text
+from gateway.cameras.film import drawn_instants
 from gateway.cameras.imported_keypoints import keypoint_messages
 from gateway.cli.main import app
 from gateway.emulation.video_truth import KnownPerson, ring_of_cameras, walking
@@ -178,3 +182,9 @@ def test_the_command_solves_them(tmp_path: Path) -> None:
     apart = np.linalg.norm(arrays.p_w[-1, joints] - person.joints[len(arrays.p_w) - 1, joints], axis=1)
     assert apart.max() < 0.03
     assert verify(recording).is_identical
+    video = recording.meta.suit.video
+    assert video is not None
+    blank = [np.zeros((camera.height, camera.width, 3), np.uint8) for camera in CAMERAS]
+    (drawn,) = drawn_instants(recording, video, [blank], height=320)
+    assert drawn.shape == (320, 720, 3)
+    assert all(drawn[:, left : left + 180].max() > 100 for left in range(0, 720, 180))
