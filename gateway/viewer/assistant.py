@@ -254,9 +254,9 @@ def _cells(one: Mapping[str, Any], language: str) -> Sequence[str]:
         (one["segment"] or NOTHING).replace("_", " "),
         "" if one.get("battery_percent") is None else f"{one['battery_percent']} %",
         f"{one['rate_hz']:.0f}" if one["answers"] else say(language, "silent"),
-        "" if loss is None else f"{loss:.1f} %",
+        "" if loss is None else f"{loss:.1f}",
         "" if clock is None else f"{clock['residual_us']:.0f}",
-        "" if signal is None else f"{signal} dBm",
+        "" if signal is None else str(signal),
     )
 
 
