@@ -91,6 +91,8 @@ def export(
             per_m = kind.units_per_m if unit is None else units_per_m(unit)
             kind.write(takes[wanted], path, per_m)
             written.append(_summary_of(name, path, takes[wanted], per_m))
+    if mass is None and any(name == "osim" for name in to):
+        typer.echo("note: masses of the .osim are those of 75 kg: tell the person's with --mass", err=True)
     if as_json:
         typer.echo(json.dumps(written, indent=2))
         return
