@@ -6,6 +6,7 @@ It asks the gateway the requests of the family ``calibration``, as any program m
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -18,6 +19,8 @@ from gateway.viewer.texts import say, texts
 
 COUNTDOWN_S, LOOK_S = 3.0, 0.4
 USUAL_HEIGHT_M = 1.75
+SWITCH_S, _MOST_LOOKS = 1.5, 5
+"""For a gateway to begin with another body; what is begun before that is lost with the former one."""
 
 
 class BodySteps(StepTab):
@@ -94,9 +97,15 @@ class BodySteps(StepTab):
         is_changed = metres > 0.0 and metres != self._measures["lengths"].get(name, metres)
         data = {"height_m": float(self._height.value), "lengths": {name: metres} if is_changed else {}}
         self._tell(self._say("measuring"))
-        self._measures = await self._ask("calibration", "measure", data)
+        kept = await self._ask("calibration", "measure", data)
+        self._measures = kept
+        for _ in range(_MOST_LOOKS):  # whoever has answered makes room for one with the new body
+            await asyncio.sleep(SWITCH_S)
+            with contextlib.suppress(GatewayError):
+                self._measures = await self._ask("calibration", "measure", {})
+                break
         self._show_measures()
-        return self._say("measured", height=f"{self._height.value:.2f}", file=self._measures["file"])
+        return self._say("measured", height=f"{self._height.value:.2f}", file=kept["file"])
 
     async def _begin(self) -> str:
         self._take_steps((await self._ask("calibration", "begin", {}))["steps"])
