@@ -42,6 +42,23 @@ class UrdfJoint:
     rotation: FloatArray  # (3, 3) child link to parent link at zero
     axis: FloatArray  # (3,) in the child link
     limits: tuple[float, float] | None  # rad or m
+    rate: float | None = None  # rad/s or m/s, the fastest; None: not stated
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is revolute or continuous."""
+        return self.kind in _TURNING
+
+
+@dataclass(frozen=True)
+class UrdfTree:
+    """Links and joints of a URDF."""
+
+    name: str
+    links: list[str]
+    """Parents before children; the first is the base."""
+    joint_of: dict[str, UrdfJoint]
+    """By the link at its end."""
 
 
 @dataclass
@@ -64,18 +81,23 @@ def import_urdf(text: str, where: str = "URDF", has_fixed_base: bool = True) -> 
     has_fixed_base: joints on the base turn against the world; otherwise against the base, which is then to
     carry a module. Raises ``SettingsError``, which begins with ``where``, for what is no URDF tree.
     """
+    tree = read_urdf(text, where)
+    name = _plain(tree.name, set())
+    builder = _Builder(tree.links[0], has_fixed_base)
+    for link in tree.links[1:]:
+        builder.add(tree.joint_of[link], where)
+    if not builder.joints:
+        raise SettingsError(f"{where}: no joint of robot '{name}' turns (revolute, continuous)")
+    return builder.robot(name)
+
+
+def read_urdf(text: str, where: str = "URDF") -> UrdfTree:
+    """Return links and joints. Raises ``SettingsError``, which begins with ``where``."""
     robot = _root(text, where)
     links = [_named(link, where) for link in robot.findall("link")]
     joints = [_joint(element, where) for element in robot.findall("joint")]
     order = _from_the_base(links, joints, where)
-    name = _plain(robot.get("name") or "robot", set())
-    builder = _Builder(order[0], has_fixed_base)
-    incoming = {joint.child: joint for joint in joints}
-    for link in order[1:]:
-        builder.add(incoming[link], where)
-    if not builder.joints:
-        raise SettingsError(f"{where}: no joint of robot '{name}' turns (revolute, continuous)")
-    return builder.robot(name)
+    return UrdfTree(robot.get("name") or "robot", order, {joint.child: joint for joint in joints})
 
 
 class _Builder:
@@ -201,20 +223,23 @@ def _joint(element: Element, where: str) -> UrdfJoint:
         if link is None:
             raise SettingsError(f"{where} has no <{end} link=…>")
         ends[end] = link
-    origin = _attributes(element, "origin")
+    origin, limit = _attributes(element, "origin"), _attributes(element, "limit")
+    kind = element.get("type") or ""
     axis = _vector(_attributes(element, "axis").get("xyz", "1 0 0"), f"{where} axis")
-    if not np.linalg.norm(axis) > 1e-9:
+    length = float(np.linalg.norm(axis))
+    if kind in _TURNING and not length > 1e-9:
         raise SettingsError(f"{where} has an axis of length zero")
     rpy = _vector(origin.get("rpy", "0 0 0"), f"{where} rpy")
     return UrdfJoint(
         name,
-        element.get("type") or "",
+        kind,
         ends["parent"],
         ends["child"],
         _vector(origin.get("xyz", "0 0 0"), f"{where} xyz"),
         Rotation.from_euler("xyz", rpy).as_matrix(),
-        axis / np.linalg.norm(axis),
-        _joint_limits(_attributes(element, "limit"), where),
+        axis / max(length, 1e-9),
+        _joint_limits(limit, where),
+        _fastest(limit, where),
     )
 
 
@@ -225,6 +250,13 @@ def _joint_limits(limit: Mapping[str, str], where: str) -> tuple[float, float] |
     if low > high:
         raise SettingsError(f"{where} has limits {low:g} to {high:g}: the smaller one comes first")
     return float(low), float(high)
+
+
+def _fastest(limit: Mapping[str, str], where: str) -> float | None:
+    if "velocity" not in limit:
+        return None
+    rate = float(_vector(f"{limit['velocity']} 0 0", f"{where} velocity")[0])
+    return rate if rate > 0 else None
 
 
 def _attributes(element: Element, tag: str) -> Mapping[str, str]:

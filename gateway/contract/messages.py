@@ -147,7 +147,7 @@ class BridgeHealth(Message):
         default=None, description="Instance of another gateway of this name that was heard lately."
     )
     outputs: dict[str, OutputCounters] = Field(
-        default_factory=dict, description="Poses sent by other outputs: vmc, udp_json, slimevr, mvn, lsl."
+        default_factory=dict, description="Poses sent by other outputs: vmc, udp_json, slimevr, retarget …"
     )
     utc: UtcAnchor | None = Field(default=None, description="Gateway time against UTC, as read last.")
     accounting: dict[str, AccountBalance] = Field(
@@ -318,6 +318,27 @@ class PredictedPoseMessage(PoseMessage):
     predicted_from_ns: int = Field(description="Gateway time of the pose that it was extrapolated from, ns.")
 
 
+class RobotBase(Message):
+    """Where the base link of a robot is that is not bolted down."""
+
+    orientation: Quaternion = Field(description="Base link to world.")
+    position: Vector = Field(description="In the world, m, in the robot's size.")
+
+
+class RobotMessage(Message):
+    """Joints of a robot that follows the person, within limits and rates of its joints."""
+
+    t_ns: int = Field(description="Gateway time of the pose, ns.")
+    seq: int = Field(description="Frame number, that of the pose.")
+    robot: str = Field(description="Its name in the URDF.")
+    joints: dict[str, Number] = Field(description="Angle by the URDF's joint names, rad.")
+    rates: dict[str, Number] = Field(description="How fast each turned since the message before, rad/s.")
+    base: RobotBase | None = Field(default=None, description="Not there for one that is bolted down.")
+    error_deg: Number | None = Field(
+        description="How far its links are turned from how the person's segments are, mean; null: none known."
+    )
+
+
 class SegmentMessage(Message):
     """One segment at one instant: a row of the pose for clients that want no more."""
 
@@ -413,6 +434,7 @@ PUBLICATIONS: tuple[Publication, ...] = (
     Publication(
         topics.PREDICTED_POSE_MSGPACK, PredictedPoseMessage, qos=0, retain=False, content_type=MSGPACK
     ),
+    Publication(topics.ROBOT, RobotMessage, qos=0, retain=False),
     Publication(topics.SEGMENT, SegmentMessage, qos=0, retain=False),
     Publication(topics.MARKERS, MarkersMessage, qos=0, retain=False),
     Publication(topics.MODULE_STATE, ModuleState, qos=1, retain=True),

@@ -18,9 +18,9 @@ Written by `python -m gateway.contract.documents docs/mqtt`, never by hand. For 
 
 All topics lie below `<base_topic>/<gateway>/`, `mocap/gateway1/` unless configured otherwise. Payloads are
 JSON, but for topics that end in `/msgpack`. With `protocol: "5"` every message names its content type, and
-poses expire (`pose_expiry_s`) instead of waiting for a client that is away. `pose/msgpack`, `segment/<name>`
-and `pose/predicted` are there where the configuration asks for them (`pose_formats`, `segment_rate`,
-`predict_ms`). Instants (`…_ns`) are nanoseconds of
+poses expire (`pose_expiry_s`) instead of waiting for a client that is away. `pose/msgpack`, `segment/<name>`,
+`pose/predicted` and `robot/joint_states` are there where the configuration asks for them (`pose_formats`,
+`segment_rate`, `predict_ms`, `outputs.retarget`). Instants (`…_ns`) are nanoseconds of
 gateway time, which never steps; `utc` in `bridge/info` and `bridge/health` says what to add to get UTC.
 
 `bridge/state` is the gateway's birth and will. What `module/<id>/availability` says holds while

@@ -51,6 +51,8 @@ class _Layout:
 
     def numbers(self, n: int) -> None:
         """Leave room for float64 that vary."""
+        if n == 0:
+            return
         self._align(8)
         first = len(self._bytes) // 8
         self._numbers += range(first, first + n)
@@ -109,7 +111,7 @@ class TransformsEncoder:
 class JointStateEncoder:
     """Angles of named joints, rad, as ``JointState``; NaN where one is not known."""
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], *, has_rates: bool = False) -> None:
         layout = _Layout()
         layout.stamp()
         layout.text("")
@@ -118,12 +120,13 @@ class JointStateEncoder:
             layout.text(name)
         layout.count(len(names))
         layout.numbers(len(names))
-        layout.count(0)
+        layout.count(len(names) if has_rates else 0)
+        layout.numbers(len(names) if has_rates else 0)
         layout.count(0)
         self._form = layout.finished()
 
     def encode(self, time_ns: int, angles: FloatArray) -> bytes:
-        """angles: (n,) rad."""
+        """angles: (n,) rad; with rates (2, n), rad/s below."""
         return self._form.filled(time_ns, angles)
 
 

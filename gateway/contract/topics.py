@@ -14,6 +14,7 @@ POSE = "pose"
 POSE_MSGPACK = "pose/msgpack"
 PREDICTED_POSE = "pose/predicted"
 PREDICTED_POSE_MSGPACK = "pose/predicted/msgpack"
+ROBOT = "robot/joint_states"
 SEGMENT = "segment/{name}"
 MARKERS = "markers"
 MODULE_STATE = "module/{id}/state"
@@ -83,6 +84,11 @@ class Topics:
     def predicted_pose_msgpack(self) -> str:
         """The same in MessagePack."""
         return f"{self.root}/{PREDICTED_POSE_MSGPACK}"
+
+    @property
+    def robot(self) -> str:
+        """Joints of the robot that follows the person, where configured."""
+        return f"{self.root}/{ROBOT}"
 
     def segment(self, name: str) -> str:
         """One segment of the poses, where configured."""

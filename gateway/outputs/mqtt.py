@@ -213,6 +213,18 @@ class MqttOutput:
             self._wake.set()
         return True
 
+    def publish_beside(self, topic: str, payload: bytes) -> bool:
+        """Publish a message beside the poses, below the gateway's topics, if the broker's socket takes it at
+        once; whether it does. Nothing is kept."""
+        direct, topic = self._direct, f"{self.topics.root}/{topic}"
+        if direct is None or self._in_hand or not direct.is_free or topic in self.rights.refused:
+            return False
+        try:
+            direct.publish([Outgoing(topic, payload, self._properties)])  # the client sends what is left
+        except aiomqtt.MqttError:
+            return False
+        return True
+
     def _begin_turn(self) -> None:
         self._direct_in_turn = 0
 

@@ -57,7 +57,7 @@ def publisher_id(session: str, number: int) -> bytes:
     return number.to_bytes(8, "big") + bytes.fromhex(session.zfill(32))[-8:]
 
 
-class _Topic:
+class RosTopic:
     """A publisher and what goes with each of its messages."""
 
     def __init__(self, session: Any, domain: int, number: int, topic: str, message: str) -> None:
@@ -69,29 +69,32 @@ class _Topic:
         self._count = 0
 
     def put(self, time_ns: int, data: bytes) -> None:
+        """Publish. Zenoh drops what its line does not take."""
         self._count += 1
         self._publisher.put(data, attachment=_ATTACHMENT.pack(self._count, time_ns, 16, self._id))
 
 
-class Ros2Sink:
-    """Publishers of one session, which finds its router again by itself."""
+class RosNode:
+    """A session of Zenoh as a node of ROS 2, which finds its router again by itself."""
 
-    def __init__(self, settings: Ros2Settings, skeleton: Skeleton) -> None:
-        self._settings = settings
-        self._transforms = BodyTransforms(skeleton)
-        self._states = BodyJointStates(skeleton, settings.body)
+    def __init__(self, output: str, router: str, domain: int) -> None:
+        """output: whose node it is, for errors."""
+        self._output, self._router, self._domain = output, router, domain
         self._session: Any = None
+        self._n_topics = 0
 
     async def open(self) -> None:
         """Open the session, router or not. Raises ``OutputError`` without the extra."""
         try:
             zenoh = importlib.import_module("zenoh")
         except ImportError as error:
-            raise OutputError(f"outputs.ros2: Zenoh is not there ({error}): {how_to_add('ros2')}") from error
+            raise OutputError(
+                f"outputs.{self._output}: Zenoh is not there ({error}): {how_to_add('ros2')}"
+            ) from error
         plain = {
             "mode": "peer",
             "connect": {
-                "endpoints": [self._settings.router],
+                "endpoints": [self._router],
                 "timeout_ms": -1,  # for ever
                 "exit_on_failure": False,
                 "retry": {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor": 2},
@@ -104,13 +107,37 @@ class Ros2Sink:
             self._session = await asyncio.to_thread(zenoh.open, config)
         except zenoh.ZError as error:
             raise OutputError(
-                f"outputs.ros2: no session with {self._settings.router} ({error}): correct router"
+                f"outputs.{self._output}: no session with {self._router} ({error}): correct router"
             ) from error
-        domain = self._settings.domain
-        node = node_token(domain, str(self._session.zid()))
+        node = node_token(self._domain, str(self._session.zid()))
         self._node = self._session.liveliness().declare_token(node)
-        self._tf = _Topic(self._session, domain, 1, TF, TF_MESSAGE)
-        self._joint_states = _Topic(self._session, domain, 2, self._states.topic, JOINT_STATE)
+
+    def topic(self, topic: str, message: str) -> RosTopic:
+        """Return a publisher; the node is open."""
+        self._n_topics += 1
+        return RosTopic(self._session, self._domain, self._n_topics, topic, message)
+
+    def close(self) -> None:
+        """End the session."""
+        if self._session is not None:
+            self._session.close()
+            self._session = None
+            self._n_topics = 0
+
+
+class Ros2Sink:
+    """Poses of the body."""
+
+    def __init__(self, settings: Ros2Settings, skeleton: Skeleton) -> None:
+        self._node = RosNode("ros2", settings.router, settings.domain)
+        self._transforms = BodyTransforms(skeleton)
+        self._states = BodyJointStates(skeleton, settings.body)
+
+    async def open(self) -> None:
+        """Open the session, router or not. Raises ``OutputError`` without the extra."""
+        await self._node.open()
+        self._tf = self._node.topic(TF, TF_MESSAGE)
+        self._joint_states = self._node.topic(self._states.topic, JOINT_STATE)
 
     def send(self, frame: SkeletonFrame) -> bool:
         """Publish a pose; Zenoh drops what its line does not take."""
@@ -122,6 +149,4 @@ class Ros2Sink:
 
     def close(self) -> None:
         """End the session."""
-        if self._session is not None:
-            self._session.close()
-            self._session = None
+        self._node.close()

@@ -275,6 +275,9 @@ class UdpJsonSettings(_Datagrams):
     include: frozenset[PoseMap] = Field(
         default=frozenset(), description="what a pose carries beside orientations and status, as in mqtt"
     )
+    body: bool = Field(
+        default=False, description="once a second the message of topic body too, for who builds the body"
+    )
 
 
 class SlimevrSettings(_Datagrams):
@@ -309,17 +312,65 @@ class FoxgloveSettings(_Output):
     port: int = Field(default=8765, ge=0, le=65535, description="TCP port; 0: any free one")
 
 
+RouterAddress = Annotated[str, Field(pattern=r"^(tcp|udp|tls|quic)/\S+:\d+$")]
+_ROUTER = "the Zenoh router that ROS 2 uses (ros2 run rmw_zenoh_cpp rmw_zenohd)"
+_DOMAIN = "ROS_DOMAIN_ID of the nodes that listen"
+
+
 class Ros2Settings(_Output):
     """Topics of ROS 2, by the router of rmw_zenoh (extra ``ros2``)."""
 
-    router: str = Field(
-        default="tcp/127.0.0.1:7447",
-        pattern=r"^(tcp|udp|tls|quic)/\S+:\d+$",
-        description="the Zenoh router that ROS 2 uses (ros2 run rmw_zenoh_cpp rmw_zenohd)",
-    )
-    domain: int = Field(default=0, ge=0, le=232, description="ROS_DOMAIN_ID of the nodes that listen")
+    router: RouterAddress = Field(default="tcp/127.0.0.1:7447", description=_ROUTER)
+    domain: int = Field(default=0, ge=0, le=232, description=_DOMAIN)
     body: str = Field(
         default="mocap", pattern=r"^[A-Za-z][A-Za-z0-9]*$", description="id of the person, by REP 155"
+    )
+
+
+class RobotUdpSettings(BaseModel):
+    """The messages of topic ``robot/joint_states``, each a datagram."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: str = Field(default="127.0.0.1", min_length=1, description="where they are sent")
+    port: int = Field(default=39700, ge=1, le=65535, description="UDP port of the robot's program")
+
+
+class RobotRos2Settings(BaseModel):
+    """Joint states of the robot by the router of rmw_zenoh (extra ``ros2``)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    router: RouterAddress = Field(default="tcp/127.0.0.1:7447", description=_ROUTER)
+    domain: int = Field(default=0, ge=0, le=232, description=_DOMAIN)
+    topic: str = Field(
+        default="/robot/joint_states",
+        pattern=r"^(/[A-Za-z][A-Za-z0-9_]*)+$",
+        description="of sensor_msgs/JointState; the base link's place is on /tf",
+    )
+
+
+class RetargetSettings(_Output):
+    """A robot that follows the person within its joints' limits and rates (extra ``robot``)."""
+
+    rate: float = Field(default=100, gt=0, le=1000, allow_inf_nan=False, description="most poses a second")
+    robot: str = Field(
+        min_length=1, description="which link follows which segment: a shipped file, such as icub, or a path"
+    )
+    urdf: Path | None = Field(default=None, description="the robot's URDF; none: the robot file names it")
+    mqtt: bool = Field(default=True, description="on topic robot/joint_states")
+    udp: RobotUdpSettings | None = Field(default=None, description="the same as datagrams; {}: defaults")
+    ros2: RobotRos2Settings | None = Field(default=None, description="sensor_msgs/JointState; {}: defaults")
+
+
+class OpenSimSettings(_Datagrams):
+    """Coordinates of an OpenSim model as JSON, each pose a datagram."""
+
+    port: int = Field(default=39800, ge=1, le=65535, description="UDP port of the program with the model")
+    model: Path | None = Field(
+        default=None,
+        description="the .osim: coordinates that it does not have are left out; none: all, under the names "
+        "of the full-body model of Rajagopal et al. (2016)",
     )
 
 
@@ -342,4 +393,8 @@ class OutputsSettings(BaseModel):
     )
     ros2: Ros2Settings | None = Field(
         default=None, description="/tf and joint states for nodes of ROS 2; {}: defaults"
+    )
+    retarget: RetargetSettings | None = Field(default=None, description="a robot that follows the person")
+    opensim: OpenSimSettings | None = Field(
+        default=None, description="coordinates of an OpenSim model; {}: defaults"
     )

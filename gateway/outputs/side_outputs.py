@@ -11,7 +11,6 @@ import asyncio
 import contextlib
 import importlib
 import logging
-import socket
 import struct
 from collections.abc import AsyncIterator, Callable
 from typing import Any, Protocol
@@ -23,13 +22,16 @@ from devices.extras import how_to_add
 from devices.link import gateway_time_ns
 from gateway.body.joint_angles import JointAngles
 from gateway.body.skeleton import Skeleton
-from gateway.contract.messages import OutputCounters
+from gateway.contract.messages import OutputCounters, describe_body
 from gateway.errors import OutputError
 from gateway.frames import SkeletonFrame
+from gateway.outputs.datagrams import DatagramSender
 from gateway.outputs.foxglove import FoxgloveSink
 from gateway.outputs.mvn import MvnEncoder
+from gateway.outputs.opensim import OpenSimEncoder
 from gateway.outputs.output import Thinning
 from gateway.outputs.pose_encoding import PoseEncoder
+from gateway.outputs.retarget import Beside, RetargetSink
 from gateway.outputs.ros2 import Ros2Sink
 from gateway.outputs.settings import MvnSettings, OutputsSettings, PoseMap, UdpJsonSettings
 from gateway.outputs.slimevr import SlimevrSink
@@ -140,44 +142,23 @@ class Encoder(Protocol):
 
 
 class DatagramSink:
-    """Sends to one address. name: of the output, for errors."""
+    """Sends what frames become to one address. name: of the output, for errors."""
 
     def __init__(self, name: str, host: str, port: int, encoder: Encoder) -> None:
-        self._name = name
-        self._host = host
-        self._port = port
+        self._sender = DatagramSender(name, host, port)
         self._encoder = encoder
-        self._socket: socket.socket | None = None
-        self._address: tuple[object, ...] = ()
 
     async def open(self) -> None:
         """Find the address. Raises ``OutputError`` for a host that nobody knows."""
-        loop = asyncio.get_running_loop()
-        try:
-            found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
-        except OSError as error:
-            raise OutputError(
-                f"outputs.{self._name}: no such host '{self._host}' ({error.strerror}): correct host"
-            ) from error
-        family, kind, protocol, _, self._address = found[0]
-        self._socket = socket.socket(family, kind, protocol)
-        self._socket.setblocking(False)
+        await self._sender.open()
 
     def send(self, frame: SkeletonFrame) -> bool:
         """Whether the system took all datagrams. Raises ``OSError``, such as for a network that is away."""
-        assert self._socket is not None
-        try:
-            for datagram in self._encoder.encode(frame):
-                self._socket.sendto(datagram, self._address)
-        except BlockingIOError:
-            return False
-        return True
+        return self._sender.send(self._encoder.encode(frame))
 
     def close(self) -> None:
         """Give the socket back."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        self._sender.close()
 
 
 STREAM_TYPE = "MoCap"
@@ -289,14 +270,15 @@ class SideOutputs:
         gateway: str,
         frame_rate: float,
         battery: Callable[[], float | None] = lambda: None,
+        publish: Beside = lambda _topic, _payload: True,
     ) -> None:
         """frame_rate: poses reconstructed a second, Hz. battery: asked for the least charge of all modules, 0
-        to 1; None: not known."""
+        to 1; None: not known. publish: for what goes to the broker beside poses."""
         self._outputs: list[LatestOutput] = []
         if (vmc := settings.vmc) is not None:
             self._add("vmc", DatagramSink("vmc", vmc.host, vmc.port, VmcEncoder(skeleton)), vmc.rate)
         if (udp := settings.udp_json) is not None:
-            sink = DatagramSink("udp_json", udp.host, udp.port, _JsonDatagrams(udp, skeleton))
+            sink = DatagramSink("udp_json", udp.host, udp.port, JsonDatagrams(udp, skeleton))
             self._add("udp_json", sink, udp.rate)
         if (slimevr := settings.slimevr) is not None:
             sink_of_slimevr = SlimevrSink(slimevr, skeleton, gateway, battery)
@@ -311,6 +293,11 @@ class SideOutputs:
             self._add("foxglove", FoxgloveSink(foxglove, skeleton, gateway), foxglove.rate)
         if (ros2 := settings.ros2) is not None:
             self._add("ros2", Ros2Sink(ros2, skeleton), ros2.rate)
+        if (retarget := settings.retarget) is not None:
+            self._add("retarget", RetargetSink(retarget, skeleton, publish), retarget.rate)
+        if (opensim := settings.opensim) is not None:
+            sink = DatagramSink("opensim", opensim.host, opensim.port, OpenSimEncoder(opensim, skeleton))
+            self._add("opensim", sink, opensim.rate)
 
     @property
     def counters(self) -> dict[str, OutputCounters]:
@@ -361,12 +348,17 @@ def _sink_of_mvn(settings: MvnSettings, encoder: MvnEncoder) -> Sink:
     return DatagramSink("mvn", settings.host, settings.port, encoder)
 
 
-class _JsonDatagrams:
+class JsonDatagrams:
     """A pose message is one datagram."""
 
     def __init__(self, settings: UdpJsonSettings, skeleton: Skeleton) -> None:
         angles = JointAngles(skeleton) if PoseMap.JOINT_ANGLES in settings.include else None
         self._encoder = PoseEncoder(skeleton.segment_names, include=settings.include, joint_angles=angles)
+        self._body = describe_body(skeleton).payload()
+        self._bodies = Thinning(1.0) if settings.body else None
 
     def encode(self, frame: SkeletonFrame) -> list[bytes]:
-        return [self._encoder.encode(frame)]
+        pose = self._encoder.encode(frame)
+        if self._bodies is not None and self._bodies.admits(frame.time_ns):
+            return [self._body, pose]
+        return [pose]

@@ -116,6 +116,7 @@ class Service:
             settings.gateway,
             settings.assembly.rate_hz,
             self._least_charge,
+            lambda topic, payload: self.mqtt.publish_beside(topic, payload),  # noqa: PLW0108 - made below
         )
         self.mqtt = MqttOutput(
             settings.mqtt,

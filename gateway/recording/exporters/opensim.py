@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gateway.contract.opensim_names import COORDINATES
 from gateway.recording.exporters.opensim_angles import Columns, model_columns, rajagopal_columns
-from gateway.recording.exporters.opensim_names import COORDINATES
 from gateway.recording.exporters.take import Take
 
 _VERSION = "4.5"

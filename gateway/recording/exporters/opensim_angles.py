@@ -11,8 +11,7 @@ import numpy as np
 from devices.deferred import Rotation
 from gateway.body.joints import Decomposition, Joint
 from gateway.body.skeleton import Skeleton
-from gateway.frames import FloatArray
-from gateway.recording.exporters.opensim_names import (
+from gateway.contract.opensim_names import (
     ANKLE_AXIS,
     COORDINATES,
     ELBOW_AXIS,
@@ -24,6 +23,7 @@ from gateway.recording.exporters.opensim_names import (
     SUBTALAR_AXIS,
     WRIST_IN_ULNA,
 )
+from gateway.frames import FloatArray
 from gateway.recording.exporters.take import Take, rotation
 
 Columns = list[tuple[str, FloatArray]]

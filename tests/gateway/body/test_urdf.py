@@ -84,6 +84,15 @@ def test_fixed_joints_are_merged_and_limits_kept(tmp_path):
     assert robot.notes == ["joint 'finger_joint' slides: it is taken as fixed at zero"]
 
 
+def test_a_fixed_joint_needs_no_axis():
+    bolt = (
+        '<link name="plate"/><joint name="bolt" type="fixed"><parent link="base_link"/>'
+        '<child link="plate"/><axis xyz="0 0 0"/></joint></robot>'
+    )
+    robot = import_urdf(URDF.replace("</robot>", bolt))
+    assert robot.segment_of_link["plate"] == robot.segment_of_link["base_link"]
+
+
 def test_a_moving_base_is_what_the_first_joint_turns_against(tmp_path):
     _, body = loaded(tmp_path, has_fixed_base=False)
     assert body.joints[0].proximal == 0
