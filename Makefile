@@ -18,7 +18,7 @@ BUILD_TOOLS_DEV := requirements/source_dev.lock
 FROM_SOURCE := --no-binary vqf,ezc3d --no-build-isolation
 endif
 
-.PHONY: help demo test test-all test-slow test-alone attack test-socketcan firmware test-firmware firmware-tools firmware-sizes firmware-figures lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
+.PHONY: help demo test test-all test-slow test-alone attack test-socketcan firmware test-firmware test-blender firmware-tools firmware-sizes firmware-figures lint golden-renew docs bench soak soak-faults fuzz audit install install-dev system-tools lock clean
 
 help:
 	@echo "make demo    emulated suit -> gateway -> embedded broker -> live page, orientations and their error"
@@ -31,6 +31,7 @@ help:
 	@echo "make test-firmware  it as a process and as machine code in QEMU, against the gateway and the protocol's rules"
 	@echo "make firmware-sizes  its bytes of flash and RAM, deepest stack, instructions a sample"
 	@echo "make firmware-figures  these, and what its tests see, slow ones too, into docs/firmware.md"
+	@echo "make test-blender  the add-on in Blender without a window (Blender is 370 MB; Python 3.11 or 3.13)"
 	@echo "make lint    ruff and mypy"
 	@echo "make golden-renew  after a change that is meant to change poses: store them anew, say by how much each moved"
 	@echo "make bench   measure, and rewrite the figures in docs/"
@@ -139,6 +140,11 @@ firmware-figures: install-dev system-tools firmware
 	@rm -rf build/firmware_figures && mkdir -p build/firmware_figures
 	FIRMWARE_FIGURES=$(CURDIR)/build/firmware_figures $(BIN)/python -m pytest -n 2 --dist worksteal -m "slow or not slow" tests/firmware
 	@$(BIN)/python -m benchmarks.firmware --figures build/firmware_figures --write-docs
+
+# In an environment of its own: Blender wants another NumPy, and is for one version of Python alone.
+test-blender: install-dev
+	@[ -x build/blender/bin/python ] || { $(PYTHON) -m venv build/blender && build/blender/bin/python -m pip install -q "bpy>=5,<6"; }
+	$(BIN)/python -m pytest tests/gateway/recording/test_blender_addon.py
 
 docs: install-dev
 	$(BIN)/python -m sphinx -q -W -b html docs docs/_build
