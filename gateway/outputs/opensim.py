@@ -25,7 +25,8 @@ _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 class OpenSimEncoder:
     """Makes ``{"t_ns", "seq", "coordinates"}`` of a frame: rad and m, only what is known.
 
-    Angles without a counterpart in the model of Rajagopal et al. keep our names.
+    Angles without a counterpart in the model of Rajagopal et al. keep our names: elbows and ankles are among
+    them, which turn about other axes there.
     """
 
     def __init__(self, settings: OpenSimSettings, skeleton: Skeleton) -> None:
