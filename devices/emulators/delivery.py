@@ -122,6 +122,11 @@ class Delivery:
         ]
         return self._corrupted(transmissions) if settings.corruption else transmissions
 
+    def follow(self, at_s: float) -> float:
+        """Return when what is said at a time (s) comes in: behind all that was sent before it."""
+        self._last_s = max(self._last_s, at_s)
+        return float(self._last_s)
+
     def _corrupted(self, transmissions: list[Transmission]) -> list[Transmission]:
         is_hit = self._rng.random(len(transmissions)) < self._settings.corruption
         self._counts["corrupted"] += int(is_hit.sum())

@@ -183,7 +183,7 @@ class SuitTraffic:
         device = self.devices[number]
         answer = self.voices[number].hear(data, device) if device.is_on else b""
         if answer:
-            arrives_s = max(at_s, self._now_s) + _ANSWERS_AFTER_S
+            arrives_s = self._deliveries[number].follow(max(at_s, self._now_s) + _ANSWERS_AFTER_S)
             heapq.heappush(self._pending, (arrives_s, self._order, answer, number))
             self._order += 1
 
