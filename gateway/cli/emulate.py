@@ -332,7 +332,7 @@ def emulate(wanted: Emulation) -> None:
     start_ns = gateway_time_ns() + _START_DELAY_NS
     if wanted.motion is MotionKind.CALIBRATION:
         start_ns = begin_of_script(start_ns)
-    spoken = spoken_by(touchable(source), wanted.speaks)
+    spoken = spoken_by(touchable(source), wanted.speaks, wanted.rig)
     try:
         transport = _transport(wanted) if spoken is None else _transport_of_each(wanted, spoken)
         _play(source, transport, wanted, receiver, start_ns)
@@ -514,7 +514,7 @@ async def _run(suit: EmulatedSuit, beside: EmulatedSuit | None, source: object, 
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     companions = [asyncio.create_task(pull_cable(plan_of(source), suit))]
-    spoken = spoken_by(touchable(source), wanted.speaks)
+    spoken = spoken_by(touchable(source), wanted.speaks, wanted.rig)
     if spoken is not None and wanted.on is Medium.UDP:
         ports = range(wanted.port, wanted.port + len(spoken.voices))
         heard = zip(spoken.voices.values(), ports, strict=True)

@@ -23,17 +23,18 @@ class SpokenSuit:
     """A suit whose modules speak as another maker's."""
 
     carries: str
+    rig: str
     voices: Mapping[int, Voice]
     segments: Mapping[int, str]
 
 
-def spoken_by(traffic: SuitTraffic | None, speaks: str | None) -> SpokenSuit | None:
+def spoken_by(traffic: SuitTraffic | None, speaks: str | None, rig: str) -> SpokenSuit | None:
     """Return a suit that speaks as another maker's; None: it speaks our packets, or only plays."""
     if speaks is None or traffic is None:
         return None
     body = traffic.motion.body
     worn = zip(body.module_ids.tolist(), map(str, body.segment_names), strict=True)
-    return SpokenSuit(speaks, traffic.voices, dict(worn))
+    return SpokenSuit(speaks, rig, traffic.voices, dict(worn))
 
 
 def voices_of(speaks: str, suit: WornSuit) -> Callable[[int], Voice]:
@@ -55,6 +56,7 @@ def say_links(urls: Mapping[int, str], suit: EmulatedSuit, spoken: SpokenSuit, a
         typer.echo(json.dumps({"links": links, "start_ns": suit.start_ns}))
         return
     typer.echo(f"# emulated modules that speak {spoken.carries} (Ctrl-C ends them); for the configuration:")
+    typer.echo(f"rig: {spoken.rig}")
     typer.echo("links:")
     for link in links:
         typer.echo(

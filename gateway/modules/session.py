@@ -29,7 +29,7 @@ _LISTENED_S = 1.2
 """On UDP only those who were heard can be asked; modules that do not sample tell their health each second."""
 
 _THROUGH_A_GATEWAY = (
-    "; if that is a running gateway, ask it instead: --mqtt HOST:PORT (of its broker) in the place of --link"
+    "; if that is a running gateway, ask it instead: --mqtt HOST:PORT (of its broker) in the place of -c or --link"
 )
 
 
@@ -146,7 +146,8 @@ async def _open(link: ReconnectingLink) -> None:
 
 def _with_hint(reason: str) -> str:
     """Return the sentence that says why a link was not opened, and what would do."""
-    return reason + _THROUGH_A_GATEWAY * (" is busy" in reason)
+    is_taken = " is busy" in reason or " is in use" in reason
+    return reason + _THROUGH_A_GATEWAY * is_taken
 
 
 @contextlib.contextmanager
