@@ -302,6 +302,11 @@ def _others_settings(advice: Sequence[tuple[str, Advice]]) -> Iterator[Finding]:
         yield warning(f"{link}: settings", each.found, each.remedy)
 
 
+_WIRE_REMEDY = "a shorter or shielded cable, common ground, a lower baud rate"
+_NETWORK_REMEDY = "`bridge/health` counts why, by link; let nothing else send to this port: peers=ADDRESS in url"
+_WORSE_LINES = {"udp": _NETWORK_REMEDY, "tcp": _WIRE_REMEDY + " before the serial server"}
+
+
 def _line(subject: str, url: str, garbled: int, received: int, carries: str = SUIT) -> Iterator[Finding]:
     total = garbled + received
     is_suit = carries == SUIT
@@ -320,8 +325,7 @@ def _line(subject: str, url: str, garbled: int, received: int, carries: str = SU
     elif share > GARBAGE:
         yield bad(subject, f"{found}: something else is at the other end", f"correct url{kind}")
     elif share > MOST_DAMAGED:
-        remedy = "a shorter or shielded cable, common ground, a lower baud rate"
-        yield warning(subject, found, remedy)
+        yield warning(subject, found, _WORSE_LINES.get(urlsplit(url).scheme, _WIRE_REMEDY))
     else:
         yield good(subject, found)
 

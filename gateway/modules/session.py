@@ -29,7 +29,8 @@ _LISTENED_S = 1.2
 """On UDP only those who were heard can be asked; modules that do not sample tell their health each second."""
 
 _THROUGH_A_GATEWAY = (
-    "; if that is a running gateway, ask it instead: --mqtt HOST:PORT (of its broker) in the place of -c or --link"
+    "; if that is a running gateway, ask it instead: --mqtt HOST:PORT (of its broker) in the place of -c or "
+    "--link"
 )
 
 
