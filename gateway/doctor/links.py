@@ -303,7 +303,7 @@ def _others_settings(advice: Sequence[tuple[str, Advice]]) -> Iterator[Finding]:
 
 
 _WIRE_REMEDY = "a shorter or shielded cable, common ground, a lower baud rate"
-_NETWORK_REMEDY = "bridge/health counts why, by link; let nothing else send to this port: peers=ADDRESS in url"
+_NETWORK_REMEDY = "bridge/health counts why, by link; let nobody else send to this port: peers=ADDRESS in url"
 _WORSE_LINES = {"udp": _NETWORK_REMEDY, "tcp": _WIRE_REMEDY + " before the serial server"}
 
 
