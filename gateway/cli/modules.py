@@ -362,8 +362,15 @@ class _Fitting:
 
     async def assign_named(self, device: str) -> int:
         """Assign the module that was named, without any shaking."""
-        read = await self._perform("read", {"device": device})
-        proposal = self._wardrobe.propose(self._segments[0], read["unique_id"])
+        unique_id = (await self._perform("read", {"device": device}))["unique_id"]
+        if unique_id not in self._wardrobe.ids:  # it came later than the rest
+            self._wardrobe = Wardrobe(await self._perform("list", {"listen_s": _LISTED_S}))
+        if unique_id not in self._wardrobe.ids:
+            raise GatewayError(
+                f"device {unique_id} answered when it was asked by itself, and was not heard among all: "
+                "look at the supply and the line of it, and type the same again"
+            )
+        proposal = self._wardrobe.propose(self._segments[0], unique_id)
         await self._carry_out(proposal)
         return 0
 
