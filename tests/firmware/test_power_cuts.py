@@ -192,6 +192,8 @@ COMMIT_S = 0.04
 PAUSE_S = 0.03
 """Between two commits of one command flash lies still for longer than that."""
 LOOK_S = 0.001
+ATTEMPTS = 3
+EACH = 10
 
 
 def flash_of(machines: Iterable[Machine]) -> list[bytes]:
@@ -368,12 +370,12 @@ def arm(module, command, tmp_path) -> Callable[[str, int], Arm]:
 async def cut_typed_ids(arm: Arm, n: int, lane: int | None = None) -> Counter[str]:
     """Type ``modules assign`` so that two change places, and cut one's power; how many then had done so.
 
-    lane: as of ``cut_typed_settings``.
+    lane: as of ``cut_typed_settings``; only each tenth time it is typed again then until both are right.
     """
     rng, ended = random.Random(SEED + (lane or 0)), Counter[str]()
     for turn in range(n):
         before = arm.ids()
-        holder = arm.pair[before.index(PAIR[1])]
+        holder, stood = arm.pair[before.index(PAIR[1])], flash_of(arm.pair)
         async with speaking(arm.pair):
             process = arm.assign(holder, PAIR[0])
             writing = await Instant(rng, 3).come(process, arm.pair)
@@ -386,7 +388,13 @@ async def cut_typed_ids(arm: Arm, n: int, lane: int | None = None) -> Counter[st
             assert set(ids) <= {*PAIR, MAX_MODULE}, f"turn {turn}: {ids} of ids that nobody assigned"
         have = sum(now not in (old, MAX_MODULE) for now, old in zip(then, before, strict=True))
         ended[("neither", "one", "both")[have]] += 1
-        await assign_again(arm, holder)
+        if lane is None or turn % EACH == 0:
+            await assign_again(arm, holder)
+        else:
+            for machine, flash in zip(arm.pair, stood, strict=True):
+                for slot in range(2):
+                    machine.memory.erase(slot)
+                machine.memory.program(0, flash)
     return ended
 
 
@@ -395,9 +403,13 @@ async def assign_again(arm: Arm, first: Machine) -> None:
     (other,) = [machine for machine in arm.pair if machine is not first]
     async with speaking(arm.pair):
         for machine, module_id in zip((first, other), PAIR, strict=True):
-            if machine.memory.settings["module_id"] != module_id:
-                process = arm.assign(machine, module_id)
-                assert await process.ended() == 0, process.report()
+            process = None
+            for _ in range(ATTEMPTS):  # a busy host may not have heard both
+                if machine.memory.settings["module_id"] != module_id:
+                    process = arm.assign(machine, module_id)
+                    await process.ended()
+                    assert "Traceback" not in process.errors
+            assert machine.memory.settings["module_id"] == module_id, process and process.report()
     assert [machine.memory.settings["module_id"] for machine in (first, other)] == list(PAIR)
 
 
@@ -408,15 +420,15 @@ async def test_modules_assign_never_loses_or_doubles_an_id(arm, board):
     print(dict(await cut_typed_ids(arm(board), 1)))
 
 
-@pytest.mark.slow(reason="750 commands take a quarter of an hour")
+@pytest.mark.slow(reason="some 180 commands take some minutes")
 @pytest.mark.usefixtures("_state_of_its_own")
 @pytest.mark.timeout(3000)
-async def test_two_hundred_and_fifty_cuts_while_ids_are_typed(arm, figure):
-    shares = [len(range(lane, 250, N_LANES)) for lane in range(N_LANES)]
+async def test_a_hundred_and_fifty_cuts_while_ids_are_typed(arm, figure):
+    shares = [len(range(lane, 150, N_LANES)) for lane in range(N_LANES)]
     ended = await in_lanes(cut_typed_ids(arm(QEMU, lane), n, lane) for lane, n in enumerate(shares))
     figure(
         f"Power cut {sum(shares)} times while `modules assign` has two change places, {QEMU}",
         f"no id lost or doubled; neither had its new one then {ended['neither']} times, one {ended['one']} "
         f"times, both {ended['both']} times; a slot was half written {ended['torn']} times",
     )
-    assert ended["one"] > 10
+    assert ended["torn"] > 10
