@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import icub_models
 import psutil
 
 from benchmarks import slow_broker
@@ -30,6 +31,7 @@ REPEATS = 3
 FLOOD = 3000
 FROZEN_S = 3.0
 FRESH_MS = 50.0
+_ICUB = icub_models.get_model_file("iCubGazeboV2_7")
 _MQTT: dict[str, dict[str, Any]] = {
     "MQTT, JSON": {},
     "MQTT, MessagePack": {"pose_formats": ["msgpack"]},
@@ -42,7 +44,10 @@ _SIDE: dict[str, dict[str, Any]] = {
     "VMC": {"vmc": {"rate": 1000, "port": 9}},
     "Foxglove, no client": {"foxglove": {"rate": 1000, "port": 0}},
     "ROS 2, no listener": {"ros2": {"rate": 1000, "router": "tcp/127.0.0.1:9"}},
+    "OpenSim": {"opensim": {"rate": 1000, "port": 9}},
+    "iCub, UDP": {"retarget": {"rate": 1000, "robot": "icub", "urdf": _ICUB, "udp": {"port": 9}}},
 }
+_OF_A_PERSON = ("VMC", "OpenSim", "iCub, UDP")
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,8 @@ def run() -> Report:
             "frozen_broker_offer_ms", freeze.longest_offer_ms, "ms", "", "longest time in offer() meanwhile"
         ),
     ]
+    what = "processor time of one pose on iCub, 32 joints, over UDP"
+    report.figures.append(Figure("robot_us", by_name["iCub, UDP", 17].us, "µs", "<=2000", what))
     report.figures += _slow_figures(slow)
     report.tables = [_table(costs)]
     return report
@@ -150,8 +157,8 @@ async def _costs(port: int) -> list[Cost]:
             )
             costs.append(Cost(name, n, us, size, per_s))
         for name, more in _SIDE.items():
-            if name == "VMC" and n != 17:
-                continue  # avatars have no more bones
+            if name in _OF_A_PERSON and n != 17:
+                continue  # avatars and robots have no more bones
             side = SideOutputs(OutputsSettings(**more), skeleton_of_size(n), "bench", RATE_HZ)
             async with side.running():
                 costs.append(Cost(name, n, await _cost_us(side, frames) - pacing_us, None))
