@@ -269,6 +269,8 @@ def record(
     service.own_requests.on_examine = partial(examined, service)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))
     status = service.recording.status()
+    if "file" not in status:
+        raise GatewayError("nothing was recorded: it ended before it had begun; give it more --seconds")
     typer.echo(
         f"{status['file']}: {status['seconds']:.1f} s, {status['bytes'] / 1e6:.1f} MB, "
         f"{status['written'].get('chunks', 0)} chunks, {status['written'].get('skeleton', 0)} poses"
