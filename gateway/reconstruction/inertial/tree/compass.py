@@ -44,7 +44,7 @@ LEAST_APART = 1e-9
 
 @compiled
 def follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """Section 8: every module's compass, and ``compass.error`` of every segment ← by all of them."""
+    """Section 8: every module's compass ← by what its field shows."""
     expected, world = work.shared.expected, body.world
     segments, works = state.segments, work.segments
     expect_field(expected, world, tuning, dt)
@@ -62,7 +62,6 @@ def follow_field(body: Body, state: State, tuning: Tuning, work: Work, dt: float
             compass.offset_square = min(shown, tuning.largest_offset**2) + expected.by_tilt
             bent = 0.5 * (segment.P[0, 0] + segment.P[1, 1]) * (1.0 / expected.horizontal - 1.0)
             _look(compass, now, bent, tuning, dt)
-    _share(body, state, tuning, work, dt)
 
 
 @compiled
@@ -186,15 +185,12 @@ def _within_half_a_turn(angle: float) -> float:
 
 
 @compiled
-def _share(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """(32): ``compass.error`` ← of each segment: what its filter and all compasses together expect."""
+def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
+    """(32): ``compass.error`` ← of each segment: what its filter, what motion has shown of an unobserved heading
+    so far, and all compasses together expect."""
     links, segments, works = body.segments, state.segments, work.segments
     _compare(links, segments, works, body.world.is_tree == 1, tuning)
     variance = _compass_variance(links, segments, works, tuning)
-    if variance == 0.0:
-        for s in range(len(links)):
-            segments[s].compass.error_variance = segments[s].P[2, 2]
-        return
     for s in range(len(links) - 1, -1, -1):
         now, p = works[s], links[s].parent
         compass = segments[s].compass
@@ -204,20 +200,25 @@ def _share(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> N
             now.told += weight
             now.told_angle += weight * now.unwrapped
             now.told_turn += weight * now.turn[2]
+        if variance == 0.0:
+            now.told += 1.0 / tuning.unknown_heading**2
         if p >= 0:
             passed = 1.0 / (1.0 + now.apart * now.told)
             works[p].told += passed * now.told
-            works[p].told_angle += passed * now.told_angle
+            works[p].told_angle += passed * (now.told_angle - now.expected * now.told)
             works[p].told_turn += passed * now.told_turn
     for s in range(len(links)):
         now, p, compass = works[s], links[s].parent, segments[s].compass
         if p >= 0:
             total = 1.0 + now.apart * now.told
             above = segments[p].compass
-            compass.error = (above.error + now.apart * now.told_angle) / total
+            compass.error = (above.error + now.expected + now.apart * now.told_angle) / total
             compass.error_variance = now.apart / total + above.error_variance / (total * total)
-        elif now.told > 0.0:
+        elif variance > 0.0:
             _turn_root(compass, now, variance, tuning, dt)
+        else:
+            compass.error = (now.expected + now.apart * now.told_angle) / (1.0 + now.apart * now.told)
+            compass.error_variance = segments[s].P[2, 2]
 
 
 @compiled
@@ -228,25 +229,41 @@ def _compare(
     is_tree: bool,
     tuning: Tuning,
 ) -> None:
-    """a of (32), ``apart``: variance of a heading against the parent as the filter has it. ``unwrapped``: the
-    compass, within half a turn of the parent's. Nothing is told yet."""
+    """``expected`` and a of (32), ``apart``: mean and variance of the error of a heading less that of the parent's,
+    of a root's against the world, without compasses. ``unwrapped``: the compass, within half a turn of what the
+    parent's lets expect. Nothing is told yet."""
     started, unknown = 0, tuning.unknown_heading**2
     for s in range(len(links)):
         started += segments[s].started == STARTED
     for s in range(len(links)):
         segment, now, p = segments[s], works[s], links[s].parent
         before, now.told, now.told_angle, now.told_turn = 0.0, 0.0, 0.0, 0.0
+        now.expected = 0.0
         if p >= 0:
             before = works[p].unwrapped
             shared = segment.C[2, 2] if is_tree else segments[p].P[2, 2]
             now.apart = max(segment.P[2, 2] + segments[p].P[2, 2] - 2.0 * shared, LEAST_APART)
-            if segment.heading == UNOBSERVED:
-                now.apart = unknown
         else:
             # each segment began with a heading of which nothing is known; joined, they seem to know more
             known = 1.0 / max(segment.P[2, 2], LEAST_APART) - started / unknown
             now.apart = 1.0 / max(known, 1e-3 / unknown)
+        if segment.heading == UNOBSERVED:
+            _expect_unobserved(segment, now, p >= 0, tuning)
+        before += now.expected
         now.unwrapped = before + _within_half_a_turn(segment.compass.angle - before)
+
+
+@compiled
+def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tuning: Tuning) -> None:
+    """``expected``, ``apart`` ← by what motion has shown until now, as far as its two sides agree."""
+    sums, unknown = segment.heading_sums, tuning.unknown_heading**2
+    concentration = math.hypot(sums.along, sums.across)
+    if has_parent:
+        now.apart = unknown
+    if concentration > tuning.heading_coherence * sums.length:
+        known = concentration / tuning.heading_density
+        now.apart = 1.0 / (1.0 / now.apart + known)
+        now.expected = -math.atan2(sums.across, sums.along) * known * now.apart
 
 
 @compiled
@@ -260,14 +277,14 @@ def _compass_variance(
     """
     seen, square, weights, differences = 0, 0.0, 0.0, 0.0
     for s in range(len(links)):
-        compass, p = segments[s].compass, links[s].parent
+        compass, now, p = segments[s].compass, works[s], links[s].parent
         if compass.seconds > 0.0:
             seen += 1
             square += compass.variance + compass.offset_square
             if p >= 0 and segments[p].compass.seconds > 0.0:
-                weight = 1.0 / (1.0 + works[s].apart / tuning.compass_clean**2)
+                weight = 1.0 / (1.0 + now.apart / tuning.compass_clean**2)
                 weights += weight
-                differences += weight * (works[s].unwrapped - works[p].unwrapped) ** 2
+                differences += weight * (now.unwrapped - now.expected - works[p].unwrapped) ** 2
     if seen == 0:
         return 0.0
     return max(square / seen, 0.5 * differences / max(weights, 1.0))
@@ -284,7 +301,7 @@ def _turn_root(compass: Compass, now: SegmentWork, variance: float, tuning: Tuni
     compass.error += compass.share / (1.0 + wrong) * now.told_turn / now.told
     compass.share = now.apart / (now.apart + field)
     compass.error_variance = compass.share * field
-    wanted = compass.share * now.told_angle / now.told
+    wanted = now.expected + compass.share * (now.told_angle / now.told - now.expected)
     compass.settled_s += dt
     if compass.settled_s > tuning.compass_settles_s:
         off = wanted - compass.error

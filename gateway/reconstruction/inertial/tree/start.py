@@ -268,14 +268,17 @@ def turn_heading_sums(sums: HeadingSums, angle: float) -> None:
 
 @compiled
 def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, angle: float) -> None:
-    """Turn segment s and all beyond it by ψ₀ (rad), up to those that have kept their own headings while it
-    was lost; where these are known in the world and those before s are not, turn the others back."""
+    """Turn segment s and all beyond it, and all before it back, so that they differ by ψ₀ (rad) more: each side
+    by its share of what both do not know of their headings in the world. Those beyond end where a segment has
+    kept its own heading while that of s was lost; a root turns alone."""
     links, segments, works = body.segments, state.segments, work.segments
     root, first = s, links[s].parent
     while links[root].parent >= 0:
         root = links[root].parent
     segments[root].compass.settled_s = 0.0
-    turns_back = first >= 0 and 2.0 * segments[s].P[2, 2] < segments[first].P[2, 2]
+    beyond = 1.0
+    if first >= 0:
+        beyond = segments[s].P[2, 2] / (segments[s].P[2, 2] + segments[first].P[2, 2])
     for c in range(s, len(links)):
         now, p = works[c], links[c].parent
         now.is_beyond = 1 if c == s else 0
@@ -283,15 +286,13 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
             is_unobserved = segments[c].heading == UNOBSERVED
             is_kept = not is_unobserved and is_apart(segments[c], segments[p], True, tuning)
             now.is_beyond = 0 if is_kept else 1
-        if now.is_beyond and not turns_back:
-            now.turn[2] += angle
-    if not turns_back:
+        if now.is_beyond:
+            now.turn[2] += beyond * angle
+    if first < 0:
         return
-    while links[first].parent >= 0:
-        first = links[first].parent
-    for c in range(first, len(links)):
+    for c in range(root, len(links)):
         now, p = works[c], links[c].parent
         is_after = c >= s and now.is_beyond
-        now.is_before = 1 if c == first or (p >= first and works[p].is_before and not is_after) else 0
+        now.is_before = 1 if c == root or (p >= root and works[p].is_before and not is_after) else 0
         if now.is_before:
-            now.turn[2] -= angle
+            now.turn[2] -= (1.0 - beyond) * angle

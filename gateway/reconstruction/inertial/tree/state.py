@@ -307,7 +307,8 @@ class SegmentWork(Record):
     told_angle: float  # and weight times angle, 1/rad
     told_turn: float  # and weight times what corrections have just turned it by, 1/rad
     unwrapped: float  # rad, of the compass, so that neighbours differ by less than half a turn
-    apart: float  # variance of the heading against the parent, rad²
+    expected: float  # rad, error of the heading less that of the parent's, by motion alone
+    apart: float  # and its variance, rad²
     field_off: float  # heading by which the field is seen off, rad
     disturbance: float  # of the field, 1: none
     U: Vector  # specific force at the proximal joint as the segment sees it, world

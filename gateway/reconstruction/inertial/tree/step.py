@@ -19,7 +19,7 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records, array_of
 from gateway.geometry.vectors import is_finite
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
-from gateway.reconstruction.inertial.tree.compass import follow_field
+from gateway.reconstruction.inertial.tree.compass import follow_field, share_headings
 from gateway.reconstruction.inertial.tree.devices import device_rows, has_spoken, take_reading
 from gateway.reconstruction.inertial.tree.headings import follow_sun, take_sun
 from gateway.reconstruction.inertial.tree.prediction import (
@@ -283,6 +283,7 @@ def step(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> Non
     # section 8: what the field says of headings
     if body.world.uses_field:
         follow_field(body, state, tuning, work, dt)
+    share_headings(body, state, tuning, work, dt)
 
 
 @compiled
@@ -383,7 +384,7 @@ def _outputs(
     parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
     for s in range(len(parents)):
         segment, now, p = segments[s], works[s], parents[s]
-        error = segment.compass.error if uses_field else 0.0
+        error = segment.compass.error
         if now.validity == FORCE:
             c, d = math.cos(error), math.sin(error)
             acceleration[s, 0] = c * now.U[0] + d * now.U[1] + gravity[0]
