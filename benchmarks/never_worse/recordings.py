@@ -32,6 +32,8 @@ from gateway.emulation.recordings import imu_frames, reference_at
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[3] / "shared" / "data"))
 LONGEST_S = 45.0
+CUT_S = 30.0
+"""Of a recording whose name ends in ``cut`` and the second of the trial that it begins at."""
 
 
 def backward(recording: Recording) -> Recording:
@@ -89,6 +91,12 @@ def part(recording: Recording, begin_s: float, end_s: float, every: int = 1) -> 
     )
 
 
+def cut_from(name: str) -> float | None:
+    """Return the second that a name says its recording is cut from; None: none."""
+    _, found, second = name.rpartition("_cut")
+    return float(second) if found else None
+
+
 def case_of(name: str, kind: str, recording: Recording, suit: WornSuit) -> Case:
     """What the gateway's own stages make of the recording, with the reference at the same instants."""
     frames = imu_frames(recording, suit)
@@ -105,8 +113,10 @@ def case_of(name: str, kind: str, recording: Recording, suit: WornSuit) -> Case:
 def _ring(name: str) -> Case:
     sort = "nonrigid" if "nonrigid" in name else "rigid"
     recording, _ = in_time(read_ring_chain5(DATA / "ring_chain5" / "trial1", sort), METAL_TABLE_S)
-    end_s = recording.duration_s
-    if "midway" in name:
+    end_s, begin_s = recording.duration_s, cut_from(name)
+    if begin_s is not None:
+        recording = part(recording, begin_s, min(begin_s + CUT_S, end_s - METAL_TABLE_S))
+    elif "midway" in name:
         recording = part(recording, 25.0, end_s - METAL_TABLE_S)
     elif name in ("ring_rigid", "ring_nonrigid"):
         recording = part(recording, 0.0, end_s - METAL_TABLE_S)
@@ -150,7 +160,10 @@ def _broad(name: str) -> Case:
     """About a dozen seconds of rest and then motion, as far as it does not begin midway."""
     (path,) = (DATA / "broad").glob(f"{name.split('_')[1]}_*.mat")
     recording, _ = in_time(read_broad(path))
-    if "midway" in name:
+    begin_s = cut_from(name)
+    if begin_s is not None:
+        recording = part(recording, begin_s, begin_s + CUT_S)
+    elif "midway" in name:
         recording = part(recording, 60.0, 60.0 + LONGEST_S)
     elif "reversed" in name:
         recording = part(backward(recording), 23.0, 23.0 + LONGEST_S)

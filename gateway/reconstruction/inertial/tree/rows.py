@@ -194,6 +194,10 @@ def _see_joint(joint: Joint, tuning: Tuning, dt: float) -> None:
     variance += child.vibration.square + parent.vibration.square
     of_child = second_order_variance(child, now.u, tuning, dt)
     now.row_variance = variance + (of_child + second_order_variance(parent, now.u_parent, tuning, dt))
+    apart = child.P[2, 2] + parent.P[2, 2] - 2.0 * child.C[2, 2]
+    if child.heading == OBSERVED and parent.heading == OBSERVED:
+        square = 0.5 * (_horizontal_square(now.u) + _horizontal_square(now.u_parent))
+        now.row_variance += 0.375 * apart * apart * square * max(1.0, tuning.tilt_memory_s / dt)
 
 
 @compiled

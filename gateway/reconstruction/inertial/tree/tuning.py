@@ -136,7 +136,7 @@ class Tuning(Record):
         "indoors",
     )
     heading_evidence: float = constant(
-        20.0,
+        12.0,
         "",
         "concentration (von Mises) from which an unobserved heading is taken as shown",
         "0.5 rad with the density",
