@@ -283,7 +283,7 @@ def _watch_joint(child: Segment, nis: float, tuning: Tuning, dt: float) -> float
         for i in range(3):
             # what it has told is taken back: the uncertainty of a start
             child.P[i, i] += tuning.start_heading**2 if i == 2 else tuning.start_tilt**2
-        child.unaided_square = 0.0
+        child.unaided_square = max(child.unaided_square, (tuning.unaided_speed / tuning.unaided_window_s) ** 2)
     inflation: float = max(1.0, child.joint_nis)
     return inflation
 
@@ -415,15 +415,15 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
         first = works[now.chain]
         if now.validity < FORCE:
             continue
+        note_acceleration(segment, body.world, tuning, dt)
         if first.aided:
-            note_aided(segment, body.world, tuning, dt)
             starting_row(now, segment, body.world, tuning, dt)
         else:
             unaided_row(now, segment, body.world, first.sharing, tuning, dt)
 
 
 @compiled
-def note_aided(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
+def note_acceleration(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
     """(40): how far a mean acceleration is from none while the inclination is known: what a row that takes it
     for none will be off by, once nothing aids the chain any more."""
     tilt = segment.P[0, 0] + segment.P[1, 1]
@@ -433,8 +433,8 @@ def note_aided(segment: Segment, world: World, tuning: Tuning, dt: float) -> Non
     for i in range(3):
         square += (segment.averages.long_force[i] - world.at_rest[i]) ** 2 / 3.0
     # (40) T_A
-    memory_s = tuning.aided_rise_s if square > segment.unaided_square else tuning.aided_fall_s
-    segment.unaided_square += (1.0 - math.exp(-dt / memory_s)) * (square - segment.unaided_square)
+    gain = 1.0 - math.exp(-dt / tuning.acceleration_memory_s)
+    segment.unaided_square += gain * (square - segment.unaided_square)
 
 
 @compiled
@@ -445,7 +445,7 @@ def unaided_row(
     was while that was known, and over a shorter time as much larger as speeds are the same. It stays for the
     window on either side. sharing: segments that move together and have such a row each."""
     # (39) A²
-    square = max(_mean_square(segment, tuning, dt), 2.0 * segment.unaided_square)
+    square = max(_mean_square(segment, tuning, dt), tuning.acceleration_share * segment.unaided_square)
     # (39) v = A² T_u / Δt n_c
     variance = square * tuning.unaided_window_s / dt * sharing
     known_row(now, segment, segment.averages.long_force, world.at_rest, variance, tuning)
@@ -464,6 +464,8 @@ def starting_row(now: SegmentWork, segment: Segment, world: World, tuning: Tunin
 def _mean_square(segment: Segment, tuning: Tuning, dt: float) -> float:
     """A² of (39) without A_1, (m/s²)² of a mean acceleration: over a shorter time, as after a gap, as much
     larger as speeds are the same, and for some time as large as a start in motion has let expect."""
-    lasted_s = min(max(segment.averages.seconds, dt), tuning.unaided_window_s)
-    square: float = max((tuning.unaided_speed / lasted_s) ** 2, segment.starting_square)
+    lasted_s = max(segment.averages.seconds, dt)
+    square = max(tuning.least_acceleration**2, segment.starting_square)
+    if lasted_s < tuning.unaided_window_s:
+        square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
     return square

@@ -93,7 +93,7 @@ class Tuning(Record):
     bias: float = constant(
         0.01, "rad/s", "at the start", "half a degree per second, as after a factory calibration"
     )
-    bias_walk: float = constant(2e-4, "rad/s/√s", "of the bias", "warming up, data sheets")
+    bias_walk: float = constant(1e-4, "rad/s/√s", "of the bias", "warming up, data sheets")
     largest_rate: float = constant(
         34.8, "rad/s", "beyond it a gyroscope is saturated", "2000 °/s less rounding"
     )
@@ -261,8 +261,9 @@ class Tuning(Record):
         "an inclination less sure than that is helped by gravity, even in an aided chain",
         "random chains",
     )
-    aided_rise_s: float = constant(2.0, "s", "how fast larger mean accelerations are believed", JUDGED)
-    aided_fall_s: float = constant(30.0, "s", "how fast smaller ones are", JUDGED)
+    least_acceleration: float = constant(0.05, "m/s²", "of the mean over the window at the least", "swaying")
+    acceleration_share: float = constant(0.6, "", "of the mean square that has been seen lately", JUDGED)
+    acceleration_memory_s: float = constant(3.0, "s", "over which that mean is taken", JUDGED)
 
     # local devices
     local_window_s: float = constant(
