@@ -70,6 +70,13 @@ class OrientationFinder(Protocol):
     def reset(self) -> None: ...
 
 
+@runtime_checkable
+class TellsCertainty(Protocol):
+    """A finder that knows how sure it is of tilts and headings apart."""
+
+    def certainty(self) -> dict[str, dict[str, float | str | None]]: ...
+
+
 class Prepared(NamedTuple):
     """T instants as the finder is given them, and what is done after it needs to know of them."""
 
@@ -240,6 +247,11 @@ class WholeBodyReconstructor:
                 return poses.frames()
             memory, is_judged = self._memory, True
             judge_mounting(self._joints, memory.agreement, self._worn, memory.mounting)
+
+    def certainty(self) -> dict[str, dict[str, float | str | None]]:
+        """Return how sure each segment's tilt and heading are, and what shows the heading; none where the
+        finder does not tell."""
+        return self.finder.certainty() if isinstance(self.finder, TellsCertainty) else {}
 
     def joint_agreement(self) -> dict[str, float]:
         """By segment: 0 when its module agrees with a neighbour's about their joint, about 1 when with none.

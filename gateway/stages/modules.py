@@ -156,6 +156,9 @@ class ModuleStage:
             "joint_agreement": self.reconstructor.joint_agreement()
             if isinstance(self.reconstructor, WholeBodyReconstructor)
             else {},
+            "certainty": self.reconstructor.certainty()
+            if isinstance(self.reconstructor, WholeBodyReconstructor)
+            else {},
             "doubts": {str(module): why for module, why in self.doubts().items()},
         }
 

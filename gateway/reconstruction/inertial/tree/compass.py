@@ -40,6 +40,8 @@ RATE = Validity.RATE.value
 STARTED = Started.YES.value
 LEAST_APART = 1e-9
 """rad²."""
+LEAST_CONCENTRATION = 2.0
+"""Of a von Mises distribution that is half believed."""
 
 
 @compiled
@@ -186,8 +188,8 @@ def _within_half_a_turn(angle: float) -> float:
 
 @compiled
 def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> None:
-    """(32): ``compass.error`` ← of each segment: what its filter, what motion has shown of an unobserved heading
-    so far, and all compasses together expect."""
+    """(32): ``compass.error`` ← of each segment: what its filter, what motion has shown of an unobserved
+    heading so far, and all compasses together expect."""
     links, segments, works = body.segments, state.segments, work.segments
     _compare(links, segments, works, body.world.is_tree == 1, tuning)
     variance = _compass_variance(links, segments, works, tuning)
@@ -229,8 +231,8 @@ def _compare(
     is_tree: bool,
     tuning: Tuning,
 ) -> None:
-    """``expected`` and a of (32), ``apart``: mean and variance of the error of a heading less that of the parent's,
-    of a root's against the world, without compasses. ``unwrapped``: the compass, within half a turn of what the
+    """``expected`` and a of (32), ``apart``: mean and variance of a heading's error less its parent's,
+    of a root's in the world, without compasses. ``unwrapped``: the compass, within half a turn of what the
     parent's lets expect. Nothing is told yet."""
     started, unknown = 0, tuning.unknown_heading**2
     for s in range(len(links)):
@@ -261,9 +263,10 @@ def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tun
     if has_parent:
         now.apart = unknown
     if concentration > tuning.heading_coherence * sums.length:
-        known = concentration / tuning.heading_density
-        now.apart = 1.0 / (1.0 / now.apart + known)
-        now.expected = -math.atan2(sums.across, sums.along) * known * now.apart
+        now.apart = 1.0 / (1.0 / now.apart + concentration / tuning.heading_density)
+        # what is next to nothing is noise, and would turn a body at rest
+        share = concentration**2 / (concentration**2 + LEAST_CONCENTRATION**2)
+        now.expected = -math.atan2(sums.across, sums.along) * share
 
 
 @compiled

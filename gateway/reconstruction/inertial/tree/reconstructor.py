@@ -7,6 +7,7 @@ computed. Fast motion is what they live on: it shows the headings.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,7 +22,15 @@ from gateway.geometry.records import array_of
 from gateway.reconstruction.inertial.local_devices import PlaceKeeper, RootMotion, in_segment_axes
 from gateway.reconstruction.inertial.tree.headings import stacked_sights
 from gateway.reconstruction.inertial.tree.smoothing import turned_back
-from gateway.reconstruction.inertial.tree.state import NEVER_NS, State, chain_body, initial_state, work_space
+from gateway.reconstruction.inertial.tree.state import (
+    NEVER_NS,
+    Heading,
+    Started,
+    State,
+    chain_body,
+    initial_state,
+    work_space,
+)
 from gateway.reconstruction.inertial.tree.step import (
     SHORTEST_STEP_S,
     Filter,
@@ -33,10 +42,12 @@ from gateway.reconstruction.inertial.tree.step import (
 from gateway.reconstruction.inertial.tree.tuning import Tuning, tuning
 from gateway.reconstruction.stacked_frames import Poses, StackedFrames, stacked
 
-STATE_VERSION = 5
+STATE_VERSION = 6
 """Of what ``state`` returns. 1 had an array for every quantity, 2 a clock that began at −1, 3 other names."""
 _FRAMES_AT_ONCE = 16
 """Live frames that room is made for at once."""
+SHOWN_HEADING = 0.35
+"""rad: a heading less sure than that against its parent is no longer called observed."""
 READINGS_AT_ONCE = 8
 """Of local devices, for which a live frame has room made beforehand."""
 
@@ -125,6 +136,35 @@ class ChainReconstructor:
         self._use(fresh)
         self._root_motion.set_places(state)
         self._place.set_state(state)
+
+    def certainty(self) -> dict[str, dict[str, float | str | None]]:
+        """Return by segment with a module that has spoken: standard deviations, rad, of its tilt, of its
+        heading in the world, and of its orientation against its parent (none for a root); and what shows its
+        heading, of a segment against its parent, of a root in the world: ``observed`` (motion, a device or
+        the sun does), ``by field`` (nothing but that), ``held`` (nothing; gyroscopes carry it on)."""
+        names, links, found = self._suit.skeleton.segment_names, self._body.segments, {}
+        for s, segment in enumerate(self._state.segments):
+            if segment["started"] == Started.NO:
+                continue
+            p, P = int(links[s]["parent"]), segment["P"]
+            apart = relative = None
+            if p >= 0:
+                C = segment["C"][:3, :3]
+                between = P[:3, :3] + self._state.segments[p]["P"][:3, :3] - C - C.T
+                apart, relative = float(between[2, 2]), math.sqrt(max(float(np.trace(between)), 0.0))
+            compass = segment["compass"]
+            uses_compass = self._body.world.uses_field and compass["seconds"] > 0.0
+            of_heading = float(compass["error_variance"] if uses_compass else P[2, 2])
+            is_shown = segment["heading"] == Heading.OBSERVED and (
+                apart < SHOWN_HEADING**2 if apart is not None else bool(links[s]["heading_observable"])
+            )
+            found[names[s]] = {
+                "sigma_tilt": math.sqrt(float(P[0, 0] + P[1, 1])),
+                "sigma_heading": math.sqrt(of_heading),
+                "sigma_relative": relative,
+                "heading": "observed" if is_shown else "by field" if uses_compass else "held",
+            }
+        return found
 
     def turned_back(self) -> ChainReconstructor:
         """The same estimator, to go backward from where this one is; see ``smoothing``."""

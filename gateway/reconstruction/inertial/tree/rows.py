@@ -283,7 +283,9 @@ def _watch_joint(child: Segment, nis: float, tuning: Tuning, dt: float) -> float
         for i in range(3):
             # what it has told is taken back: the uncertainty of a start
             child.P[i, i] += tuning.start_heading**2 if i == 2 else tuning.start_tilt**2
-        child.unaided_square = max(child.unaided_square, (tuning.unaided_speed / tuning.unaided_window_s) ** 2)
+        child.unaided_square = max(
+            child.unaided_square, (tuning.unaided_speed / tuning.unaided_window_s) ** 2
+        )
     inflation: float = max(1.0, child.joint_nis)
     return inflation
 

@@ -269,9 +269,9 @@ def turn_heading_sums(sums: HeadingSums, angle: float) -> None:
 
 @compiled
 def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, angle: float) -> None:
-    """Turn segment s and all beyond it, and all before it back, so that they differ by ψ₀ (rad) more: each side
-    by its share of what both do not know of their headings in the world. Those beyond end where a segment has
-    kept its own heading while that of s was lost; a root turns alone."""
+    """Turn segment s and all beyond it, and all before it back, so that they differ by ψ₀ (rad) more: each
+    side by its share of what both do not know of their headings in the world. Those beyond end where a
+    segment has kept its own heading while that of s was lost; a root turns with all of them."""
     links, segments, works = body.segments, state.segments, work.segments
     root, first = s, links[s].parent
     while links[root].parent >= 0:
