@@ -23,10 +23,13 @@ from gateway.reconstruction.inertial.tree.lever_arms import (
 )
 from gateway.reconstruction.inertial.tree.prediction import felt_into, row_inflation
 from gateway.reconstruction.inertial.tree.start import (
+    forget_evidence,
     gather_heading,
     is_apart,
+    is_contradicted,
     second_order_variance,
     shown_between,
+    take_back_heading,
     tilt_spread,
     turn_beyond,
 )
@@ -131,6 +134,8 @@ def joint_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) 
         joint = Joint(link, segment, segments[p], now, works[p])
         if _joint_row(joint, work.shared.learning, tuning, dt):
             _settle_heading(body, state, tuning, work, s)
+        elif segment.heading == OBSERVED and is_contradicted(segment.heading_sums, tuning):
+            take_back_heading(body, state, tuning, work, s)
 
 
 @compiled
@@ -153,6 +158,8 @@ def _joint_row(joint: Joint, learning: Learning, tuning: Tuning, dt: float) -> b
     elif now.turn[2] != 0.0 or above.turn[2] != 0.0:
         return False  # this instant's averages are those before the turn
     else:
+        uncertain = now.row_variance + tilt_spread(child, tuning, dt) + tilt_spread(parent, tuning, dt)
+        gather_heading(child.heading_sums, now.u, now.u_parent, uncertain, tuning, dt)
         _learn_arms(joint, learning, tuning, dt)
     if not is_lost:
         # (20) … (1 + 2 max(χ_s, χ_p))
@@ -168,6 +175,7 @@ def _settle_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int
     p = body.segments[s].parent
     variance, angle = shown_between(state.segments[s], state.segments[p], tuning)
     state.segments[s].heading = OBSERVED
+    forget_evidence(state.segments[s].heading_sums)
     add_edge(work.segments[s].evidence, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.0, variance)
     turn_beyond(body, state, tuning, work, s, angle)
 
@@ -194,10 +202,17 @@ def _see_joint(joint: Joint, tuning: Tuning, dt: float) -> None:
     variance += child.vibration.square + parent.vibration.square
     of_child = second_order_variance(child, now.u, tuning, dt)
     now.row_variance = variance + (of_child + second_order_variance(parent, now.u_parent, tuning, dt))
-    apart = child.P[2, 2] + parent.P[2, 2] - 2.0 * child.C[2, 2]
     if child.heading == OBSERVED and parent.heading == OBSERVED:
-        square = 0.5 * (_horizontal_square(now.u) + _horizontal_square(now.u_parent))
-        now.row_variance += 0.375 * apart * apart * square * max(1.0, tuning.tilt_memory_s / dt)
+        now.row_variance += _heading_variance(joint, tuning, dt)
+
+
+@compiled
+def _heading_variance(joint: Joint, tuning: Tuning, dt: float) -> float:
+    """The heading's part of (21): ``½ ψ² u`` is what a linearised row leaves out of a relative heading ψ."""
+    _, child, parent, now, _ = joint
+    apart = child.P[2, 2] + parent.P[2, 2] - 2.0 * child.C[2, 2]
+    square = 0.5 * (_horizontal_square(now.u) + _horizontal_square(now.u_parent))
+    return float(0.375 * apart * apart * square * max(1.0, tuning.tilt_memory_s / dt))
 
 
 @compiled

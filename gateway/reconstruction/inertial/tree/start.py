@@ -125,7 +125,7 @@ def _start_watches(segment: Segment) -> None:
     for i in range(2):
         seen.sums[i], seen.sums_before[i] = 0.0, 0.0
     seen.seconds, seen.product, seen.square, seen.gyroscope, seen.rows = 0.0, 0.0, 0.0, 0.0, 0.0
-    heading.along, heading.across, heading.length, heading.seconds = 0.0, 0.0, 0.0, 0.0
+    forget_evidence(heading)
     watch.rate_square, watch.force_square, watch.still_s, segment.aids_s = 0.0, 0.0, 0.0, 0.0
 
 
@@ -142,6 +142,8 @@ def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray, tuning
 
 
 GRAVITY = 9.81
+FAR_OFF = math.cos(math.pi / 4.0)
+"""A linearised row brings back what is less far off."""
 
 
 @compiled
@@ -252,9 +254,39 @@ def lose_headings(links: Records[Link], segments: Records[Segment], tuning: Tuni
             continue
         is_left_behind = p >= 0 and _is_left_behind(segment, parent, above, tuning)
         if is_apart(segment, parent, p >= 0, tuning) and not is_left_behind:
-            sums = segment.heading_sums
             segment.heading = UNOBSERVED
-            sums.along, sums.across, sums.length, sums.seconds = 0.0, 0.0, 0.0, 0.0
+            forget_evidence(segment.heading_sums)
+
+
+@compiled
+def forget_evidence(sums: HeadingSums) -> None:
+    """Begin anew to gather what motion shows of a heading."""
+    sums.along, sums.across, sums.length, sums.seconds = 0.0, 0.0, 0.0, 0.0
+
+
+@compiled
+def is_contradicted(sums: HeadingSums, tuning: Tuning) -> bool:
+    """Whether motion says clearly that a heading that was taken as shown is far off: it was shown wrongly."""
+    concentration = math.hypot(sums.along, sums.across)
+    is_clear = concentration > tuning.heading_contradiction * tuning.heading_evidence
+    is_clear = is_clear and concentration > tuning.heading_coherence * sums.length
+    return bool(is_clear and sums.along < FAR_OFF * concentration)
+
+
+@compiled
+def take_back_heading(body: Body, state: State, tuning: Tuning, work: Work, s: int) -> None:
+    """A heading that motion contradicts is unobserved again, and what has been gathered against it kept: of
+    segment s and all beyond it nothing is known of how they head against those before."""
+    links, segments, works = body.segments, state.segments, work.segments
+    segments[s].heading = UNOBSERVED
+    more = tuning.unknown_heading**2
+    for c in range(s, len(links)):
+        now, p = works[c], links[c].parent
+        now.is_beyond = 1 if c == s or (p >= s and works[p].is_beyond) else 0
+        if now.is_beyond:
+            segments[c].P[2, 2] += more
+            if c > s:
+                segments[c].C[2, 2] += more
 
 
 @compiled

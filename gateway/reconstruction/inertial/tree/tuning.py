@@ -141,6 +141,9 @@ class Tuning(Record):
         "concentration (von Mises) from which an unobserved heading is taken as shown",
         "0.5 rad with the density",
     )
+    heading_contradiction: float = constant(
+        3.0, "", "times that evidence takes a heading back that is far off", "as sure again, and once more"
+    )
     heading_coherence: float = constant(
         0.6, "", "least agreement of the two sides' horizontal accelerations for that", JUDGED
     )
