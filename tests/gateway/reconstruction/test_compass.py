@@ -86,8 +86,9 @@ def test_one_that_is_stronger_or_flatter_is_believed_no_more_for_turning(wrong):
 @given(
     parents=st.lists(st.integers(0, 100), min_size=1, max_size=7),
     seed=st.integers(0, 2**32 - 1),
+    has_field=st.booleans(),
 )
-def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed):
+def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has_field):
     """(32) beside one dense system; the root free to move at once."""
     rng = np.random.default_rng(seed)
     parents = [-1, *(p % (s + 1) for s, p in enumerate(parents))]
@@ -98,24 +99,45 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed):
         segment.P[2, 2] = rng.uniform(0.1, 0.2)
         segment.C[2, 2] = rng.uniform(0.0, 0.09)
         start_compass(segment.compass, TUNING)
-        segment.compass.seconds = 1.0 if rng.random() < 0.8 or s == 0 else 0.0
+        segment.compass.seconds = 1.0 if has_field and (rng.random() < 0.8 or s == 0) else 0.0
         segment.compass.angle = rng.normal(0.0, 0.3)
         segment.compass.error = rng.normal(0.0, 0.1)
         segment.compass.variance = rng.uniform(0.001, 0.1)
         segment.compass.offset_square = rng.uniform(0.0, 0.1)
+        if s > 0 and rng.random() < 0.4:  # motion has shown something of it, or next to nothing
+            sums, angle = segment.heading_sums, rng.normal(0.0, 0.3)
+            segment.heading, kappa = Heading.UNOBSERVED.value, rng.choice([0.1, 3.0, 10.0])
+            sums.along, sums.across = kappa * np.cos(angle), kappa * np.sin(angle)
+            sums.length = 1.2 * kappa
     before = np.array([segment.compass.error for segment in state.segments])
-    kernels._share(body, state, TUNING, work, DT)
+    kernels.share_headings(body, state, TUNING, work, DT)
 
     compasses = [segment.compass for segment in state.segments]
     seen = np.array([c.seconds > 0.0 for c in compasses])
     apart = np.array([now.apart for now in work.segments])
-    angle = np.array([c.angle for c in compasses])
+    expected = np.array([now.expected for now in work.segments])
+    for s, segment in enumerate(state.segments):
+        if segment.heading == Heading.OBSERVED.value:
+            assert expected[s] == 0.0
+            continue
+        kappa = np.hypot(segment.heading_sums.along, segment.heading_sums.across)
+        psi = np.arctan2(segment.heading_sums.across, segment.heading_sums.along)
+        assert expected[s] == pytest.approx(-psi * kappa**2 / (kappa**2 + kernels.LEAST_CONCENTRATION**2))
+        known = 1.0 / TUNING.unknown_heading**2 + kappa / TUNING.heading_density
+        assert apart[s] == pytest.approx(1.0 / known)
+    angle = np.array([now.unwrapped for now in work.segments])
     variance = kernels._compass_variance(body.segments, state.segments, work.segments, TUNING)
-    weight = np.where(seen, 1.0 / (variance + (angle - before) ** 2), 0.0)
+    assert has_field == (variance > 0.0)
+    if has_field:
+        weight = np.where(seen, 1.0 / (variance + (angle - before) ** 2), 0.0)
+    else:  # each segment began with a heading as good as any other
+        weight, angle = np.full(n, 1.0 / TUNING.unknown_heading**2), np.zeros(n)
     # the mean of all as the chain hangs together; then a root between that and the filter
     A, b = np.diag(weight), weight * angle
     for s, p in enumerate(parents[1:], start=1):
         A[np.ix_([s, p], [s, p])] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / apart[s]
+        b[s] += expected[s] / apart[s]
+        b[p] -= expected[s] / apart[s]
     spread = np.linalg.inv(A)
     mean = spread @ b
     share = apart[0] / (apart[0] + variance + spread[0, 0])

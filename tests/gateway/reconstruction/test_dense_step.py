@@ -290,23 +290,25 @@ class Checked:
                 continue
             segment, window_s = state.segments[s], tuning.unaided_window_s
             fades = was[s].starting_square * np.exp(-dt / tuning.starting_memory_s)
-            lasted_s = min(max(segment.averages.seconds, dt), window_s)
-            square = max((tuning.unaided_speed / lasted_s) ** 2, fades, rows.LEAST_SQUARE)
+            lasted_s = max(segment.averages.seconds, dt)
+            square = max(tuning.least_acceleration**2, fades, rows.LEAST_SQUARE)
+            if lasted_s < window_s:
+                square = max(square, (tuning.unaided_speed / lasted_s) ** 2)
             u, at_rest, tilt = (
                 segment.averages.long_force,
                 body.world.at_rest,
                 segment.P[0, 0] + segment.P[1, 1],
             )
+            if segment.averages.seconds >= window_s and tilt <= tuning.aided_tilt**2:
+                self.compared["seen"] += 1
+                seen, old = np.mean((u - at_rest) ** 2), was[s].unaided_square
+                expected = old + (1.0 - np.exp(-dt / tuning.acceleration_memory_s)) * (seen - old)  # (40)
+                assert segment.unaided_square == pytest.approx(expected)
             if not work.segments[now.chain].aided:
-                v = max(square, 2.0 * segment.unaided_square) * window_s / dt * counts[now.chain]  # (39)
+                v = max(square, tuning.acceleration_share * segment.unaided_square)  # (39)
+                v *= window_s / dt * counts[now.chain]
                 self.told("unaided", work, before, s, known(segment.P, u, at_rest, v, tuning.huber))
                 continue
-            if segment.averages.seconds >= window_s and tilt <= tuning.aided_tilt**2:
-                self.compared["aided"] += 1
-                seen, old = np.mean((u - at_rest) ** 2), was[s].unaided_square
-                memory_s = tuning.aided_rise_s if seen > old else tuning.aided_fall_s
-                expected = old + (1.0 - np.exp(-dt / memory_s)) * (seen - old)  # (40)
-                assert segment.unaided_square == pytest.approx(expected)
             if tilt > tuning.unsettled_tilt**2:
                 v = square * window_s / dt
                 self.told("starting", work, before, s, known(segment.P, u, at_rest, v, tuning.huber))
@@ -557,7 +559,7 @@ LEAST = {
     "predict": 4000, "coast": 500, "average": 4000, "vibration": 4000, "start": 20, "joint_row": 500,
     "open_joint_row": 1000, "heading": 1000, "joint_arms": 200, "fixed_point": 150, "pair": 60, "device": 3,
     "open_device": 50, "stance": 250, "zero_rate_watch": 4000, "zero_rate": 1000, "unaided": 40,
-    "aided": 500, "starting": 100, "sun": 150, "corrections": 20, "compass": 4000,
+    "seen": 500, "starting": 100, "sun": 150, "corrections": 20, "compass": 4000,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
 UPDATES = {JointReconstructor: ("update", 8000), OutwardReconstructor: ("outward", 2500)}
