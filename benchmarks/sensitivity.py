@@ -128,6 +128,10 @@ RULES = {
         {"norm_tolerance": ENDLESS, "dip_tolerance": ENDLESS},
     ),
     "unaided": Rule("mean acceleration of an unaided body", "(39), (40)", patch=_without_unaided),
+    "seen": Rule(
+        "how far a mean acceleration is off is seen", "(40)", {"acceleration_share": 0.0, "least_acceleration": 0.3}
+    ),
+    "taken_back": Rule("headings are taken back", "section 12", {"heading_contradiction": ENDLESS}),
     "starting": Rule("a start in motion is told by its first sample", "(65)", {"starting_share": 0.0}),
     "zero_rate": Rule("zero rate", "(36)", {"zero_rate_s": ENDLESS}),
     "stance": Rule("zero acceleration", "(37), (38)", patch=_without_stance),
