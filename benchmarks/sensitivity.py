@@ -129,7 +129,7 @@ RULES = {
     ),
     "unaided": Rule("mean acceleration of an unaided body", "(39), (40)", patch=_without_unaided),
     "seen": Rule(
-        "how far a mean acceleration is off is seen", "(40)", {"acceleration_share": 0.0, "least_acceleration": 0.3}
+        "mean accelerations are seen", "(40)", {"acceleration_share": 0.0, "least_acceleration": 0.3}
     ),
     "taken_back": Rule("headings are taken back", "section 12", {"heading_contradiction": ENDLESS}),
     "starting": Rule("a start in motion is told by its first sample", "(65)", {"starting_share": 0.0}),
