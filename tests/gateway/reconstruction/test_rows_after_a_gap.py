@@ -20,6 +20,7 @@ def information_of_a_mean_over(seconds):
     """Of an unaided row about tilt, rad⁻²: the mean specific force is gravity."""
     segment, now = initial_state(N, 1).segments[0], work_space(N).segments[0]
     segment.averages.seconds = seconds
+    segment.unaided_square = (TUNING.unaided_speed / TUNING.unaided_window_s) ** 2 / TUNING.acceleration_share
     segment.averages.long_force[...] = BODY.world.at_rest
     unaided_row(now, segment, BODY.world, 1, TUNING, DT)
     return now.evidence.own[0, 0]

@@ -82,7 +82,7 @@ def follow_sun(body: Body, state: State, tuning: Tuning, work: Work, dt: float) 
         p, sums = body.segments[s].parent, state.segments[s].heading_sums
         if work.segments[s].is_settled:
             turn_heading_sums(sums, work.segments[s].turn[2])
-        elif p >= 0 and work.segments[p].is_settled:
+        if p >= 0 and work.segments[p].is_settled:
             turn_heading_sums(sums, -work.segments[p].turn[2])
 
 
