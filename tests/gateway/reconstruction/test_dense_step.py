@@ -559,7 +559,7 @@ LEAST = {
     "predict": 4000, "coast": 500, "average": 4000, "vibration": 4000, "start": 20, "joint_row": 500,
     "open_joint_row": 1000, "heading": 1000, "joint_arms": 200, "fixed_point": 150, "pair": 60, "device": 3,
     "open_device": 50, "stance": 250, "zero_rate_watch": 4000, "zero_rate": 1000, "unaided": 40,
-    "seen": 500, "starting": 100, "sun": 100, "corrections": 20, "compass": 4000,
+    "seen": 500, "starting": 100, "sun": 60, "corrections": 20, "compass": 4000,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
 UPDATES = {JointReconstructor: ("update", 8000), OutwardReconstructor: ("outward", 2500)}
