@@ -130,18 +130,23 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
     assert has_field == (variance > 0.0)
     if has_field:
         weight = np.where(seen, 1.0 / (variance + (angle - before) ** 2), 0.0)
-    else:  # each segment began with a heading as good as any other
-        weight, angle = np.full(n, 1.0 / TUNING.unknown_heading**2), np.zeros(n)
+    else:  # what hangs together may turn as it does not know where it heads
+        is_first = [segment.heading == Heading.UNOBSERVED.value for segment in state.segments]
+        weight = np.where(is_first, 1.0 / state.segments["P"][:, 2, 2], 0.0)
+        angle = np.zeros(n)
     # the mean of all as the chain hangs together; then a root between that and the filter
     A, b = np.diag(weight), weight * angle
     for s, p in enumerate(parents[1:], start=1):
         A[np.ix_([s, p], [s, p])] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / apart[s]
         b[s] += expected[s] / apart[s]
         b[p] -= expected[s] / apart[s]
-    spread = np.linalg.inv(A)
-    mean = spread @ b
-    share = apart[0] / (apart[0] + variance + spread[0, 0])
-    assert compasses[0].error == pytest.approx(share * mean[0])
+    if has_field:
+        spread = np.linalg.inv(A)
+        share = apart[0] / (apart[0] + variance + spread[0, 0])
+        root = share * (spread @ b)[0]
+    else:
+        root = np.linalg.solve(A + np.diag([1.0 / apart[0], *np.zeros(n - 1)]), b)[0]
+    assert compasses[0].error == pytest.approx(root, abs=1e-12)
     if n > 1:  # given the root, the others
         rest = np.linalg.solve(A[1:, 1:], b[1:] - A[1:, 0] * compasses[0].error)
         np.testing.assert_allclose([c.error for c in compasses[1:]], rest, atol=1e-9)

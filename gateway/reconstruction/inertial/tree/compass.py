@@ -202,8 +202,8 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
             now.told += weight
             now.told_angle += weight * now.unwrapped
             now.told_turn += weight * now.turn[2]
-        if variance == 0.0:
-            now.told += 1.0 / tuning.unknown_heading**2
+        if variance == 0.0 and p >= 0 and segments[s].heading == UNOBSERVED:
+            now.told += 1.0 / max(segments[s].P[2, 2], LEAST_APART)
         if p >= 0:
             passed = 1.0 / (1.0 + now.apart * now.told)
             works[p].told += passed * now.told
@@ -234,9 +234,10 @@ def _compare(
     """``expected`` and a of (32), ``apart``: mean and variance of a heading's error less its parent's,
     of a root's in the world, without compasses. ``unwrapped``: the compass, within half a turn of what the
     parent's lets expect. Nothing is told yet."""
-    started, unknown = 0, tuning.unknown_heading**2
+    started, has_compass, unknown = 0, False, tuning.unknown_heading**2
     for s in range(len(links)):
         started += segments[s].started == STARTED
+        has_compass = has_compass or segments[s].compass.seconds > 0.0
     for s in range(len(links)):
         segment, now, p = segments[s], works[s], links[s].parent
         before, now.told, now.told_angle, now.told_turn = 0.0, 0.0, 0.0, 0.0
@@ -246,8 +247,10 @@ def _compare(
             shared = segment.C[2, 2] if is_tree else segments[p].P[2, 2]
             now.apart = max(segment.P[2, 2] + segments[p].P[2, 2] - 2.0 * shared, LEAST_APART)
         else:
-            # each segment began with a heading of which nothing is known; joined, they seem to know more
-            known = 1.0 / max(segment.P[2, 2], LEAST_APART) - started / unknown
+            known = 1.0 / max(segment.P[2, 2], LEAST_APART)
+            if has_compass:
+                # each segment began with a heading of which nothing is known; joined, they seem to know more
+                known -= started / unknown
             now.apart = 1.0 / max(known, 1e-3 / unknown)
         if segment.heading == UNOBSERVED:
             _expect_unobserved(segment, now, p >= 0, tuning)

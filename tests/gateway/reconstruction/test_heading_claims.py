@@ -1,0 +1,97 @@
+"""Headings that were shown wrongly are given back, and what is known of each is told apart from the rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gateway.emulation.fast_arm import sampled
+from gateway.emulation.random_chains import drawn
+from gateway.geometry.rotation_matrix import from_rotation_vector
+from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings, JointReconstructor
+from gateway.reconstruction.inertial.tree.tuning import tuning
+from gateway.reconstruction.reconstructor import update_many
+
+CHAIN, RATE_HZ, TURNED = drawn(5001), 100.0, 1
+WITHOUT_FIELD = ChainSettings(uses_field=False)
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return sampled(CHAIN.suit, CHAIN.motion, CHAIN.switches, CHAIN.seed, RATE_HZ)[:2400]
+
+
+def relative_turn_deg(one, other):
+    """Between orientations of the turned segment against its parent, degrees; (T,)."""
+    p = CHAIN.suit.skeleton.parents[TURNED]
+    apart = []
+    for a, b in zip(one, other, strict=True):
+        q = [np.array([x.q_wb[p], x.q_wb[TURNED]]) for x in (a, b)]
+        headings = [np.unwrap([heading(x[0]), heading(x[1])]) for x in q]
+        difference = (headings[0][1] - headings[0][0]) - (headings[1][1] - headings[1][0])
+        apart.append(np.degrees(np.arctan2(np.sin(difference), np.cos(difference))))
+    return np.abs(apart)
+
+
+def heading(q):
+    """Of a quaternion, rad: its turn about the vertical."""
+    return 2.0 * np.arctan2(q[3], q[0])
+
+
+def wrongly_turned(state, angle):
+    """A saved state whose segment, and all beyond it, head otherwise, and are sure of it."""
+    turn, segments = from_rotation_vector(np.array([0.0, 0.0, angle])), state["segments"].copy()
+    beyond = {TURNED}
+    for s, p in enumerate(CHAIN.suit.skeleton.parents):
+        beyond |= {s} if p in beyond else set()
+    for s in beyond:
+        segments["R"][s] = turn @ segments["R"][s]
+        averages = segments["averages"]
+        averages["lever_arm_matrix"][s] = turn @ averages["lever_arm_matrix"][s]
+        for name in ("force", "last_force", "long_force"):
+            averages[name][s] = turn @ averages[name][s]
+    for name in ("along", "across", "length", "seconds"):  # what has shown it right is not to be had
+        segments["heading_sums"][name][TURNED] = 0.0
+    return state | {"segments": segments}
+
+
+def gone_on(frames, angle, **changes):
+    """Poses after a segment was turned wrongly, and those of a filter that was let alone."""
+    settings = replace(WITHOUT_FIELD, tuning=tuning(**changes))
+    alone, turned = (JointReconstructor(CHAIN.suit, 1.0 / RATE_HZ, settings) for _ in range(2))
+    update_many(alone, frames[:1000])
+    turned.set_state(wrongly_turned(alone.state(), angle))
+    return update_many(turned, frames[1000:]), update_many(alone, frames[1000:])
+
+
+@pytest.mark.parametrize("angle", [2.0, -2.6, 3.1])
+def test_a_heading_that_was_shown_wrongly_is_taken_back(frames, angle):
+    off = relative_turn_deg(*gone_on(frames, angle))
+    assert off[0] > 90.0
+    assert off[-200:].max() < 10.0
+
+
+def test_one_that_is_never_taken_back_stays_wrong_for_long(frames):
+    """The reason for taking it back: a linearised filter that is sure of a heading does not find another."""
+    kept, back = (
+        relative_turn_deg(*gone_on(frames, 3.1, heading_contradiction=contradiction))
+        for contradiction in (1e9, tuning().heading_contradiction)
+    )
+    assert np.mean(kept > 20.0) > np.mean(back > 20.0)
+
+
+@pytest.mark.parametrize(("uses_field", "of_root"), [(False, "held"), (True, "by field")])
+def test_certainty_tells_tilt_heading_and_neighbours_apart(frames, uses_field, of_root):
+    suit = replace(CHAIN.suit, local_devices=())
+    reconstructor = JointReconstructor(suit, 1.0 / RATE_HZ, ChainSettings(uses_field=uses_field))
+    assert reconstructor.certainty() == {}
+    update_many(reconstructor, frames)
+    told = reconstructor.certainty()
+    assert list(told) == list(suit.skeleton.segment_names)
+    for s, (name, parent) in enumerate(zip(told, suit.skeleton.parents, strict=True)):
+        one = told[name]
+        assert one["heading"] == (of_root if parent < 0 else "observed")
+        assert one["sigma_tilt"] < np.radians(5.0)
+        assert (one["sigma_relative"] is None) == (parent < 0), s
+        if parent >= 0 and not uses_field:  # one degree of a joint is not hidden behind what north is
+            assert one["sigma_relative"] < 0.3 < one["sigma_heading"]
