@@ -132,7 +132,8 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
         weight = np.where(seen, 1.0 / (variance + (angle - before) ** 2), 0.0)
     else:  # what hangs together may turn as it does not know where it heads
         is_first = [segment.heading == Heading.UNOBSERVED.value for segment in state.segments]
-        weight = np.where(is_first, 1.0 / state.segments["P"][:, 2, 2], 0.0)
+        gives = state.segments["P"][:, 2, 2] ** 2 / TUNING.unknown_heading**2
+        weight = np.where(is_first, 1.0 / gives, 0.0)
         angle = np.zeros(n)
     # the mean of all as the chain hangs together; then a root between that and the filter
     A, b = np.diag(weight), weight * angle

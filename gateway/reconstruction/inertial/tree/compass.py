@@ -17,6 +17,7 @@ from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records
 from gateway.geometry.vectors import dot
 from gateway.reconstruction.inertial.tree.rows import _horizontal_square
+from gateway.reconstruction.inertial.tree.start import give_of
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Compass,
@@ -40,6 +41,8 @@ RATE = Validity.RATE.value
 STARTED = Started.YES.value
 LEAST_APART = 1e-9
 """rad²."""
+CUT_OFF = 1e6
+"""rad², of a heading that has nothing to do with the parent's."""
 LEAST_CONCENTRATION = 2.0
 """Of a von Mises distribution that is half believed."""
 
@@ -202,8 +205,9 @@ def share_headings(body: Body, state: State, tuning: Tuning, work: Work, dt: flo
             now.told += weight
             now.told_angle += weight * now.unwrapped
             now.told_turn += weight * now.turn[2]
-        if variance == 0.0 and p >= 0 and segments[s].heading == UNOBSERVED:
-            now.told += 1.0 / max(segments[s].P[2, 2], LEAST_APART)
+        is_first = segments[s].heading == UNOBSERVED or now.apart == CUT_OFF
+        if variance == 0.0 and p >= 0 and is_first:
+            now.told += 1.0 / give_of(segments[s], tuning)
         if p >= 0:
             passed = 1.0 / (1.0 + now.apart * now.told)
             works[p].told += passed * now.told
@@ -247,13 +251,16 @@ def _compare(
             shared = segment.C[2, 2] if is_tree else segments[p].P[2, 2]
             now.apart = max(segment.P[2, 2] + segments[p].P[2, 2] - 2.0 * shared, LEAST_APART)
         else:
-            known = 1.0 / max(segment.P[2, 2], LEAST_APART)
+            now.apart = give_of(segment, tuning)
             if has_compass:
                 # each segment began with a heading of which nothing is known; joined, they seem to know more
-                known -= started / unknown
-            now.apart = 1.0 / max(known, 1e-3 / unknown)
+                known = 1.0 / max(segment.P[2, 2], LEAST_APART) - started / unknown
+                now.apart = 1.0 / max(known, 1e-3 / unknown)
         if segment.heading == UNOBSERVED:
             _expect_unobserved(segment, now, p >= 0, tuning)
+        elif p >= 0 and segments[p].heading == UNOBSERVED and now.apart > tuning.lost_heading**2:
+            # it has kept its own while the parent's was lost, and does not turn with what finds that anew
+            now.apart = CUT_OFF
         before += now.expected
         now.unwrapped = before + _within_half_a_turn(segment.compass.angle - before)
 

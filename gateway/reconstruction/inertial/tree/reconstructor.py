@@ -142,24 +142,26 @@ class ChainReconstructor:
         heading in the world, and of its orientation against its parent (none for a root); and what shows its
         heading, of a segment against its parent, of a root in the world: ``observed`` (motion, a device or
         the sun does), ``by field`` (nothing but that), ``held`` (nothing; gyroscopes carry it on)."""
-        names, links, found = self._suit.skeleton.segment_names, self._body.segments, {}
-        for s, segment in enumerate(self._state.segments):
-            if segment["started"] == Started.NO:
+        names, links, segments = self._suit.skeleton.segment_names, self._body.segments, self._state.segments
+        found: dict[str, dict[str, float | str | None]] = {}
+        for s in range(self._n):
+            segment, p = segments[s], links[s].parent
+            if segment.started == Started.NO:
                 continue
-            p, P = int(links[s]["parent"]), segment["P"]
-            apart = relative = None
+            is_shown = segment.heading == Heading.OBSERVED
+            relative = None
             if p >= 0:
-                C = segment["C"][:3, :3]
-                between = P[:3, :3] + self._state.segments[p]["P"][:3, :3] - C - C.T
-                apart, relative = float(between[2, 2]), math.sqrt(max(float(np.trace(between)), 0.0))
-            compass = segment["compass"]
-            uses_compass = self._body.world.uses_field and compass["seconds"] > 0.0
-            of_heading = float(compass["error_variance"] if uses_compass else P[2, 2])
-            is_shown = segment["heading"] == Heading.OBSERVED and (
-                apart < SHOWN_HEADING**2 if apart is not None else bool(links[s]["heading_observable"])
-            )
+                C = segment.C[:3, :3]
+                between = segment.P[:3, :3] + segments[p].P[:3, :3] - C - C.T
+                relative = math.sqrt(max(float(np.trace(between)), 0.0))
+                is_shown = is_shown and bool(between[2, 2] < SHOWN_HEADING**2)
+            else:
+                is_shown = is_shown and links[s].heading_observable == 1
+            compass = segment.compass
+            uses_compass = self._body.world.uses_field == 1 and compass.seconds > 0.0
+            of_heading = float(compass.error_variance if uses_compass else segment.P[2, 2])
             found[names[s]] = {
-                "sigma_tilt": math.sqrt(float(P[0, 0] + P[1, 1])),
+                "sigma_tilt": math.sqrt(float(segment.P[0, 0] + segment.P[1, 1])),
                 "sigma_heading": math.sqrt(of_heading),
                 "sigma_relative": relative,
                 "heading": "observed" if is_shown else "by field" if uses_compass else "held",

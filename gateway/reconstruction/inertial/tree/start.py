@@ -141,6 +141,8 @@ def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray, tuning
 # Headings that nothing has shown yet
 
 
+LEAST_GIVE = 1e-12
+"""rad²."""
 GRAVITY = 9.81
 FAR_OFF = math.cos(math.pi / 4.0)
 """A linearised row brings back what is less far off."""
@@ -300,10 +302,17 @@ def turn_heading_sums(sums: HeadingSums, angle: float) -> None:
 
 
 @compiled
+def give_of(segment: Segment, tuning: Tuning) -> float:
+    """How easily a segment, with all that hangs together with it, is turned in the world, rad²: the square of
+    ``P_33``, so that one module that comes back does not turn the sixteen that have stayed."""
+    return float(segment.P[2, 2] ** 2 / tuning.unknown_heading**2 + LEAST_GIVE)
+
+
+@compiled
 def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, angle: float) -> None:
     """Turn segment s and all beyond it, and all before it back, so that they differ by ψ₀ (rad) more: each
-    side by its share of what both do not know of their headings in the world. Those beyond end where a
-    segment has kept its own heading while that of s was lost; a root turns with all of them."""
+    side by its share of what both give way. Those beyond end where a segment has kept its own heading while
+    that of s was lost; a root turns with all of them."""
     links, segments, works = body.segments, state.segments, work.segments
     root, first = s, links[s].parent
     while links[root].parent >= 0:
@@ -311,7 +320,8 @@ def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, an
     segments[root].compass.settled_s = 0.0
     beyond = 1.0
     if first >= 0:
-        beyond = segments[s].P[2, 2] / (segments[s].P[2, 2] + segments[first].P[2, 2])
+        gives, above_gives = give_of(segments[s], tuning), give_of(segments[first], tuning)
+        beyond = gives / (gives + above_gives)
     for c in range(s, len(links)):
         now, p = works[c], links[c].parent
         now.is_beyond = 1 if c == s else 0
