@@ -54,8 +54,9 @@ async def test_gyroscopes_are_calibrated_into_a_rig_file_and_into_modules(tumble
         found = (await ask.perform("result", {}))["modules"]
         assert {one["gyroscope"]["quality"] for one in found.values()} <= {"good", "fair", "poor"}
         kept = await ask.perform("accept", {"poor": True})
-        assert kept == {"accepted": [1, 8, 9], "file": "arm_3.worn.yaml", "is_configured": False}
-        worn = load_rig(str(tmp_path / kept["file"])).calibrations
+        kept_in = str(tmp_path / "arm_3.worn.yaml")
+        assert kept == {"accepted": [1, 8, 9], "file": kept_in, "is_configured": True}
+        worn = load_rig(kept_in).calibrations
         for module, one in found.items():
             bias = worn[int(module)].gyroscope_bias
             assert abs(bias - one["gyroscope"]["bias"]).max() < 1e-5
