@@ -12,7 +12,7 @@ from gateway.cli.run import _Supervisor as Supervisor
 from gateway.outputs.settings import MqttSettings
 from gateway.recording import open_recording
 from gateway.settings import load_gateway_settings
-from tests.shown_page import SIZES, TOKEN, choose, new_page, open_tab, page_of, press, reach
+from tests.shown_page import SIZES, TOKEN, WAIT_MS, choose, new_page, open_tab, page_of, press, reach
 from tests.suit_service import GATEWAY, started, suit_config
 
 pytestmark = pytest.mark.system
@@ -53,7 +53,7 @@ async def test_a_take_is_recorded_listed_replayed_exported_and_downloaded(
         await page.get_by_text(f"REPLAY {file.name}").wait_for()
         await press(page, "Back to live")
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
-        async with page.expect_download() as downloading:
+        async with page.expect_download(timeout=3 * WAIT_MS) as downloading:  # a program of its own writes it
             await press(page, "Export and download")
         exported = await downloading.value
         assert exported.suggested_filename == file.with_suffix(".bvh").name
