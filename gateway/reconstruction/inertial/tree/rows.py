@@ -441,15 +441,15 @@ def unaided_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float
 
 @compiled
 def note_acceleration(segment: Segment, world: World, tuning: Tuning, dt: float) -> None:
-    """(40): how far a mean acceleration is from none while the inclination is known: what a row that takes it
-    for none will be off by, once nothing aids the chain any more."""
+    """(40): how far a mean acceleration is from none while the inclination is known, aided or not: what a row
+    that takes it for none is off by."""
     tilt = segment.P[0, 0] + segment.P[1, 1]
     if segment.averages.seconds < tuning.unaided_window_s or tilt > tuning.aided_tilt**2:
         return
     square = 0.0
     for i in range(3):
         square += (segment.averages.long_force[i] - world.at_rest[i]) ** 2 / 3.0
-    # (40) T_A
+    # (40)
     gain = 1.0 - math.exp(-dt / tuning.acceleration_memory_s)
     segment.unaided_square += gain * (square - segment.unaided_square)
 

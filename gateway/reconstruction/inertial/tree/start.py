@@ -3,7 +3,7 @@
 While a segment's heading against its parent is unobserved, a linearised filter may converge to anything. But
 the horizontal accelerations of the joint seen from both sides are the same vector up to one angle ψ, whose
 posterior is von Mises: ``exp(κ cos(ψ − ψ₀))`` with ``κ e^{iψ₀} = Σ u_p ū / σ²`` (horizontal parts as complex
-numbers). Once κ is large enough the segment and all beyond it are turned by ψ₀ and the filter takes over.
+numbers). Once κ is large enough both sides are turned apart by ψ₀ and the filter takes over.
 Until then the field, if there is one, leads the heading as a compass does; it counts as evidence of its own.
 """
 

@@ -207,7 +207,7 @@ class Segment(Record):
     sun: SunSums
     zero_rate: ZeroRateWatch
     aids_s: float  # for how much longer a foot that has stood aids its chain
-    unaided_square: float  # mean square acceleration over the unaided window while aided, (m/s²)²
+    unaided_square: float  # mean square acceleration over the unaided window, as seen lately, (m/s²)²
     starting_square: float  # the same as a start in motion lets expect, less and less with time
     vibration: Vibration
     corrections: Corrections
