@@ -27,6 +27,8 @@ from gateway.sources.stream import Stream
 _LOOK_S = 0.1
 _LISTENED_S = 1.2
 """On UDP only those who were heard can be asked; modules that do not sample tell their health each second."""
+_FREED_S = 1.0
+"""For so long a port may still be taken by a program that is just ending."""
 
 _THROUGH_A_GATEWAY = (
     "; if that is a running gateway, ask it instead: --mqtt HOST:PORT (of its broker) in the place of -c or "
@@ -138,17 +140,25 @@ def _link(settings: LinkSettings, needs_all: bool) -> ReconnectingLink:
 
 
 async def _open(link: ReconnectingLink) -> None:
-    try:
-        with _unsaid(logging.getLogger(ReconnectingLink.__module__)):
-            await link.open()
-    except LinkError as error:
-        raise LinkError(_with_hint(str(error))) from error
+    """Open a link; wait for a while if it is taken, since who had it may just be ending."""
+    end_ns = gateway_time_ns() + round(_FREED_S * 1e9)
+    while True:
+        try:
+            with _unsaid(logging.getLogger(ReconnectingLink.__module__)):
+                return await link.open()
+        except LinkError as error:
+            if not _is_taken(str(error)) or gateway_time_ns() > end_ns:
+                raise LinkError(_with_hint(str(error))) from error
+        await asyncio.sleep(_LOOK_S)
 
 
 def _with_hint(reason: str) -> str:
     """Return the sentence that says why a link was not opened, and what would do."""
-    is_taken = " is busy" in reason or " is in use" in reason
-    return reason + _THROUGH_A_GATEWAY * is_taken
+    return reason + _THROUGH_A_GATEWAY * _is_taken(reason)
+
+
+def _is_taken(reason: str) -> bool:
+    return " is busy" in reason or " is in use" in reason
 
 
 @contextlib.contextmanager

@@ -215,7 +215,12 @@ class Machine:
         os.replace(new, self.link)
 
     def cut_power(self) -> None:
-        """Off, at once and in the middle of whatever it does."""
+        """Off, at once and in the middle of whatever it does.
+
+        Its link goes with it, as the name of a USB port does: left behind, it would soon lead whoever
+        reconnects to another module, since the kernel gives the number of its pseudo-terminal away again.
+        """
+        self.link.unlink(missing_ok=True)
         if self._process is not None:
             self._process.kill()
             self._process.wait()
