@@ -122,7 +122,7 @@ def test_errors_are_shared_out_as_least_squares_over_the_tree(parents, seed, has
             continue
         kappa = np.hypot(segment.heading_sums.along, segment.heading_sums.across)
         psi = np.arctan2(segment.heading_sums.across, segment.heading_sums.along)
-        assert expected[s] == pytest.approx(-psi * kappa**2 / (kappa**2 + kernels.LEAST_CONCENTRATION**2))
+        assert expected[s] == pytest.approx(-psi * kappa**2 / (kappa**2 + TUNING.heading_noise**2))
         known = 1.0 / TUNING.unknown_heading**2 + kappa / TUNING.heading_density
         assert apart[s] == pytest.approx(1.0 / known)
     angle = np.array([now.unwrapped for now in work.segments])

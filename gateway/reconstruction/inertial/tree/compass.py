@@ -43,8 +43,6 @@ LEAST_APART = 1e-9
 """rad²."""
 CUT_OFF = 1e6
 """rad², of a heading that has nothing to do with the parent's."""
-LEAST_CONCENTRATION = 2.0
-"""Of a von Mises distribution that is half believed."""
 
 
 @compiled
@@ -261,8 +259,9 @@ def _compare(
         elif p >= 0 and segments[p].heading == UNOBSERVED and now.apart > tuning.lost_heading**2:
             # it has kept its own while the parent's was lost, and does not turn with what finds that anew
             now.apart = CUT_OFF
-        before += now.expected
-        now.unwrapped = before + _within_half_a_turn(segment.compass.angle - before)
+        if has_compass:
+            before += now.expected
+            now.unwrapped = before + _within_half_a_turn(segment.compass.angle - before)
 
 
 @compiled
@@ -275,7 +274,7 @@ def _expect_unobserved(segment: Segment, now: SegmentWork, has_parent: bool, tun
     if concentration > tuning.heading_coherence * sums.length:
         now.apart = 1.0 / (1.0 / now.apart + concentration / tuning.heading_density)
         # what is next to nothing is noise, and would turn a body at rest
-        share = concentration**2 / (concentration**2 + LEAST_CONCENTRATION**2)
+        share = concentration**2 / (concentration**2 + tuning.heading_noise**2)
         now.expected = -math.atan2(sums.across, sums.along) * share
 
 

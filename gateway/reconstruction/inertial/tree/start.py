@@ -144,8 +144,6 @@ def start_acceleration(gravity: FloatArray, f: FloatArray, w: FloatArray, tuning
 LEAST_GIVE = 1e-12
 """rad²."""
 GRAVITY = 9.81
-FAR_OFF = math.cos(math.pi / 4.0)
-"""A linearised row brings back what is less far off."""
 
 
 @compiled
@@ -272,7 +270,7 @@ def is_contradicted(sums: HeadingSums, tuning: Tuning) -> bool:
     concentration = math.hypot(sums.along, sums.across)
     is_clear = concentration > tuning.heading_contradiction * tuning.heading_evidence
     is_clear = is_clear and concentration > tuning.heading_coherence * sums.length
-    return bool(is_clear and sums.along < FAR_OFF * concentration)
+    return bool(is_clear and sums.along < math.cos(tuning.heading_far_off) * concentration)
 
 
 @compiled

@@ -7,6 +7,8 @@ axis. What is physics, exact arithmetic or the size of an array is a constant wh
 
 from __future__ import annotations
 
+import math
+
 from gateway.geometry.records import Constant, Record, constant, constants_of, table_of
 
 JUDGED = "chosen on the arms, rings and pendulum of the accuracy suite"
@@ -143,6 +145,12 @@ class Tuning(Record):
     )
     heading_contradiction: float = constant(
         3.0, "", "times that evidence takes a heading back that is far off", "as sure again, and once more"
+    )
+    heading_far_off: float = constant(
+        math.pi / 4.0, "rad", "such a heading is taken back", "a linearised row brings back what is less"
+    )
+    heading_noise: float = constant(
+        2.0, "", "concentration of evidence of which half is shown at once", JUDGED
     )
     heading_coherence: float = constant(
         0.6, "", "least agreement of the two sides' horizontal accelerations for that", JUDGED
