@@ -9,11 +9,14 @@ import yaml
 
 from benchmarks.never_worse import store
 from benchmarks.never_worse.case import Case
+from benchmarks.never_worse.losses import with_losses
 from benchmarks.never_worse.recordings import FAMILIES
 from benchmarks.never_worse.simulated import KINDS
 
 FILE = Path(__file__).with_name("split.yaml")
 PARTS = ("training", "validation")
+LOSSY = "_lossy"
+"""Ends the name of a recording that has lost samples."""
 
 
 class Named(NamedTuple):
@@ -47,6 +50,9 @@ def case(name: str) -> Case:
 
 
 def _made(name: str) -> Case:
+    whole, is_lossy, _ = name.partition(LOSSY)
+    if is_lossy:
+        return with_losses(_made(whole), name)
     kind, _, seed = name.rpartition("_")
     if kind in KINDS:
         return KINDS[kind](int(seed))

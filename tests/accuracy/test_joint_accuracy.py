@@ -113,10 +113,7 @@ def arms():
 
 @pytest.mark.parametrize(
     ("silent_s", "covered"),
-    [
-        pytest.param(0.5, 0.75, marks=_short("0.74 with headings by compasses")),
-        pytest.param(2.0, 0.9, marks=_short("0.86 with headings by compasses")),
-    ],
+    [(0.5, 0.75), (2.0, 0.9)],
 )
 def test_a_module_that_is_silent_in_mid_swing_and_comes_back_claims_little_more_than_it_knows(
     arms, silent_s, covered

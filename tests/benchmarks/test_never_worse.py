@@ -12,11 +12,13 @@ from scipy.spatial.transform import Rotation
 from benchmarks.never_worse import peers, simulated, split, store
 from benchmarks.never_worse.case import Case, Variant
 from benchmarks.never_worse.judging import claims, errors
+from benchmarks.never_worse.losses import with_losses
 from benchmarks.never_worse.objective import score
 from benchmarks.never_worse.recordings import FAMILIES, backward, part
 from benchmarks.never_worse.report import report
 from benchmarks.never_worse.solving import Solution, live
 from devices.emulators.recordings import ModuleTrack, Recording, ReferenceTrack
+from gateway.frames import Status
 
 DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[3] / "shared" / "data"))
 BOTH, NEITHER = Variant(has_device=True, has_field=True), Variant(has_device=False, has_field=False)
@@ -51,9 +53,23 @@ def test_nothing_is_training_and_validation():
 
 def test_every_name_of_the_split_can_be_made():
     for name in (name for each in split.PARTS for name in split.table()[each]["recordings"]):
-        assert name.partition("_")[0] in FAMILIES
+        whole = name.partition(split.LOSSY)[0]
+        kind, _, seed = whole.rpartition("_")
+        assert whole.partition("_")[0] in FAMILIES or (kind in simulated.KINDS and seed.isdigit())
     for kind in (kind for each in split.PARTS for kind in split.table()[each]["simulated"]):
         assert kind in simulated.KINDS
+
+
+def test_a_tenth_of_the_samples_is_lost_the_same_ones_each_time(chain):
+    lossy = with_losses(chain, "random_chain_1_lossy")
+    lost = np.array([frame.status == Status.MISSING for frame in lossy.frames])
+    assert 0.02 < lost.mean() < 0.3
+    assert lossy.kind == "lossy"
+    for frame, whole, is_lost in zip(lossy.frames, chain.frames, lost, strict=True):
+        assert np.isnan(frame.angular_rate[is_lost]).all()
+        assert np.array_equal(frame.angular_rate[~is_lost], whole.angular_rate[~is_lost])
+    again = with_losses(chain, "random_chain_1_lossy")
+    assert all(np.array_equal(a.status, b.status) for a, b in zip(lossy.frames, again.frames, strict=True))
 
 
 def test_every_set_of_recordings_is_assigned():

@@ -133,19 +133,38 @@ class Checked:
 
     def turned(self, before, now, tuning, dt):
         """Mean rate over the step, rad/s, and the density of its noise, (rad/s)²/Hz."""
-        a = before.rate - before.bias
+        gap, memory_s = before.gap.seconds, tuning.longest_coast_s
+        last = before.gap.rate if gap > 0.0 else before.rate
+        square = tuning.dead_rate**2 + np.sum((last - before.bias) ** 2)
+
+        def coasted(t):
+            faded = np.exp(-t / memory_s)
+            return square * memory_s**2 * (t / memory_s - 1.5 + 2.0 * faded - 0.5 * faded**2)
+
         if now.validity == Validity.NOTHING:
             self.compared["coast"] += 1
-            w = a * np.exp(-dt / tuning.longest_coast_s)
-            return w, (tuning.dead_rate**2 + w @ w) * tuning.longest_coast_s
-        self.compared["predict"] += 1
-        b, change = now.angular_rate - before.bias, now.angular_rate - before.rate
-        w = (a + b) / 2.0 + np.cross(a, b) * dt / 12.0
-        w = w - np.nan_to_num(change - before.rate_slope * dt) / 12.0
+            w = (before.rate - before.bias) * np.exp(-dt / memory_s)
+            return w, (coasted(gap + dt) - coasted(gap)) / dt
+        is_bridged = gap > 0.0 and now.validity >= Validity.RATE
+        self.compared["bridge" if is_bridged else "predict"] += 1
+        lasted = dt + gap if is_bridged else dt
+        last = last if is_bridged else before.rate
+        slope = before.rate_slope if gap <= tuning.longest_bridge_s else np.full(3, np.nan)
+        a, b, change = last - before.bias, now.angular_rate - before.bias, now.angular_rate - last
+        w = (a + b) / 2.0 + np.cross(a, b) * lasted / 12.0
+        w = w - np.nan_to_num(change - slope * lasted) / 12.0
         density = tuning.gyroscope**2 + (tuning.gyroscope_scale**2 * (w @ w)) * tuning.scale_memory_s
         if now.validity == Validity.SATURATED_RATE:
             density += tuning.saturated_noise**2
-        return w, density + before.corrections.gyroscope * (change @ change) * dt
+        density += before.corrections.gyroscope * (change @ change) * lasted
+        if not is_bridged:
+            return w, density
+        known_s = 2.0 * memory_s * np.tanh(lasted / (2.0 * memory_s))
+        whole = w * (lasted if gap <= tuning.longest_bridge_s else known_s)  # (6) after a gap
+        np.testing.assert_allclose(now.bridge, whole, atol=1e-13)
+        off = square * memory_s * (lasted - known_s)  # known at both ends
+        variance = density * lasted + max(off - coasted(gap), 0.0)
+        return (whole - before.gap.turn) / dt, variance / dt
 
     def average(self, state, tuning, work, dt):
         before = state.segments.copy()
@@ -153,7 +172,10 @@ class Checked:
         gain = 1.0 - np.exp(-dt / tuning.smoothing_s)
         for s, now in enumerate(work.segments):
             one = before[s]
-            if now.validity == Validity.FORCE and one.averages.seconds > 0.0:
+            is_bridged = 0.0 < now.bridged_s <= tuning.longest_bridge_s
+            if now.validity == Validity.FORCE and one.averages.seconds > 0.0 and is_bridged:
+                self.bridged_average(one, now, state.segments[s].averages, tuning, dt)
+            elif now.validity == Validity.FORCE and one.averages.seconds > 0.0:
                 self.compared["average"] += 1
                 filled = 1.0 - np.exp(-(one.averages.seconds + dt) / tuning.smoothing_s)
                 W = one.R @ skew(now.angular_rate - one.bias)
@@ -163,6 +185,26 @@ class Checked:
                 mean = one.averages.force + gain / filled * (f - one.averages.force)
                 assert_close(state.segments[s].averages.force, mean)
                 self.vibration(one, now, state.segments[s].vibration, tuning, dt)
+
+    def bridged_average(self, before, now, after, tuning, dt):
+        """(8) and (9) in as many equal steps as the gap was long; (10) in one."""
+        self.compared["bridged_average"] += 1
+        n = round((now.bridged_s + dt) / dt)
+        assert n * dt == pytest.approx(now.bridged_s + dt)
+        gain, mean = 1.0 - np.exp(-dt / tuning.smoothing_s), before.averages.lever_arm_matrix.copy()
+        R_last = before.R @ Rotation.from_rotvec(-now.bridge).as_matrix()
+        last = R_last @ skew(before.gap.rate - before.bias)
+        W = before.R @ skew(now.angular_rate - before.bias)
+        filled = 1.0 - np.exp(-(before.averages.seconds + n * dt) / tuning.smoothing_s)
+        for k in range(1, n + 1):
+            on_the_way = last + (W - last) * k / n
+            K = gain / dt / filled * (on_the_way - mean)
+            mean += gain * (on_the_way - mean)
+        assert_close(now.K, K)
+        assert_close(after.lever_arm_matrix, mean)
+        f = 0.5 * (before.R @ (now.specific_force - before.force_bias) + before.averages.last_force)
+        share = (1.0 - np.exp(-n * dt / tuning.smoothing_s)) / filled
+        assert_close(after.force, before.averages.force + share * (f - before.averages.force))
 
     def vibration(self, before, now, seen, tuning, dt):
         """(12)."""
@@ -556,10 +598,11 @@ kernels = SimpleNamespace(
 )
 
 LEAST = {
-    "predict": 4000, "coast": 500, "average": 4000, "vibration": 4000, "start": 20, "joint_row": 500,
-    "open_joint_row": 1000, "heading": 1000, "joint_arms": 200, "fixed_point": 150, "pair": 60, "device": 3,
-    "open_device": 50, "stance": 250, "zero_rate_watch": 4000, "zero_rate": 1000, "unaided": 40,
-    "seen": 500, "starting": 100, "sun": 60, "corrections": 20, "compass": 4000,
+    "predict": 4000, "coast": 500, "bridge": 20, "average": 4000, "bridged_average": 10, "vibration": 4000,
+    "start": 20, "joint_row": 500, "open_joint_row": 1000, "heading": 1000, "joint_arms": 200,
+    "fixed_point": 150, "pair": 60, "device": 3, "open_device": 50, "stance": 250, "zero_rate_watch": 4000,
+    "zero_rate": 1000, "unaided": 40, "seen": 500, "starting": 100, "sun": 60, "corrections": 20,
+    "compass": 4000,
 }  # fmt: skip
 """How often each has to be compared over the chains: a reference that is hardly asked guards nothing."""
 UPDATES = {JointReconstructor: ("update", 8000), OutwardReconstructor: ("outward", 2500)}
@@ -577,7 +620,7 @@ def disturbed(chain):
     world = np.array([0.6, 0.48, 0.64])
     for k, frame in enumerate(frames):
         if k > N_FRAMES // 3:
-            silent = np.where(rng.random(silent.shape) < 0.005, rng.choice([1, 10, 120]), silent - 1)
+            silent = np.where(rng.random(silent.shape) < 0.007, rng.choice([1, 4, 10, 120]), silent - 1)
             clipped = np.where(rng.random(clipped.shape) < 0.005, rng.choice([1, 10]), clipped - 1)
         force = np.where(silent[:, None] > 0, np.nan, frame.specific_force)
         status = np.where(silent > 0, Status.MISSING, frame.status).astype(np.uint8)

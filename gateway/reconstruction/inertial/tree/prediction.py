@@ -16,7 +16,7 @@ import numpy as np
 from gateway.frames import Clipped, FloatArray, Quantity
 from gateway.geometry import rotation_matrix
 from gateway.geometry.compiled import compiled
-from gateway.geometry.vectors import dot, is_finite, norm
+from gateway.geometry.vectors import is_finite, norm
 from gateway.reconstruction.inertial.tree.state import (
     Body,
     Corrections,
@@ -103,7 +103,8 @@ def predict(body: Body, state: State, tuning: Tuning, work: Work, dt: float) -> 
 @compiled
 def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
     """(2), (5): ``now.mean_rate`` ← by the gyroscope; returns the density of its noise, (rad/s)²/Hz."""
-    _mean_rate(segment, now, dt)
+    lasted_s, gap = _end_gap(segment, now, tuning, dt), segment.gap
+    _mean_rate(segment, now, lasted_s)
     speed = norm(now.mean_rate)
     # (5)  σ_ω² + (κ ‖w‖)² τ_κ; at the end of its range a gyroscope is noise
     density = tuning.gyroscope**2 + (tuning.gyroscope_scale * speed) ** 2 * tuning.scale_memory_s
@@ -116,24 +117,87 @@ def _turn_as_measured(segment: Segment, now: SegmentWork, tuning: Tuning, dt: fl
     for i in range(3):
         step = now.angular_rate[i] - segment.rate[i]
         change += step**2
-        segment.rate_slope[i], segment.rate[i] = step / dt, now.angular_rate[i]
+        segment.rate_slope[i], segment.rate[i] = step / lasted_s, now.angular_rate[i]
     # (5)  … + ν_s ‖ω_k − ω_{k−1}‖² Δt
-    density += gyroscope_inflation(segment, change, dt)
+    density += gyroscope_inflation(segment, change, lasted_s)
+    if now.bridged_s > 0.0:
+        density = _bridge(segment, now, tuning, density * lasted_s, lasted_s) / dt
+    gap.seconds = 0.0
     return float(density)
+
+
+@compiled
+def _end_gap(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
+    """Return the time since the sample that tells with this one how the segment has turned, s: dt, or more
+    where a gap is over, and ``now.bridged_s`` is its length."""
+    gap, now.bridged_s = segment.gap, 0.0
+    if gap.seconds == 0.0:
+        return dt
+    if gap.seconds > tuning.longest_bridge_s or now.validity < RATE:
+        for i in range(3):
+            segment.rate_slope[i] = np.nan
+    if now.validity < RATE:
+        return dt
+    for i in range(3):
+        segment.rate[i] = gap.rate[i]
+    now.bridged_s = gap.seconds
+    return float(gap.seconds + dt)
+
+
+@compiled
+def _bridge(segment: Segment, now: SegmentWork, tuning: Tuning, variance: float, lasted_s: float) -> float:
+    """(6) after a gap: ``now.mean_rate`` ← what turns the segment by all it has turned since the last sample,
+    less what it was turned by meanwhile; returns the variance that the step adds, rad².
+
+    variance: rad², of the gyroscope over ``lasted_s``.
+    """
+    gap, w, memory_s = segment.gap, now.mean_rate, tuning.longest_coast_s
+    known_s = 2.0 * memory_s * math.tanh(lasted_s / (2.0 * memory_s))
+    # over a short time a rate goes evenly, over a long one it fades in between
+    counts_s = lasted_s if gap.seconds <= tuning.longest_bridge_s else known_s
+    for i in range(3):
+        now.bridge[i] = w[i] * counts_s
+        w[i] = (now.bridge[i] - gap.turn[i]) / (lasted_s - gap.seconds)
+    # (6) of a process that is known at both ends
+    off = _rate_square(segment, tuning) * memory_s * (lasted_s - known_s)
+    return float(variance + max(off - coasted_square(segment, tuning, gap.seconds), 0.0))
+
+
+@compiled
+def _rate_square(segment: Segment, tuning: Tuning) -> float:
+    """σ_dead² + ‖w‖² of (6), (rad/s)²."""
+    square = tuning.dead_rate**2
+    for i in range(3):
+        square += (segment.gap.rate[i] - segment.bias[i]) ** 2
+    return square
+
+
+@compiled
+def coasted_square(segment: Segment, tuning: Tuning, seconds: float) -> float:
+    """V of (6), rad²: how far a segment is from where its fading rate has led it."""
+    memory_s = tuning.longest_coast_s
+    t = seconds / memory_s
+    faded = math.exp(-t)
+    return float(_rate_square(segment, tuning) * memory_s**2 * (t - 1.5 + 2.0 * faded - 0.5 * faded * faded))
 
 
 @compiled
 def _coast(segment: Segment, now: SegmentWork, tuning: Tuning, dt: float) -> float:
     """(6): ``now.mean_rate`` ← of a silent module; returns the density of its noise, (rad/s)²/Hz."""
-    w = now.mean_rate
+    w, gap = now.mean_rate, segment.gap
+    if gap.seconds == 0.0:
+        for i in range(3):
+            gap.rate[i], gap.turn[i] = segment.rate[i], 0.0
     for i in range(3):
         # (6)  w ← w exp(−Δt / T_c)
         w[i] = (segment.rate[i] - segment.bias[i]) * math.exp(-dt / tuning.longest_coast_s)
         segment.rate[i] = segment.bias[i] + w[i]
-        segment.rate_slope[i] = np.nan
+        gap.turn[i] += w[i] * dt
     segment.silent_s += dt
-    # (6)  q = (σ_dead² + ‖w‖²) T_c
-    return float((tuning.dead_rate**2 + dot(w, w)) * tuning.longest_coast_s)
+    gap.seconds += dt
+    # (6)  q Δt = V(t) − V(t − Δt)
+    before = coasted_square(segment, tuning, gap.seconds - dt)
+    return float((coasted_square(segment, tuning, gap.seconds) - before) / dt)
 
 
 @compiled
@@ -247,11 +311,16 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
         segment, now = segments[s], works[s]
         averages = segment.averages
         if now.validity < FORCE:
-            averages.seconds = 0.0
+            if not is_short_gap(segment, now, tuning):
+                averages.seconds = 0.0
             continue
         is_fresh = averages.seconds == 0.0
+        is_bridged = 0.0 < now.bridged_s <= tuning.longest_bridge_s and not is_fresh
         _turn_into_world(segment, now, work.shared)
-        watch_vibration(segment.vibration, work.shared.force, is_fresh, tuning, dt)
+        watch_vibration(segment.vibration, work.shared.force, is_fresh or is_bridged, tuning, dt)
+        if is_bridged:
+            _bridge_averages(segment, now, work.shared, tuning, dt)
+            continue
         if is_fresh:
             _begin_averages(segment, work.shared)
         filled = _filled(averages.seconds + dt, tuning)
@@ -260,6 +329,12 @@ def average(state: State, tuning: Tuning, work: Work, dt: float) -> None:
         _average_forces(segment, work.shared, gain / filled, mean_gain)
         _average_lever_arm_matrix(segment, now, work.shared, gain / dt / filled, gain)
         averages.seconds += FIRST_SAMPLE_S if is_fresh else dt
+
+
+@compiled
+def is_short_gap(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
+    """Whether a module that says nothing now has been silent for so short that its averages are bridged."""
+    return bool(now.validity == NOTHING and 0.0 < segment.gap.seconds <= tuning.longest_bridge_s)
 
 
 @compiled
@@ -275,6 +350,13 @@ def _turn_into_world(segment: Segment, now: SegmentWork, shared: SharedWork) -> 
         f[i] = now.specific_force[i] - segment.force_bias[i]
     for i in range(3):
         f_w[i] = R[i, 0] * f[0] + R[i, 1] * f[1] + R[i, 2] * f[2]
+    _lever_arm_matrix_into(W, R, x, y, z)
+
+
+@compiled
+def _lever_arm_matrix_into(W: FloatArray, R: FloatArray, x: float, y: float, z: float) -> None:
+    """(7): W ← R [(x, y, z)]×, rad/s."""
+    for i in range(3):
         W[i, 0] = R[i, 1] * z - R[i, 2] * y
         W[i, 1] = R[i, 2] * x - R[i, 0] * z
         W[i, 2] = R[i, 0] * y - R[i, 1] * x
@@ -315,6 +397,41 @@ def _average_lever_arm_matrix(
             square += K[i, j] ** 2
     # (11) μ = √(½ ‖K‖²)
     now.motion = math.sqrt(0.5 * square)
+
+
+@compiled
+def _bridge_averages(
+    segment: Segment, now: SegmentWork, shared: SharedWork, tuning: Tuning, dt: float
+) -> None:
+    """(8) to (11) of the sample that ends a gap: both sides went evenly from the sample before it to now.
+
+    (9) holds for steps that are all alike. After a longer one K is carried on itself, and W̄ is what (9) would
+    have it for the next step of dt (s).
+    """
+    averages, W, last, lasted_s = segment.averages, shared.lever_arm_matrix, now.rotation, dt + now.bridged_s
+    gain, long_gain = (
+        1.0 - math.exp(-lasted_s / tuning.smoothing_s),
+        1.0 - math.exp(-lasted_s / tuning.unaided_window_s),
+    )
+    filled = _filled(averages.seconds + lasted_s, tuning)
+    mean_gain = max(long_gain, lasted_s / (averages.seconds + lasted_s))
+    _average_forces(segment, shared, gain / filled, mean_gain)
+    rate, bias, turn = segment.gap.rate, segment.bias, shared.rotation
+    rotation_matrix.exponential_into(turn, -now.bridge[0], -now.bridge[1], -now.bridge[2])
+    rotation_matrix.multiply_into(now.before, segment.R, turn)
+    _lever_arm_matrix_into(last, now.before, rate[0] - bias[0], rate[1] - bias[1], rate[2] - bias[2])
+    faded = math.exp(-dt / tuning.smoothing_s)
+    per_s = (1.0 - faded) / dt / faded
+    mean, K, square = averages.lever_arm_matrix, now.K, 0.0
+    for i in range(3):
+        for j in range(3):
+            carried = (1.0 - gain) * per_s * (last[i, j] - mean[i, j])
+            changed = carried + gain / lasted_s * (W[i, j] - last[i, j])
+            K[i, j] = changed / filled
+            mean[i, j] = W[i, j] - changed / per_s
+            square += K[i, j] ** 2
+    now.motion = math.sqrt(0.5 * square)
+    averages.seconds += lasted_s
 
 
 @compiled

@@ -21,7 +21,7 @@ from gateway.reconstruction.inertial.tree.lever_arms import (
     relative_covariance,
     spread,
 )
-from gateway.reconstruction.inertial.tree.prediction import felt_into, row_inflation
+from gateway.reconstruction.inertial.tree.prediction import felt_into, is_short_gap, row_inflation
 from gateway.reconstruction.inertial.tree.start import (
     forget_evidence,
     gather_heading,
@@ -120,7 +120,7 @@ def joint_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) 
         p, now.chain = link.parent, s
         # (18) u_s
         felt_into(now.U, segment.averages.force, now.K, link.to_joint, segment.arms.error, 0)
-        if p < 0 or now.validity < FORCE or works[p].validity < FORCE:
+        if p < 0 or not _counts(segment, now, tuning) or not _counts(segments[p], works[p], tuning):
             continue
         if segment.joint_nis < tuning.loose_nis:  # else what aids the one does not aid the other
             # also while its row waits for the averages: after a gap nothing has changed
@@ -128,6 +128,8 @@ def joint_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) 
         if body.world.is_tree:
             first = works[now.chain]
             first.aided = max(first.aided, now.aided)
+        if now.validity < FORCE or works[p].validity < FORCE:
+            continue
         if segment.averages.seconds < settled_s or segments[p].averages.seconds < settled_s:
             continue
         # the averages of both have been filled for 3 τ
@@ -136,6 +138,12 @@ def joint_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float) 
             _settle_heading(body, state, tuning, work, s)
         elif segment.heading == OBSERVED and is_contradicted(segment.heading_sums, tuning):
             take_back_heading(body, state, tuning, work, s)
+
+
+@compiled
+def _counts(segment: Segment, now: SegmentWork, tuning: Tuning) -> bool:
+    """Whether a segment belongs to its chain: it has a sample, or had one a moment ago."""
+    return bool(now.validity == FORCE or is_short_gap(segment, now, tuning))
 
 
 @compiled

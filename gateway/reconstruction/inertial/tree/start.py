@@ -309,31 +309,39 @@ def give_of(segment: Segment, tuning: Tuning) -> float:
 @compiled
 def turn_beyond(body: Body, state: State, tuning: Tuning, work: Work, s: int, angle: float) -> None:
     """Turn segment s and all beyond it, and all before it back, so that they differ by ψ₀ (rad) more: each
-    side by its share of what both give way. Those beyond end where a segment has kept its own heading while
-    that of s was lost; a root turns with all of them."""
+    side by its share of what both give way, which is what the stiffest of a side gives: a segment that came
+    back amid a body takes that along. Those beyond end where a segment has kept its own heading while that of
+    s was lost; a root turns with all of them."""
     links, segments, works = body.segments, state.segments, work.segments
     root, first = s, links[s].parent
     while links[root].parent >= 0:
         root = links[root].parent
     segments[root].compass.settled_s = 0.0
-    beyond = 1.0
-    if first >= 0:
-        gives, above_gives = give_of(segments[s], tuning), give_of(segments[first], tuning)
-        beyond = gives / (gives + above_gives)
-    for c in range(s, len(links)):
-        now, p = works[c], links[c].parent
-        now.is_beyond = 1 if c == s else 0
-        if p >= s and works[p].is_beyond:
-            is_unobserved = segments[c].heading == UNOBSERVED
-            is_kept = not is_unobserved and is_apart(segments[c], segments[p], True, tuning)
-            now.is_beyond = 0 if is_kept else 1
+    _mark_sides(body, state, tuning, work, s, root)
+    gives, above_gives = np.inf, np.inf
+    for c in range(root, len(links)):
+        give = give_of(segments[c], tuning)
+        gives = min(gives, give) if works[c].is_beyond else gives
+        above_gives = min(above_gives, give) if works[c].is_before else above_gives
+    beyond = 1.0 if first < 0 else gives / (gives + above_gives)
+    for c in range(root, len(links)):
+        now = works[c]
         if now.is_beyond:
             now.turn[2] += beyond * angle
-    if first < 0:
-        return
+        elif now.is_before:
+            now.turn[2] -= (1.0 - beyond) * angle
+
+
+@compiled
+def _mark_sides(body: Body, state: State, tuning: Tuning, work: Work, s: int, root: int) -> None:
+    """``is_beyond``, ``is_before`` ← which segments of the tree of ``root`` turn with s, and with its
+    parent."""
+    links, segments, works = body.segments, state.segments, work.segments
     for c in range(root, len(links)):
         now, p = works[c], links[c].parent
-        is_after = c >= s and now.is_beyond
-        now.is_before = 1 if c == root or (p >= root and works[p].is_before and not is_after) else 0
-        if now.is_before:
-            now.turn[2] -= (1.0 - beyond) * angle
+        now.is_beyond, now.is_before = 1 if c == s else 0, 1 if c == root and root < s else 0
+        if p >= s and works[p].is_beyond:
+            is_kept = segments[c].heading != UNOBSERVED and is_apart(segments[c], segments[p], True, tuning)
+            now.is_beyond = 0 if is_kept else 1
+        if p >= root and works[p].is_before and not now.is_beyond:
+            now.is_before = 1

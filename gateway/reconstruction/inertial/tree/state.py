@@ -185,12 +185,21 @@ class Corrections(Record):
     rows: float
 
 
+class Gap(Record):
+    """A silence of a module, while it lasts."""
+
+    seconds: float  # since its last sample, 0: none
+    rate: Vector  # of that sample, bias included, rad/s
+    turn: Vector  # by what the segment has been turned since, segment axes, rad
+
+
 class Segment(Record):
     """Everything remembered of a segment."""
 
     started: int  # Started
     heading: int  # Heading
-    silent_s: float  # since the module's last sample
+    silent_s: float  # since the gyroscope's last sample within its range
+    gap: Gap
     R: Matrix  # segment to world
     bias: Vector  # of the gyroscope, rad/s
     force_bias: Vector  # found error of the accelerometer, m/s², where a local device is
@@ -291,6 +300,10 @@ class SegmentWork(Record):
     stood_s: float  # for how long it has not accelerated, 0: it does
     mean_rate: Vector  # that turns it from the frame before to this one, rad/s
     before: Matrix  # orientation of the frame before
+    bridged_s: (
+        float  # length of the gap that this sample ends, where both its ends tell how it turned; 0: none
+    )
+    bridge: Vector  # how it has turned since the last sample before that, segment axes, rad
     K: Matrix  # filtered lever-arm matrix, 1/s², world
     motion: float  # ‖[ω̇, ω]‖, 1/s²
     turn: Vector  # world rotation that it is given, rad

@@ -1,0 +1,77 @@
+"""Samples that a radio loses: gaps of some frames, each module by itself, all the time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gateway.emulation.fast_arm import Switches, fast_arm, fast_motion, sampled
+from gateway.frames import ImuFrame, Status
+from gateway.geometry.comparison import orientation_error
+from gateway.reconstruction.inertial.tree.reconstructor import ChainSettings, JointReconstructor
+from gateway.reconstruction.inertial.tree.start import give_of, turn_beyond
+from gateway.reconstruction.inertial.tree.state import Heading, chain_body, initial_state, work_space
+from gateway.reconstruction.inertial.tree.tuning import tuning
+
+SUIT, SEED, FROM_S = fast_arm(), 3, 5.0
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[ImuFrame]:
+    """Fifteen seconds of an arm in full swing."""
+    return sampled(SUIT, fast_motion(SUIT, SEED), Switches(), SEED, seconds=15.0)
+
+
+def losing(frames: list[ImuFrame], share: float, longest: int) -> list[ImuFrame]:
+    """Return them with a share of each module's samples lost, up to so many in a row."""
+    rng = np.random.default_rng(1)
+    left, found = np.zeros(len(frames[0].status), int), []
+    for frame in frames:
+        begins = rng.random(len(left)) < share / (0.5 * (longest + 1))
+        left = np.where(
+            (left == 0) & begins, rng.integers(1, longest + 1, len(left)), np.maximum(left - 1, 0)
+        )
+        is_lost = left > 0
+        status = np.where(is_lost, Status.MISSING.value, frame.status).astype(np.uint8)
+        force, rate = (
+            np.where(is_lost[:, np.newaxis], np.nan, values)
+            for values in (frame.specific_force, frame.angular_rate)
+        )
+        found.append(replace(frame, status=status, specific_force=force, angular_rate=rate))
+    return found
+
+
+def tilt_deg(frames: list[ImuFrame]) -> float:
+    """RMS of all segments' inclinations."""
+    poses = JointReconstructor(SUIT, 0.01, ChainSettings(uses_field=False)).update_many(frames)
+    times_s = np.array([pose.time_ns for pose in poses]) * 1e-9
+    late = times_s > FROM_S
+    error = orientation_error(
+        np.stack([pose.q_wb for pose in poses])[late], fast_motion(SUIT, SEED).state(times_s[late]).q_wb
+    )
+    return float(np.degrees(np.sqrt(np.mean(error.inclination**2))))
+
+
+def test_single_losses_cost_hardly_anything(frames):
+    """They were taken for 0.1 s of a motion that nobody knows, and made the joints wait."""
+    assert tilt_deg(losing(frames, 0.05, 1)) < 1.3 * tilt_deg(frames)
+
+
+def test_a_tenth_lost_up_to_four_in_a_row_leaves_the_arm_where_it_is(frames):
+    assert tilt_deg(losing(frames, 0.1, 4)) < 3.0
+
+
+def test_a_segment_that_came_back_amid_a_body_does_not_turn_the_body():
+    """The fourth's heading is shown against the third, which has lost its own; the first two know theirs."""
+    numbers, n = tuning(), len(SUIT.skeleton.parents)
+    body, state, work = chain_body(SUIT, uses_field=False), initial_state(n, 0), work_space(n)
+    segments, lost = state.segments, numbers.unknown_heading**2
+    for s, variance in enumerate((1e-3, 1e-3, lost, 0.1, 0.1)):
+        segments[s].P[2, 2], segments[s].started = variance, 1
+        segments[s].heading = Heading.UNOBSERVED.value if s == 2 else Heading.OBSERVED.value
+    turn_beyond(body, state, numbers, work, 3, 1.0)
+    turns = np.array([now.turn[2] for now in work.segments])
+    gives, above_gives = give_of(segments[3], numbers), give_of(segments[0], numbers)
+    beyond = gives / (gives + above_gives)
+    np.testing.assert_allclose(turns, [beyond - 1.0] * 3 + [beyond] * 2)
+    assert abs(turns[0]) < 0.01
