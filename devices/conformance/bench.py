@@ -33,6 +33,7 @@ class Heard(NamedTuple):
 
     @property
     def packet(self) -> Any:
+        """Return what was in the wire frame."""
         return self.received.packet
 
 
@@ -77,23 +78,22 @@ class Bench:
         """
         infos: dict[bytes, int] = {}
         chosen: list[bytes] = []
-        for _ in range(_ATTEMPTS):
+        for _ in range(_ATTEMPTS):  # behind a relay others may answer first
             await self.send_command(Verb.GET_INFO)
             await self.until(lambda: bool(self.of(DeviceInfo)), listen_s)
             await asyncio.sleep(_QUIET_S)
             infos = {each.packet.unique_id: each.received.module for each in self.of(DeviceInfo)}
             chosen = [uid for uid, module in infos.items() if device is None or _means(device, uid, module)]
-            if chosen:  # behind a relay others may answer first
+            if chosen:
                 break
-        if len(chosen) != 1:
-            there = ", ".join(f"{module} ({uid.hex()})" for uid, module in infos.items())
+        if not infos:
             raise NoModuleError(
-                f"there are {there}: name one with --device"
-                if infos
-                else f"no DeviceInfo came in {_ATTEMPTS * listen_s:.0f} s, "
-                f"but {len(self.heard)} other packets: "
+                f"no DeviceInfo came in {_ATTEMPTS * listen_s:.0f} s, but {len(self.heard)} other packets: "
                 "a module sends one when it is asked for it, and every 5 s"
             )
+        if len(chosen) != 1:
+            there = ", ".join(f"{module} ({uid.hex()})" for uid, module in infos.items())
+            raise NoModuleError(f"there are {there}: name one with --device")
         self.unique_id = chosen[0]
         self.module = infos[self.unique_id]
 

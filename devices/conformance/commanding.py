@@ -50,6 +50,7 @@ def demand_result(answer: Acknowledgement | None, wanted: Result, what: str) -> 
 
 @rule("hello", "HELLO is answered with the highest version that both know")
 async def hello(bench: Bench) -> None:
+    """Ask with the versions that this host speaks."""
     answer = await bench.ask(Verb.HELLO, *SUPPORTED)
     demand_result(answer, Result.DONE, "HELLO")
     payload = decode_payload(Verb.HELLO, answer.payload if answer else b"")
@@ -60,6 +61,7 @@ async def hello(bench: Bench) -> None:
 
 @rule("hello_no_version", "HELLO with versions that the device does not know is answered with 0")
 async def hello_no_version(bench: Bench) -> None:
+    """Ask with versions that nobody has yet."""
     answer = await bench.ask(Verb.HELLO, 200, 201)
     demand_result(answer, Result.DONE, "HELLO 200 to 201")
     payload = decode_payload(Verb.HELLO, answer.payload if answer else b"")
@@ -68,12 +70,14 @@ async def hello_no_version(bench: Bench) -> None:
 
 @rule("identify", "IDENTIFY is answered, and so is 0, which stops it")
 async def identify(bench: Bench) -> None:
+    """Have it blink for a second, and stop; whether it does cannot be seen from the line."""
     for seconds in (1, 0):
         demand_result(await bench.ask(Verb.IDENTIFY, seconds), Result.DONE, f"IDENTIFY {seconds} s")
 
 
 @rule("get_info", "GET_INFO is answered, then DeviceInfo and Health are sent")
 async def get_info(bench: Bench) -> None:
+    """Ask once for each of both, in less time than they take to come by themselves."""
     for kind in (DeviceInfo, Health):
         since = bench.mark()
         demand_result(await bench.ask(Verb.GET_INFO), Result.DONE, "GET_INFO")
@@ -87,11 +91,13 @@ async def get_info(bench: Bench) -> None:
 
 @rule("unknown_verb", "a verb that the device does not know is answered with result 1, never with silence")
 async def unknown_verb(bench: Bench) -> None:
+    """Ask with a verb that nobody has yet."""
     demand_result(await bench.ask(UNKNOWN_VERB, arguments=b""), Result.UNKNOWN_VERB, f"verb {UNKNOWN_VERB}")
 
 
 @rule("card_verbs", "what the device does not have is answered with result 9, never with silence")
 async def card_verbs(bench: Bench) -> None:
+    """Ask for the files of a card, which most modules do not have."""
     answer = await bench.ask(Verb.CARD_LIST, 0)
     demand(
         answer is not None and answer.result in (Result.DONE, Result.NOT_SUPPORTED),
@@ -101,6 +107,7 @@ async def card_verbs(bench: Bench) -> None:
 
 @rule("bad_arguments", "arguments of another length than declared are answered with result 2")
 async def bad_arguments(bench: Bench) -> None:
+    """Ask with too few and with too many bytes."""
     for verb, arguments in ((Verb.HELLO, b"\x01"), (Verb.IDENTIFY, b""), (Verb.READ_SETTING, b"\x01\x02")):
         answer = await bench.ask(verb, arguments=arguments)
         demand_result(answer, Result.BAD_ARGUMENTS, f"{verb.name} with {len(arguments)} bytes")
@@ -111,6 +118,7 @@ async def bad_arguments(bench: Bench) -> None:
     "READ_SETTING gives every setting, within its limits; result 6 for a key that there is not",
 )
 async def read_settings(bench: Bench) -> None:
+    """Read all that are declared, of which a firmware need not have every one, and one that is not."""
     for key, declared in SETTINGS.items():
         answer = await bench.ask(Verb.READ_SETTING, key)
         if answer is not None and answer.result == Result.NO_SUCH_SETTING:
@@ -127,6 +135,7 @@ async def read_settings(bench: Bench) -> None:
 
 @rule("stop_and_start", "STOP ends sampling, START begins it; both come twice without harm")
 async def stop_and_start(bench: Bench) -> None:
+    """Give each twice, and look for samples in between and afterwards."""
     await needs_own_timer(bench)
     try:
         for _ in range(2):
@@ -143,37 +152,43 @@ async def stop_and_start(bench: Bench) -> None:
 
 @rule("repeated_command", "a command that comes again is answered as before, and not carried out again")
 async def repeated_command(bench: Bench) -> None:
+    """Stop it, start it, and send the same STOP again after as many others as are to be remembered."""
     await needs_own_timer(bench)
-    stop, others = bench.next_transaction(), range(ANSWER_MEMORY - 2)
-    since = bench.mark()
+    stop = bench.next_transaction()
     try:
-        await bench.send_command(Verb.STOP, unique_id=bench.unique_id, transaction=stop)
-        demand(await bench.until(lambda: bool(bench.answers(stop, since))), "STOP is not answered")
+        first = await _answer_to_stop(bench, stop)
+        demand(first is not None, "STOP is not answered")
     finally:
         await bench.ask(Verb.START)
-    for _ in others:
+    for _ in range(ANSWER_MEMORY - 2):
         await bench.ask(Verb.HELLO, *SUPPORTED)
-    first, since = bench.answers(stop, since)[0].packet, bench.mark()
-    await bench.send_command(Verb.STOP, unique_id=bench.unique_id, transaction=stop)
-    again = await bench.until(lambda: bool(bench.answers(stop, since)))
+    again = await _answer_to_stop(bench, stop)
     await asyncio.sleep(_STOPPED_S)
-    since_then = bench.mark()
-    is_sampling = await bench.until(lambda: bool(samples(bench, since_then)), _STOPPED_S)
+    since = bench.mark()
+    is_sampling = await bench.until(lambda: bool(samples(bench, since)), _STOPPED_S)
     if not is_sampling:
         await bench.ask(Verb.START)
     demand(
         is_sampling,
         f"STOP was obeyed again: its transaction and {ANSWER_MEMORY - 1} others are to be remembered",
     )
-    demand(again, "the repeated command was not answered again")
-    demand(
-        bench.answers(stop, since)[0].packet == first,
-        "the repeated command was answered otherwise than before",
-    )
+    demand(again is not None, "the repeated command was not answered again")
+    demand(again == first, "the repeated command was answered otherwise than before")
+
+
+async def _answer_to_stop(bench: Bench, transaction: int) -> Acknowledgement | None:
+    """Send STOP once; what was answered in time."""
+    since = bench.mark()
+    await bench.send_command(Verb.STOP, unique_id=bench.unique_id, transaction=transaction)
+    if not await bench.answered(transaction, since):
+        return None
+    answer: Acknowledgement = bench.answers(transaction, since)[0].packet
+    return answer
 
 
 @rule("by_module_id", "a command to the module's id is obeyed, one to another id is not answered")
 async def by_module_id(bench: Bench) -> None:
+    """Give a command to its own id and to the next."""
     for module, is_meant in ((bench.module, True), ((bench.module + 1) % (MAX_MODULE + 1), False)):
         since = bench.mark()
         number = await bench.send_command(Verb.HELLO, encode_arguments(Verb.HELLO, *SUPPORTED), module=module)
@@ -186,6 +201,7 @@ async def by_module_id(bench: Bench) -> None:
 
 @rule("by_unique_id", "a command with a unique id is obeyed by that device alone, whatever its module id")
 async def by_unique_id(bench: Bench) -> None:
+    """Give commands to a unique id that is nobody's, under headers that the module listens to."""
     since = bench.mark()
     hello_bytes = encode_arguments(Verb.HELLO, *SUPPORTED)
     for module in (BROADCAST, bench.module):
@@ -195,6 +211,7 @@ async def by_unique_id(bench: Bench) -> None:
 
 @rule("answer_to_all", "answers to 255 wait for 2 ms times the device's id")
 async def answer_to_all(bench: Bench) -> None:
+    """Look at the quickest of several answers: a busy host makes them late and never early."""
     delays = []
     for _ in range(5):
         since = bench.mark()
@@ -210,6 +227,7 @@ async def answer_to_all(bench: Bench) -> None:
 
 @rule("damaged_command", "a damaged wire frame costs nothing but itself, and is not obeyed")
 async def damaged_command(bench: Bench) -> None:
+    """Send a command with a bit of its checksum turned, and a good one after it."""
     if bench.link.framing is not Framing.BYTE_STREAM:
         raise SkippedError("the bus keeps damage away")
     number, since = bench.next_transaction(), bench.mark()
@@ -223,6 +241,7 @@ async def damaged_command(bench: Bench) -> None:
 
 @rule("noise", "whole again at the delimiter, whatever the line has picked up")
 async def noise(bench: Bench) -> None:
+    """Send zeros, more bytes than any wire frame has, all values, and a frame that ends too soon."""
     if bench.link.framing is not Framing.BYTE_STREAM:
         raise SkippedError("the bus keeps noise away")
     for data in (bytes(64), bytes([0xAA]) * _OVERLONG + b"\0", bytes(range(256)) * 2 + b"\0", b"\x05\x01\0"):

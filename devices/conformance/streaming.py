@@ -61,7 +61,7 @@ async def needs_own_timer(bench: Bench) -> None:
 
 @rule("frames_whole", "every wire frame is stuffed, checked and of the length that its kind demands")
 async def frames_whole(bench: Bench) -> None:
-    # A line that was opened in the middle of a wire frame gives one that is broken.
+    """Look at what was dropped; a line that was opened within a wire frame gives one that is broken."""
     dropped = Counter(bench.decoder.dropped)
     allowed = 1 if bench.link.framing is Framing.BYTE_STREAM else 2
     said = ", ".join(f"{count} {defect.name}" for defect, count in dropped.items())
@@ -70,6 +70,7 @@ async def frames_whole(bench: Bench) -> None:
 
 @rule("device_info", "DeviceInfo every 5 s")
 async def device_info(bench: Bench) -> None:
+    """Look for two that are 5 s apart, and for one unique id under the module's number."""
     infos = bench.from_module(DeviceInfo)
     own = {each.packet.unique_id for each in infos}
     demand(own == {bench.unique_id}, f"under id {bench.module} came {len(own)} unique ids")
@@ -83,6 +84,7 @@ async def device_info(bench: Bench) -> None:
 
 @rule("health", "Health every second; uptime and samples count upwards")
 async def health(bench: Bench) -> None:
+    """Hold the first and the last against each other, and against what came between them."""
     found = bench.from_module(Health)
     demand(len(found) >= LISTENED_S * 0.7, f"{len(found)} came in {LISTENED_S:.0f} s")
     first, last = found[0], found[-1]
@@ -96,6 +98,7 @@ async def health(bench: Bench) -> None:
 
 @rule("sequence_of_samples", "sequence goes up by one for every sample, and counts each kind by itself")
 async def sequence_of_samples(bench: Bench) -> None:
+    """Look at the commonest step; samples that the module or a busy host lost leave larger ones."""
     await needs_own_timer(bench)
     found = Counter(steps([each.received.sequence for each in _some(bench)], _SEQUENCES))
     common, count = found.most_common(1)[0]
@@ -108,6 +111,7 @@ async def sequence_of_samples(bench: Bench) -> None:
 
 @rule("sequence_of_reports", "sequence goes up by one for every packet of its kind: DeviceInfo, Health")
 async def sequence_of_reports(bench: Bench) -> None:
+    """Look at every step; one report may be lost."""
     for kind in (DeviceInfo, Health):
         found = list(steps([each.received.sequence for each in bench.from_module(kind)], _SEQUENCES))
         demand(found and set(found) <= {1, 2}, f"{kind.__name__}: steps of sequence are {found}")
@@ -115,6 +119,7 @@ async def sequence_of_reports(bench: Bench) -> None:
 
 @rule("stamps_rise", "module_time_us is the instant of sampling, by a free-running counter of microseconds")
 async def stamps_rise(bench: Bench) -> None:
+    """Look at every step, through the wrap of the counter."""
     found = list(steps([each.received.module_time_us for each in _some(bench)], _STAMPS))
     backwards = sum(step == 0 or step > _STAMPS // 2 for step in found)
     demand(not backwards, f"{backwards} of {len(found)} stamps are not later than the one before")
@@ -122,15 +127,8 @@ async def stamps_rise(bench: Bench) -> None:
 
 @rule("counter_in_microseconds", "the timer runs at a nominal 1 MHz")
 async def counter_in_microseconds(bench: Bench) -> None:
-    found = _some(bench)
-    part = len(found) // 4
-    stamps = [0]
-    for step in steps([each.received.module_time_us for each in found], _STAMPS):
-        stamps.append(stamps[-1] + step)
-    # What came with the least delay, early and late: a busy host makes packets late and never early.
-    lags = [each.arrived_ns - stamp * 1000 for each, stamp in zip(found, stamps, strict=True)]
-    passed_us = stamps[-1 - part // 2] - stamps[part // 2]
-    drift = (min(lags[-part:]) - min(lags[:part])) * 1e-3 / max(passed_us, 1)
+    """Hold the counter against the host's clock: between the first quarter of the samples and the last."""
+    passed_us, drift = _passed_and_drift(_some(bench))
     demand(
         abs(drift) < _CLOCK_TOLERANCE,
         f"while the host's clock went on by {(1 + drift) * passed_us * 1e-6:.2f} "
@@ -139,8 +137,21 @@ async def counter_in_microseconds(bench: Bench) -> None:
     )
 
 
+def _passed_and_drift(found: list[Heard]) -> tuple[int, float]:
+    """Return by how much the counter went on, and how much more the host's clock did, as a share of that."""
+    part = len(found) // 4
+    stamps = [0]
+    for step in steps([each.received.module_time_us for each in found], _STAMPS):
+        stamps.append(stamps[-1] + step)
+    # What came with the least delay, early and late: a busy host makes packets late and never early.
+    lags = [each.arrived_ns - stamp * 1000 for each, stamp in zip(found, stamps, strict=True)]
+    passed_us = stamps[-1 - part // 2] - stamps[part // 2]
+    return passed_us, (min(lags[-part:]) - min(lags[:part])) * 1e-3 / max(passed_us, 1)
+
+
 @rule("even_sampling", "samples are even in time, and as many as sampling_rate says")
 async def even_sampling(bench: Bench) -> None:
+    """Look at the median interval, and how far half of them are from it: samples may be missing."""
     await needs_own_timer(bench)
     rate = await setting(bench, _SAMPLING_RATE)
     assert isinstance(rate, float)
@@ -162,6 +173,7 @@ async def even_sampling(bench: Bench) -> None:
 
 @rule("specific_force", "specific force in its steps: at rest 9.81 m/s² whichever way the module lies")
 async def specific_force(bench: Bench) -> None:
+    """Look at the median norm, wide enough for a module that is worn and not laid down."""
     forces = [each.packet.specific_force for each in _some(bench) if each.packet.specific_force is not None]
     if not forces:
         raise SkippedError("the module has no accelerometer")
@@ -175,6 +187,7 @@ async def specific_force(bench: Bench) -> None:
 
 @rule("sensors_told", "DeviceInfo tells range and rate of each sensor that samples have, and of no other")
 async def sensors_told(bench: Bench) -> None:
+    """Hold the newest DeviceInfo against all samples."""
     info = bench.from_module(DeviceInfo)[-1].packet
     for sensor, told in (
         ("specific_force", info.accelerometer_range),

@@ -42,6 +42,7 @@ async def _several(bench: Bench, module: int) -> list[tuple[int, int, Heard]]:
 
 @rule("time_request", "a SyncRequest is answered at once, with its token")
 async def time_request(bench: Bench) -> None:
+    """Ask several times, and look how long the module says that it held the requests."""
     found = await _several(bench, bench.module)
     demand(
         len(found) >= _EXCHANGES // 2, f"{len(found)} of {_EXCHANGES} requests were answered within a second"
@@ -60,35 +61,47 @@ async def time_request(bench: Bench) -> None:
     "received_us is the counter when the request came, sent_us when the answer goes to the line",
 )
 async def time_told_truly(bench: Bench) -> None:
+    """Look whether one offset between both clocks explains all answers, to what a bad crystal drifts."""
     found = await _several(bench, bench.module)
     demand(found, "no request was answered")
-    first = found[0][2].packet.received_us
-    # Its clock plus some offset lies between sending and arrival: of every exchange, so of all of them.
-    least, most = -float("inf"), float("inf")
-    for sent_ns, _, answer in found:
-        received_us = (answer.packet.received_us - first + _STAMPS // 2) % _STAMPS - _STAMPS // 2
-        sent_us = (answer.packet.sent_us - first + _STAMPS // 2) % _STAMPS - _STAMPS // 2
-        least = max(least, sent_ns * 1e-3 - received_us)
-        most = min(most, answer.arrived_ns * 1e-3 - sent_us)
+    least, most = _offsets_us(found)
     demand(
         least <= most + _DRIFT_US,
         f"no one offset fits all answers: they are {(least - most) / 1000:.1f} ms apart",
     )
-    stamp = found[-1][2].received.module_time_us
-    apart = (stamp - found[-1][2].packet.received_us + _STAMPS // 2) % _STAMPS - _STAMPS // 2
+    newest = found[-1][2]
+    apart = _later_us(newest.received.module_time_us, newest.packet.received_us)
     demand(
         abs(apart) < 1_000_000, f"the answer is stamped {apart} µs from received_us: it is another counter"
     )
 
 
+def _offsets_us(found: list[tuple[int, int, Heard]]) -> tuple[float, float]:
+    """Return the least and the greatest offset of the host's clock that exchanges allow, µs.
+
+    The module's clock plus the offset lies between sending and arrival: in every exchange, so in all.
+    """
+    first = found[0][2].packet.received_us
+    least = [sent_ns * 1e-3 - _later_us(each.packet.received_us, first) for sent_ns, _, each in found]
+    most = [each.arrived_ns * 1e-3 - _later_us(each.packet.sent_us, first) for _, _, each in found]
+    return max(least), min(most)
+
+
+def _later_us(stamp_us: int, than_us: int) -> int:
+    """Return by how much a stamp is later than another, or earlier, on a counter that wraps."""
+    return (stamp_us - than_us + _STAMPS // 2) % _STAMPS - _STAMPS // 2
+
+
 @rule("time_request_to_all", "a SyncRequest to 255 is answered too")
 async def time_request_to_all(bench: Bench) -> None:
+    """Ask three times: an answer may be lost."""
     answered = [await exchange(bench, BROADCAST) for _ in range(3)]
     demand(any(each is not None for each in answered), "none of 3 requests was answered")
 
 
 @rule("time_request_to_another", "a SyncRequest to another module is not answered")
 async def time_request_to_another(bench: Bench) -> None:
+    """Ask the next number, then something that is answered: by then the other answer would have come."""
     since = bench.mark()
     other = (bench.module + 1) % (MAX_MODULE + 1)
     token = bench.next_transaction()

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
-from itertools import pairwise
 from statistics import median
 
-from devices.conformance.bench import PATIENCE_S, Bench
+from devices.conformance.bench import PATIENCE_S, Bench, steps
 from devices.conformance.commanding import UNKNOWN_KEY, demand_result
 from devices.conformance.rule import BrokenError, SkippedError, demand, rule
 from devices.conformance.streaming import needs_own_timer, samples
@@ -58,8 +57,19 @@ async def _commit(bench: Bench) -> int:
     return int(payload[0])
 
 
+_BEYOND = {
+    "module_id": bytes([MAX_MODULE + 1]),
+    "sampling_rate": bytes(2),
+    "mode": bytes([0]),
+    "label": b"\xff" * 16,
+    "calibration": b"\xff" * SETTINGS[SETTING_KEYS["calibration"]].value.size,
+}
+"""Bytes of settings that no module may take: too large, zero, no text, no numbers."""
+
+
 @rule("staged", "WRITE_SETTING stages a value, which is read back; DISCARD forgets it", is_writing=True)
 async def staged(bench: Bench) -> None:
+    """Stage a label, read it, discard it, and read again."""
     before = await held(bench, "label")
     await _stage(bench, "label", _LABEL)
     demand(
@@ -71,6 +81,7 @@ async def staged(bench: Bench) -> None:
 
 @rule("nothing_staged", "COMMIT with nothing staged is answered with result 8", is_writing=True)
 async def nothing_staged(bench: Bench) -> None:
+    """Discard whatever is staged before."""
     await bench.ask(Verb.DISCARD)
     demand_result(await bench.ask(Verb.COMMIT), Result.NOTHING_STAGED, "COMMIT")
 
@@ -81,14 +92,8 @@ async def nothing_staged(bench: Bench) -> None:
     is_writing=True,
 )
 async def limits(bench: Bench) -> None:
-    bad = {
-        "module_id": bytes([MAX_MODULE + 1]),
-        "sampling_rate": bytes(2),
-        "mode": bytes([0]),
-        "label": b"\xff" * 16,
-        "calibration": b"\xff" * SETTINGS[SETTING_KEYS["calibration"]].value.size,
-    }
-    for name, raw in bad.items():
+    """Write values beyond the limits, and look that none of them was staged."""
+    for name, raw in _BEYOND.items():
         before = await held(bench, name)
         if before is None:
             continue
@@ -103,6 +108,7 @@ async def limits(bench: Bench) -> None:
     "commit", "COMMIT stores what is staged, counts the generation up, and Event 7 follows", is_writing=True
 )
 async def commit(bench: Bench) -> None:
+    """Commit two labels one after the other."""
     generations = []
     for label in (_LABEL, _OTHER_LABEL):
         await _stage(bench, "label", label)
@@ -124,6 +130,7 @@ async def commit(bench: Bench) -> None:
 
 @rule("acts_by_settings", "COMMIT: the module acts by the new settings, here sampling_rate", is_writing=True)
 async def acts_by_settings(bench: Bench) -> None:
+    """Set 25 Hz, and look at the median interval: a module that missed some samples has the right rate."""
     await needs_own_timer(bench)
     before = await held(bench, "sampling_rate")
     try:
@@ -131,13 +138,10 @@ async def acts_by_settings(bench: Bench) -> None:
         await asyncio.sleep(_QUIET_S)
         await _commit(bench)
         since = bench.mark()
-        demand(
-            await bench.until(lambda: len(samples(bench, since)) >= 26, 2 * PATIENCE_S),
-            "too few samples at 25 Hz",
-        )
+        came = await bench.until(lambda: len(samples(bench, since)) >= 26, 2 * PATIENCE_S)
+        demand(came, "too few samples at 25 Hz")
         found = [each.received.module_time_us for each in samples(bench, since)][1:26]
-        # the median: a module that missed a sample or two has the right rate all the same
-        interval_s = median((b - a) % 2**32 for a, b in pairwise(found)) * 1e-6
+        interval_s = median(steps(found, 2**32)) * 1e-6
         demand(
             0.038 < interval_s < 0.042,
             f"samples at 25 Hz are {interval_s:.3f} s apart by the module's clock",
@@ -150,6 +154,7 @@ async def acts_by_settings(bench: Bench) -> None:
 
 @rule("takes_id", "after COMMIT of module_id the module sends under it", is_writing=True)
 async def takes_id(bench: Bench) -> None:
+    """Give it another id, and ask under which it answers."""
     before = await held(bench, "module_id")
     if before is None or bench.module > MAX_MODULE:
         raise SkippedError("the device has no module_id")
@@ -173,6 +178,7 @@ async def takes_id(bench: Bench) -> None:
     is_writing=True,
 )
 async def factory_reset(bench: Bench) -> None:
+    """Reset it with a wrong magic, which is refused, and with the right one."""
     kept = await backup(bench)
     await _stage(bench, "label", _LABEL)
     await _commit(bench)
@@ -197,6 +203,7 @@ async def factory_reset(bench: Bench) -> None:
     is_writing=True,
 )
 async def triggers(bench: Bench) -> None:
+    """Set mode 3, and trigger another module, then this one, across the wrap and once twice."""
     before = await held(bench, "mode")
     answer = await bench.ask(Verb.WRITE_SETTING, SETTING_KEYS["mode"], bytes([3]))
     if answer is not None and answer.result == Result.NOT_SUPPORTED:
@@ -205,24 +212,29 @@ async def triggers(bench: Bench) -> None:
     try:
         await _commit(bench)
         await asyncio.sleep(_QUIET_S)
-        since = bench.mark()
-        await bench.send(SamplingTrigger(3), (bench.module + 1) % (MAX_MODULE + 1))
-        await asyncio.sleep(_QUIET_S)
-        demand(not samples(bench, since), "samples came without a trigger, or on one to another module")
-        for number in _TRIGGERS:
-            await bench.send(SamplingTrigger(number), bench.module)
-            await asyncio.sleep(0.05)
-        wanted = list(dict.fromkeys(_TRIGGERS))
-        await bench.until(lambda: len(samples(bench, since)) >= len(wanted))
-        await asyncio.sleep(_QUIET_S)
-        found = samples(bench, since)
-        numbers = [each.received.sequence for each in found]
-        demand(numbers == wanted, f"triggers {list(_TRIGGERS)} gave samples {numbers}")
-        demand(all(each.packet.triggered for each in found), "samples are not marked as triggered")
+        await _demand_samples_on_triggers(bench)
     finally:
         await bench.ask(Verb.DISCARD)
         if before is not None:
             await write(bench, {"mode": before})
+
+
+async def _demand_samples_on_triggers(bench: Bench) -> None:
+    """Raise ``BrokenError`` unless a module in mode 3 samples on its triggers alone, once on each."""
+    since = bench.mark()
+    await bench.send(SamplingTrigger(3), (bench.module + 1) % (MAX_MODULE + 1))
+    await asyncio.sleep(_QUIET_S)
+    demand(not samples(bench, since), "samples came without a trigger, or on one to another module")
+    for number in _TRIGGERS:
+        await bench.send(SamplingTrigger(number), bench.module)
+        await asyncio.sleep(0.05)
+    wanted = list(dict.fromkeys(_TRIGGERS))
+    await bench.until(lambda: len(samples(bench, since)) >= len(wanted))
+    await asyncio.sleep(_QUIET_S)
+    found = samples(bench, since)
+    numbers = [each.received.sequence for each in found]
+    demand(numbers == wanted, f"triggers {list(_TRIGGERS)} gave samples {numbers}")
+    demand(all(each.packet.triggered for each in found), "samples are not marked as triggered")
 
 
 WRITING = (
