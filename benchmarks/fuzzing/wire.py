@@ -12,11 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from devices.card_recording import convert_card_file
-from devices.emulators.command_responder import CommandResponder
+from devices.emulators.command_responder import CommandResponder, IdleDevice
 from devices.emulators.emulated_card import EmulatedCard
-from devices.emulators.emulated_flash import EmulatedFlash
 from devices.emulators.makers_campaign import LANGUAGES
-from devices.emulators.stored_settings import StoredSettings
 from devices.link import Chunk, Framing
 from devices.marker_messages import MarkerReceiver, encode_markers
 from devices.slcan import SlcanDecoder
@@ -36,7 +34,6 @@ from firmware_protocol import (
     Command,
     Defect,
     FrameDecoder,
-    Packet,
     PacketDecoder,
     SlotStore,
     TransferReceiver,
@@ -175,31 +172,16 @@ def can_transfers(data: bytes) -> None:
     assert receiver.accepted + sum(receiver.dropped.values()) <= len(data)
 
 
-class _Device:
-    """A device that does as it is told, and has a card with two files."""
-
-    unique_id = bytes(12)
-    is_locked = False
-    fixed_settings: frozenset[int] = frozenset()
+class _Device(IdleDevice):
+    """A device that has a card with two files."""
 
     def __init__(self) -> None:
-        self.settings = StoredSettings(EmulatedFlash())
-        self.card: EmulatedCard | None = EmulatedCard()
+        super().__init__(unique_id=bytes(12))
+        self.card = EmulatedCard()
         for start_us in (0, 1000):
             self.card.begin(start_us)
             self.card.write(bytes(300))
             self.card.end()
-
-    def start(self) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def blink(self, seconds: int) -> None: ...
-
-    def introduction(self) -> tuple[Packet, ...]:
-        return ()
-
-    def act_by_settings(self) -> None: ...
 
 
 def commands(data: bytes) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 from devices.emulators.emulated_card import EmulatedCard
+from devices.emulators.emulated_flash import EmulatedFlash
 from devices.emulators.stored_settings import StoredSettings
 from firmware_protocol import Acknowledgement, Command, Event, Packet
 from firmware_protocol.commands import (
@@ -51,6 +52,30 @@ class CommandedDevice(Protocol):
     def act_by_settings(self) -> None:
         """The active settings have changed."""
         ...
+
+
+class IdleDevice:
+    """A device from the factory that keeps settings, and does nothing else of what it is told."""
+
+    is_locked = False
+    card: EmulatedCard | None = None
+    fixed_settings: frozenset[int] = frozenset()
+
+    def __init__(self, unique_id: bytes) -> None:
+        self.unique_id = unique_id
+        self.settings = StoredSettings(EmulatedFlash())
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def blink(self, seconds: int) -> None: ...
+
+    def introduction(self) -> tuple[Packet, ...]:
+        """Return nothing: nobody waits for it."""
+        return ()
+
+    def act_by_settings(self) -> None: ...
 
 
 class Outcome(NamedTuple):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from devices.emulators.command_responder import CommandResponder
-from devices.emulators.emulated_card import EmulatedCard
-from devices.emulators.emulated_flash import EmulatedFlash
-from devices.emulators.stored_settings import KEYS, StoredSettings
-from firmware_protocol import BROADCAST, Acknowledgement, Command, Packet, SyncRequest
+from devices.emulators.command_responder import CommandResponder, IdleDevice
+from devices.emulators.stored_settings import KEYS
+from firmware_protocol import BROADCAST, Acknowledgement, Command, SyncRequest
 from firmware_protocol.commands import Verb, decode_arguments
 from firmware_protocol.framing import Entry
 from firmware_protocol.messages import ANYONE
@@ -16,16 +14,11 @@ FUSED = bytes([1])
 """A mode that a module of the reference firmware has not, and answers with result 9."""
 
 
-class Twin:
-    """A module from the factory, as the emulator has it; ``CommandedDevice`` for its commands."""
-
-    is_locked = False
-    card: EmulatedCard | None = None
-    fixed_settings: frozenset[int] = frozenset()
+class Twin(IdleDevice):
+    """A module from the factory, as the emulator has it."""
 
     def __init__(self, unique_id: bytes) -> None:
-        self.unique_id = unique_id
-        self.settings = StoredSettings(EmulatedFlash())
+        super().__init__(unique_id)
         self._responder = CommandResponder(self)
 
     @property
@@ -47,19 +40,6 @@ class Twin:
             assert isinstance(acknowledgement, Acknowledgement)
             return acknowledgement
         return None
-
-    # What commands act on.
-
-    def start(self) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def blink(self, seconds: int) -> None: ...
-
-    def introduction(self) -> tuple[Packet, ...]:
-        return ()
-
-    def act_by_settings(self) -> None: ...
 
 
 def is_fused(body: bytes) -> bool:
