@@ -81,13 +81,14 @@ class PtyTransport:
         if self._poller is not None:
             self._poller.cancel()
             self._poller = None
+        # First: the kernel gives the number of a closed pseudo-terminal to the next one, anybody's.
+        if self._link_path is not None and self._points_here(self._link_path):
+            self._link_path.unlink()
         if self._master >= 0:
             self._poll.unregister(self._master)
             os.close(self._master)
             self._master = -1
         self._rest, self._has_reader = b"", False
-        if self._link_path is not None and self._points_here(self._link_path):
-            self._link_path.unlink()
 
     def _points_here(self, link: Path) -> bool:
         """Return whether a link is still ours: another suit may have taken its place."""
