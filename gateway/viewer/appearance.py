@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.viewer.texts import ENGLISH, say
+from gateway.viewer.texts import ENGLISH, say, segment_name
 
 Colour = tuple[int, int, int]
 
@@ -90,7 +90,7 @@ def status_summary(statuses: Mapping[str, str], silent: Sequence[str], language:
     counted = ", ".join(f"{counts[kind]} {say(language, f'is_{kind}')}" for kind in COLOURS if counts[kind])
     if not silent:
         return counted
-    named = ", ".join(name.replace("_", " ") for name in silent[:MOST_NAMED])
+    named = ", ".join(segment_name(language, name) for name in silent[:MOST_NAMED])
     more = ", …" if len(silent) > MOST_NAMED else ""
     return f"{counted}; {say(language, 'no_data_of', segments=named + more)}"
 

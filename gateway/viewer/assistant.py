@@ -16,7 +16,7 @@ import viser
 from gateway.errors import GatewayError
 from gateway.modules.assignment import Proposal, Wardrobe
 from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, table
-from gateway.viewer.texts import say
+from gateway.viewer.texts import say, segment_name
 
 LISTEN_S, BLINK_S, SHAKEN_S = 2.0, 5, 20.0
 
@@ -206,7 +206,7 @@ def devices_of(listed: Mapping[str, Any]) -> dict[str, str]:
 
 def told(proposal: Proposal, language: str) -> str:
     """What an assignment would write."""
-    segment = proposal.segment.replace("_", " ")
+    segment = segment_name(language, proposal.segment)
     if proposal.is_right_already:
         return say(language, "right", segment=segment, id=proposal.after)
     key = "exchange" if proposal.displaced else "becomes"
@@ -236,7 +236,7 @@ def found_table(listed: Mapping[str, Any], language: str) -> str:
     rows = [("inherit", _cells(one, language)[: len(keys)]) for one in listed["modules"]]
     lines = conflict_lines(listed, language)
     heard = {one["segment"] for one in listed["modules"]}
-    if silent := [name.replace("_", " ") for name in listed["segments"] if name not in heard]:
+    if silent := [segment_name(language, name) for name in listed["segments"] if name not in heard]:
         lines.append(say(language, "missing", segments=", ".join(silent)))
     alarms = "".join(
         f'<div style="color:var(--mocap-poor);font-weight:600;padding:3px 4px">{html.escape(line)}</div>'
@@ -251,7 +251,7 @@ def _cells(one: Mapping[str, Any], language: str) -> Sequence[str]:
     clock, loss, signal = one.get("clock"), one.get("loss_percent"), one.get("rssi_dbm")
     return (
         str(one["module"]),
-        (one["segment"] or NOTHING).replace("_", " "),
+        segment_name(language, one["segment"] or NOTHING),
         "" if one.get("battery_percent") is None else f"{one['battery_percent']} %",
         f"{one['rate_hz']:.0f}" if one["answers"] else say(language, "silent"),
         "" if loss is None else f"{loss:.1f}",

@@ -15,7 +15,7 @@ import viser
 from gateway.errors import GatewayError
 from gateway.viewer.step_pictures import step_picture
 from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, table
-from gateway.viewer.texts import say, texts
+from gateway.viewer.texts import say, segment_name, texts
 
 COUNTDOWN_S, LOOK_S = 3.0, 0.4
 USUAL_HEIGHT_M = 1.75
@@ -174,8 +174,8 @@ def progress(status: Mapping[str, Any], instruction: str, language: str) -> str:
     is_recording = status["phase"].startswith("recording")
     parts = [say(language, "records" if is_recording else "ready_in", instruction=instruction,
                  left=f"{status['left_s']:.0f}")]  # fmt: skip
-    unheard = _named(status, lambda one: not one["heard"])
-    moving = _named(status, lambda one: one["heard"] and not one["still"])
+    unheard = _named(status, lambda one: not one["heard"], language)
+    moving = _named(status, lambda one: one["heard"] and not one["still"], language)
     if unheard:
         parts.append(say(language, "unheard", segments=unheard))
     if moving and status["phase"].endswith("_pose"):
@@ -183,16 +183,18 @@ def progress(status: Mapping[str, Any], instruction: str, language: str) -> str:
     return " · ".join(parts)
 
 
-def _named(status: Mapping[str, Any], is_meant: Callable[[Mapping[str, Any]], bool]) -> str:
-    return ", ".join(one["segment"].replace("_", " ") for one in status["modules"] if is_meant(one))
+def _named(status: Mapping[str, Any], is_meant: Callable[[Mapping[str, Any]], bool], language: str) -> str:
+    return ", ".join(segment_name(language, one["segment"]) for one in status["modules"] if is_meant(one))
 
 
 def result_table(result: Mapping[str, Any], language: str) -> str:
     """A score for each module with its reasons, as HTML."""
     head = [say(language, key) for key in ("module", "segment", "score", "why")]
-    return table(head, ((COLOURS.get(one["quality"], "inherit"), _cells(one)) for one in result["modules"]))
+    return table(
+        head, ((COLOURS.get(one["quality"], "inherit"), _cells(one, language)) for one in result["modules"])
+    )
 
 
-def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:
+def _cells(one: Mapping[str, Any], language: str) -> tuple[str, ...]:
     reasons = "; ".join(one["reasons"])
-    return str(one["module"]), one["segment"].replace("_", " "), f"{one['score']:.2f}", reasons
+    return str(one["module"]), segment_name(language, one["segment"]), f"{one['score']:.2f}", reasons

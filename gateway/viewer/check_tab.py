@@ -14,6 +14,7 @@ from gateway.contract.messages import PoseMessage
 from gateway.errors import GatewayError
 from gateway.viewer.step_pictures import step_picture
 from gateway.viewer.step_tab import GOOD, POOR, Ask, StepTab, line, table
+from gateway.viewer.texts import segment_name
 
 READY_S, WATCHED_S, LOOK_S = 3, 6.0, 0.25
 Worn = Callable[[], Collection[str]]
@@ -80,7 +81,7 @@ class CheckTab(StepTab):
                 GOOD if seen.verdict == Verdict.FOLLOWS else POOR,
                 (
                     self._say(f"move_{name}"),
-                    seen.segment.replace("_", " "),
+                    segment_name(self._language, seen.segment),
                     self._say(f"verdict_{seen.verdict.value}"),
                 ),
             )

@@ -106,6 +106,7 @@ class LiveViewer:
             ),
             self._stage,
         )
+        self._panel.on_language(self._markers.speak)
         self._losses = RecentLosses()
         self._recording = RecordingStatus()
         self._replayed: ReplayedTake | None = None
@@ -224,7 +225,7 @@ class LiveViewer:
     def _replay(self, arrays: SkeletonArrays | None, name: str) -> None:
         """Play a recording in place of what comes; None: what comes again. Raises ``GatewayError``."""
         shown = None if self._body is None else skeleton_of(self._body)
-        self._replayed = None if arrays is None else ReplayedTake(arrays, name, shown)
+        self._replayed = None if arrays is None else ReplayedTake(arrays, name, shown, self._panel.language)
         self._drawn = None
 
     def _draw_replayed(self, take: ReplayedTake) -> None:
@@ -254,6 +255,7 @@ class LiveViewer:
         self._scene.show_axes(self._panel.axes.value)
         self._scene.show_bones(self._panel.bones.value or self._wires is not None)
         self._scene.shows_names = self._panel.names.value
+        self._scene.language = self._panel.language
 
     def _show_texts(self, poses: PoseSubscriber) -> None:
         self._show_headline(poses)
@@ -278,7 +280,7 @@ class LiveViewer:
         name = self._name(poses)
         age = self._view.age_s(now_ns)
         if self._replayed is not None:
-            told = self._replayed.told(self._loop.time())
+            told = self._replayed.told(self._loop.time(), panel.language)
             panel.show_status(say("replay_of", name=self._replayed.name), told, is_alarm=False)
         elif not poses.is_connected:
             panel.show_status(say("no_broker"), say("gets_it_back"), is_alarm=True)
@@ -314,7 +316,7 @@ class LiveViewer:
         pace = say("pace", rate=f"{rate:.0f}", when=when)
         if latest is None:
             return (pace,)
-        markers = () if self._instant is None else self._instant.summary()
+        markers = () if self._instant is None else self._instant.summary(language)
         statuses = latest.pose.status
         # beside a warning the good word would be what is read
         is_good = all(status == "measured" for status in statuses.values())

@@ -11,6 +11,7 @@ from gateway.contract.messages import MarkersMessage
 from gateway.outputs.subscriber import ReceivedPose
 from gateway.viewer.marker_points import NO_MARKERS, MarkerInstant, MarkerScene, instant_of
 from gateway.viewer.stage import Stage
+from gateway.viewer.texts import ENGLISH
 
 _KEPT_POSES = 128
 _LONGEST_NS = 500_000_000
@@ -25,7 +26,14 @@ class LiveMarkers:
         self._server = server
         self._stage = stage
         self._scene: MarkerScene | None = None
+        self._language = ENGLISH
         self._poses: OrderedDict[int, ReceivedPose] = OrderedDict()
+
+    def speak(self, language: str) -> None:
+        """Say everything in that language from now on."""
+        self._language = language
+        if self._scene is not None:
+            self._scene.speak(language)
 
     def add(self, received: ReceivedPose) -> None:
         """A pose that came."""
@@ -47,7 +55,7 @@ class LiveMarkers:
         if self._scene is None:
             if instant is None:
                 return
-            self._scene = MarkerScene(self._server, self._stage)
+            self._scene = MarkerScene(self._server, self._stage, self._language)
         self._scene.draw(NO_MARKERS if instant is None else instant)
 
 

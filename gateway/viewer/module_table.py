@@ -14,7 +14,7 @@ from pydantic import JsonValue
 from firmware_protocol import RELAY
 from gateway.contract.messages import BridgeHealth, BridgeInfo
 from gateway.frames import Status
-from gateway.viewer.texts import ENGLISH, say
+from gateway.viewer.texts import ENGLISH, say, segment_name
 
 _COLUMNS = ("id", "segment", "col_battery", "col_lost", "ppm", "± µs")
 _LOST_COLUMN = 3
@@ -24,6 +24,8 @@ MUCH_LOST = 0.02
 """Share of samples lost from which on a strip warns."""
 LATE_S = 0.25
 """Latency from which on it does."""
+_STOPPED = "stopped"
+"""Why a recording has ended that somebody ended."""
 _SPAN_NS = 10_000_000_000
 
 
@@ -156,7 +158,10 @@ def warnings_of(
         )
     if latency_s >= LATE_S:
         found.append(say(language, "warn_late", seconds=f"{latency_s:.1f}"))
-    if (recording or {}).get("is_low"):
+    status = recording or {}
+    if (why := status.get("ended", _STOPPED)) != _STOPPED:  # else it would be missed when it is wanted
+        found.append(say(language, "warn_ended", why=why))
+    elif status.get("is_low"):
         found.append(say(language, "warn_disk"))
     return tuple(found)
 
@@ -168,20 +173,27 @@ def clock_of(seconds: object) -> str:
     return f"{f'{whole // 3600}:' if whole >= 3600 else ''}{minutes}:{whole % 60:02d}"
 
 
-def recorded_rows(segments: Sequence[str], status: NDArray[np.integer[Any]]) -> list[tuple[str, ...]]:
+def recorded_rows(
+    segments: Sequence[str], status: NDArray[np.integer[Any]], language: str = ENGLISH
+) -> list[tuple[str, ...]]:
     """Of a recording: one row a segment, with how much of it was measured, held or missing, in percent.
 
     status: (T, S) numbers of ``Status``."""
     kinds = (Status.MEASURED, Status.INTERPOLATED, Status.MISSING)
     return [
-        (name.replace("_", " "), *(f"{100.0 * float(np.mean(status[:, s] == kind)):.1f}" for kind in kinds))
+        (
+            segment_name(language, name),
+            *(f"{100.0 * float(np.mean(status[:, s] == kind)):.1f}" for kind in kinds),
+        )
         for s, name in enumerate(segments)
     ]
 
 
-def recorded_table(rows: list[tuple[str, ...]]) -> str:
+def recorded_table(rows: list[tuple[str, ...]], language: str = ENGLISH) -> str:
     """These rows as an HTML table."""
-    heads = ("segment", "measured %", "interpolated %", "missing %")
+    heads = [
+        say(language, key) for key in ("segment", "share_measured", "share_interpolated", "share_missing")
+    ]
     cells = (
         "<tr>" + "".join(f'<td style="padding:1px 4px">{html.escape(cell)}</td>' for cell in row) + "</tr>"
         for row in rows
@@ -195,13 +207,13 @@ def recorded_table(rows: list[tuple[str, ...]]) -> str:
 
 def _row(module: str, segment: str, summary: JsonValue, language: str) -> tuple[str, ...]:
     if not isinstance(summary, dict):
-        return (module, segment.replace("_", " "), "", say(language, "col_silent"), "", "")
+        return (module, segment_name(language, segment), "", say(language, "col_silent"), "", "")
     received, lost = _number(summary, "received"), _number(summary, "lost")
     share = 100.0 * lost / (received + lost) if received + lost else 0.0
     battery = summary.get("battery_percent")
     return (
         module,
-        segment.replace("_", " "),
+        segment_name(language, segment),
         "" if battery is None else f"{battery} %",
         f"{share:.2f}",
         f"{_number(summary, 'clock_ppm'):+.1f}",

@@ -17,12 +17,12 @@ from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude, bend_deg
 from gateway.viewer.stage import STYLE, VIEWS, Stage
 from gateway.viewer.tab_names import rename
-from gateway.viewer.texts import ENGLISH, LANGUAGES, say
+from gateway.viewer.texts import ENGLISH, LANGUAGES, say, segment_name
 
 PLOT_SPAN_S = 10.0
 _LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
 _UNDEFINED = float("nan")
-_RESIDUALS = "distances of markers"
+_RESIDUALS = ("of_markers", "")
 
 
 class ButtonRow(NamedTuple):
@@ -33,6 +33,15 @@ class ButtonRow(NamedTuple):
     options: tuple[str, ...]
     pressed: Callable[[str], None]
     """Called with the option, in a thread of the page's server."""
+
+
+class _Offer(NamedTuple):
+    """What the list of plots was made of."""
+
+    language: str
+    joints: tuple[str, ...]
+    segments: tuple[str, ...]
+    has_markers: bool
 
 
 class Panel:
@@ -71,7 +80,9 @@ class Panel:
         with self._tabs["modules"]:
             self._modules = gui.add_html("")
         self._shown: dict[int, str] = {}
-        self._offered: tuple[str, ...] = ()
+        self._offered: _Offer | None = None
+        self._series: dict[str, tuple[str, str]] = {}
+        """What can be plotted: how it is called, and its kind and name."""
         self._has_markers = False
         self.parents: Mapping[str, str] = {}
         """Of the body's segments, for the bend of each against its parent."""
@@ -124,36 +135,53 @@ class Panel:
     def add_pose(self, pose: PoseMessage) -> None:
         """A pose for the plot: attitudes of segments, and of joints the angles where poses carry them."""
         joints = pose.joint_angles or {}
-        offered = (
-            *(f"angles of {joint}" for joint in joints),
-            *(f"attitude of {s}" for s in pose.segments),
-            *(f"bend of {s}" for s in pose.segments if s in self.parents),
-        )
-        if self._has_markers:
-            offered += (_RESIDUALS,)
-        if offered != self._offered:
-            self._offered = self._plotted.options = offered
-        kind, _, name = self._plotted.value.partition(" of ")
-        if kind == "attitude":
+        self._offer(_Offer(self.language, tuple(joints), tuple(pose.segments), self._has_markers))
+        kind, name = self._series.get(self._plotted.value, ("", ""))
+        plain = segment_name(self.language, name)
+        if kind == "of_attitude":
             q_wb = pose.segments.get(name)
             angles = attitude(q_wb) if q_wb is not None else (_UNDEFINED,) * 3
-            self._plot.add(f"{name} °", pose.t_ns, ("heading", "pitch", "roll"), angles)
-        elif kind == "bend" and name in self.parents:
+            series = [self.say(each) for each in ("heading", "pitch", "roll")]
+            self._plot.add(self.say("plot_angles", name=plain), pose.t_ns, series, angles)
+        elif kind == "of_bend" and name in self.parents:
             parent = self.parents[name]
             bend = bend_deg(pose.segments.get(parent), pose.segments.get(name))
-            self._plot.add(f"{name} against {parent} °", pose.t_ns, ("bend",), (bend,))
-        elif kind == "angles" and joints.get(name):
+            title = self.say("plot_bend", name=plain, parent=segment_name(self.language, parent))
+            self._plot.add(title, pose.t_ns, (self.say("bend"),), (bend,))
+        elif kind == "of_angles" and joints.get(name):
             found = joints[name] or {}
             movements = [movement.replace("_", " ") for movement in found]
-            self._plot.add(f"{name} °", pose.t_ns, movements, list(found.values()))
+            title = self.say("plot_angles", name=plain)
+            self._plot.add(title, pose.t_ns, movements, list(found.values()))
+
+    def _offer(self, offer: _Offer) -> None:
+        """Have the list of what can be plotted name all of it; the same series stays chosen."""
+        if offer == self._offered:
+            return
+        chosen = self._series.get(self._plotted.value)
+        of_each = (
+            *(("of_angles", joint) for joint in offer.joints),
+            *(("of_attitude", segment) for segment in offer.segments),
+            *(("of_bend", segment) for segment in offer.segments if segment in self.parents),
+            *((("of_markers", ""),) if offer.has_markers else ()),
+        )
+        self._offered = offer
+        self._series = {
+            self.say(kind, name=segment_name(self.language, name)): (kind, name) for kind, name in of_each
+        }
+        self._plotted.options = tuple(self._series)
+        for option, series in self._series.items():
+            if series == chosen:
+                self._plotted.value = option  # type: ignore[misc]  # as in _look
 
     def add_markers(self, t_ns: int, markers: MarkerInstant) -> None:
         """The same instant's markers: their distances from the body."""
         self._has_markers = True
         residuals = 1e3 * markers.residuals
-        if self._plotted.value == _RESIDUALS and markers.used.any():
+        if self._series.get(self._plotted.value) == _RESIDUALS and markers.used.any():
             values = (float(np.sqrt(np.mean(residuals[markers.used] ** 2))), float(residuals.max()))
-            self._plot.add("markers from the body, mm", t_ns, ("RMS of those used", "farthest"), values)
+            series = (self.say("markers_rms"), self.say("markers_farthest"))
+            self._plot.add(self.say("plot_markers"), t_ns, series, values)
 
     def draw_plot(self) -> None:
         """Bring the plot up to date."""

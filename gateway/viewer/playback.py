@@ -17,6 +17,7 @@ from gateway.viewer.posture import PostureKeeper
 from gateway.viewer.replaying import RecordedPoses
 from gateway.viewer.scene import BodyScene
 from gateway.viewer.stage import Stage
+from gateway.viewer.texts import ENGLISH, say
 from gateway.viewer.trail import Trail
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
@@ -52,16 +53,27 @@ class Playback:
         self._panel = Panel(
             server, (ButtonRow("playback", ("play", "pause", "begin"), self._press),), self._stage
         )
-        self._panel.show_modules(recorded_table(recorded_rows(arrays.segment_names, arrays.status)))
-        self._speed = server.gui.add_dropdown("Speed ×", SPEEDS, initial_value="1")
+        self._speed = server.gui.add_dropdown(say(ENGLISH, "speed"), SPEEDS, initial_value="1")
         end_s = max(self._times_s[-1], TIME_LINE_STEP_S)
-        self._line = server.gui.add_slider("Time s", 0.0, end_s, TIME_LINE_STEP_S, 0.0)
+        self._line = server.gui.add_slider(say(ENGLISH, "time"), 0.0, end_s, TIME_LINE_STEP_S, 0.0)
         self._trail = Trail(server, self._stage)
         self._ghost = None if compared is None else Ghost(server, self._stage, compared, arrays)
         self._line_shown_s = 0.0
         self._drawn = -1
         self._markers = markers
         self._marker_scene = None if markers is None else MarkerScene(server, self._stage)
+        self._speak(ENGLISH)
+        self._panel.on_language(self._speak)
+
+    def _speak(self, language: str) -> None:
+        """Say everything in that language from now on."""
+        rows = recorded_rows(self._arrays.segment_names, self._arrays.status, language)
+        self._panel.show_modules(recorded_table(rows, language))
+        self._speed.label, self._line.label = say(language, "speed"), say(language, "time")
+        for each in (self._ghost, self._marker_scene):
+            if each is not None:
+                each.speak(language)
+        self._drawn = -1
 
     async def run(self) -> None:
         """For ever; begins anew at the end."""
@@ -106,12 +118,14 @@ class Playback:
             self._add_undrawn(self._wires, before, index)
             self._wires.draw(self._times_s[index], posture)
         self._panel.add_pose(pose)
-        where = f"{self._times_s[index]:.2f} s, frame {index + 1} of {len(self._times_s)}"
-        lines = [where, status_summary(pose.status, silent, self._panel.language)]
+        language = self._panel.language
+        seconds = f"{self._times_s[index]:.2f}"
+        where = say(language, "frame_of", seconds=seconds, number=index + 1, count=len(self._times_s))
+        lines = [where, status_summary(pose.status, silent, language)]
         if self._markers is not None and self._marker_scene is not None:
             instant = self._markers.at(index)
             self._marker_scene.draw(instant)
-            lines += instant.summary()
+            lines += instant.summary(language)
             self._panel.add_markers(pose.t_ns, instant)
         self._panel.draw_plot()
         self._panel.show_status(self._name, *lines, is_alarm=False)
@@ -127,6 +141,7 @@ class Playback:
         self._scene.show_axes(self._panel.axes.value)
         self._scene.show_bones(self._panel.bones.value or self._wires is not None)
         self._scene.shows_names = self._panel.names.value
+        self._scene.language = self._panel.language
 
     def _press(self, what: str) -> None:
         self._is_playing = what != "pause"

@@ -12,6 +12,7 @@ from gateway.frames import SkeletonFrame
 from gateway.outputs.pose_encoding import PoseEncoder
 from gateway.outputs.settings import PoseMap
 from gateway.recording import SkeletonArrays
+from gateway.viewer.texts import ENGLISH, say
 
 
 class RecordedPoses:
@@ -49,13 +50,12 @@ class RecordedPoses:
 class ReplayedTake:
     """Plays a recording over and over, at the pace at which it was made."""
 
-    def __init__(self, arrays: SkeletonArrays, name: str, shown: Skeleton | None) -> None:
+    def __init__(
+        self, arrays: SkeletonArrays, name: str, shown: Skeleton | None, language: str = ENGLISH
+    ) -> None:
         """shown: the body on the page. Raises ``GatewayError`` where the recording is of another one."""
         if shown is None or arrays.skeleton.segment_names != shown.segment_names:
-            raise GatewayError(
-                f"{name} is of body '{arrays.skeleton.name}', another one than is shown: "
-                f"`mocap-gateway view {name}` plays it"
-            )
+            raise GatewayError(say(language, "replay_other", file=name, body=arrays.skeleton.name))
         self.name = name
         self._poses = RecordedPoses(arrays)
         self._begun_s: float | None = None
@@ -66,9 +66,10 @@ class ReplayedTake:
             self._begun_s = now_s
         return self._poses.pose(self._poses.index_at(self._position_s(now_s)))
 
-    def told(self, now_s: float) -> str:
+    def told(self, now_s: float, language: str = ENGLISH) -> str:
         """Where it is, and how long it is."""
-        return f"{self._position_s(now_s):.1f} s of {self._poses.times_s[-1]:.1f} s"
+        seconds, length = f"{self._position_s(now_s):.1f}", f"{self._poses.times_s[-1]:.1f}"
+        return say(language, "replay_at", seconds=seconds, length=length)
 
     def _position_s(self, now_s: float) -> float:
         length_s = max(self._poses.times_s[-1], 1e-3)

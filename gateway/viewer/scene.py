@@ -17,6 +17,7 @@ from gateway.geometry import quaternion
 from gateway.viewer.appearance import COLOURS, FACE, MOST_NAMED, segment_colours, side_of
 from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
+from gateway.viewer.texts import ENGLISH, say, segment_name
 
 AXES_LENGTH_M = 0.09
 _BODY = "/body"
@@ -77,6 +78,8 @@ class BodyScene:
         ]
         self._colours = np.zeros((0, 3), np.uint8)
         self.shows_names = False
+        self.language = ENGLISH
+        """Of the names."""
 
     def remove(self) -> None:
         """Take the body off the page."""
@@ -139,8 +142,9 @@ class BodyScene:
             if label.visible != is_visible:
                 label.visible = is_visible
             if is_visible:
-                plain = names[s].replace("_", " ")
-                text = f"{plain}: no data" if names[s] in silent else plain
+                text = segment_name(self.language, names[s])
+                if names[s] in silent:
+                    text = say(self.language, "no_data_label", segment=text)
                 if label.text != text:
                     label.text = text
                 label.position = (*places[s][:2], heights[s])

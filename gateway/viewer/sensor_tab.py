@@ -9,7 +9,7 @@ from typing import Any
 import viser
 
 from gateway.viewer.step_tab import COLOURS, GOOD, NOTHING, Ask, StepTab, line, table
-from gateway.viewer.texts import say
+from gateway.viewer.texts import say, segment_name
 
 LOOK_S = 1.0
 
@@ -101,7 +101,7 @@ def progress_table(status: Mapping[str, Any], language: str) -> str:
             GOOD if one["enough"] else "inherit",
             (
                 str(one["module"]),
-                (one["segment"] or NOTHING).replace("_", " "),
+                segment_name(language, one["segment"] or NOTHING),
                 f"{one['rest_s']:.0f}" if one["heard"] else say(language, "silent"),
                 f"{one['positions']}/{one['wanted_positions']}",
                 f"{100 * one['coverage']:.0f} %",

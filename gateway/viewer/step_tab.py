@@ -65,7 +65,7 @@ class Errands:
                 said = str(error)
             except Exception as error:  # a button that says nothing would be pressed again and again
                 _log.exception("a button of the page")
-                said = f"this should not have happened ({error!r}); please report it"
+                said = say(ENGLISH, "unexpected", error=repr(error))
             tell(said)
 
         future = asyncio.run_coroutine_threadsafe(work(), self._loop)

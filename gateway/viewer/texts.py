@@ -19,6 +19,11 @@ def texts(language: str) -> dict[str, str]:
     return found
 
 
+def segment_name(language: str, segment: str) -> str:
+    """A segment as it is told to people; one that no text names as its body names it."""
+    return texts(language).get(f"segment_{segment}", segment.replace("_", " "))
+
+
 def say(language: str, key: str, **values: object) -> str:
     """One text with its values filled in. Raises ``KeyError`` for an unknown one."""
     return texts(language)[key].format(**values)
