@@ -68,6 +68,7 @@ class Assistant(StepTab):
         self._offer_ports()
         look = self._button("look", self._look)
         self._found = gui.add_html("")
+        self._write = gui.add_checkbox(self._say("write"), False)
         self._separate = self._button("separate", self._give_own_ids, visible=False)
         self._device = gui.add_dropdown(self._say("device"), (NOTHING,))
         identify = self._button("identify", self._blink)
@@ -75,12 +76,11 @@ class Assistant(StepTab):
         self._segment = gui.add_dropdown(self._say("segment"), (NOTHING,))
         self._segment.on_update(lambda _: self._chosen(self._segment.value))
         shake = self._button("shake", self._await_shake)
-        self._write = gui.add_checkbox(self._say("write"), False)
         assign, undo = self._button("assign", self._assign), self._button("undo", self._undo)
         return [
             *(examine, self._findings, self._down, self._port, self._connect),
-            *(look, self._found, self._separate, self._device, identify, hint),
-            *(self._segment, shake, self._write, assign, undo),
+            *(look, self._found, self._write, self._separate, self._device, identify, hint),
+            *(self._segment, shake, assign, undo),
         ]
 
     async def _examine(self) -> str:
@@ -153,22 +153,22 @@ class Assistant(StepTab):
         what = told(proposal, self._language)
         if proposal.is_right_already:
             return what
-        if refused := self._unwritable(what):
+        if refused := self._unwritable(what, "assign"):
             return refused
         await self._ask("modules", "assign", {"ids": proposal.ids})
         await self._look()
         return self._say("written", what=what)
 
     async def _give_own_ids(self) -> str:
-        what = "; ".join(self._conflicts())
-        if refused := self._unwritable(what):
+        shared = ", ".join(str(one["module"]) for one in self._needed()["conflicts"])
+        if refused := self._unwritable(self._say("would_separate", ids=shared), "separate"):
             return refused
         answer = await self._ask("modules", "separate", {})
         await self._look()
         return self._say("separated", count=len(answer["changes"]))
 
     async def _undo(self) -> str:
-        if refused := self._unwritable(self._say("undo")):
+        if refused := self._unwritable(self._say("undo"), "undo"):
             return refused
         answer = await self._ask("modules", "undo", {})
         await self._look()
@@ -178,13 +178,13 @@ class Assistant(StepTab):
             return self._say("undone_partly", count=len(answer["changes"]), failures="; ".join(failures))
         return self._say("undone", count=len(answer["changes"]))
 
-    def _unwritable(self, what: str) -> str | None:
-        """Why nothing may be written; None: it may."""
+    def _unwritable(self, what: str, button: str) -> str | None:
+        """Why nothing may be written; None: it may. button: key of its text."""
         if not self._needed()["allows_writes"]:
             return self._say("refused")
         if self._write.value:
             return None
-        return self._say("first_write", what=what, write=self._say("write"), assign=self._say("assign"))
+        return self._say("first_write", what=what, write=self._say("write"), button=self._say(button))
 
     def _conflicts(self) -> list[str]:
         return conflict_lines(self._needed(), self._language)
@@ -255,7 +255,7 @@ def _cells(one: Mapping[str, Any], language: str) -> Sequence[str]:
         "" if one.get("battery_percent") is None else f"{one['battery_percent']} %",
         f"{one['rate_hz']:.0f}" if one["answers"] else say(language, "silent"),
         "" if loss is None else f"{loss:.1f}",
-        "" if clock is None else f"{clock['residual_us']:.0f}",
+        "" if clock is None else f"{clock['residual_us'] * 1e-3:.1f}",
         "" if signal is None else str(signal),
     )
 
@@ -266,14 +266,19 @@ def findings(examined: Mapping[str, Any], language: str) -> str:
         ("inherit", (port["name"], port["link"] or say(language, "unused"))) for port in examined["ports"]
     ]
     found = sorted(examined["findings"], key=lambda one: ("bad", "warning", "good").index(one["verdict"]))
-    shown = "".join(
-        f'<div style="padding:2px 0;color:{COLOURS[one["verdict"]]}"><b>{html.escape(one["subject"])}</b>: '
-        f"{html.escape(one['found'])}"
-        + (f"<br>→ {html.escape(one['remedy'])}" if one["remedy"] else "")
-        + "</div>"
-        for one in found
-    )
+    told = "".join(_finding(one) for one in found if one["verdict"] != "good")
+    if good := [_finding(one) for one in found if one["verdict"] == "good"]:
+        summary = say(language, "are_well", count=len(good))
+        told += f"<details><summary>{summary}</summary>{''.join(good)}</details>"
     return (
         table((say(language, "ports"), ""), ports)
-        + f'<div style="padding:4px 12px;font-size:11px;overflow-wrap:anywhere">{shown}</div>'
+        + f'<div style="padding:4px 12px;font-size:11px;overflow-wrap:anywhere">{told}</div>'
+    )
+
+
+def _finding(one: Mapping[str, Any]) -> str:
+    remedy = f"<br>→ {html.escape(one['remedy'])}" if one["remedy"] else ""
+    return (
+        f'<div style="padding:2px 0;color:{COLOURS[one["verdict"]]}"><b>{html.escape(one["subject"])}</b>: '
+        f"{html.escape(one['found'])}{remedy}</div>"
     )

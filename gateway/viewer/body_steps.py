@@ -53,17 +53,29 @@ class BodySteps(StepTab):
         self._length = gui.add_dropdown(self._say("length"), (NOTHING, *self._measures["lengths"]))
         self._metres = gui.add_number(self._say("metres"), 0.0, min=0.0, max=1.99, step=0.005)
         self._length.on_update(lambda _: self._show_length())
-        parts = [why, self._height, self._length, self._metres, self._button("measure", self._measure)]
-        parts += [self._button("begin", self._begin), self._button("resume", self._resume)]
+        measure = self._button("measure", self._measure)
+        self._before = [why, self._height, self._length, self._metres, measure]
+        parts = [*self._before, self._button("begin", self._begin), self._button("resume", self._resume)]
         self._step = gui.add_dropdown(self._say("step"), (*self._steps,) or (NOTHING,))
         self._step.on_update(lambda _: self._show_picture())
         self._picture = gui.add_html("")
         self._show_picture()
-        parts += [self._step, self._picture, self._button("do", self._do)]
-        parts.append(self._button("result", self._find))
+        do, result = self._button("do", self._do), self._button("result", self._find)
         found = None if self._result is None else result_table(self._result, self._language)
         self._table = gui.add_html(found or "")
-        return [*parts, self._table, self._button("accept", self._accept), self._button("give_up", self._end)]
+        self._accept_button = self._button("accept", self._accept)
+        give_up = self._button("give_up", self._end)
+        self._meanwhile = [self._step, self._picture, do, result, give_up]
+        self._offer()
+        return [*parts, *self._meanwhile, self._table, self._accept_button]
+
+    def _offer(self) -> None:
+        """Show what can be done now, so that nobody has to find out which of all buttons comes next."""
+        for part in self._before:
+            part.visible = not self._steps
+        for part in self._meanwhile:
+            part.visible = bool(self._steps)
+        self._accept_button.visible = self._result is not None
 
     def _show_picture(self) -> None:
         name = self._step.value
@@ -124,6 +136,7 @@ class BodySteps(StepTab):
         self._step.options = tuple(self._steps) or (NOTHING,)
         self._show_picture()
         self._result, self._table.content = None, ""
+        self._offer()
 
     def _next_of(self, status: Mapping[str, Any]) -> str:
         """Choose the first step that is not done yet; tell those that are."""
@@ -136,13 +149,14 @@ class BodySteps(StepTab):
     async def _do(self) -> str:
         name = self._step.value
         if name not in self._steps:
-            return self._say("no_step", begin=self._say("begin"))
+            return self._say("nothing_begun", begin=self._say("begin"))
         await self._ask("calibration", "step", {"step": name, "countdown_s": COUNTDOWN_S})
         instruction = instruction_of(name, self._steps[name], self._language)
         while (status := await self._ask("calibration", "status", {}))["phase"] not in ("ready", "idle"):
             self._tell(progress(status, instruction, self._language))
             await asyncio.sleep(LOOK_S)
         if status["phase"] == "idle":  # given up elsewhere, or the gateway began anew
+            self._take_steps(())
             return self._say("nothing_begun", begin=self._say("begin"))
         return self._next_of(status)
 
@@ -150,6 +164,7 @@ class BodySteps(StepTab):
         self._tell(self._say("works"))
         self._result = await self._ask("calibration", "result", {})
         self._table.content = result_table(self._result, self._language)
+        self._offer()
         modules = self._result["modules"]
         good = sum(one["quality"] == "good" for one in modules)
         return self._say("scored", good=good, count=len(modules))
@@ -161,6 +176,7 @@ class BodySteps(StepTab):
 
     async def _accept(self) -> str:
         answer = await self._ask("calibration", "accept", {"save": True})
+        self._take_steps(())
         return self._say("accepted", count=len(answer["accepted"]), file=answer["file"])
 
 

@@ -79,6 +79,7 @@ class LiveViewer:
         self._server = server
         self._settings = settings
         self._gateway = gateway
+        self._takes_any = gateway == ANY_GATEWAY
         self._loop = asyncio.get_running_loop()
         self._view = PoseView(gateway)
         self._latest: ReceivedPose | None = None
@@ -146,8 +147,8 @@ class LiveViewer:
 
     async def _collect(self, poses: PoseSubscriber) -> None:
         async for received in poses:
-            if self._gateway == ANY_GATEWAY:
-                self._gateway = received.gateway  # the first that is heard, from now on
+            if self._takes_any and self._latest is None:
+                self._gateway = received.gateway  # the first that gives poses, from now on
             if received.gateway == self._gateway:
                 self._latest = received
                 self._undrawn.append(received)
@@ -163,10 +164,17 @@ class LiveViewer:
         async for _ in pictures():
             if picture % TEXTS_EVERY == 0:
                 self._take_choices()
+                self._take_gateway(poses)
                 self._show_texts(poses)
             self._take_body(poses.bodies.get(self._gateway))
             self._draw(poses.markers.get(self._gateway))
             picture += 1
+
+    def _take_gateway(self, poses: PoseSubscriber) -> None:
+        """Where any will do: one that runs, though it gives no poses yet, for it is to be set up."""
+        if self._gateway == ANY_GATEWAY:
+            running = [name for name, state in poses.states.items() if state == "online"]
+            self._gateway = min(running, default=ANY_GATEWAY)
 
     def _take_body(self, body: BodyMessage | None) -> None:
         """The body as the gateway has it now; another one is built anew."""
@@ -258,10 +266,10 @@ class LiveViewer:
         self._scene.language = self._panel.language
 
     def _show_texts(self, poses: PoseSubscriber) -> None:
-        self._show_headline(poses)
-        age = self._view.age_s(gateway_time_ns())
         health = poses.healths.get(self._gateway)
         self._losses.add(health)
+        self._show_headline(poses)
+        age = self._view.age_s(gateway_time_ns())
         comes = age is not None and age <= STALE_AFTER_S and poses.is_connected
         self._panel.show_warnings(self._warnings() if comes else ())
         if health is not None:
@@ -285,7 +293,8 @@ class LiveViewer:
         elif not poses.is_connected:
             panel.show_status(say("no_broker"), say("gets_it_back"), is_alarm=True)
         elif age is None:
-            panel.show_status(say("no_data"), say("no_pose", name=name), is_alarm=True)
+            begin = () if self._assistant is None else (say("begin_here", tab=say("tab")),)
+            panel.show_status(say("no_data"), say("no_pose", name=name), *begin, is_alarm=True)
         elif age > STALE_AFTER_S:
             headline = say("no_data_for", seconds=f"{age:.0f}")
             panel.show_status(headline, say("last_pose", name=name), is_alarm=True)

@@ -27,25 +27,35 @@ class SensorTab(StepTab):
         super().__init__(server, tabs, "sensors", ask, loop)
         self._shown = ""
         self._is_watched = False
+        self._is_begun = self._is_found = False
         self.build()
 
     def _add_parts(self) -> list[Any]:
         why = self._server.gui.add_html(line(self._say("sensors_why")))
         begin, resume = self._button("sensors_begin", self._begin), self._button("resume", self._watch)
         self._table = self._server.gui.add_html(self._shown)
-        deeds = {
-            "sensors_result": self._find,
-            "sensors_accept": self._keep_in_file,
-            "sensors_flash": self._keep_in_modules,
-            "sensors_cancel": self._cancel,
-        }
-        return [why, begin, resume, self._table, *(self._button(key, deed) for key, deed in deeds.items())]
+        enough = self._button("sensors_result", self._find)
+        in_file = self._button("sensors_accept", self._keep_in_file)
+        in_modules = self._button("sensors_flash", self._keep_in_modules)
+        cancel = self._button("sensors_cancel", self._cancel)
+        self._meanwhile, self._afterwards = [enough, cancel], [in_file, in_modules]
+        self._offer(self._is_begun, self._is_found)
+        return [why, begin, resume, self._table, *self._meanwhile, *self._afterwards]
+
+    def _offer(self, is_begun: bool, is_found: bool) -> None:
+        """Show what can be done now, so that nobody has to find out which of all buttons comes next."""
+        self._is_begun, self._is_found = is_begun, is_found
+        for part in self._meanwhile:
+            part.visible = is_begun
+        for part in self._afterwards:
+            part.visible = is_found
 
     def _show(self, content: str) -> None:
         self._shown = self._table.content = content
 
     async def _begin(self) -> str:
         await self._ask("sensors", "begin", {})
+        self._offer(True, False)
         return await self._watch()
 
     async def _watch(self) -> str:
@@ -55,6 +65,7 @@ class SensorTab(StepTab):
         self._is_watched = True
         try:
             while (status := await self._ask("sensors", "status", {}))["phase"] == "watching":
+                self._offer(True, self._is_found)
                 self._show(progress_table(status, self._language))
                 self._tell(self._advice(status))
                 if status["enough"]:
@@ -62,9 +73,9 @@ class SensorTab(StepTab):
                 await asyncio.sleep(LOOK_S)
         finally:
             self._is_watched = False
-        return (
-            self._say("sensors_idle", begin=self._say("sensors_begin")) if status["phase"] == "idle" else ""
-        )
+        is_found = status["phase"] == "found"
+        self._offer(is_found, is_found)
+        return self._say("sensors_ended" if is_found else "sensors_idle", begin=self._say("sensors_begin"))
 
     def _advice(self, status: Mapping[str, Any]) -> str:
         modules = ", ".join(map(str, status["waited_for"]))
@@ -74,6 +85,7 @@ class SensorTab(StepTab):
         self._tell(self._say("works"))
         found = (await self._ask("sensors", "result", {}))["modules"]
         self._show(result_table(found, self._language))
+        self._offer(self._is_begun, True)
         good = sum(all(one["quality"] == "good" for one in each.values()) for each in found.values())
         return self._say("scored", good=good, count=len(found))
 
@@ -90,6 +102,7 @@ class SensorTab(StepTab):
 
     async def _cancel(self) -> str:
         await self._ask("sensors", "cancel", {})
+        self._offer(False, False)
         self._show("")
         return self._say("sensors_given_up")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import base64
 import html
-import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -14,7 +13,6 @@ from typing import Any
 
 import viser
 
-from gateway.contract.names import RECORDING_NAME
 from gateway.errors import GatewayError
 from gateway.recording import SkeletonArrays, open_recording
 from gateway.viewer.module_table import clock_of
@@ -25,8 +23,6 @@ LARGEST_DOWNLOAD = 1 << 30
 """Bytes: it is kept in memory on its way to the browser."""
 USUAL_FORMAT = "bvh"
 _MUCH_LOST_PERCENT = 2.0
-_LONGEST_QUOTED = 40
-"""Letters of what was typed that an answer repeats."""
 
 Replay = Callable[[SkeletonArrays | None, str], None]
 """Shows a recording by this name in place of what comes live; None: live again. Raises ``GatewayError``."""
@@ -50,10 +46,7 @@ class TakesTab(StepTab):
 
     def _add_parts(self) -> list[Any]:
         return [
-            self._add_name(),
             self._button("record", self._record),
-            self._add_mark(),
-            self._button("mark", self._mark),
             self._button("record_stop", self._stop),
             self._button("takes_list", self._look),
             self._add_list(),
@@ -64,14 +57,6 @@ class TakesTab(StepTab):
             self._button_for_page("export", self._export),
             self._button_for_page("download", self._download),
         ]
-
-    def _add_name(self) -> Any:
-        self._called = self._server.gui.add_text(self._say("take_name"), "", hint=self._say("take_name_hint"))
-        return self._called
-
-    def _add_mark(self) -> Any:
-        self._text = self._server.gui.add_text(self._say("mark_text"), "", hint=self._say("mark_text_hint"))
-        return self._text
 
     def _add_list(self) -> Any:
         told = "" if self._listed is None else takes_list(self._listed, self._language)
@@ -93,16 +78,8 @@ class TakesTab(StepTab):
         return {take["file"]: take for take in listed}
 
     async def _record(self) -> str:
-        name = "_".join(self._called.value.split())
-        if name and not re.fullmatch(RECORDING_NAME, name):
-            raise GatewayError(self._say("take_name_bad", name=name[:_LONGEST_QUOTED]))
-        answer = await self._ask("recording", "start", {"name": name} if name else {})
+        answer = await self._ask("recording", "start", {})
         return self._say("records_to", file=Path(str(answer["file"])).name)
-
-    async def _mark(self) -> str:
-        text = self._text.value.strip()
-        answer = await self._ask("recording", "mark", {"text": text})
-        return self._say("marked", number=answer["marks"], text=text or NOTHING)
 
     async def _stop(self) -> str:
         answer = await self._ask("recording", "stop", {})

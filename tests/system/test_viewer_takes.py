@@ -74,6 +74,7 @@ async def test_ports_and_findings_are_told_before_anything_is_set_up(
         await page.get_by_text(f"{GATEWAY}: online").wait_for()
         await open_tab(page, "1–3 Suit")
         await press(page, "1 · Ports and devices")
+        await page.get_by_text("things that are well").click()
         await page.get_by_text("3 modules on body 'arm_3'").wait_for()
         assert await page.get_by_text("suit: port", exact=True).count() == 1
         assert await page.get_by_text("free for recordings in").count() == 1

@@ -148,8 +148,10 @@ async def modules_are_assigned(way):
     page = way.page
     await open_tab(page, "1–3 Suit")
     await press(page, "1 · Ports and devices")
-    await way.sees("free for recordings in")
+    await way.sees("things that are well")
     await way.picture("1_ports")
+    await page.get_by_text("things that are well").click()
+    await way.sees("free for recordings in")
     await press(page, "2 · Look for modules")
     await way.sees("2 modules have id 15")
     await way.picture("2_modules")
