@@ -29,6 +29,8 @@ _REST_S = 0.3
 
 _ANSWER_S = 90.0
 """Longest wait for an answer: changing many ids, with a module that restarts, takes a while."""
+_EXPORT_S = 1800.0
+"""And for an export: of a long recording, beside poses that go on."""
 
 
 class RemoteOperations:
@@ -46,13 +48,14 @@ class RemoteOperations:
         """As ``ModuleOperations.perform``; whatever went wrong there is a ``RequestError`` here."""
         transaction = secrets.token_hex(8)
         request = orjson.dumps({**data, "transaction": transaction})
+        longest_s = _EXPORT_S if verb == "export" else _ANSWER_S
         try:
             await self._client.publish(self._topics.request(f"{self._family}/{verb}"), request, qos=1)
-            async with asyncio.timeout(_ANSWER_S):
+            async with asyncio.timeout(longest_s):
                 return await self._answer(transaction)
         except TimeoutError:
             raise BrokerUnreachableError(
-                f"gateway '{self._topics.gateway}' did not answer within {_ANSWER_S:.0f} s: is it running?"
+                f"gateway '{self._topics.gateway}' did not answer within {longest_s:.0f} s: is it running?"
             ) from None
         except aiomqtt.MqttError as error:
             raise BrokerUnreachableError(explain(error, self._settings, self._settings.port)) from error

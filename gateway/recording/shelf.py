@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+import re
 import sys
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
@@ -21,6 +22,7 @@ from mcap.reader import SeekingReader
 
 from devices import recording_format as fmt
 from devices.recording_file import DAMAGE, LARGEST_RECORD, RecordingError
+from gateway.contract.names import KEPT_FILE
 from gateway.contract.requests import (
     ExportRecordingRequest,
     ListRecordingsRequest,
@@ -37,6 +39,9 @@ from gateway.recording.reading import Recording
 from gateway.recording.summary import recordings_in, summarise
 from gateway.settings import RecordingSettings
 
+_UNNAMED = "{name}: a name of up to 128 letters a to z, digits, '-', '_' and '.' is wanted here: rename it"
+_LONGEST_QUOTED = 60
+"""Letters of a name that is told."""
 Perform = Callable[[str, Mapping[str, Any]], Awaitable[dict[str, Any]]]
 _ENDINGS = frozenset({fmt.SUFFIX, *(each.suffix for each in FORMATS.values())})
 _MB = 1e6
@@ -79,9 +84,14 @@ class Shelf:
         under_way = self._under_way()
         if under_way is not None:
             recordings = [r for r in recordings if under_way not in {file.path for file in r.parts.files}]
+        unnamed = [r for r in recordings if not _can_be_asked_for(r)]
+        recordings = [r for r in recordings if _can_be_asked_for(r)]
         recordings.sort(key=lambda each: each.meta.begun_utc_ns, reverse=True)
         answer["recordings"] = [self._told(recording) for recording in islice(recordings, most)]
         answer["problems"] = [str(each) for each in found if isinstance(each, RecordingError)]
+        answer["problems"] += [
+            _UNNAMED.format(name=each.parts.path.name[:_LONGEST_QUOTED]) for each in unnamed
+        ]
         answer["free_mb"] = round(free_bytes(self._folder) / _MB)
         return answer
 
@@ -125,6 +135,11 @@ class Shelf:
         if path.suffix not in _ENDINGS or not is_within:
             raise RecordingError(f"there is no recording {name} in {self._folder}: recording/list has them")
         return path
+
+
+def _can_be_asked_for(recording: Recording) -> bool:
+    """Whether requests can name all its files."""
+    return all(re.fullmatch(KEPT_FILE, file.path.name) for file in recording.parts.files)
 
 
 def outline_of(recording: Recording) -> list[list[float]]:

@@ -57,6 +57,23 @@ async def test_the_page_shows_a_moving_body_and_says_when_nothing_comes(mosquitt
         await publishing
 
 
+async def test_a_gateway_that_has_no_suit_yet_is_shown_and_where_to_begin(
+    mosquitto, unused_port, chromium, command
+):
+    """The body stands there from the first look on, whichever gateway it is."""
+    topics = Topics("mocap", GATEWAY)
+    async with aiomqtt.Client("127.0.0.1", mosquitto.port) as client:
+        await client.publish(topics.bridge_state, BridgeState(state="online").payload(), retain=True)
+        await client.publish(topics.body, describe_body(SKELETON).payload(), retain=True)
+        view = command("view", "--port", mosquitto.port, "--page-port", unused_port)
+        await view.until_it_says("live page")
+        async with browser_of(chromium) as browser:
+            page = await new_page(browser)
+            await page.goto(f"http://127.0.0.1:{unused_port}")
+            await page.get_by_text(f"{GATEWAY}: online; no pose has come yet").wait_for()
+            await page.get_by_text("begin with 1–3 Suit").wait_for()
+
+
 async def test_who_may_only_look_finds_no_button_that_asks_anything(
     mosquitto, unused_port, chromium, command, tmp_path
 ):

@@ -8,6 +8,7 @@ import pytest
 
 from devices.recording_file import RecordingError
 from gateway.errors import GatewayError
+from gateway.recording.files import Contents, SessionFiles
 from gateway.recording.shelf import Shelf
 from gateway.settings import RecordingSettings
 
@@ -53,6 +54,22 @@ async def test_what_is_no_recording_is_told_as_a_problem(perform):
     assert answer["recordings"] == []
     assert any("walk.mcap" in problem for problem in answer["problems"])
     assert answer["formats"]["bvh"]
+
+
+@pytest.mark.parametrize("name", ["<b>Größe (2).mcap", "a" * 140 + ".mcap"])
+async def test_a_recording_that_no_request_can_name_is_told_as_a_problem(tmp_path, name):
+    """Listed, it could neither be replayed nor exported, and nobody would know why."""
+    settings = RecordingSettings(folder=str(tmp_path), min_free_mb=0)
+    files = SessionFiles(settings, Contents({}, {}, "1", from_start=True))
+    files.close()
+    perform = Shelf(settings, lambda: None).beside(others)
+    assert len((await perform("list", {}))["recordings"]) == 1
+    files.path.rename(tmp_path / name)
+    answer = await perform("list", {})
+    assert answer["recordings"] == []
+    (problem,) = answer["problems"]
+    assert problem.startswith(name[:60])
+    assert problem.endswith("rename it")
 
 
 async def test_an_unknown_format_and_other_verbs(perform):

@@ -267,6 +267,14 @@ def test_the_strip_tells_modules_losses_and_disk():
     assert "nearly full" in warnings_of(0.0, 0.0, {"is_low": True})[0]
 
 
+def test_a_recording_that_ended_by_itself_is_warned_of():
+    """Its red light only goes out, while whoever wears the suit believes that it goes on."""
+    (told,) = warnings_of(0.0, 0.0, {"state": "off", "ended": "No space left on device", "is_low": True})
+    assert "ended by itself: No space left on device" in told
+    assert warnings_of(0.0, 0.0, {"state": "off", "ended": "stopped"}) == ()
+    assert warnings_of(0.0, 0.0, {"state": "recording"}) == ()
+
+
 def test_a_bend_is_none_in_the_neutral_posture_and_grows_with_the_turn():
     turned = (math.cos(math.radians(20)), 0.0, 0.0, math.sin(math.radians(20)))
     assert bend_deg((1.0, 0.0, 0.0, 0.0), turned) == pytest.approx(40.0)
