@@ -252,7 +252,7 @@ def _cells(one: Mapping[str, Any], language: str) -> Sequence[str]:
     return (
         str(one["module"]),
         segment_name(language, one["segment"] or NOTHING),
-        "" if one.get("battery_percent") is None else f"{one['battery_percent']} %",
+        "" if one.get("battery_percent") is None else f"{one['battery_percent']}\u00a0%",
         f"{one['rate_hz']:.0f}" if one["answers"] else say(language, "silent"),
         "" if loss is None else f"{loss:.1f}",
         "" if clock is None else f"{clock['residual_us'] * 1e-3:.1f}",

@@ -193,7 +193,7 @@ async def the_body_is_calibrated(way, mosquitto):
     await press(page, "Begin with the poses")
     await way.sees("7 steps: do them one after another")
     for step in timetable():
-        await choose(page, 1, step)
+        await choose(page, 0, step)
         await press(page, "Do this step")
         await way.obeys(step)
         if step == "squat":

@@ -72,7 +72,7 @@ def test_only_devices_that_answer_can_be_chosen():
 @pytest.mark.parametrize("language", LANGUAGES.values())
 def test_the_table_names_who_is_silent_and_who_shares_an_id(language):
     table = found_table(LISTED, language)
-    assert "80 %" in table
+    assert "80\u00a0%" in table
     assert say(language, "silent") in table
     assert say(language, "missing", segments="hand") in table
     assert "<b>" not in table
