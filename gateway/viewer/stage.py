@@ -49,7 +49,10 @@ class Stage:
         camera = server.initial_camera
         camera.position, camera.look_at = self._seen_from(FIRST_VIEW, is_narrow=False)
         camera.fov = math.radians(FIELD_OF_VIEW_DEG)
-        server.on_client_connect(lambda client: self.look(client, FIRST_VIEW))
+        self._looks: dict[int, tuple[str, bool]] = {}
+        """By client: the view that it was brought to last, and whether its page was narrow then."""
+        server.on_client_connect(self._welcome)
+        server.on_client_disconnect(self._forget)
         self._world = server.scene.add_frame("/world", axes_length=0.25, axes_radius=0.006)
         self._floor = _floor(server.scene)
         self._server = server
@@ -83,8 +86,24 @@ class Stage:
 
     def look(self, client: viser.ClientHandle | None, view: str) -> None:
         """Bring one page's camera to a view: front, side (its left one), top, or follow, from behind."""
-        for camera in [each.camera for each in ([client] if client else self._server.get_clients().values())]:
-            camera.position, camera.look_at = self._seen_from(view, camera.aspect < NARROW)
+        for each in [client] if client else list(self._server.get_clients().values()):
+            is_narrow = each.camera.aspect < NARROW
+            self._looks[each.client_id] = view, is_narrow
+            each.camera.position, each.camera.look_at = self._seen_from(view, is_narrow)
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        self.look(client, FIRST_VIEW)
+        client.camera.on_update(lambda _camera: self._fit(client))
+
+    def _forget(self, client: viser.ClientHandle) -> None:
+        self._looks.pop(client.client_id, None)
+
+    def _fit(self, client: viser.ClientHandle) -> None:
+        """Look anew where the page has become narrow or wide: a slow one tells its size late, a phone is
+        turned."""
+        view, was_narrow = self._looks.get(client.client_id, (FIRST_VIEW, False))
+        if (client.camera.aspect < NARROW) != was_narrow:
+            self.look(client, view)
 
     def _seen_from(self, view: str, is_narrow: bool) -> tuple[FloatArray, FloatArray]:
         """Return where a camera is for a view, (3,) m, and what it looks at, (3,) m."""

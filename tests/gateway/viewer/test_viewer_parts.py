@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -273,6 +274,26 @@ def test_a_recording_that_ended_by_itself_is_warned_of():
     assert "ended by itself: No space left on device" in told
     assert warnings_of(0.0, 0.0, {"state": "off", "ended": "stopped"}) == ()
     assert warnings_of(0.0, 0.0, {"state": "recording"}) == ()
+
+
+def test_a_page_that_tells_its_size_late_or_is_turned_is_looked_at_anew(unused_port):
+    """On a busy machine a phone's page seemed wide at first, and showed half of the body."""
+    viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
+    from gateway.viewer.stage import Stage  # noqa: PLC0415 - needs the extra
+
+    server = viser.ViserServer("127.0.0.1", unused_port, verbose=False)
+    try:
+        stage, updated = Stage(server), []
+        camera = SimpleNamespace(aspect=1.8, on_update=updated.append)
+        stage._welcome(SimpleNamespace(client_id=7, camera=camera))
+        wide = camera.position
+        updated[0](camera)
+        assert camera.position is wide  # whoever turns the view keeps it
+        camera.aspect = 0.5
+        updated[0](camera)
+        assert np.linalg.norm(camera.position[:2]) > 1.4 * np.linalg.norm(wide[:2])
+    finally:
+        server.stop()
 
 
 def test_a_bend_is_none_in_the_neutral_posture_and_grows_with_the_turn():
