@@ -151,7 +151,7 @@ class _Supervisor:
             if self._next is None:
                 log.info("stopped")
         except GatewayError as error:
-            if self._former is None or service.has_begun:
+            if self._former is None or service.begun.is_set():
                 raise
             log.error("the changed configuration cannot run, the old one goes on: %s", error)
             former, self._former = self._former, None
@@ -270,7 +270,7 @@ def record(
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))
     status = service.recording.status()
     if "file" not in status:
-        raise GatewayError("nothing was recorded: it ended before it had begun; give it more --seconds")
+        raise GatewayError("nothing was recorded: it was ended before it had begun")
     typer.echo(
         f"{status['file']}: {status['seconds']:.1f} s, {status['bytes'] / 1e6:.1f} MB, "
         f"{status['written'].get('chunks', 0)} chunks, {status['written'].get('skeleton', 0)} poses"
@@ -286,7 +286,7 @@ async def _record(
 ) -> None:
     running = asyncio.ensure_future(until_signal(service))
     if seconds is not None:
-        asyncio.get_running_loop().call_later(seconds, running.cancel)
+        running.add_done_callback(asyncio.create_task(_end_after(seconds, service, running)).cancel)
     if console is not None and console.is_terminal:
         with Live(console=console, transient=True, auto_refresh=False) as live:
             while not running.done():
@@ -296,6 +296,13 @@ async def _record(
         await running
     except asyncio.CancelledError:
         logging.getLogger(__name__).info("the time is over")
+
+
+async def _end_after(seconds: float, service: Service, running: asyncio.Future[None]) -> None:
+    """Cancel what runs so long after it has begun to record: outputs may take a while to start."""
+    await service.begun.wait()
+    await asyncio.sleep(seconds)
+    running.cancel()
 
 
 def _screen(service: Service, settings: GatewaySettings) -> Table:

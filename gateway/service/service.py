@@ -95,7 +95,7 @@ class Service:
         self.others = others
         self._handed: dict[str, list[HandedLink]] = {}
         self.settings = settings
-        self.has_begun = False
+        self.begun = asyncio.Event()
         """Whether all that could keep it from running is open."""
         self.links = (
             links if links is not None else _links_of(settings, self._note_link, lambda: self.mqtt.port)
@@ -247,7 +247,7 @@ class Service:
         async with self.mqtt, self.side.running(), self.observer.watching():
             if self._records_at_start:
                 self.recording.start()
-            self.has_begun = True
+            self.begun.set()
             self.requests.start(self.mqtt.port)
             companions = [
                 asyncio.create_task(kept_running("the report", self._report), name="report"),

@@ -16,6 +16,8 @@ import pytest
 import yaml
 
 from gateway.body.rig import load_rig
+from gateway.cli.run import record
+from gateway.errors import GatewayError
 from gateway.outputs.settings import MqttSettings
 from gateway.recording import files, open_recording
 from gateway.recording.recovery import recover_in_place
@@ -228,3 +230,54 @@ async def test_a_kill_at_any_moment_costs_no_more_than_the_flush_interval(
         assert again.defect is None
     # A kill may meet a machine that is busy with something else; most do not.
     assert kills == 1 or sorted(late)[9 * kills // 10] <= 0
+
+
+def config_of(tmp_path, port, broker_port):
+    path = tmp_path / "gateway.yaml"
+    settings = {
+        "gateway": "lab",
+        "rig": RIG,
+        "reconstructor": "independent",
+        "links": [{"name": "suit", "url": str(port)}],
+        "mqtt": {"port": broker_port},
+        "recording": {"folder": str(tmp_path / "kept"), "min_free_mb": 1, "warn_free_mb": 1},
+    }
+    path.write_text(yaml.safe_dump(settings))
+    return path
+
+
+def slow_to_start(seconds, monkeypatch):
+    """Let outputs take so long until a recording can begin."""
+    opened = Service.run
+
+    async def run(self):
+        await asyncio.sleep(seconds)
+        await opened(self)
+
+    monkeypatch.setattr(Service, "run", run)
+
+
+def test_seconds_count_from_where_the_recording_begins(command, tmp_path, mosquitto, monkeypatch):
+    port = tmp_path / "port"
+    command("emulate", "--rig", RIG, "--on", "pty", "--link", port, "--json").until_said('"url"')
+    slow_to_start(1.5, monkeypatch)
+    monkeypatch.setattr("gateway.cli.run.set_up_logging", lambda *_: None)
+    record(config_of(tmp_path, port, mosquitto.port), seconds=1.0, quiet=True)
+    (kept,) = (tmp_path / "kept").glob("*.mcap")
+    written = list(open_recording(kept).events())
+    assert written[0].name == "recording_begun"
+    begun_ns, ended_ns = (
+        next(e.time_ns for e in written if e.name == f"recording_{w}") for w in ("begun", "ended")
+    )
+    assert ended_ns - begun_ns >= 0.9e9
+
+
+def test_a_recording_that_is_ended_before_it_begins_says_so(tmp_path, mosquitto, monkeypatch):
+    async def cancelled(_service):
+        raise asyncio.CancelledError
+
+    monkeypatch.setattr(Service, "run", cancelled)
+    monkeypatch.setattr("gateway.cli.run.set_up_logging", lambda *_: None)
+    with pytest.raises(GatewayError, match="nothing was recorded: it was ended before it had begun"):
+        record(config_of(tmp_path, tmp_path / "port", mosquitto.port), quiet=True)
+    assert not list(tmp_path.glob("**/*.mcap"))

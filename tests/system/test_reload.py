@@ -141,12 +141,12 @@ async def test_the_same_ports_and_others_are_taken_over(gateway, until):
     port = gateway.base["metrics"]["port"]
     before = gateway.service
     await gateway.reload(assembly={"rate_hz": 50})
-    await until(lambda: gateway.service is not before and gateway.service.has_begun)
+    await until(lambda: gateway.service is not before and gateway.service.begun.is_set())
     assert gateway.service.observer.metrics.port == port
     await until(lambda: gateway.service.mqtt.is_connected)
     between = gateway.service
     await gateway.reload(metrics={"port": 0})
-    await until(lambda: gateway.service is not between and gateway.service.has_begun)
+    await until(lambda: gateway.service is not between and gateway.service.begun.is_set())
     status, _, _ = await fetch(gateway.service.observer.metrics.port, "/healthz")
     assert status == 200
 
