@@ -156,6 +156,7 @@ class _Instants:
         self._celsius: float | None = None
         self._n_incomplete = 0
         self._is_open = False  # the rest of the instant of the last ``Inertial`` may come
+        self._has_begun = False  # before, what comes is the rest of an instant that was not heard whole
 
     def take(self, kind: int, numbers: tuple[int, ...]) -> Message | None:
         """Return what a packet completes. numbers: signed, three (on CAN) or four."""
@@ -163,13 +164,15 @@ class _Instants:
             return Values(tuple(number & 0xFFFF for number in numbers))
         if kind == ACCELERATION:
             self._lose(self._force is not None)
+            self._has_begun = True
             self._force = _scaled(numbers, RANGE_G)
             self._celsius = numbers[3] / 100 if len(numbers) > 3 else None
             self._is_open = False
         elif kind == ANGULAR_RATE:
             force, self._force = self._force, None
             if force is None:
-                self._lose(True)
+                self._lose(self._has_begun)
+                self.unused += not self._has_begun
                 self._is_open = False
                 return None
             found = Inertial(force, _scaled(numbers, RANGE_DEG_S), self._celsius, self._n_incomplete)

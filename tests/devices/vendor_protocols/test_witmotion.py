@@ -107,6 +107,18 @@ def test_registers_and_orientations_are_handed_on():
     assert decoder.dropped == {"not_a_rotation": 1}
 
 
+def test_an_instant_that_began_before_it_was_listened_to_is_no_loss():
+    decoder = WitMotionDecoder()
+    rest = encode(ANGULAR_RATE, [0, 0, 0, 0]) + encode(FIELD, [1, 2, 3, 0])
+    assert decoder.feed(rest) == []
+    assert decoder.dropped == {}
+    assert decoder.unused == 2
+    inertial, *_ = decoder.feed(instant())
+    assert inertial.n_incomplete == 0
+    assert decoder.feed(rest) == []
+    assert decoder.dropped == {"incomplete": 1}
+
+
 @pytest.mark.parametrize(
     ("damaged", "reason"),
     [
@@ -114,7 +126,7 @@ def test_registers_and_orientations_are_handed_on():
         (b"\x01\x02\x55\x20", "noise"),
         (encode(ACCELERATION, [0, 0, 2048, -5000]), "temperature_beyond_sensor"),
         (encode(TIME, [0x0D18, 0, 0, 0]), "no_date"),
-        (encode(ANGULAR_RATE, [0, 0, 0, 0]), "incomplete"),
+        (2 * encode(ACCELERATION, [0, 0, 2048, 2500]), "incomplete"),
     ],
 )
 def test_what_cannot_be_is_dropped_and_counted_by_reason(damaged, reason):
