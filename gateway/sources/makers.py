@@ -41,9 +41,11 @@ _INTERVALS, _FEWEST_INTERVALS = 31, 8
 """Between stamps: of so many the lower quartile is the interval of the samples, once there are some."""
 
 LEAP_IN_NUMBER = "leap_in_number"
-"""Reason for which what bears a number far from those before is dropped."""
+"""Reason for which what bears a number, or a stamp, far from those before is dropped."""
 _OVERTAKEN, _MISSED = 64, 10_000
 """By how much a number may be behind the newest one, and before it."""
+_LONGEST_INTERVAL_MS = 200
+"""Between the stamps of two numbers that follow on each other."""
 
 _Found = TypeVar("_Found")
 
@@ -296,26 +298,36 @@ class MakersSource(ListeningSource):
 class StreamCounter:
     """Continues the numbers of a stream that begins anew, as when a program is started again.
 
-    A number that is far from all before is believed when the next one follows on it.
+    What is far from all before, by its number or its stamp, is believed when the next one follows on it: one
+    wrong stamp would date an instant, and all that is held until then, into the future.
     """
 
     def __init__(self) -> None:
-        self._newest: int | None = None
-        self._strange: int | None = None
+        self._newest: tuple[int, int] | None = None
+        """Number and stamp, ms."""
+        self._strange: tuple[int, int] | None = None
         self._shift = 0
 
-    def number(self, told: int) -> int | None:
+    def number(self, told: int, stamp_ms: int) -> int | None:
         """Return the number of an instant, from one that goes on; None: it is not believed yet."""
-        if self._newest is None or -_OVERTAKEN <= told - self._newest <= _MISSED:
-            self._newest = told if self._newest is None else max(told, self._newest)
-        elif self._strange is not None and 0 <= told - self._strange <= _OVERTAKEN:
-            self._shift += self._newest + 1 - told
-            self._newest = told
+        here = told, stamp_ms
+        if self._newest is None or _goes_on(self._newest, here, _OVERTAKEN, _MISSED):
+            self._newest = here if self._newest is None else max(here, self._newest)
+        elif self._strange is not None and _goes_on(self._strange, here, 0, _OVERTAKEN):
+            if not -_OVERTAKEN <= told - self._newest[0] <= _MISSED:
+                self._shift += self._newest[0] + 1 - told
+            self._newest = here
         else:
-            self._strange = told
+            self._strange = here
             return None
         self._strange = None
         return told + self._shift
+
+
+def _goes_on(before: tuple[int, int], here: tuple[int, int], behind: int, ahead: int) -> bool:
+    """Return whether number and stamp, ms, follow on others, by at most so many numbers behind or ahead."""
+    step, since_ms = here[0] - before[0], here[1] - before[1]
+    return -behind <= step <= ahead and abs(since_ms) <= _LONGEST_INTERVAL_MS * max(1, abs(step))
 
 
 class StampCounter:

@@ -62,7 +62,7 @@ class MocopiDevice(MakersDevice):
             if bone < len(PARENTS) and PARENTS[bone] in found:
                 found[bone] = multiply(found[PARENTS[bone]], turned)
         del found[-1]
-        told = self._numbers.number(message.number) if found else None
+        told = self._numbers.number(message.number, message.time_ms) if found else None
         if told is None:
             self._strange[LEAP_IN_NUMBER] += bool(found)
             return

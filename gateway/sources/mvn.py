@@ -93,7 +93,7 @@ class MvnDevice(MakersDevice):
             self._strange[ANOTHER_CHARACTER] += 1
             return
         self._has_poses |= any(isinstance(item, SegmentPose) for item in message.items)
-        told = self._numbers.number(message.sample)
+        told = self._numbers.number(message.sample, message.time_ms)
         if told is None:
             self._strange[LEAP_IN_NUMBER] += 1
             return

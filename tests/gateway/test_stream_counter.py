@@ -18,6 +18,8 @@ LATER = [
     ("and tells its time from anew", [(k, 10 * k) for k in range(600)]),
     ("a bit of a number is turned", [(2**30, 4000), *[(5301 + k, 4010 + 10 * k) for k in range(599)]]),
     ("a lower one", [(5300 + 4096, 4000), *[(5301 + k, 4010 + 10 * k) for k in range(599)]]),
+    ("a bit of a stamp is turned", [(5300, 4000 ^ 2**20), *[(5301 + k, 4010 + 10 * k) for k in range(599)]]),
+    ("the time of day begins anew", [(5300 + k, 10 * k) for k in range(600)]),
     ("a minute is lost", [(11_300 + k, 64_000 + 10 * k) for k in range(600)]),
 ]
 
@@ -48,3 +50,21 @@ def test_a_stream_goes_on_when(source, carries, rig, encoded, what, later):
     assert sum(count == 0 for count in given[BEGUN:]) <= 2
     dropped = made.dropped()["suit"]
     assert set(dropped) <= {"leap_in_number"}
+
+
+@pytest.mark.parametrize(
+    ("source", "carries", "rig", "encoded"),
+    [(MvnSource, "mvn", "mvn_fused_23", of_mvn), (MocopiSource, "mocopi", "mocopi_23", of_mocopi)],
+)
+@pytest.mark.parametrize("bit", [10, 14, 20, 26])
+def test_no_wrong_stamp_dates_an_instant(source, carries, rig, encoded, bit):
+    made = source(SourceContext(load_rig(rig), ModuleTable()))
+    made.add_link("suit", carries)
+    dated = []
+    for k in range(BEGUN):
+        arrived_ns = 10**18 + 10_000_000 * k
+        time_ms = 1000 + 10 * k
+        wrong = encoded(5000 + k, time_ms ^ 2**bit if k == 200 else time_ms)
+        dated += [each.time_ns - arrived_ns for each in made.receive(Chunk(wrong, arrived_ns, "suit"))]
+    assert max(map(abs, dated)) < 20_000_000
+    assert made.dropped()["suit"] == {"leap_in_number": 1}
