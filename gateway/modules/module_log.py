@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 
 from devices.link import Chunk
 from firmware_protocol import RELAY, ReceivedPacket
@@ -73,9 +74,9 @@ class ModuleLog:
 class Strangers:
     """Who of those heard is in the rig, and who is not."""
 
-    def __init__(self, stream: Stream, suit: WornSuit) -> None:
-        """Look at nothing yet."""
-        self._stream = stream
+    def __init__(self, stream: Stream, suit: WornSuit, unworn: Iterable[int] = ()) -> None:
+        """Look at nothing yet. unworn: numbers of those that may well be heard and not be in the rig."""
+        self._stream, self._unworn = stream, frozenset({RELAY, *unworn})
         self.names = module_names(suit)
         """What each module of the rig is on, by id."""
         self._told: set[int] = set()
@@ -88,7 +89,7 @@ class Strangers:
     def news(self) -> str | None:
         """Return who is heard and not in the rig, and what to do; None when that was told already."""
         heard = self._stream.modules
-        strangers = {module for module in heard if module not in self.names and module != RELAY}
+        strangers = {module for module in heard if module not in self.names} - self._unworn
         if strangers <= self._told:
             return None
         self._told |= strangers

@@ -59,6 +59,7 @@ from gateway.service.triggering import Triggerer
 from gateway.settings import GatewaySettings, fitting_suit
 from gateway.sources.clock_mode import ClockMode
 from gateway.sources.losses import Cause
+from gateway.sources.makers import OthersLinkSettings
 from gateway.sources.registry import source_kind
 from gateway.sources.stream import Stream
 from gateway.support.memory import bound_memory, give_back
@@ -148,7 +149,9 @@ class Service:
         self.commands.on_sent = self._note_sent
         connect_client(self.commands, stream)
         ModuleLog().listen_to(stream)
-        self._strangers = Strangers(stream, suit)
+        streams = [link for link in settings.links if isinstance(link, OthersLinkSettings)]
+        unworn = {number for link in streams for number in {*link.modules} - {*link.own_numbers}}
+        self._strangers = Strangers(stream, suit, unworn)
         self._makers = MakersModules(self._note_sent)
         operations = ModuleOperations(
             stream, self.commands, suit, Journal(default_journal_path()), self._makers

@@ -28,3 +28,8 @@ def test_strangers_are_told_once_with_those_of_the_rig_that_are_missing():
     assert (strangers.news(), strangers.known) == (None, 2)
     stream.modules[8] = heard()
     assert "module 7, 8, 9 (" in strangers.news()
+
+
+def test_what_a_stream_sends_besides_is_nobody_strange():
+    stream = SimpleNamespace(modules={0: heard(), 9: heard()})
+    assert Strangers(stream, load_rig("robot_arm_4"), unworn=(8, 9)).news() is None
