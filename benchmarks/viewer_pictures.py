@@ -40,7 +40,7 @@ SEED = 1
 GATEWAY = "demo"
 DESKTOP, PHONE = (1100, 700), (390, 780)
 FILM_FROM_S, FILM_STEP_S, FILM_STEPS = 8.0, 0.08, 30
-FILM_CLIP = FloatRect(x=330, y=90, width=420, height=560)
+FILM_CLIP = FloatRect(x=225, y=90, width=420, height=560)
 FILM_SIZE, FILM_COLOURS = (240, 320), 48
 
 
