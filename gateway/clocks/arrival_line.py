@@ -7,13 +7,18 @@ from __future__ import annotations
 
 from gateway.clocks.module_clock import ClockFigures
 
-_LEAST_SAMPLES = 32
+_LEAST_SAMPLES = 8
 """Before, the interval is not known: an instant is that of arrival."""
+_TOGETHER_NS = 1_000_000
+"""What arrives within so long has waited somewhere: the interval is not learnt from it."""
+_MANY_SAMPLES = 32
+"""After so many it is all the same; and after a silence so many are better than the mean of those before."""
 _REMEMBERED = 2048
 """Samples that the interval is a mean over."""
 _PULL = 0.005
 """Of its lateness, by which a sample that came late draws the line along: a slow clock is followed, a slow
-network hardly."""
+network hardly. While the interval is a mean over fewer samples than this is the share of, it is their share:
+the line is off by what the interval is off, and not for long."""
 _STEADY = 50
 """So many samples in a row late by more than an interval: nothing was lost, the device paused."""
 _RISE_NS = 20_000
@@ -36,6 +41,9 @@ class ArrivalLine:
         self._first_ns = 0
         self._arrived_ns = 0
         self._samples = -1
+        self._heard = 0
+        self._needed = _LEAST_SAMPLES
+        """Samples since ``_first_ns`` from which the interval is a mean over them."""
         self._line_ns = 0.0
         self._late = 0
         self._least_late_ns = 0.0
@@ -65,11 +73,13 @@ class ArrivalLine:
         if abs(late_ns) > _ANEW_NS:
             self._begin(arrived_ns)
             return arrived_ns
-        self._line_ns = expected_ns + min(late_ns, _PULL * late_ns) + self._paused(late_ns)
+        pull = max(_PULL, 1.0 / self._samples)
+        self._line_ns = expected_ns + min(late_ns, pull * late_ns) + self._paused(late_ns)
         self.lateness_ns += _LATENESS_GAIN * (arrived_ns - self._line_ns - self.lateness_ns)
         return int(self._line_ns)
 
     def _begin(self, arrived_ns: int) -> None:
+        self._needed = _MANY_SAMPLES if self.interval_ns else _LEAST_SAMPLES
         self._samples, self._late = 0, 0
         self._first_ns = self._arrived_ns = arrived_ns
         self._line_ns = float(arrived_ns)
@@ -78,9 +88,12 @@ class ArrivalLine:
         """Take in the time since the sample before."""
         since_ns, self._arrived_ns = arrived_ns - self._arrived_ns, arrived_ns
         self._samples += intervals
+        self._heard += 1
         if self._samples > _REMEMBERED and self.interval_ns:
             self.interval_ns += (since_ns - intervals * self.interval_ns) / _REMEMBERED
-        elif self._samples >= _LEAST_SAMPLES:
+        elif since_ns < _TOGETHER_NS and not self.interval_ns and self._heard < _MANY_SAMPLES:
+            self._first_ns, self._samples = arrived_ns, 0
+        elif self._samples >= self._needed:
             self.interval_ns = max(1.0, (arrived_ns - self._first_ns) / self._samples)
 
     def _paused(self, late_ns: float) -> float:

@@ -88,7 +88,7 @@ def test_what_was_felt_is_made_again_of_what_was_fused(bundled, version):
     linear = LINEAR if version == 22 else (-LINEAR[1], LINEAR[0], LINEAR[2])
     port.move(200, bundled=bundled, linear=linear)
     measured = np.array([row["measured"] for row in port.rows])
-    assert len(measured) >= 160
+    assert len(measured) >= 185
     np.testing.assert_allclose(measured[:, ANGULAR_RATE], np.tile(TURN, (len(measured), 1)), rtol=1e-4)
     final = quaternion.multiply(port.q, quaternion.from_rotation_vector(-TURN * INTERVAL_NS * 1e-9))
     up = quaternion.rotate_inverse(final, np.array([0.0, 0.0, 1.0]))  # of the sample before the newest
