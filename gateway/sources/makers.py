@@ -11,11 +11,10 @@ from collections import Counter, deque
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from devices.device_errors import DeviceError
 from devices.link import Chunk, SentChunk
-from devices.recording_format import SUFFIX
 from firmware_protocol import DeviceInfo, Health
 from gateway.contract.balances import Balance
 from gateway.frames import FusedReading, InertialBatch, Sample, Vector3
@@ -35,8 +34,6 @@ TALK_S = 0.05
 """How often those that await being spoken to are asked what is due."""
 LEAST_RATE_SHARE = 0.9
 """Of the poses' rate, below which a device is too slow for them."""
-_ON_CAN = frozenset({"can", "slcan"})
-"""Schemes of links to a CAN bus."""
 _INTERVALS, _FEWEST_INTERVALS = 31, 8
 """Between stamps: of so many the lower quartile is the interval of the samples, once there are some."""
 
@@ -52,21 +49,6 @@ _Found = TypeVar("_Found")
 
 class OthersLinkSettings(LinkSettings):
     """Modules of another maker: one, or several that share a link."""
-
-    speaks_on_can: ClassVar[bool] = False
-    """Whether its bytes are frames of a CAN bus; else they come as a stream, or in datagrams."""
-    elsewhere: ClassVar[str | None] = None
-    """Word of the configuration for the maker's devices where these do not speak: on CAN, or beside it."""
-
-    @model_validator(mode="after")
-    def _speaks_there(self) -> Self:
-        where, is_on_can = self.url.partition("?")[0], self.url.partition("://")[0] in _ON_CAN
-        if where.startswith("recording:") or where.endswith(SUFFIX) or is_on_can == self.speaks_on_can:
-            return self
-        if self.elsewhere is None:
-            raise ValueError(f"url: {where} is a CAN bus, on which nothing speaks {self.carries}")
-        what = "a CAN bus" if is_on_can else "no CAN bus, as can:// and slcan:// are"
-        raise ValueError(f"carries: {where} is {what}: it carries {self.elsewhere}, not {self.carries}")
 
     @property
     def modules(self) -> tuple[int, ...]:

@@ -57,15 +57,12 @@ _Found = TypeVar("_Found")
 class MtiLinkSettings(MakersLinkSettings):
     """One MTi of Xsens on a serial line."""
 
-    elsewhere: ClassVar[str] = "mti_can"
     carries: Literal["mti"] = "mti"
 
 
 class MtiCanLinkSettings(MakersLinkSettings):
     """One MTi of Xsens on a CAN bus."""
 
-    speaks_on_can: ClassVar[bool] = True
-    elsewhere: ClassVar[str] = "mti"
     carries: Literal["mti_can"] = "mti_can"
 
 

@@ -74,7 +74,6 @@ _TOLD_EVERY = 100
 class WitMotionLinkSettings(MakersLinkSettings):
     """One WitMotion device on a serial line."""
 
-    elsewhere: ClassVar[str] = "witmotion_can"
     carries: Literal["witmotion"] = "witmotion"
     rate_hz: float | None = Field(
         default=None,
@@ -93,8 +92,6 @@ class WitMotionLinkSettings(MakersLinkSettings):
 class WitMotionCanLinkSettings(WitMotionLinkSettings):
     """One WitMotion device on a CAN bus."""
 
-    speaks_on_can: ClassVar[bool] = True
-    elsewhere: ClassVar[str] = "witmotion"
     carries: Literal["witmotion_can"] = "witmotion_can"  # type: ignore[assignment]
     identifier: int = Field(
         default=IDENTIFIER, ge=0, le=0x7FF, description="for witmotion_can: identifier of its frames"

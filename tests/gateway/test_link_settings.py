@@ -46,18 +46,6 @@ def test_a_receiver_has_settings_of_its_own(tmp_path):
             "url: 'tcp://a:1', carries: witmotion, module: 3, identifier: 80",
             r"'identifier' goes with carries: witmotion_can; this link carries witmotion",
         ),
-        (
-            "url: 'can://socketcan/can0', carries: witmotion, module: 3",
-            "can://socketcan/can0 is a CAN bus: it carries witmotion_can, not witmotion",
-        ),
-        (
-            "url: '/dev/ttyUSB0?baud=115200', carries: mti_can, module: 3",
-            "/dev/ttyUSB0 is no CAN bus, as can:// and slcan:// are: it carries mti, not mti_can",
-        ),
-        (
-            "url: 'slcan:///dev/ttyACM0', carries: ximu3, module: 3",
-            "slcan:///dev/ttyACM0 is a CAN bus, on which nothing speaks ximu3",
-        ),
         ("url: 'tcp://me:word@a:1', module: 3", "a link takes no user name or password"),
         ("url: 'tcp://a:1', carries: gnss, orgin: [1, 2, 3]", r"'links.0.orgin' \(did you mean 'origin'\?\)"),
         ("url: 'tcp://a:1', carries: gnss, device: 64", r"'links.0.device' is 64"),
@@ -68,12 +56,6 @@ def test_a_receiver_has_settings_of_its_own(tmp_path):
 def test_what_a_link_cannot_have_is_told_with_its_place(tmp_path, link, told):
     with pytest.raises(SettingsError, match=told):
         settings_of(tmp_path, link)
-
-
-def test_a_recording_may_stand_in_the_place_of_a_bus(tmp_path):
-    for url in ("recording:///a/walk.mcap?speed=max", "/a/walk.mcap"):
-        (link,) = settings_of(tmp_path, f"url: '{url}', carries: mti_can, module: 3").links
-        assert link.url == url
 
 
 @pytest.mark.parametrize(("carries", "lacks"), [("markers", "no markers"), ("heat_maps", "no cameras")])
