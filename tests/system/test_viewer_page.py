@@ -131,7 +131,7 @@ async def test_modules_that_share_an_id_are_set_up_on_the_page(
         await page.get_by_text(f"{GATEWAY}: in Betrieb").wait_for()
         await open_tab(page, "1–3 Anzug")
         await page.get_by_role("button", name="Module suchen").wait_for()
-        await page.get_by_text("nicht gehört: right forearm").wait_for()
+        await page.get_by_text("nicht gehört: rechter Unterarm").wait_for()
 
 
 async def test_a_body_is_calibrated_on_the_page(
