@@ -8,6 +8,7 @@ import html
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 import viser
@@ -21,6 +22,8 @@ Ask = Callable[[str, str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 """Family, verb and data to the gateway's answer. Raises ``GatewayError``."""
 Deed = Callable[[], Awaitable[str]]
 """What a button asks for; the answer is what became of it."""
+_PLACE: ContextVar[Any] = ContextVar("place")
+"""Below the button of the deed under way: several go on at once, as one that watches and one that ends it."""
 NOTHING = "–"
 GOOD, FAIR, POOR = "var(--mocap-good)", "var(--mocap-fair)", "var(--mocap-poor)"
 """Of texts: see ``stage.STYLE``."""
@@ -134,12 +137,18 @@ class StepTab(ABC):
                 if other is not place:
                     other.visible = False
             self._place = place
-            self._errands.start(lambda: deed(event.client), self._tell)
+
+            async def work() -> str:
+                _PLACE.set(place)
+                return await deed(event.client)
+
+            self._errands.start(work, self._tell)
 
         button.on_click(pressed)
         return button
 
     def _tell(self, said: str) -> None:
-        if self._place is not None:
-            self._place.content = line(said)
-            self._place.visible = True
+        """Tell it below the button of the deed under way, unless another button was pressed since."""
+        if (place := _PLACE.get()) is self._place:
+            place.content = line(said)
+            place.visible = True

@@ -70,6 +70,7 @@ async def test_gyroscopes_are_calibrated_into_a_rig_file_and_into_modules(tumble
 
 
 async def test_what_was_begun_on_a_page_is_gone_on_with_on_another(tumbled, unused_port, chromium):
+    from gateway.viewer.sensor_tab import LOOK_S  # noqa: PLC0415 - needs the extra
     from tests.shown_page import open_tab, page_of, press  # noqa: PLC0415 - needs the extra
 
     mqtt = await tumbled()
@@ -84,4 +85,7 @@ async def test_what_was_begun_on_a_page_is_gone_on_with_on_another(tumbled, unus
             await page.get_by_role("cell", name="right forearm").wait_for()
             if not begins:
                 await press(page, "Give it up")
-                await page.get_by_text("given up; nothing has changed").wait_for()
+                answer = page.get_by_text("given up; nothing has changed")
+                await answer.wait_for()
+                await asyncio.sleep(2 * LOOK_S)
+                assert await answer.is_visible(), "what watched until now has said so over it"
