@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import signal
+import subprocess
 import time
 
 import pytest
@@ -14,7 +16,17 @@ from devices.emulators.firmware_memory import FirmwareMemory
 from devices.endpoints import link_from_url
 from firmware_protocol import Health, InertialSample, LogLine
 from firmware_protocol.commands import Verb
-from tests.firmware.machines import MEMORIES, POSIX, QEMU, Machine, NotHere, broken_copy, build, switched_on
+from tests.firmware.machines import (
+    MEMORIES,
+    POSIX,
+    QEMU,
+    Machine,
+    NotHere,
+    broken_copy,
+    build,
+    command_of,
+    switched_on,
+)
 from tests.patience import PATIENCE_S
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(200)]
@@ -57,6 +69,22 @@ async def test_what_nobody_reads_is_lost_and_numbers_go_on(module):
     assert numbers == sorted(set(numbers))
     stamps = [each.received.module_time_us for each in bench.of(InertialSample)]
     assert max(b - a for a, b in itertools.pairwise(stamps)) > 900_000  # nothing old was kept for later
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_a_process_that_is_ended_takes_its_link_away_but_not_another_s(program_of, tmp_path, how):
+    memory, link = FirmwareMemory.fresh(tmp_path / "m.img", bytes(range(12))), tmp_path / "port"
+    command = command_of(program_of(POSIX), memory, str(link))
+    for is_laid_anew in (False, True):
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline().strip() == str(link.readlink())
+            if is_laid_anew:
+                link.unlink()
+                link.symlink_to("/dev/null")
+            process.send_signal(how)
+            assert process.wait(PATIENCE_S) == -how
+        assert link.is_symlink() is is_laid_anew
 
 
 async def test_a_firmware_that_hangs_is_restarted_by_its_watchdog(tmp_path, board):

@@ -6,6 +6,7 @@
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <sys/select.h>
 #include <termios.h>
 #include <unistd.h>
@@ -21,6 +22,8 @@ static int line = -1;
 static const uint8_t *to_send;
 static size_t left_to_send;
 static bool has_reader; /* of the other side */
+static const char *link_of_line;
+static char name_of_line[64];
 
 /* Nobody has the other side open: what is sent is lost, as on a cable that is plugged in nowhere. */
 static void send_on(void) {
@@ -91,6 +94,37 @@ void board_idle(uint32_t most_us) {
     send_on();
 }
 
+/* Takes the link away, unless another process has laid it anew: the kernel gives the number of a closed
+ * pseudo-terminal away again, and whoever followed an old link would write into somebody's terminal. */
+static void leave(int number) {
+    char now[sizeof name_of_line];
+    const ssize_t length = readlink(link_of_line, now, sizeof now - 1u);
+    if (length > 0) {
+        now[length] = '\0';
+        if (strcmp(now, name_of_line) == 0) {
+            (void)unlink(link_of_line);
+        }
+    }
+    (void)signal(number, SIG_DFL);
+    (void)raise(number);
+}
+
+static void show_as(const char *link) {
+    static const int ends[] = {SIGTERM, SIGINT, SIGHUP};
+    size_t i;
+    (void)unlink(link);
+    if (symlink(ptsname(line), link) != 0) {
+        fail(link);
+    }
+    (void)snprintf(name_of_line, sizeof name_of_line, "%s", ptsname(line));
+    link_of_line = link;
+    for (i = 0; i < sizeof ends / sizeof ends[0]; i++) {
+        if (signal(ends[i], leave) == SIG_IGN) { /* as nohup has it */
+            (void)signal(ends[i], SIG_IGN);
+        }
+    }
+}
+
 void line_open(const char *link) {
     struct termios settings;
     int other;
@@ -107,10 +141,7 @@ void line_open(const char *link) {
     (void)tcsetattr(other, TCSANOW, &settings);
     (void)close(other); /* only so can it be told whether somebody has it open */
     if (link != NULL) {
-        (void)unlink(link);
-        if (symlink(ptsname(line), link) != 0) {
-            fail(link);
-        }
+        show_as(link);
     }
     (void)printf("%s\n", ptsname(line));
     (void)fflush(stdout);
