@@ -11,6 +11,7 @@ import typer
 import yaml
 
 from devices.emulators.emulated_suit import EmulatedSuit
+from devices.emulators.sampling import FUSED
 from devices.emulators.suit_traffic import SuitTraffic
 from devices.emulators.voice import Voice
 from devices.emulators.voices import VOICES
@@ -26,6 +27,14 @@ class SpokenSuit:
     rig: str
     voices: Mapping[int, Voice]
     segments: Mapping[int, str]
+    is_fused: bool
+
+    @property
+    def method(self) -> str | None:
+        """The reconstructor that takes what they send; None: the usual one."""
+        if not self.is_fused:
+            return None
+        return "fused" if next(iter(self.voices.values())).speaks_as_one else "fused_neutral"
 
 
 def spoken_by(traffic: SuitTraffic | None, speaks: str | None, rig: str) -> SpokenSuit | None:
@@ -34,7 +43,7 @@ def spoken_by(traffic: SuitTraffic | None, speaks: str | None, rig: str) -> Spok
         return None
     body = traffic.motion.body
     worn = zip(body.module_ids.tolist(), map(str, body.segment_names), strict=True)
-    return SpokenSuit(speaks, rig, traffic.voices, dict(worn))
+    return SpokenSuit(speaks, rig, traffic.voices, dict(worn), traffic.settings.mode == FUSED)
 
 
 def voices_of(speaks: str, suit: WornSuit) -> Callable[[int], Voice]:
@@ -57,6 +66,8 @@ def say_links(urls: Mapping[int, str], suit: EmulatedSuit, spoken: SpokenSuit, a
         return
     typer.echo(f"# emulated modules that speak {spoken.carries} (Ctrl-C ends them); for the configuration:")
     typer.echo(f"rig: {spoken.rig}")
+    if spoken.method is not None:
+        typer.echo(f"reconstructor: {spoken.method}")
     typer.echo("links:")
     for link in links:
         typer.echo(

@@ -17,6 +17,7 @@ from gateway.doctor.findings import Surroundings, Verdict
 from gateway.frames import Status
 from gateway.recording import open_recording
 from gateway.recording.solving import recorded_source, recording_pipeline
+from gateway.settings import GatewaySettings
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.system
@@ -85,6 +86,19 @@ def moves(command, port):
     hands = np.array([pose["segments"]["right_forearm"] for pose in poses[100:]])
     is_heard = not any("missing" in pose["status"].values() for pose in poses[-50:])
     return is_heard and np.abs(np.diff(hands, axis=0)).max() > 1e-3
+
+
+@pytest.mark.parametrize(("maker", "medium", "rig", "method", "told"), SUITS)
+def test_what_the_emulator_prints_is_a_configuration(
+    command, tmp_path, unused_port, maker, medium, rig, method, told
+):
+    where = ["--link", tmp_path / "imu"] if medium == "pty" else ["--port", unused_port]
+    process = command("emulate", "--speaks", maker, "--rig", rig, "--on", medium, *where, *told)
+    process.until_said(f"module: {9 if medium == 'pty' else 0}")
+    printed = yaml.safe_load(process.output)
+    written = GatewaySettings.model_validate({**printed, "mqtt": {"broker": "embedded"}})
+    assert (written.rig, written.reconstructor) == (rig, method)
+    assert {link.carries for link in written.links} == {maker}
 
 
 @pytest.mark.parametrize(("maker", "medium"), WAYS)
