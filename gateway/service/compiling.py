@@ -140,9 +140,12 @@ def main(step: str) -> None:
     """Do in this process what another one asks for: see ``_step``."""
     kind, _, name = step.partition(":")
     if kind == "parts":
-        for part in map(str.strip, sys.stdin):
-            _OTHERS.get(part, partial(_method, part))()
-            print(part, flush=True)  # noqa: T201 - to the other process
+        try:
+            for part in map(str.strip, sys.stdin):
+                _OTHERS.get(part, partial(_method, part))()
+                print(part, flush=True)  # noqa: T201 - to the other process
+        except BrokenPipeError:  # that one has ended; Python would complain of it once more at its own end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     elif name not in (*RECONSTRUCTORS, FIRST):
         sys.exit(f"no method is called '{name}'")
     elif kind == "through":

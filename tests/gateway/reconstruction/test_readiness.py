@@ -178,3 +178,14 @@ def test_an_unknown_method_is_refused_by_the_command():
     done = subprocess.run(readiness.command("magic"), capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "no method is called 'magic'" in done.stderr
+
+
+def test_a_process_that_compiles_says_nothing_when_the_one_that_asked_has_ended():
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [*readiness.command("x")[:-1], "parts"]
+    ended = subprocess.run(
+        command, input="fused\n", stdout=writer, stderr=subprocess.PIPE, text=True, check=False
+    )
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (0, "")
