@@ -15,7 +15,7 @@ import viser
 from gateway.errors import GatewayError
 from gateway.viewer.step_pictures import step_picture
 from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, table
-from gateway.viewer.texts import say, segment_name, texts
+from gateway.viewer.texts import say, segment_name, step_name, texts
 
 COUNTDOWN_S, LOOK_S = 3.0, 0.4
 USUAL_HEIGHT_M = 1.75
@@ -56,7 +56,7 @@ class BodySteps(StepTab):
         measure = self._button("measure", self._measure)
         self._before = [why, self._height, self._length, self._metres, measure]
         parts = [*self._before, self._button("begin", self._begin), self._button("resume", self._resume)]
-        self._step = gui.add_dropdown(self._say("step"), (*self._steps,) or (NOTHING,))
+        self._step = gui.add_dropdown(self._say("step"), self._step_names())
         self._step.on_update(lambda _: self._show_picture())
         self._picture = gui.add_html("")
         self._show_picture()
@@ -77,10 +77,17 @@ class BodySteps(StepTab):
             part.visible = bool(self._steps)
         self._accept_button.visible = self._result is not None
 
+    def _step_names(self) -> tuple[str, ...]:
+        return tuple(step_name(self._language, step) for step in self._steps) or (NOTHING,)
+
+    def _chosen(self) -> str:
+        """The step that is chosen; empty while there is none."""
+        return next((step for step in self._steps if step_name(self._language, step) == self._step.value), "")
+
     def _show_picture(self) -> None:
-        name = self._step.value
-        told = instruction_of(name, self._steps.get(name, ""), self._language)
-        self._picture.content = step_picture(name, told) + (line(told) if told else "")
+        step = self._chosen()
+        told = instruction_of(step, self._steps.get(step, ""), self._language)
+        self._picture.content = step_picture(step, told) + (line(told) if told else "")
 
     def _show_length(self) -> None:
         metres = self._measures["lengths"].get(self._length.value, 0.0)
@@ -133,7 +140,7 @@ class BodySteps(StepTab):
 
     def _take_steps(self, steps: Sequence[Mapping[str, Any]]) -> None:
         self._steps = {one["step"]: one["instruction"] for one in steps}
-        self._step.options = tuple(self._steps) or (NOTHING,)
+        self._step.options = self._step_names()
         self._show_picture()
         self._result, self._table.content = None, ""
         self._offer()
@@ -143,15 +150,16 @@ class BodySteps(StepTab):
         done = status.get("done", ())
         left = [step for step in self._steps if step not in done]
         if left:
-            self._step.value = left[0]  # type: ignore[misc]  # as in Playback
-        return self._say("done", steps=", ".join(done) or NOTHING)
+            self._step.value = step_name(self._language, left[0])  # type: ignore[misc]  # as in Playback
+            self._show_picture()
+        names = [step_name(self._language, step) for step in done]
+        return self._say("done", steps=", ".join(names) or NOTHING)
 
     async def _do(self) -> str:
-        name = self._step.value
-        if name not in self._steps:
+        if not (step := self._chosen()):
             return self._say("nothing_begun", begin=self._say("begin"))
-        await self._ask("calibration", "step", {"step": name, "countdown_s": COUNTDOWN_S})
-        instruction = instruction_of(name, self._steps[name], self._language)
+        await self._ask("calibration", "step", {"step": step, "countdown_s": COUNTDOWN_S})
+        instruction = instruction_of(step, self._steps[step], self._language)
         while (status := await self._ask("calibration", "status", {}))["phase"] not in ("ready", "idle"):
             self._tell(progress(status, instruction, self._language))
             await asyncio.sleep(LOOK_S)

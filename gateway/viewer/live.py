@@ -108,6 +108,7 @@ class LiveViewer:
             self._stage,
         )
         self._panel.on_language(self._markers.speak)
+        self._panel.on_language(self._speak_of_muscles)
         self._losses = RecentLosses()
         self._recording = RecordingStatus()
         self._replayed: ReplayedTake | None = None
@@ -195,9 +196,14 @@ class LiveViewer:
             self._wires.remove()
         try:
             self._wires = muscle_wires(self._server, self._stage, skeleton, self._muscles_kg)
+            self._speak_of_muscles(self._panel.language)
         except GatewayError as error:  # the page shows the body nonetheless
             self._wires = None
             self._panel.show_answer(str(error))
+
+    def _speak_of_muscles(self, language: str) -> None:
+        if self._wires is not None:
+            self._wires.speak(language)
 
     def _draw(self, markers: MarkersMessage | None) -> None:
         if self._replayed is not None:

@@ -18,16 +18,14 @@ from gateway.frames import FloatArray
 from gateway.viewer.appearance import chips
 from gateway.viewer.posture import Posture
 from gateway.viewer.stage import Stage
+from gateway.viewer.step_tab import line
+from gateway.viewer.texts import ENGLISH, say
 
 EVERY_S = 0.1
 ENOUGH_S = SPAN_S + 0.1
 """Of poses, for a drawing after a jump."""
 _BODIES = ("human_17", "human_23")
 """Whose joints a published body has, which is told without them."""
-NOT_PLACED = (
-    "Muscles: the gateway publishes no positions, so pushing off and braking are not seen; set mqtt.include: "
-    "[position] there."
-)
 _STOPS = np.array([[165, 185, 205], [245, 190, 60], [215, 40, 40]], dtype=np.float64)
 """Colours of activity 0, 0.5 and 1, as they are to look."""
 _GAMMA = 2.2
@@ -46,8 +44,13 @@ class MuscleWires:
         self._lines: viser.LineSegmentsHandle | None = None
         self._due_s = -np.inf
         self._activity: FloatArray | None = None
-        self._legend = server.gui.add_html(_legend(is_placed=True))
-        self._is_placed = True
+        self._is_placed, self._language = True, ENGLISH
+        self._legend = server.gui.add_html(_legend(ENGLISH, is_placed=True))
+
+    def speak(self, language: str) -> None:
+        """Say what their colours mean in that language from now on."""
+        self._language = language
+        self._legend.content = _legend(language, self._is_placed)
 
     def remove(self) -> None:
         """Take them off the page for good."""
@@ -69,7 +72,7 @@ class MuscleWires:
         place = posture.p_w[self._root]
         if posture.is_placed != self._is_placed:
             self._is_placed = posture.is_placed
-            self._legend.content = _legend(self._is_placed)
+            self._legend.content = _legend(self._language, self._is_placed)
         self.add(time_s, posture.q_wb, place)
         if not 0.0 <= self._due_s - time_s < EVERY_S:
             self._due_s = time_s + EVERY_S
@@ -110,14 +113,14 @@ def segments_of(
     return (np.concatenate(parts) - origin).astype(np.float32), colours
 
 
-def _legend(is_placed: bool) -> str:
+def _legend(language: str, is_placed: bool) -> str:
     """What the wires' colours mean, and what is amiss, as HTML."""
-    names = ("muscle idle", "half", "at its largest")
+    names = ("muscle_idle", "muscle_half", "muscle_full")
     meanings = [
-        (name, (int(stop[0]), int(stop[1]), int(stop[2]))) for name, stop in zip(names, _STOPS, strict=True)
+        (say(language, name), (int(stop[0]), int(stop[1]), int(stop[2])))
+        for name, stop in zip(names, _STOPS, strict=True)
     ]
-    amiss = "" if is_placed else f'<div style="font-size:12px;padding:0 12px 6px">{NOT_PLACED}</div>'
-    return chips(meanings) + amiss
+    return chips(meanings) + ("" if is_placed else line(say(language, "muscles_not_placed")))
 
 
 def _with_joints(skeleton: Skeleton) -> Skeleton:

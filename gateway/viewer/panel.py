@@ -17,7 +17,7 @@ from gateway.viewer.module_table import clock_of
 from gateway.viewer.pose_table import attitude, bend_deg
 from gateway.viewer.stage import STYLE, VIEWS, Stage
 from gateway.viewer.tab_names import rename
-from gateway.viewer.texts import ENGLISH, LANGUAGES, say, segment_name
+from gateway.viewer.texts import ENGLISH, LANGUAGES, movement_name, say, segment_name
 
 PLOT_SPAN_S = 10.0
 _LINE_COLOURS = ("#d1495b", "#2e7d5b", "#30638e", "#edae49", "#8d5a97", "#5c5c5c")
@@ -150,7 +150,7 @@ class Panel:
             self._plot.add(title, pose.t_ns, (self.say("bend"),), (bend,))
         elif kind == "of_angles" and joints.get(name):
             found = joints[name] or {}
-            movements = [movement.replace("_", " ") for movement in found]
+            movements = [movement_name(self.language, movement) for movement in found]
             title = self.say("plot_angles", name=plain)
             self._plot.add(title, pose.t_ns, movements, list(found.values()))
 

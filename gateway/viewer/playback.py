@@ -70,7 +70,7 @@ class Playback:
         rows = recorded_rows(self._arrays.segment_names, self._arrays.status, language)
         self._panel.show_modules(recorded_table(rows, language))
         self._speed.label, self._line.label = say(language, "speed"), say(language, "time")
-        for each in (self._ghost, self._marker_scene):
+        for each in (self._ghost, self._marker_scene, self._wires):
             if each is not None:
                 each.speak(language)
         self._drawn = -1

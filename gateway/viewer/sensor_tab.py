@@ -130,7 +130,7 @@ def result_table(found: Mapping[str, Mapping[str, Mapping[str, Any]]], language:
     rows = [
         (
             COLOURS.get(one["quality"], COLOURS["bad"]),
-            (module, say(language, sensor), one["quality"], "; ".join(one["reasons"])),
+            (module, say(language, sensor), say(language, one["quality"]), "; ".join(one["reasons"])),
         )
         for module, each in found.items()
         for sensor, one in each.items()

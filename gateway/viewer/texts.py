@@ -20,8 +20,18 @@ def texts(language: str) -> dict[str, str]:
 
 
 def segment_name(language: str, segment: str) -> str:
-    """A segment as it is told to people; one that no text names as its body names it."""
+    """A segment or joint as it is told to people; one that no text names as its body names it."""
     return texts(language).get(f"segment_{segment}", segment.replace("_", " "))
+
+
+def movement_name(language: str, movement: str) -> str:
+    """The movement in which an angle of a joint grows, likewise."""
+    return texts(language).get(f"angle_{movement}", movement.replace("_", " "))
+
+
+def step_name(language: str, step: str) -> str:
+    """A step of the body calibration, likewise."""
+    return texts(language).get(f"name_{step}", step.replace("_", " "))
 
 
 def say(language: str, key: str, **values: object) -> str:

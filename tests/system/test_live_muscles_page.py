@@ -28,7 +28,10 @@ from gateway.contract.topics import Topics
 from gateway.outputs.settings import MqttSettings
 from gateway.viewer import muscle_wires
 from gateway.viewer.live import LiveViewer
+from gateway.viewer.texts import ENGLISH, say
 from tests.patience import PATIENCE_S
+
+NOT_PLACED = say(ENGLISH, "muscles_not_placed")
 
 pytestmark = pytest.mark.system
 BODY = load_rig("suit_17").skeleton
@@ -62,7 +65,7 @@ async def watched(port, monkeypatch, is_placed, is_enough):
     now, legend = LiveMuscles.now, muscle_wires._legend
     monkeypatch.setattr(LiveMuscles, "now", lambda self: told.append(now(self)) or told[-1])
     monkeypatch.setattr(
-        muscle_wires, "_legend", lambda is_placed: legends.append(legend(is_placed)) or legends[-1]
+        muscle_wires, "_legend", lambda *told, **more: legends.append(legend(*told, **more)) or legends[-1]
     )
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     topics = Topics("mocap", "lab")
@@ -99,11 +102,11 @@ async def test_the_page_has_the_activities_of_the_whole_motion(mosquitto, monkey
         then = whole.activity[int(np.argmin(np.abs(TIMES_S - found.time_s)))]
         assert found.activity == pytest.approx(then, abs=0.06)
     assert max(found.activity.max() for found in told) > 0.1
-    assert all(muscle_wires.NOT_PLACED not in each for each in legends)
+    assert all(NOT_PLACED not in each for each in legends)
 
 
 async def test_the_page_says_that_positions_are_missing(mosquitto, monkeypatch):
     def is_enough(_, legends):
-        return muscle_wires.NOT_PLACED in legends[-1]
+        return NOT_PLACED in legends[-1]
 
     await watched(mosquitto.port, monkeypatch, is_placed=False, is_enough=is_enough)

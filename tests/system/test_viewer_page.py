@@ -150,7 +150,7 @@ async def test_a_body_is_calibrated_on_the_page(
         await step.click()
         await page.get_by_text("Begins in").wait_for()
         await page.get_by_text("Hold on for").wait_for()
-        await page.get_by_text("done: n_pose").wait_for()
+        await page.get_by_text("done: N pose").wait_for()
         await page.get_by_role("button", name="Work out how modules sit").click()
         await page.get_by_text("of 7 modules are good").wait_for()
         assert await page.get_by_role("cell", name="left thigh", exact=True).count() == 1

@@ -29,6 +29,7 @@ from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, worn_wrong
 from gateway.outputs.settings import MqttSettings
 from gateway.settings import load_gateway_settings
+from gateway.viewer.texts import ENGLISH, step_name
 from tests.shown_page import SIZES, choose, open_tab, page_of, press
 from tests.suit_service import GATEWAY, suit_config
 
@@ -193,19 +194,19 @@ async def the_body_is_calibrated(way, mosquitto):
     await press(page, "Begin with the poses")
     await way.sees("7 steps: do them one after another")
     for step in timetable():
-        await choose(page, 0, step)
+        await choose(page, 0, step_name(ENGLISH, step))
         await press(page, "Do this step")
         await way.obeys(step)
         if step == "squat":
             await way.picture("5_countdown")
-        await page.get_by_text("done: ").filter(has_text=step).wait_for()
+        await page.get_by_text("done: ").filter(has_text=step_name(ENGLISH, step)).wait_for()
         if step == "t_pose":
             await asyncio.to_thread(mosquitto.stop)
             await way.sees("NO BROKER")
             await asyncio.to_thread(mosquitto.start)
             await way.sees(f"{GATEWAY}: online")
             await press(page, "Go on with what was begun")
-            await page.get_by_text("done: ").filter(has_text="n_pose, t_pose").wait_for()
+            await page.get_by_text("done: ").filter(has_text="N pose, T pose").wait_for()
     await press(page, "Work out how modules sit")
     await way.sees("of 17 modules are good")
     await way.picture("5_score")

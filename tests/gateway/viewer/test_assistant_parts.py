@@ -8,6 +8,7 @@ import string
 import pytest
 
 from devices.calibration_script import timetable
+from gateway.body.rig import load_body
 from gateway.calibration.movement_check import MOVEMENTS
 from gateway.calibration.procedure import PROCEDURE
 from gateway.errors import GatewayError
@@ -18,7 +19,7 @@ from gateway.viewer.module_table import RecordingStatus
 from gateway.viewer.step_pictures import step_picture
 from gateway.viewer.step_tab import Errands
 from gateway.viewer.takes import takes_list
-from gateway.viewer.texts import LANGUAGES, say, texts
+from gateway.viewer.texts import LANGUAGES, movement_name, say, texts
 
 
 def device(module, unique_id, segment, **more):
@@ -162,6 +163,18 @@ def test_the_worst_finding_comes_first_and_says_what_to_do():
     assert "→ make room" in shown
     assert "&lt;17&gt;" in shown
     assert "not used" in shown
+
+
+@pytest.mark.parametrize("language", LANGUAGES.values())
+@pytest.mark.parametrize("name", ["human_17", "human_23"])
+def test_whatever_a_body_can_do_has_a_name_in_every_language(language, name):
+    body = load_body(name)
+    named = texts(language)
+    assert {f"segment_{each}" for each in body.segment_names} <= named.keys()
+    assert {f"segment_{joint.name}" for joint in body.joints} <= named.keys()
+    assert {f"angle_{angle.name}" for joint in body.joints for angle in joint.angles} <= named.keys()
+    assert {f"name_{step}" for step in timetable()} <= named.keys()
+    assert len({movement_name(language, key[6:]) for key in named if key.startswith("angle_")}) == 14
 
 
 def test_a_recording_s_clock_goes_on_between_messages():
