@@ -54,20 +54,21 @@ class BodySteps(StepTab):
         self._metres = gui.add_number(self._say("metres"), 0.0, min=0.0, max=1.99, step=0.005)
         self._length.on_update(lambda _: self._show_length())
         measure = self._button("measure", self._measure)
-        self._before = [why, self._height, self._length, self._metres, measure]
-        parts = [*self._before, self._button("begin", self._begin), self._button("resume", self._resume)]
+        begin, resume = self._button("begin", self._begin), self._button("resume", self._resume)
+        self._before = [why, self._height, self._length, self._metres, measure, begin]
         self._step = gui.add_dropdown(self._say("step"), self._step_names())
         self._step.on_update(lambda _: self._show_picture())
+        do = self._button("do", self._do)
         self._picture = gui.add_html("")
         self._show_picture()
-        do, result = self._button("do", self._do), self._button("result", self._find)
+        result = self._button("result", self._find)
         found = None if self._result is None else result_table(self._result, self._language)
         self._table = gui.add_html(found or "")
         self._accept_button = self._button("accept", self._accept)
         give_up = self._button("give_up", self._end)
         self._meanwhile = [self._step, self._picture, do, result, give_up]
         self._offer()
-        return [*parts, *self._meanwhile, self._table, self._accept_button]
+        return [*self._before, resume, *self._meanwhile, self._table, self._accept_button]
 
     def _offer(self) -> None:
         """Show what can be done now, so that nobody has to find out which of all buttons comes next."""
