@@ -36,6 +36,8 @@ class BodySteps(StepTab):
         super().__init__(server, tabs, "body", ask, loop)
         self._steps: dict[str, str] = {}
         """Instructions by step."""
+        self._at = ""
+        """The step that was shown last, by which it is chosen again in another language."""
         self._result: Mapping[str, Any] | None = None
         self._measures: Mapping[str, Any] = {"subject": {}, "lengths": {}}
         """Answer of calibration/measure."""
@@ -47,6 +49,7 @@ class BodySteps(StepTab):
 
     def _add_parts(self) -> list[Any]:
         gui = self._server.gui
+        chosen = step_name(self._language, self._at) if self._at in self._steps else None
         height_m = self._measures["subject"].get("height_m", USUAL_HEIGHT_M)
         why = gui.add_html(line(self._say("measures_why")))
         self._height = gui.add_number(self._say("height"), height_m, min=0.5, max=2.5, step=0.01)
@@ -56,7 +59,7 @@ class BodySteps(StepTab):
         measure = self._button("measure", self._measure)
         begin, resume = self._button("begin", self._begin), self._button("resume", self._resume)
         self._before = [why, self._height, self._length, self._metres, measure, begin]
-        self._step = gui.add_dropdown(self._say("step"), self._step_names())
+        self._step = gui.add_dropdown(self._say("step"), self._step_names(), initial_value=chosen)
         self._step.on_update(lambda _: self._show_picture())
         do = self._button("do", self._do)
         self._picture = gui.add_html("")
@@ -86,7 +89,7 @@ class BodySteps(StepTab):
         return next((step for step in self._steps if step_name(self._language, step) == self._step.value), "")
 
     def _show_picture(self) -> None:
-        step = self._chosen()
+        step = self._at = self._chosen()
         told = instruction_of(step, self._steps.get(step, ""), self._language)
         self._picture.content = step_picture(step, told) + (line(told) if told else "")
 

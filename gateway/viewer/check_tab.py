@@ -38,6 +38,8 @@ class CheckTab(StepTab):
         """By movement, those done so far."""
         self._watching: MovementCheck | None = None
         self._is_busy = False
+        self._at = 0
+        """Place of the movement that was shown last, by which it is chosen again in another language."""
         self.build()
 
     @property
@@ -59,7 +61,7 @@ class CheckTab(StepTab):
         gui = self._server.gui
         all_of_them = self._button("check_all", self._do_all)
         names = tuple(self._say(f"move_{movement.name}") for movement in MOVEMENTS)
-        self._movement = gui.add_dropdown(self._say("movement"), names)
+        self._movement = gui.add_dropdown(self._say("movement"), names, initial_value=names[self._at])
         self._movement.on_update(lambda _: self._show_picture(self._chosen()))
         self._picture = gui.add_html("")
         self._show_picture(self._chosen())
@@ -74,6 +76,7 @@ class CheckTab(StepTab):
     def _show_picture(self, movement: Movement) -> None:
         told = self._say(f"do_{movement.name}")
         self._picture.content = step_picture(f"move_{movement.name}", told) + line(told)
+        self._at = MOVEMENTS.index(movement)
 
     def _told(self) -> str:
         rows = [
