@@ -37,15 +37,12 @@ def plan_moves(
     if not may_share:
         _refuse_impossible(present, wanted)
     held = dict(present)
-    occupants = Counter(held.values())
     pending = {uid: wanted[uid] for uid in sorted(wanted) if held.get(uid, wanted[uid]) != wanted[uid]}
     moves: list[Move] = []
     while pending:
         settled = {held[each] for each in held if each not in pending} if may_share else set()
-        uid, after = _next_change(pending, held, occupants, {*wanted.values(), *reserved}, settled)
+        uid, after = _next_change(pending, held, {*wanted.values(), *reserved}, settled)
         moves.append(Move(uid, held[uid], after))
-        occupants[held[uid]] -= 1
-        occupants[after] += 1
         held[uid] = after
         if pending[uid] == after:
             del pending[uid]
@@ -60,19 +57,19 @@ def spare_id(taken: Collection[int]) -> int | None:
 def _next_change(
     pending: Mapping[bytes, int],
     held: Mapping[bytes, int],
-    occupants: Counter[int],
     reserved: set[int],
     shared: Collection[int],
 ) -> tuple[bytes, int]:
     """Return who takes which id next. shared: ids that are taken although somebody has and keeps them."""
+    taken = set(held.values())
     for uid, after in pending.items():
-        if not occupants[after] or after in shared:
+        if after not in taken or after in shared:
             return uid, after
     # Ids go round in a circle. Who waits on a spare one already stands in nobody's way: moved from spare to
     # spare, it would be for ever.
     awaited = set(pending.values())
     uid = next(each for each in pending if held[each] in awaited)
-    spare = spare_id({*reserved, *(each for each, n in occupants.items() if n)})
+    spare = spare_id(reserved | taken)
     return uid, pending[uid] if spare is None else spare
 
 

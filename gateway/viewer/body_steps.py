@@ -155,7 +155,6 @@ class BodySteps(StepTab):
         left = [step for step in self._steps if step not in done]
         if left:
             self._step.value = step_name(self._language, left[0])  # type: ignore[misc]  # as in Playback
-            self._show_picture()
         names = [step_name(self._language, step) for step in done]
         return self._say("done", steps=", ".join(names) or NOTHING)
 

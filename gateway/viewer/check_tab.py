@@ -121,7 +121,6 @@ class CheckTab(StepTab):
             return  # nothing of it is worn
         self._is_busy = True
         self._movement.value = self._say(f"move_{movement.name}")  # type: ignore[misc]  # as in Playback
-        self._show_picture(movement)
         instruction = self._say(f"do_{movement.name}")
         try:
             for left in range(READY_S, 0, -1):

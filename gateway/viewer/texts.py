@@ -21,17 +21,21 @@ def texts(language: str) -> dict[str, str]:
 
 def segment_name(language: str, segment: str) -> str:
     """A segment or joint as it is told to people; one that no text names as its body names it."""
-    return texts(language).get(f"segment_{segment}", segment.replace("_", " "))
+    return _name(language, "segment", segment)
 
 
 def movement_name(language: str, movement: str) -> str:
     """The movement in which an angle of a joint grows, likewise."""
-    return texts(language).get(f"angle_{movement}", movement.replace("_", " "))
+    return _name(language, "angle", movement)
 
 
 def step_name(language: str, step: str) -> str:
     """A step of the body calibration, likewise."""
-    return texts(language).get(f"name_{step}", step.replace("_", " "))
+    return _name(language, "name", step)
+
+
+def _name(language: str, kind: str, word: str) -> str:
+    return texts(language).get(f"{kind}_{word}", word.replace("_", " "))
 
 
 def say(language: str, key: str, **values: object) -> str:

@@ -65,7 +65,7 @@ async def watched(port, monkeypatch, is_placed, is_enough):
     now, legend = LiveMuscles.now, muscle_wires._legend
     monkeypatch.setattr(LiveMuscles, "now", lambda self: told.append(now(self)) or told[-1])
     monkeypatch.setattr(
-        muscle_wires, "_legend", lambda *told, **more: legends.append(legend(*told, **more)) or legends[-1]
+        muscle_wires, "_legend", lambda *given, **more: legends.append(legend(*given, **more)) or legends[-1]
     )
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     topics = Topics("mocap", "lab")
