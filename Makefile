@@ -93,12 +93,18 @@ lint: install-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Linted beside the tests, for neither waits for the other; many tests wait: two workers a core keep it busy.
-WORKERS := $(shell expr 2 \* $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2))
+# Linted beside the tests, for neither waits for the other; many tests wait: two workers a core keep it busy. Browsers
+# come after the rest: without a graphics card they take every core from modules whose samples come in real time.
+CORES := $(shell getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2)
+WORKERS := $(shell expr 2 \* $(CORES))
+PYTEST_ALL = $(BIN)/python -m pytest --dist worksteal --durations 10 $(TESTS)
+NONE := 5# what pytest ends with where it was asked for no test
 test: install-dev system-tools
 	@mkdir -p build; $(MAKE) -s lint > build/lint.log 2>&1 & lint=$$!; \
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations 10 $(TESTS); tests=$$?; \
-	wait $$lint; lint=$$?; cat build/lint.log; exit $$((tests ? tests : lint))
+	$(PYTEST_ALL) -n $(WORKERS) -m "not slow and not browser"; tests=$$?; \
+	$(PYTEST_ALL) -n $(CORES) -m "browser and not slow"; pages=$$?; \
+	[ $$tests != $(NONE) ] || tests=$$pages; [ $$pages != $(NONE) ] || pages=$$tests; \
+	wait $$lint; lint=$$?; cat build/lint.log; exit $$((tests ? tests : pages ? pages : lint))
 
 test-all: test test-slow
 

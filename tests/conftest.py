@@ -32,6 +32,13 @@ async def _until(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -
             await asyncio.sleep(0.005)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what draws a page: see the Makefile."""
+    for item in items:
+        if "chromium" in getattr(item, "fixturenames", ()):
+            item.add_marker("browser")
+
+
 @pytest.fixture
 def until() -> Callable[..., Awaitable[None]]:
     """``await until(condition, timeout_s=PATIENCE_S)``: polls; raises ``TimeoutError``."""
