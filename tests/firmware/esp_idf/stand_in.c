@@ -579,7 +579,8 @@ static uint64_t worked_ns(void) {
 static void *watch(void *nothing) {
     for (;;) {
         pause_us(50000u);
-        if (worked_ns() - fed_ns > timeout_ms * 1000000ull) {
+        const uint64_t fed = fed_ns; /* first: fed between two looks, it would be ahead of the time it is taken from */
+        if (worked_ns() - fed > timeout_ms * 1000000ull) {
             (void)setenv(RESET_CAUSE, "watchdog", 1);
             (void)execv("/proc/self/exe", arguments);
         }
