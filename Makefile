@@ -108,10 +108,12 @@ test: install-dev system-tools
 
 test-all: test test-slow
 
+# Those with a page and a person in real time run one after the other: drawing takes a core of its own.
 # One of them judges how a gateway recovers, and wants the machine for itself: `make test-alone`.
 ALONE := tests/system/test_overload_service.py
 test-slow: install-dev system-tools
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow --durations 10 --ignore $(ALONE)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "slow and not browser" --durations 10 --ignore $(ALONE)
+	$(BIN)/python -m pytest -m "slow and browser" --durations 10
 
 test-alone: install-dev system-tools
 	$(BIN)/python -m pytest -m slow $(ALONE)
