@@ -254,7 +254,7 @@ def _compare(
                 # each segment began with a heading of which nothing is known; joined, they seem to know more
                 known = 1.0 / max(segment.P[2, 2], LEAST_APART) - started / unknown
                 now.apart = 1.0 / max(known, 1e-3 / unknown)
-        if segment.heading == UNOBSERVED and p >= 0:
+        if segment.heading == UNOBSERVED:
             _expect_unobserved(segment, now, p >= 0, tuning)
         elif p >= 0 and segments[p].heading == UNOBSERVED and now.apart > tuning.lost_heading**2:
             # it has kept its own while the parent's was lost, and does not turn with what finds that anew
