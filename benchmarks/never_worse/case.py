@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gateway.body.skeleton import WornSuit
 from gateway.frames import FloatArray, ImuFrame
@@ -14,6 +15,7 @@ SCORED_AFTER_S = 5.0
 """Of a recording, at the least."""
 MOVES_FROM = 0.5
 """rad/s of any module: from then on a motion can show headings."""
+TURNED = np.radians(120.0)
 HEADINGS_WITHIN_S = 3.0
 """Of motion all headings shall be found: what comes later is scored."""
 
@@ -88,3 +90,27 @@ class Variant:
     def __str__(self) -> str:
         words = [word for word, has in (("device", self.has_device), ("field", self.has_field)) if has]
         return " + ".join(words) or "neither"
+
+
+def turned(case: Case, name: str) -> Case:
+    """Return a case in a world that is turned by ``TURNED`` about the vertical.
+
+    What a body begins with is made up where no field shows it, and in some recordings happens to be right.
+    """
+    turn = Rotation.from_rotvec([0.0, 0.0, TURNED])
+
+    def in_it(q_wb: FloatArray) -> FloatArray:
+        found = np.full_like(q_wb, np.nan)
+        known = np.isfinite(q_wb).all(axis=-1)
+        found[known] = (turn * Rotation.from_quat(q_wb[known], scalar_first=True)).as_quat(scalar_first=True)
+        return found
+
+    def of(frame: ImuFrame) -> ImuFrame:
+        local = (replace(reading, value=turn.apply(reading.value)) for reading in frame.local)
+        return replace(frame, local=tuple(local))
+
+    return replace(
+        case, name=name, suit=replace(case.suit, magnetic_field=turn.apply(case.suit.magnetic_field)),
+        frames=[of(frame) for frame in case.frames], truth=in_it(case.truth),
+        truth_later=in_it(case.truth_later),
+    )  # fmt: skip

@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 import yaml
 
 from benchmarks.never_worse import store
-from benchmarks.never_worse.case import Case
+from benchmarks.never_worse.case import Case, turned
 from benchmarks.never_worse.losses import with_losses
 from benchmarks.never_worse.recordings import FAMILIES
 from benchmarks.never_worse.simulated import KINDS
 
 FILE = Path(__file__).with_name("split.yaml")
 PARTS = ("training", "validation")
-LOSSY = "_lossy"
-"""Ends the name of a recording that has lost samples."""
+LOSSY, IS_TURNED = "_lossy", "_turned"
+"""Ends the name of a recording that has lost samples, or stands in a world that is turned."""
 
 
 class Named(NamedTuple):
@@ -53,6 +53,9 @@ def _made(name: str) -> Case:
     whole, is_lossy, _ = name.partition(LOSSY)
     if is_lossy:
         return with_losses(_made(whole), name)
+    whole, is_turned, _ = name.partition(IS_TURNED)
+    if is_turned:
+        return turned(_made(whole), name)
     kind, _, seed = name.rpartition("_")
     if kind in KINDS:
         return KINDS[kind](int(seed))
