@@ -294,7 +294,7 @@ class Checked:
             is_still = stands or segment.zero_rate.still_s > tuning.zero_rate_s
             if now.stood_s > 0.0 and is_still and now.validity == Validity.FORCE:
                 v = tuning.stance_acceleration**2 + (tuning.stance_arm * now.rolling) ** 2  # (38)
-                v *= max(1.0, tuning.stance_memory_s / dt)
+                v *= max(1.0, tuning.row_memory_s / dt)
                 u = segment.R @ now.specific_force
                 self.told(
                     "stance", work, before, s, known(segment.P, u, body.world.at_rest, v, tuning.huber)

@@ -80,7 +80,7 @@ def expect_field(expected: ExpectedField, world: World, tuning: Tuning, dt: floa
     expected.by_tilt = tuning.force_bias**2 / dot(gravity, gravity) * (1.0 / horizontal - 1.0)
     expected.gain = 1.0 - math.exp(-dt / tuning.field_memory_s)
     expected.change_gain = 1.0 - math.exp(-dt / tuning.field_change_s)
-    expected.smoothing_gain = 1.0 - math.exp(-dt / tuning.field_smoothing_s)
+    expected.smoothing_gain = 1.0 - math.exp(-dt / tuning.smoothing_s)
 
 
 @compiled

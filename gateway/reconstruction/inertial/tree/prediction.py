@@ -296,6 +296,8 @@ def _is_turn(v: FloatArray) -> bool:
 # Averages
 
 
+FILLED = 20.0
+"""Time constants after which nothing but rounding is missing in an average."""
 FIRST_SAMPLE_S = 1e-9
 """Averages of one sample have lasted no time, but have been begun."""
 
@@ -441,7 +443,7 @@ def _filled(lasted_s: float, tuning: Tuning) -> float:
     Divided by it, both sides are means over that time alone: what the averages were begun with is not in
     them, neither after a gap nor where a recording begins in motion.
     """
-    if lasted_s > tuning.filled * tuning.smoothing_s:
+    if lasted_s > FILLED * tuning.smoothing_s:
         return 1.0
     return 1.0 - math.exp(-lasted_s / tuning.smoothing_s)
 

@@ -402,7 +402,7 @@ def stance_rows(body: Body, state: State, tuning: Tuning, work: Work, dt: float)
             u = rotation_matrix.rotate(segment.R, now.specific_force)
             # (38) v
             variance = tuning.stance_acceleration**2 + (tuning.stance_arm * now.rolling) ** 2
-            variance *= max(1.0, tuning.stance_memory_s / dt)
+            variance *= max(1.0, tuning.row_memory_s / dt)
             # (14) u_s = R f, y = −g
             known_row(now, segment, u, body.world.at_rest, variance, tuning)
             now.aided = 1

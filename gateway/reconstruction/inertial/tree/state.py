@@ -382,7 +382,7 @@ class ExpectedField(Record):
     by_tilt: float  # rad², of the heading it shows, by how accelerometers tilt the module
     gain: float  # of a low-pass of ``field_memory_s``
     change_gain: float  # and of ``field_change_s``
-    smoothing_gain: float  # and of ``field_smoothing_s``
+    smoothing_gain: float  # and of ``smoothing_s``
 
 
 class SharedWork(Record):
@@ -500,7 +500,7 @@ def bridges_of(suit: WornSuit, tuning: Tuning) -> Bridges:
             share = _share(rule, a, int(s))
             before[s] += (1.0 - share) * length
             beyond[s] += share * length
-            bends = tuning.joint_slack if share == 0.0 else tuning.joint_half_slack
+            bends = tuning.joint_slack if share == 0.0 else 0.5 * tuning.joint_slack
             slack[s] += bends * float(np.linalg.norm(length))
     return Bridges(parents, before, beyond, slack, is_bridged)
 

@@ -52,12 +52,6 @@ class Tuning(Record):
         "after which a row counts: over less, it is mostly the noise of rates",
         "exp(−3) = 5 %",
     )
-    filled: float = constant(
-        20.0,
-        "smoothing_s",
-        "after which nothing is missing in an average",
-        "exp(−20) is no more than rounding",
-    )
     tilt_memory_s: float = constant(1.0, "s", "for how long an uncertain tilt stays, as rows see it", JUDGED)
     joint_nis_memory_s: float = constant(
         5.0,
@@ -72,14 +66,11 @@ class Tuning(Record):
         "mean NIS of a joint that holds nothing together",
         "three times the deviations expected, for seconds",
     )
-    joint_half_slack: float = constant(
-        0.5,
-        "length",
-        "where a segment without module bends whose rule says how it turns",
-        "it may be anywhere on the way",
-    )
     joint_slack: float = constant(
-        1.0, "length", "the same of one that just goes with its parent", "the whole way"
+        1.0,
+        "length",
+        "where a segment without module bends that goes with its parent; half: one with a rule",
+        "anywhere on the way",
     )
 
     # gyroscopes
@@ -185,12 +176,6 @@ class Tuning(Record):
     field_change: float = constant(
         0.14, "", "of norm (relative) and dip (rad), before any has been seen", "both tolerances together"
     )
-    field_smoothing_s: float = constant(
-        0.05,
-        "s",
-        "what differs from sample to sample is the magnetometer's noise, and no change of place",
-        "data sheets",
-    )
     field_proof: float = constant(
         5.0, "rad", "turned by so much a module has shown whether the field is as it should be", JUDGED
     )
@@ -248,9 +233,6 @@ class Tuning(Record):
     stance_acceleration: float = constant(0.3, "m/s²", "of a foot that stands in a shoe", "recorded walks")
     stance_arm: float = constant(
         0.12, "m", "of its module from the heel or ball about which it rolls on and off", "half a foot"
-    )
-    stance_memory_s: float = constant(
-        0.1, "s", "for how long its row stays off to the same side", "as row_memory_s"
     )
     stride_s: float = constant(
         1.0,
