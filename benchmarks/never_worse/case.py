@@ -92,7 +92,7 @@ class Variant:
         return " + ".join(words) or "neither"
 
 
-def turned(case: Case, name: str) -> Case:
+def in_turned_world(case: Case, name: str) -> Case:
     """Return a case in a world that is turned by ``TURNED`` about the vertical.
 
     What a body begins with is made up where no field shows it, and in some recordings happens to be right.

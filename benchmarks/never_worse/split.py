@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from benchmarks.never_worse import store
-from benchmarks.never_worse.case import Case, turned
+from benchmarks.never_worse.case import Case, in_turned_world
 from benchmarks.never_worse.losses import with_losses
 from benchmarks.never_worse.recordings import FAMILIES
 from benchmarks.never_worse.simulated import KINDS
@@ -55,7 +55,7 @@ def _made(name: str) -> Case:
         return with_losses(_made(whole), name)
     whole, is_turned, _ = name.partition(IS_TURNED)
     if is_turned:
-        return turned(_made(whole), name)
+        return in_turned_world(_made(whole), name)
     kind, _, seed = name.rpartition("_")
     if kind in KINDS:
         return KINDS[kind](int(seed))

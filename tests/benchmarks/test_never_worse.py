@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.never_worse import peers, simulated, split, store
-from benchmarks.never_worse.case import Case, Variant
+from benchmarks.never_worse.case import TURNED, Case, Variant, in_turned_world
 from benchmarks.never_worse.judging import claims, errors
 from benchmarks.never_worse.losses import with_losses
 from benchmarks.never_worse.objective import score
@@ -53,11 +53,27 @@ def test_nothing_is_training_and_validation():
 
 def test_every_name_of_the_split_can_be_made():
     for name in (name for each in split.PARTS for name in split.table()[each]["recordings"]):
-        whole = name.partition(split.LOSSY)[0]
+        whole = name.removesuffix(split.LOSSY).removesuffix(split.IS_TURNED)
         kind, _, seed = whole.rpartition("_")
         assert whole.partition("_")[0] in FAMILIES or (kind in simulated.KINDS and seed.isdigit())
     for kind in (kind for each in split.PARTS for kind in split.table()[each]["simulated"]):
         assert kind in simulated.KINDS
+
+
+def test_a_turned_world_turns_truth_field_and_devices_and_nothing_that_modules_feel():
+    case = simulated.random_chain_case(5011)
+    other = in_turned_world(case, "random_chain_5011_turned")
+    first, turned_first = (
+        next(frame for frame in each.frames if frame.local).local[0].value for each in (case, other)
+    )
+    turn = Rotation.from_rotvec([0.0, 0.0, TURNED])
+    np.testing.assert_allclose(turned_first, turn.apply(first), atol=1e-12)
+    np.testing.assert_allclose(other.suit.magnetic_field, turn.apply(case.suit.magnetic_field), atol=1e-9)
+    for q, turned_q in zip(case.truth[::50, 0], other.truth[::50, 0], strict=True):
+        wanted = turn * Rotation.from_quat(q, scalar_first=True)
+        assert (wanted * Rotation.from_quat(turned_q, scalar_first=True).inv()).magnitude() < 1e-9
+    for frame, same in zip(case.frames, other.frames, strict=True):
+        assert frame.specific_force is same.specific_force
 
 
 def test_a_tenth_of_the_samples_is_lost_the_same_ones_each_time(chain):
