@@ -99,7 +99,7 @@ class Tuning(Record):
     dead_rate: float = constant(2.0, "rad/s", "how a segment turns while its module is silent", MOTION)
     longest_coast_s: float = constant(0.15, "s", "so long a silent segment about keeps its rate", MOTION)
     longest_bridge_s: float = constant(
-        0.1, "s", "a gap over which rates and accelerations are taken to change evenly", "random losses"
+        0.2, "s", "a gap over which rates and accelerations are taken to change evenly", "random losses"
     )
     longest_silence_s: float = constant(
         1.0, "s", "after a longer silence, or saturation, a segment begins anew", MOTION
