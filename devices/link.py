@@ -89,6 +89,10 @@ class LinkError(Exception):
     """
 
 
+class LinkBusyError(LinkError):
+    """What a link is to be opened on belongs to another program at the moment."""
+
+
 class Link(Protocol):
     """An open-able source of chunks.
 

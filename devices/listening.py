@@ -10,7 +10,7 @@ import socket
 from collections.abc import Collection
 from typing import Any
 
-from devices.link import LinkError
+from devices.link import LinkBusyError, LinkError
 from devices.link_counts import LinkCounts
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
@@ -49,7 +49,7 @@ def listen_error(kind: str, link: str, host: str, port: int, error: OSError) -> 
     if isinstance(error, socket.gaierror):
         return LinkError(f"unknown host '{host}': give an address of this computer, or 0.0.0.0 for all")
     if error.errno == errno.EADDRINUSE:
-        return LinkError(f"{kind} port {port} is in use: stop the other program or choose another port")
+        return LinkBusyError(f"{kind} port {port} is in use: stop the other program or choose another port")
     if error.errno == errno.EADDRNOTAVAIL:
         return LinkError(f"{host} is not an address of this computer: use one that is, or 0.0.0.0 for all")
     if error.errno == errno.EACCES:

@@ -14,7 +14,7 @@ from enum import Enum
 from typing import Any
 
 from devices.back_off import BackOff
-from devices.link import Link, LinkError, LinkItem
+from devices.link import Link, LinkBusyError, LinkError, LinkItem
 from devices.link_counts import LinkCounts
 
 _log = logging.getLogger(__name__)
@@ -34,10 +34,13 @@ class LinkState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LinkStatus:
-    """The state, and when it is ``DOWN`` the reason: one line that says what would do."""
+    """The state, and when it is ``DOWN`` why."""
 
     state: LinkState
     reason: str = ""
+    """One line that says what would do."""
+    is_busy: bool = False
+    """Whether another program has the port."""
 
 
 class ReconnectingLink:
@@ -97,7 +100,7 @@ class ReconnectingLink:
         try:
             await self._until_closed(self._attempt())
             if self._strict and self.status.state is LinkState.DOWN:
-                raise LinkError(self.status.reason)
+                raise (LinkBusyError if self.status.is_busy else LinkError)(self.status.reason)
         except BaseException:
             await self.link.close()
             self._closing = None
@@ -151,7 +154,8 @@ class ReconnectingLink:
             try:
                 await self.link.open()
             except LinkError as error:
-                self._set(LinkStatus(LinkState.DOWN, str(error)))
+                is_busy = isinstance(error, LinkBusyError)
+                self._set(LinkStatus(LinkState.DOWN, str(error), is_busy))
             else:
                 self.framing = self.link.framing
                 self.reconnections += self._has_been_up

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
-from devices.link import LinkError
+from devices.link import LinkBusyError, LinkError
 
 BY_ID = Path("/dev/serial/by-id")
 
@@ -31,7 +31,7 @@ def open_error(path: str, error: OSError) -> LinkError:
         case errno.EACCES | errno.EPERM:
             return LinkError(f"{path}: no permission; {_permission_remedy(path)}")
         case errno.EBUSY:
-            return LinkError(f"{path} is busy: {port_holder(path)} has it open; stop that and try again")
+            return LinkBusyError(f"{path} is busy: {port_holder(path)} has it open; stop that and try again")
         case errno.EIO:
             return LinkError(f"{path}: the other end is closed; start the device or emulator behind it")
         case errno.ENOTTY | errno.EISDIR | errno.EINVAL:

@@ -13,7 +13,7 @@ from urllib.parse import parse_qsl, urlsplit
 from devices.device_errors import DeviceError
 from devices.endpoints import link_from_url
 from devices.line_rate import DEFAULT_BITRATE, CanRate, UartRate, line_rate
-from devices.link import SUIT, LinkError
+from devices.link import SUIT, LinkBusyError, LinkError
 from devices.replay_link import ReplayLink
 from firmware_protocol import Defect, InertialSample
 from firmware_protocol.capacity import Traffic, can_load, uart_load
@@ -43,7 +43,7 @@ async def opening(link: LinkSettings, *, gateway_runs: bool) -> Finding:
         await opened.open()
     except LinkError as error:
         found, _, remedy = str(error).partition("; ")
-        if gateway_runs and "is busy" in found:
+        if gateway_runs and isinstance(error, LinkBusyError):
             return good(subject, f"{link.url} is open in the running gateway")
         return bad(subject, found, remedy or "correct its url in the configuration, or plug it in")
     await opened.close()

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 
 from devices.command_client import LISTENS_TO, CommandClient
 from devices.endpoints import link_from_url
-from devices.link import SUIT, Chunk, Link, LinkError, SentChunk, gateway_time_ns
+from devices.link import SUIT, Chunk, Link, LinkBusyError, LinkError, SentChunk, gateway_time_ns
 from devices.reconnect import LinkState, ReconnectingLink
 from devices.replay_link import ReplayLink, contents_of
 from gateway.body.skeleton import WornSuit
@@ -75,7 +75,9 @@ async def suit_session(
             readers.append(asyncio.create_task(_read(link, routes), name=f"link {link.name}"))
         there = [each for each in asked if opened[each.name].state is LinkState.UP]
         if asked and not there:
-            raise LinkError(_with_hint("; ".join(opened[each.name].status.reason for each in asked)))
+            down = [opened[each.name].status for each in asked]
+            hint = _THROUGH_A_GATEWAY if any(status.is_busy for status in down) else ""
+            raise LinkError("; ".join(status.reason for status in down) + hint)
         readers.append(asyncio.create_task(makers.talk(), name="talk"))
         stack.push_async_callback(_end, readers)
         await sources.heard(there)
@@ -146,19 +148,10 @@ async def _open(link: ReconnectingLink) -> None:
         try:
             with _unsaid(logging.getLogger(ReconnectingLink.__module__)):
                 return await link.open()
-        except LinkError as error:
-            if not _is_taken(str(error)) or gateway_time_ns() > end_ns:
-                raise LinkError(_with_hint(str(error))) from error
+        except LinkBusyError as error:
+            if gateway_time_ns() > end_ns:
+                raise LinkBusyError(f"{error}{_THROUGH_A_GATEWAY}") from error
         await asyncio.sleep(_LOOK_S)
-
-
-def _with_hint(reason: str) -> str:
-    """Return the sentence that says why a link was not opened, and what would do."""
-    return reason + _THROUGH_A_GATEWAY * _is_taken(reason)
-
-
-def _is_taken(reason: str) -> bool:
-    return " is busy" in reason or " is in use" in reason
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ import pytest
 
 from devices.back_off import BackOff
 from devices.emulators.loopback_link import loopback_pair
-from devices.link import Chunk, Framing, Link, LinkError
+from devices.link import Chunk, Framing, Link, LinkBusyError, LinkError
 from devices.reconnect import LinkState, LinkStatus, ReconnectingLink
 from devices.serial_link import SerialLink
 from devices.tcp_link import TcpLink
@@ -35,7 +35,7 @@ class ScriptedLink:
         assert not self.is_open
         entry = self._script.pop(0) if self._script else "nothing more"
         if isinstance(entry, str):
-            raise LinkError(entry)
+            raise (LinkBusyError if "busy" in entry else LinkError)(entry)
         self._chunks, self.is_open = entry, True
 
     async def __aiter__(self) -> AsyncIterator[Chunk]:
@@ -105,7 +105,7 @@ async def test_changes_are_told_and_logged_once_each(caplog):
     expected = [
         LinkStatus(CONNECTING),
         LinkStatus(DOWN, "absent"),
-        LinkStatus(DOWN, "busy"),
+        LinkStatus(DOWN, "busy", is_busy=True),
         LinkStatus(UP),
         LinkStatus(DOWN, "pulled"),
         LinkStatus(DOWN, "absent"),
@@ -130,6 +130,8 @@ async def test_strict_opening_raises_and_lenient_goes_on():
     assert strict.state is CLOSED
     with pytest.raises(LinkError, match="not open"):
         await anext(aiter(strict))
+    with pytest.raises(LinkBusyError, match="busy: stop the other"):
+        await ReconnectingLink(ScriptedLink("busy: stop the other"), strict=True).open()
     lenient = ReconnectingLink(ScriptedLink("absent: plug it in"))
     await lenient.open()
     assert lenient.status == LinkStatus(DOWN, "absent: plug it in")

@@ -15,7 +15,7 @@ import termios
 import pytest
 
 from devices import serial_ports
-from devices.link import Framing, LinkError
+from devices.link import Framing, LinkBusyError, LinkError
 from devices.serial_link import SerialLink
 from tests.patience import PATIENCE_S
 
@@ -146,7 +146,7 @@ async def test_any_baud_rate_is_set(pseudo_terminal, baud):
 
 async def test_second_opening_in_this_process_is_refused(joined):
     terminal, link = joined
-    with pytest.raises(LinkError, match=rf"{terminal.path} is busy: this very process has it open"):
+    with pytest.raises(LinkBusyError, match=rf"{terminal.path} is busy: this very process has it open"):
         await SerialLink(terminal.path).open()
     with pytest.raises(LinkError, match="suit is already open"):
         await link.open()
@@ -160,7 +160,7 @@ async def test_busy_port_names_the_process_that_holds_it(pseudo_terminal):
     ) as holder:
         assert holder.stdout is not None
         holder.stdout.readline()
-        with pytest.raises(LinkError, match=rf"is busy: python\S* \(process {holder.pid}\) has it open"):
+        with pytest.raises(LinkBusyError, match=rf"is busy: python\S* \(process {holder.pid}\) has it open"):
             await SerialLink(terminal.path).open()
         holder.communicate()
     link = SerialLink(terminal.path)

@@ -8,7 +8,7 @@ import logging
 import pytest
 
 from devices.endpoints import link_from_url
-from devices.link import Framing, LinkError
+from devices.link import Framing, LinkBusyError, LinkError
 from tests.patience import PATIENCE_S
 
 
@@ -110,7 +110,7 @@ async def test_closing_ends_iteration_and_hangs_up(link):
 
 async def test_a_port_in_use_says_what_would_do(link):
     second = link_from_url(f"tcp://127.0.0.1:{link.address[1]}?listen=1")
-    with pytest.raises(LinkError, match=rf"TCP port {link.address[1]} is in use: stop the other program"):
+    with pytest.raises(LinkBusyError, match=rf"TCP port {link.address[1]} is in use: stop the other program"):
         await second.open()
     with pytest.raises(LinkError, match="is not an address of this computer"):
         await link_from_url("tcp://192.0.2.7:0?listen=1").open()

@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from devices.endpoints import link_from_url
-from devices.link import Framing, LinkError, gateway_time_ns
+from devices.link import Framing, LinkBusyError, LinkError, gateway_time_ns
 from devices.udp_link import UdpLink
 
 
@@ -99,7 +99,7 @@ async def test_datagrams_of_others_than_the_peers_are_dropped_counted_and_told(m
 
 async def test_port_in_use_is_told(link):
     port = link.address[1]
-    with pytest.raises(LinkError, match=rf"UDP port {port} is in use"):
+    with pytest.raises(LinkBusyError, match=rf"UDP port {port} is in use"):
         await UdpLink(port=port).open()
 
 
