@@ -29,7 +29,7 @@ def test_inclinations_far_from_where_a_chain_is_held_are_found_soon(
 
 
 def test_what_a_start_was_off_by_is_no_drift_of_gyroscopes() -> None:
-    """Nine segments that nothing holds, at 11 rad/s: the first second's accelerations were taken for small,
+    """Nine segments that nothing aids, at 11 rad/s: the first second's accelerations were taken for small,
     the inclinations they gave for certain, and what came later for biases, which led it away by 7°."""
     times_s, inclination = _inclination_deg(6098, JointReconstructor, 30.0)
     assert np.max(np.mean(inclination[times_s > 15.0], axis=1)) < 4.0

@@ -1,4 +1,4 @@
-"""A module comes back in mid-swing: what holds its chain up still does, and one instant is no mean."""
+"""A module comes back in mid-swing: what aids its chain still does, and one instant is no mean."""
 
 import numpy as np
 import pytest

@@ -63,7 +63,7 @@ class Tuning(Record):
     loose_nis: float = constant(
         9.0,
         "",
-        "mean NIS of a joint that holds nothing together",
+        "mean NIS of a joint that counts for nothing",
         "three times the deviations expected, for seconds",
     )
     joint_slack: float = constant(
