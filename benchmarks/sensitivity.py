@@ -352,10 +352,11 @@ def page() -> Iterator[str]:
     yield f"Move nothing here by {NOTHING_PERCENT} % either way: {', '.join(still) or 'none'}."
     yield ""
     yield (
-        "What moves nothing here is for what these recordings do not hold: rigs that are wrong and joints "
-        "that fit nowhere, segments without module, cells that see the sun, sensors at the end of their range, "
-        "modules that are silent for seconds, runners, receivers of satellites and beacons, a body near a "
-        "magnetic pole, a heading that was shown wrongly. Tests of their own show what each does there."
+        "What moves nothing here is for what these recordings do not hold: rigs that are wrong and "
+        "joints that fit nowhere, segments without module, cells that see the sun, sensors at the end of "
+        "their range, modules that are silent for seconds, runners, receivers of satellites and beacons, "
+        "a body near a magnetic pole, a heading that was shown wrongly. Tests of their own show what "
+        "each does there."
     )
 
 
