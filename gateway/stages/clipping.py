@@ -29,9 +29,11 @@ CROSS_AXIS = 0.03
 ENTRY_STEPS = 8.0
 """The step before them, in the largest of them: at a smooth peak it is two or three."""
 ENTRY_QUANTA = 20.0
-"""The same in the smallest steps of that axis so far: at a peak of coarse values it is one or two."""
+"""The same in the smallest step of any axis so far: at a peak of coarse values it is one or two."""
 END = 0.99
-"""Of the end that was found, from where a value counts as clipped: skewed axes move it a little."""
+"""Of the end that was found, from where a value counts as clipped."""
+SKEWED_END = 0.96
+"""Of the largest value so far, from where an axis may be at its end: skewed axes move that to either side."""
 BEYOND = 1.06
 """Times the end that was found: two values in a row there show that it was none."""
 SMALLEST_RANGES = (15.0, 2.0)
@@ -184,8 +186,9 @@ def _at_end(axes: Any, values: FloatArray, smallest: float, is_next: bool) -> bo
         if axis.largest[side] > BEYOND * axis.limit[side]:
             axis.limit[side] = np.inf  # it was none
         _note_step(axis, steps[i], max(steps[i - 2], steps[i - 1]), value)
-        is_flat = axis.flat >= FLAT_STEPS and magnitude >= max(smallest, END**2 * axis.largest[side])
-        if is_flat and axis.entry > max(ENTRY_STEPS * axis.widest, ENTRY_QUANTA * axis.quantum):
+        quantum = min(axes[0].quantum, axes[1].quantum, axes[2].quantum)
+        is_flat = axis.flat >= FLAT_STEPS and magnitude >= max(smallest, SKEWED_END * axis.largest[side])
+        if is_flat and axis.entry > max(ENTRY_STEPS * axis.widest, ENTRY_QUANTA * quantum):
             axis.limit[side] = min(axis.limit[side], END * magnitude)
         is_clipped |= magnitude >= axis.limit[side]
         axis.last = value
