@@ -15,9 +15,10 @@ SCORED_AFTER_S = 5.0
 """Of a recording, at the least."""
 MOVES_FROM = 0.5
 """rad/s of any module: from then on a motion can show headings."""
-TURNED = np.radians(120.0)
 HEADINGS_WITHIN_S = 3.0
 """Of motion all headings shall be found: what comes later is scored."""
+TURNED = np.radians(120.0)
+"""rad: of a world that is turned; far from the headings that begin made up."""
 
 
 @dataclass(frozen=True)

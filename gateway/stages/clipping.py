@@ -203,10 +203,11 @@ def _note_step(axis: Any, step: float, of_others: float, value: float) -> None:
     if step > CROSS_AXIS * of_others:
         axis.flat = 0
     else:
-        if axis.flat == 0:
+        if axis.flat == 0:  # this step may still lead to the end
             axis.entry, axis.widest = axis.entry_next, 0.0
+        else:
+            axis.widest = max(axis.widest, step)
         axis.flat += 1
-        axis.widest = max(axis.widest, step)
     has_grown = abs(value) > abs(axis.last)
     axis.entry_next = max(axis.step, step) if has_grown else 0.0
     axis.step = step
