@@ -46,7 +46,7 @@ class Claims:
     """How honest a solution is about its errors."""
 
     covered_percent: float
-    """Of errors within twice ``sigma``."""
+    """Of errors within twice the root of the covariance's trace, else within twice ``sigma``."""
     in_ellipsoid_percent: float
     """Of errors within the ellipsoid that is to hold 95 % of them; NaN without covariance."""
     nees: float
@@ -85,14 +85,15 @@ def claims(case: Case, variant: Variant, solution: Solution) -> Claims:
     if not is_known:
         wanted = _in_its_world(wanted, align_segments(q_wb, wanted))
     sound = np.isfinite(wanted).all(axis=2) & np.isfinite(q_wb).all(axis=2)
-    total = orientation_error(q_wb, wanted).total
-    covered = coverage_percent(total[sound], sigma[sound])
     if solution.covariance is None:
-        return Claims(covered, float("nan"), float("nan"))
+        total = orientation_error(q_wb, wanted).total
+        return Claims(coverage_percent(total[sound], sigma[sound]), float("nan"), float("nan"))
     axes = 3 if is_known else 2
     square = np.full(sound.shape, np.nan)
     off = _vectors(q_wb[sound], wanted[sound])[:, :axes]
     P = solution.covariance[scored][sound][:, :axes, :axes]
+    expected = np.sqrt(np.trace(P, axis1=1, axis2=2))
+    covered = coverage_percent(np.linalg.norm(off, axis=1), expected)
     square[sound] = np.einsum("ni,ni->n", off, np.linalg.solve(P, off[..., None])[..., 0])
     within = float(100.0 * np.mean(square[sound] < CHI2_95[axes]))
     bins = [float(np.nanmean(each)) / axes for each in np.array_split(square, TIME_BINS)]

@@ -45,12 +45,11 @@ def report(found: list[Judged]) -> Report:
     )
     result.tables.append(
         "### Honesty, by kind of recording\n\n"
-        "% in 2σ: errors within twice `sigma`, live and smoothed. % in ellipsoid: errors within the "
-        "ellipsoid "
-        "of the live covariance that is to hold 95 % of them. NEES: normalised estimation error squared, 1 "
-        "is "
-        "honest, above claims too much; by segment and by tenth of the time: least and most. Where truth and "
-        "rig have the same world, nothing is taken out and all three components count; else the tilt's two. "
+        "% in 2σ: errors within twice the root of the live covariance's trace, and smoothed within twice "
+        "`sigma`. % in ellipsoid: errors within the ellipsoid of the live covariance that is to hold 95 % of "
+        "them. NEES: normalised estimation error squared, 1 is honest, above claims too much; by segment and "
+        "by tenth of the time: least and most. Where truth and rig have the same world, nothing is taken out "
+        "and all three components count; else the tilt's two, so that nobody's north hides a tilt. "
         "Heading: seconds from when the motion begins until every heading is within 5° for a second.\n\n"
         + _by_kind(found)
     )

@@ -95,3 +95,37 @@ def test_certainty_tells_tilt_heading_and_neighbours_apart(frames, uses_field, o
         assert (one["sigma_relative"] is None) == (parent < 0), s
         if parent >= 0 and not uses_field:  # one degree of a joint is not hidden behind what north is
             assert one["sigma_relative"] < 0.3 < one["sigma_heading"]
+
+
+@pytest.mark.parametrize("uses_field", [False, True])
+def test_tilts_are_told_as_sure_as_the_joints_around_them_agree(frames, uses_field):
+    suit, used = CHAIN.suit, tuning()
+    reconstructor = JointReconstructor(suit, 1.0 / RATE_HZ, ChainSettings(uses_field=uses_field))
+    covariance = np.empty((len(frames), suit.skeleton.n_segments, 3, 3))
+    poses = reconstructor.update_many(frames, None, covariance)
+    segments, parents = reconstructor.state()["segments"], suit.skeleton.parents
+    lasting = (used.force_bias / np.linalg.norm(suit.gravity)) ** 2
+    told = reconstructor.certainty()
+    for s, name in enumerate(suit.skeleton.segment_names):
+        around = [segments["joint_nis"][k] for k, p in enumerate(parents) if p >= 0 and s in (k, p)]
+        share = max(used.tilt_nis * np.mean(around), used.least_tilt_nis)
+        tilt = share * (segments["P"][s, :2, :2] + lasting * np.eye(2))
+        np.testing.assert_allclose(covariance[-1, s, :2, :2], tilt)
+        assert not covariance[-1, s, 2, :2].any()
+        of_heading = covariance[-1, s, 2, 2]
+        assert of_heading <= segments["P"][s, 2, 2]
+        assert told[name]["sigma_tilt"] == pytest.approx(np.sqrt(np.trace(tilt)))
+        assert poses[-1].sigma[s] == pytest.approx(np.sqrt(np.trace(tilt) + of_heading))
+
+
+def test_tilts_of_modules_that_move_on_the_body_are_told_less_sure(frames):
+    reconstructors = [JointReconstructor(CHAIN.suit, 1.0 / RATE_HZ) for _ in range(2)]
+    rng = np.random.default_rng(3)
+    loose = [
+        replace(f, specific_force=f.specific_force + 2.0 * rng.standard_normal(f.specific_force.shape))
+        for f in frames
+    ]
+    for reconstructor, seen in zip(reconstructors, (frames, loose), strict=True):
+        update_many(reconstructor, seen)
+    firm, soft = (np.array([one["sigma_tilt"] for one in r.certainty().values()]) for r in reconstructors)
+    assert (soft > 1.5 * firm).all()

@@ -42,7 +42,7 @@ from gateway.reconstruction.inertial.tree.step import (
 from gateway.reconstruction.inertial.tree.tuning import Tuning, tuning
 from gateway.reconstruction.stacked_frames import Poses, StackedFrames, stacked
 
-STATE_VERSION = 7
+STATE_VERSION = 8
 """Of what ``state`` returns. 1 had an array for every quantity, 2 a clock that began at −1, 3 other names."""
 _FRAMES_AT_ONCE = 16
 """Live frames that room is made for at once."""
@@ -149,20 +149,22 @@ class ChainReconstructor:
             if segment.started == Started.NO:
                 continue
             is_shown = segment.heading == Heading.OBSERVED
+            tilt_square = float(segment.published[0, 0] + segment.published[1, 1])
             relative = None
             if p >= 0:
                 C = segment.C[:3, :3]
                 between = segment.P[:3, :3] + segments[p].P[:3, :3] - C - C.T
-                relative = math.sqrt(max(float(np.trace(between)), 0.0))
+                # (68) of the tilt
+                tilt = np.trace(between[:2, :2]) * tilt_square / float(segment.P[0, 0] + segment.P[1, 1])
+                relative = math.sqrt(max(float(tilt + between[2, 2]), 0.0))
                 is_shown = is_shown and bool(between[2, 2] < SHOWN_HEADING**2)
             else:
                 is_shown = is_shown and links[s].heading_observable == 1
             compass = segment.compass
             uses_compass = self._body.world.uses_field == 1 and compass.seconds > 0.0
-            of_heading = float(compass.error_variance if uses_compass else segment.P[2, 2])
             found[names[s]] = {
-                "sigma_tilt": math.sqrt(float(segment.P[0, 0] + segment.P[1, 1])),
-                "sigma_heading": math.sqrt(of_heading),
+                "sigma_tilt": math.sqrt(tilt_square),
+                "sigma_heading": math.sqrt(float(segment.published[2, 2])),
                 "sigma_relative": relative,
                 "heading": "observed" if is_shown else "by field" if uses_compass else "held",
             }

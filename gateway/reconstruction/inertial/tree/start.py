@@ -81,7 +81,7 @@ def _start(segment: Segment, link: Link, now: SegmentWork, world: World, tuning:
     segment.started = STARTED
     segment.heading = UNOBSERVED if link.heading_observable else OBSERVED
     segment.silent_s, segment.averages.seconds = 0.0, 0.0
-    segment.joint_nis = 0.0
+    segment.joint_nis = 1.0
     segment.unaided_square = (tuning.unaided_speed / tuning.unaided_window_s) ** 2
     _start_watches(segment)
     for i in range(3):

@@ -205,6 +205,7 @@ class Segment(Record):
     force_bias: Vector  # found error of the accelerometer, m/s², where a local device is
     P: Block  # covariance of its errors: orientation (world axes, rad), bias (segment axes, rad/s)
     C: Block  # of its errors (rows) with its parent's (columns)
+    published: Matrix  # covariance of its orientation's error as it is told, rad², world axes
     rate: Vector  # last measured, bias included, rad/s
     rate_slope: Vector  # its change over the last step, rad/s²; NaN: not known
     averages: Averages
@@ -335,6 +336,8 @@ class SegmentWork(Record):
     G: Block  # of the segment on its parent
     W: Block  # covariance given the parent
     offset: Six  # error where the parent has none
+    agreement: float  # sum of N of the joints around it
+    agreeing: int  # and how many they are
 
 
 class Joint(NamedTuple):

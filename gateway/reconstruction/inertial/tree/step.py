@@ -17,7 +17,7 @@ from gateway.frames import FloatArray, IntArray, Quantity, Status, StatusArray
 from gateway.geometry import quaternion, rotation_matrix
 from gateway.geometry.compiled import compiled
 from gateway.geometry.records import Records, array_of
-from gateway.geometry.vectors import is_finite
+from gateway.geometry.vectors import dot, is_finite
 from gateway.reconstruction.inertial.observations import sensor_to_segment_matrices
 from gateway.reconstruction.inertial.tree.compass import follow_field, share_headings
 from gateway.reconstruction.inertial.tree.devices import device_rows, has_spoken, take_reading
@@ -42,7 +42,6 @@ from gateway.reconstruction.inertial.tree.state import (
     NEVER_NS,
     Body,
     Clock,
-    Compass,
     Device,
     Link,
     Mount,
@@ -223,6 +222,7 @@ def _advance(
                 work.segments[s].validity = NOTHING
         taken = inputs.readings_end[t]
         _statuses(held, status)
+        publish_covariances(body, state, tuning, work)
         _outputs(
             held, q_wb, outputs.angular_rate[first + t], outputs.joint_acceleration[first + t],
             outputs.sigma[first + t],
@@ -230,9 +230,7 @@ def _advance(
         mark_unaided(body, state, tuning, work, status)
         if len(covariance) > 0:
             for s in range(n):
-                rotation_matrix.copy_into(covariance[t, s], state.segments[s].P)
-                if body.world.uses_field:
-                    _published(covariance[t, s], state.segments[s].compass)
+                rotation_matrix.copy_into(covariance[t, s], state.segments[s].published)
         _place(p_w, wearing, q_wb, inputs.root_position[t])
 
 
@@ -379,7 +377,7 @@ def _outputs(
     nothing is known. (n, 4), (n, 3), (n, 3), (n,)."""
     q_wb[:], rate[:], acceleration[:], sigma[:] = np.nan, np.nan, np.nan, np.nan
     gravity, unknown = held.body.world.gravity, 2.0 * held.tuning.unknown_heading
-    uses_field, turned = held.body.world.uses_field == 1, np.zeros(4)
+    turned = np.zeros(4)
     segments, works = held.state.segments, held.work.segments
     parents, module_of_segment = held.wearing.parents, held.wearing.module_of_segment
     for s in range(len(parents)):
@@ -391,9 +389,8 @@ def _outputs(
             acceleration[s, 1] = c * now.U[1] - d * now.U[0] + gravity[1]
             acceleration[s, 2] = now.U[2] + gravity[2]
         if segment.started != NOT_STARTED:
-            P = segment.P
-            of_heading = segment.compass.error_variance if uses_field else P[2, 2]
-            sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + of_heading), unknown)
+            P = segment.published
+            sigma[s] = min(math.sqrt(P[0, 0] + P[1, 1] + P[2, 2]), unknown)
         if module_of_segment[s] < 0:
             if p >= 0:
                 for i in range(4):
@@ -410,13 +407,30 @@ def _outputs(
 
 
 @compiled
-def _published(P: FloatArray, compass: Compass) -> None:
-    """P (3, 3) ← with the heading's variance after its compass."""
-    if P[2, 2] > compass.error_variance:
-        share = math.sqrt(compass.error_variance / P[2, 2])
-        for i in range(3):
-            P[2, i] *= share
-            P[i, 2] *= share
+def publish_covariances(body: Body, state: State, tuning: Tuning, work: Work) -> None:
+    """(68): ``published`` of every segment, rad², world axes: P with the tilt as sure as the joints around it
+    agree and an accelerometer can be, and the heading as sure as its compass where the field is used."""
+    links, segments, works = body.segments, state.segments, work.segments
+    for s in range(len(links)):
+        works[s].agreement, works[s].agreeing = 0.0, 0
+    for s in range(len(links)):
+        p, nis = links[s].parent, segments[s].joint_nis
+        if p >= 0 and segments[s].started == STARTED and nis < tuning.loose_nis:
+            for k in (s, p):
+                works[k].agreement += nis
+                works[k].agreeing += 1
+    lasting = tuning.force_bias**2 / dot(body.world.gravity, body.world.gravity)
+    for s in range(len(links)):
+        now, segment, share = works[s], segments[s], 1.0
+        if now.agreeing > 0:
+            # (68) N̄_s
+            share = max(tuning.tilt_nis * now.agreement / now.agreeing, tuning.least_tilt_nis)
+        P, published, of_field = segment.P, segment.published, segment.compass.error_variance
+        for i in range(2):
+            for j in range(2):
+                published[i, j] = share * (P[i, j] + (lasting if i == j else 0.0))
+            published[i, 2], published[2, i] = 0.0, 0.0
+        published[2, 2] = min(P[2, 2], of_field) if body.world.uses_field else P[2, 2]
 
 
 @compiled

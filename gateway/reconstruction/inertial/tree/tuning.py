@@ -60,6 +60,15 @@ class Tuning(Record):
         "several swings",
     )
     largest_nis: float = constant(1e4, "", "one sample's share in that comparison at the most", "100 σ")
+    tilt_nis: float = constant(
+        3.0,
+        "",
+        "square of a tilt's error over its variance, for joints of mean NIS 1",
+        "training recordings of suite never_worse",
+    )
+    least_tilt_nis: float = constant(
+        0.04, "", "the least of that: how well joints agree does not show everything", "a fifth of sigma"
+    )
     loose_nis: float = constant(
         9.0,
         "",
