@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import butter, filtfilt
 from scipy.spatial.transform import Rotation
@@ -39,7 +40,7 @@ class _Track(NamedTuple):
 
     force: FloatArray  # (T, 3) m/s²
     arm: FloatArray  # (T, 3, 3) m/s² for each metre in sensor axes
-    known: FloatArray  # (T,) bool
+    known: NDArray[np.bool_]  # (T,)
 
 
 def heading_errors(suit: WornSuit, rate_hz: float, force: FloatArray, q_wb: FloatArray) -> FloatArray:
@@ -96,7 +97,10 @@ def _turn(suit: WornSuit, child: int, parent: int, tracks: dict[int, _Track], ra
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         apart = of_c + by_c @ x[1:4] - (of_p + by_p @ x[4:7]) @ turn.T
         loose = (x[1:4] - arm_c, x[4:7] - arm_p)
-        return np.concatenate([apart.ravel() / _FORCE_SIGMA, np.concatenate(loose) / _ARM_SIGMA])
+        weighed: FloatArray = np.concatenate(
+            [apart.ravel() / _FORCE_SIGMA, np.concatenate(loose) / _ARM_SIGMA]
+        )
+        return weighed
 
     found = least_squares(residuals, np.concatenate([[0.0], arm_c, arm_p]), loss="soft_l1")
     return float(found.x[0])
