@@ -1,7 +1,7 @@
 """Suite ``damage``: what other makers' protocols let through of messages that were damaged on the way.
 
 ``python -m devices.emulators.makers_campaign`` runs a protocol alone and says more of it. Every message has
-values of its own, three in ten are damaged, and a message counts as read wrongly where its values were
+values of its own, half of them are damaged, and a message counts as read wrongly where its values were
 never sent.
 """
 
@@ -14,7 +14,7 @@ from benchmarks.figures import Figure, Report, table
 from devices.emulators.makers_campaign import LANGUAGES, Verdict
 from devices.emulators.makers_campaign import run as run_campaign
 
-MESSAGES = 1_000_000
+DAMAGED = 1_000_000
 SEED = 1
 
 
@@ -25,7 +25,7 @@ def run() -> Report:
     report = Report("damage")
     raised = sum(len(verdict.raised) for verdict in verdicts.values())
     lost = sum(len(verdict.lost) for verdict in verdicts.values())
-    note = f"of {len(LANGUAGES)} × {MESSAGES} messages, three in ten of them damaged"
+    note = f"of {len(LANGUAGES)} × {DAMAGED} damaged messages among as many intact ones"
     report.figures = [
         Figure("damage_exceptions", raised, "", "<=0", f"exceptions of decoders, {note}"),
         Figure("damage_intact_lost", lost, "", "<=0", f"intact messages, after four others, lost; {note}"),
@@ -36,7 +36,7 @@ def run() -> Report:
 
 
 def _campaign(name: str) -> Verdict:
-    return run_campaign(LANGUAGES[name], MESSAGES, SEED)
+    return run_campaign(LANGUAGES[name], DAMAGED, SEED)
 
 
 def _cells(verdict: Verdict) -> list[str]:

@@ -33,5 +33,4 @@ def run() -> Report:
 
 
 def _worst_deg(motion: trackers.Motion, seed: int) -> float:
-    _, ours = trackers.measure(motion, MINUTES, seed)
-    return ours[trackers.MINUTES[0]].worst
+    return trackers.measure(motion, MINUTES, seed).joint[trackers.MINUTES[0]].worst

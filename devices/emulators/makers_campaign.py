@@ -3,7 +3,7 @@ how much that was damaged is taken for good.
 
 ::
 
-    python -m devices.emulators.makers_campaign --messages 1000000 --seed 1 ximu3 mti
+    python -m devices.emulators.makers_campaign --damaged 1000000 --seed 1 ximu3 mti
 
 These protocols check little or nothing: a sum of 8 bits lets one damaged message in 256 through, the x-IMU3
 has none. So a corrupt message that is accepted is no failure here, but a figure, for each way of damage.
@@ -20,12 +20,13 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple, Protocol
 
-from devices.emulators.wire_damage import BYTE_DAMAGES, DAMAGED_SHARE, PIECE_DAMAGES
+from devices.emulators.wire_damage import BYTE_DAMAGES, PIECE_DAMAGES
 from devices.vendor_protocols import bno08x, mocopi, mti, mvn, slimevr, witmotion, ximu3
 from firmware_protocol import pack_can_records, unpack_can_records
 
 BLOCK = 256
 """Messages between two looks at what came out."""
+_DAMAGED_SHARE = 0.5
 _SHOWN_FAILURES = 5
 _RECOVERED = 4
 """So many intact messages in a row, and the last of them must come through."""
@@ -224,13 +225,13 @@ class _Sent(NamedTuple):
     """Of its damage; None: intact."""
 
 
-def run(language: Language, n_messages: int, seed: int) -> Verdict:
-    """Send so many messages, or a few more, three in ten of them damaged."""
+def run(language: Language, n_damaged: int, seed: int) -> Verdict:
+    """Send messages, half of them damaged, until so many were, or a few more."""
     rng, verdict, decoder = Random(f"makers {seed}"), Verdict(), language.decoder()
     known: dict[str, int] = {}
     awaited: dict[str, int] = {}
     before, since_damage = language.message(rng, 0), 0
-    while verdict.n_messages < n_messages:
+    while verdict.damaged.total() < n_damaged:
         for _ in range(BLOCK):
             number = verdict.n_messages
             verdict.n_messages += 1
@@ -262,14 +263,14 @@ def run(language: Language, n_messages: int, seed: int) -> Verdict:
 
 
 def _damaged(rng: Random, data: bytes, before: bytes) -> _Sent:
-    if rng.random() >= DAMAGED_SHARE:
+    if rng.random() >= _DAMAGED_SHARE:
         return _Sent([data], None)
     place = rng.randrange(len(BYTE_DAMAGES))
     return _Sent(BYTE_DAMAGES[place](rng, data, before), _WAYS[place])
 
 
 def _damaged_on_can(rng: Random, data: bytes, before: bytes) -> _Sent:
-    if rng.random() >= DAMAGED_SHARE:
+    if rng.random() >= _DAMAGED_SHARE:
         return _Sent([data], None)
     place = rng.randrange(len(PIECE_DAMAGES))
     pieces, others = ([pack_can_records([f]) for f in unpack_can_records(each)] for each in (data, before))
@@ -293,13 +294,13 @@ def main() -> None:
     """Run a campaign from the command line."""
     parser = argparse.ArgumentParser(prog="python -m devices.emulators.makers_campaign", description=__doc__)
     parser.add_argument("languages", nargs="*", default=[], help=", ".join(LANGUAGES))
-    parser.add_argument("--messages", type=int, default=1_000_000)
+    parser.add_argument("--damaged", type=int, default=1_000_000, help="messages, of twice as many")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     is_good = True
     for name in arguments.languages or LANGUAGES:
         begin = time.monotonic()
-        verdict = run(LANGUAGES[name], arguments.messages, arguments.seed)
+        verdict = run(LANGUAGES[name], arguments.damaged, arguments.seed)
         print(f"{name}, seed {arguments.seed}, {time.monotonic() - begin:.0f} s:", *verdict.lines(), sep="\n")
         for failures in (verdict.raised, verdict.lost):
             for failure in failures[:_SHOWN_FAILURES]:

@@ -19,6 +19,9 @@ STALE_AFTER_S = 1.0
 _WINDOW_NS = 2_000_000_000
 """Rate and latency are those of the last so many nanoseconds."""
 
+_LEAST_SPAN_NS = 250_000_000
+"""No rate is told of fewer: the first poses may come in a burst."""
+
 _STATUS_COLOURS = {
     "measured": "green",
     "interpolated": "cyan",
@@ -80,9 +83,9 @@ class PoseView:
 
     @property
     def rate_hz(self) -> float | None:
-        """Poses a second; None before the second pose."""
+        """Poses a second; None before they span ``_LEAST_SPAN_NS``."""
         span_ns = self._recent[-1][0] - self._recent[0][0] if self._recent else 0
-        return (len(self._recent) - 1) * 1e9 / span_ns if span_ns else None
+        return (len(self._recent) - 1) * 1e9 / span_ns if span_ns >= _LEAST_SPAN_NS else None
 
     @property
     def latency_s(self) -> float | None:

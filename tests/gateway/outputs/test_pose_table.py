@@ -59,6 +59,14 @@ def test_rate_latency_and_status_are_shown() -> None:
     assert "0.7071" in shown(view, 3 * 10**9, with_quaternions=True)
 
 
+def test_no_rate_is_told_of_a_burst() -> None:
+    view = PoseView("lab")
+    for i in range(3):
+        view.add(received(i, 10**9 + i * MS // 10))
+    assert view.rate_hz is None
+    assert "Hz" not in shown(view, 10**9 + MS)
+
+
 def test_stale_data_is_said_plainly() -> None:
     view = PoseView("lab")
     assert "no pose yet" in shown(view, 0)
