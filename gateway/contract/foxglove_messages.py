@@ -50,7 +50,7 @@ class FoxgloveEncoder:
         return schema.name, schema.encoding, schema.data
 
     def angles_schema(self) -> dict[str, Any]:
-        """Return the JSON Schema of ``angles``: one type a property, for Foxglove takes no ``null`` beside."""
+        """Return the JSON Schema of ``angles``: one type a property, or Foxglove refuses it."""
         number = {"type": "number", "description": "degrees, growing in the movement it names"}
         joints = {
             joint.name: {"type": "object", "properties": {angle.name: number for angle in joint.angles}}
