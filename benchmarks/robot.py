@@ -14,7 +14,7 @@ import icub_models
 import numpy as np
 
 from benchmarks.figures import Figure, table
-from benchmarks.joint_recordings import as_segments, dressed, facing_of, read_qmt, reference_at
+from benchmarks.joint_recordings import as_segments, dressed, facing_of, read_qmt
 from benchmarks.joints import QMT_STILL_S
 from benchmarks.never_worse.recordings import DATA
 from devices.emulators.recording_formats import read_hipose_mtw17
@@ -22,6 +22,7 @@ from devices.emulators.recordings import Recording
 from gateway.body.retargeting import Retargeter, RobotPose
 from gateway.body.robot import load_robot
 from gateway.body.skeleton import Skeleton
+from gateway.emulation.recordings import reference_at
 from gateway.frames import FloatArray, SkeletonFrame
 
 RATE_HZ = 100.0
