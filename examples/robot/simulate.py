@@ -42,7 +42,9 @@ def model_of(urdf):
                             contype=0, conaffinity=0)  # fmt: skip
     spec.add_texture(type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
                      rgb1=[1, 1, 1], width=8, height=48)  # fmt: skip
-    spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    spec.worldbody.add_light(
+        pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=False
+    )
     return spec.compile()
 
 
@@ -91,10 +93,13 @@ def main():
     parser.add_argument("--port", type=int, default=39700)
     parser.add_argument("--seconds", type=float, default=np.inf, help="of the motion; default: until it ends")
     parser.add_argument("--film", type=Path, help="a .gif; without a screen: MUJOCO_GL=egl or osmesa")
+    parser.add_argument(
+        "--azimuth", type=float, default=150, help="of the film: degrees from east, to the north"
+    )
     asked = parser.parse_args()
     robot, pictures, camera = Simulated(model_of(asked.urdf)), [], mujoco.MjvCamera()
     renderer = mujoco.Renderer(robot.model, *SIZE) if asked.film else None
-    camera.distance, camera.azimuth, camera.elevation, camera.lookat = 1.8, 120, -8, [0, 0, 0.5]
+    camera.distance, camera.azimuth, camera.elevation, camera.lookat = 1.8, asked.azimuth, -8, [0, 0, 0.5]
     try:
         for pose in poses(asked.port):
             robot.follow(pose)
