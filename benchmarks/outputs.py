@@ -13,7 +13,7 @@ from typing import Any
 import icub_models
 import psutil
 
-from benchmarks import slow_broker
+from benchmarks import robot, slow_broker
 from benchmarks.figures import Figure, Report, table
 from benchmarks.synthetic_poses import INFO, RATE_HZ, frames_of, skeleton_of_size
 from devices.emulators.local_broker import mosquitto
@@ -106,7 +106,9 @@ def run() -> Report:
     what = "processor time of one pose on iCub, 32 joints, over UDP"
     report.figures.append(Figure("robot_us", by_name["iCub, UDP", 17].us, "µs", "<=2000", what))
     report.figures += _slow_figures(slow)
-    report.tables = [_table(costs)]
+    robots, rows = robot.figures()
+    report.figures += robots
+    report.tables = [_table(costs), *rows]
     return report
 
 

@@ -6,7 +6,7 @@ tab "Mocap" of the sidebar (N).
 Live needs in the gateway's configuration
     outputs: {udp_json: {port: 39600, include: [position], body: true}}
 The armature is made from the body that the gateway tells of once a second. Recordings are read by the command
-`mocap-gateway export FILE --to gltf`, which the panel names.
+`mocap-gateway export FILE --to bvh`, which the panel names.
 """
 
 import json
@@ -168,17 +168,21 @@ class MOCAP_OT_import(bpy.types.Operator):
         with tempfile.TemporaryDirectory() as folder:
             try:
                 done = subprocess.run(
-                    [*command, "export", self.filepath, "--to", "gltf", "-o", folder],
+                    [*command, "export", self.filepath, "--to", "bvh", "-o", folder],
                     capture_output=True, text=True, check=False,
                 )  # fmt: skip
             except OSError as error:
                 self.report({"ERROR"}, f"{command[0]}: {error}. Name the command in the panel")
                 return {"CANCELLED"}
-            files = [name for name in os.listdir(folder) if name.endswith(".glb")]
+            files = [name for name in os.listdir(folder) if name.endswith(".bvh")]
             if done.returncode or not files:
                 self.report({"ERROR"}, done.stderr.strip() or "nothing was exported")
                 return {"CANCELLED"}
-            bpy.ops.import_scene.gltf(filepath=os.path.join(folder, files[0]))
+            # In centimetres; its bones end where segments do, and the scene gets the recording's frame rate.
+            bpy.ops.import_anim.bvh(
+                filepath=os.path.join(folder, files[0]), global_scale=0.01, axis_forward="-Z", axis_up="Y",
+                rotate_mode="QUATERNION", update_scene_fps=True, update_scene_duration=True,
+            )  # fmt: skip
         return {"FINISHED"}
 
 

@@ -15,4 +15,4 @@ while True:
     for name, value in pose["coordinates"].items():
         model.updCoordinateSet().get(name).setValue(state, value, False)
     model.realizePosition(state)
-    print(pose["seq"], model.calcMassCenterPosition(state).to_numpy())
+    print(pose["seq"], model.calcMassCenterPosition(state).to_numpy(), flush=True)

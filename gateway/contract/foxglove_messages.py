@@ -50,8 +50,8 @@ class FoxgloveEncoder:
         return schema.name, schema.encoding, schema.data
 
     def angles_schema(self) -> dict[str, Any]:
-        """Return the JSON Schema of ``angles``."""
-        number = {"type": ["number", "null"], "description": "degrees, growing in the movement it names"}
+        """Return the JSON Schema of ``angles``: one type a property, or Foxglove refuses it."""
+        number = {"type": "number", "description": "degrees, growing in the movement it names"}
         joints = {
             joint.name: {"type": "object", "properties": {angle.name: number for angle in joint.angles}}
             for joint in self._skeleton.joints
@@ -87,13 +87,14 @@ class FoxgloveEncoder:
         ]
         return self._library.SceneUpdate(deletions=[], entities=entities)
 
-    def angles(self, q_wb: FloatArray) -> dict[str, dict[str, float | None]]:
-        """Return all joint angles by joint and movement, degrees."""
+    def angles(self, q_wb: FloatArray) -> dict[str, dict[str, float]]:
+        """Return all joint angles that are known, by joint and movement, degrees."""
         found = np.degrees(self._joints.update(np.ascontiguousarray(q_wb)).angles).tolist()
         return {
             joint.name: {
-                angle.name: None if math.isnan(value) else value
+                angle.name: value
                 for angle, value in zip(joint.angles, row, strict=False)
+                if not math.isnan(value)
             }
             for joint, row in zip(self._joints.joints, found, strict=True)
         }

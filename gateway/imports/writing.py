@@ -13,6 +13,7 @@ from devices.emulators.recordings import Recording, play
 from devices.link import Chunk, Framing
 from devices.recording_writer import DerivedRecordingWriter, RecordingWriter
 from gateway.body.skeleton import WornSuit
+from gateway.contract.ros_messages import BodyTransforms
 from gateway.frames import SkeletonFrame
 from gateway.pipeline import Pipeline
 from gateway.reconstruction import FUSED
@@ -94,6 +95,7 @@ def write_imported(
     )
     more = {"modules": recording.names, "notes": recording.notes}
     pipeline = _pipeline(settings, suit)
+    transforms = BodyTransforms(suit.skeleton)
     chunks = poses = 0
     counted_ns = begun_ns
     with DerivedRecordingWriter(target, session, attachments_of(settings, suit), begun_ns) as writer:
@@ -101,7 +103,7 @@ def write_imported(
         for chunk in chunks_of(recording):
             writer.add_chunk(chunk, Framing.BYTE_STREAM)
             frames = pipeline.feed(chunk)
-            _add_poses(writer, frames, chunk.arrived_ns)
+            _add_poses(writer, transforms, frames, chunk.arrived_ns)
             chunks, poses = chunks + 1, poses + len(frames)
             if chunk.arrived_ns - counted_ns >= _STATISTICS_NS:
                 counted_ns = chunk.arrived_ns
@@ -124,9 +126,13 @@ def _pipeline(settings: GatewaySettings, suit: WornSuit) -> Pipeline:
     return pipeline
 
 
-def _add_poses(writer: RecordingWriter, frames: list[SkeletonFrame], time_ns: int) -> None:
+def _add_poses(
+    writer: RecordingWriter, transforms: BodyTransforms, frames: list[SkeletonFrame], time_ns: int
+) -> None:
+    """Write poses, and beside them what viewers show."""
     for frame in frames:
         writer.add(fmt.SKELETON, time_ns, encode_skeleton_frame(frame))
+        writer.add(fmt.TRANSFORMS, time_ns, transforms.encode(frame.time_ns, frame.q_wb, frame.p_w))
 
 
 def _add_statistics(writer: RecordingWriter, pipeline: Pipeline, time_ns: int) -> None:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import bpy
 
+RECORDED_FRAME = 11  # from 1
+
 
 def world(armature):
     """Rotation (3, 3) and head of each bone, as posed, and at rest."""
@@ -57,7 +59,14 @@ def recording(path, command):
     assert bpy.ops.mocap.import_recording(filepath=path) == {"FINISHED"}
     (armature,) = [each for each in set(bpy.data.objects) - before if each.type == "ARMATURE"]
     first, last = armature.animation_data.action.frame_range
-    return {"bones": [bone.name for bone in armature.pose.bones], "frames": last - first}
+    bpy.context.scene.frame_set(RECORDED_FRAME)
+    bpy.context.view_layer.update()
+    place = armature.matrix_world
+    bones = {
+        bone.name: {"head": list(place @ bone.head), "tail": list(place @ bone.tail)}
+        for bone in armature.pose.bones
+    }
+    return {"bones": bones, "frames": last - first + 1, "fps": bpy.context.scene.render.fps}
 
 
 def main():

@@ -19,6 +19,9 @@ from gateway.emulation.rig import dress, move
 from gateway.frames import SkeletonFrame
 from gateway.outputs.settings import UdpJsonSettings
 from gateway.outputs.side_outputs import JsonDatagrams
+from gateway.recording import open_recording
+from gateway.recording.exporters.axes import Axes
+from gateway.recording.exporters.take import Take, take_of
 from tests.fixtures.processes import REPOSITORY
 
 BLENDER = Path(os.environ.get("MOCAP_BLENDER_PYTHON", REPOSITORY / "build/blender/bin/python"))
@@ -54,6 +57,17 @@ def assert_is(frame: SkeletonFrame, bones: dict[str, dict]) -> None:
         np.testing.assert_allclose(told["tail"], tip, atol=2e-5)
 
 
+def assert_shows(take: Take, k: int, bones: dict[str, dict]) -> None:
+    """Joints where frame k has them, and bones without others beyond end where segments do."""
+    assert set(bones) == set(take.skeleton.segment_names)
+    for s, name in enumerate(take.skeleton.segment_names):
+        np.testing.assert_allclose(bones[name]["head"], take.p_w[k, s], atol=1e-4)
+        if s not in take.skeleton.parents:
+            turn = Rotation.from_quat(take.q_wb[k, s], scalar_first=True)
+            tip = take.p_w[k, s] + turn.apply(take.skeleton.tips[s])
+            np.testing.assert_allclose(bones[name]["tail"], tip, atol=1e-4)
+
+
 @pytest.mark.timeout(600)
 def test_the_armature_is_the_body_live_and_recorded(tmp_path, record):
     encoder = JsonDatagrams(UdpJsonSettings(include={"position"}, body=True), BODY)
@@ -67,7 +81,8 @@ def test_the_armature_is_the_body_live_and_recorded(tmp_path, record):
         Path(__file__).parent / "blender_child.py",
         REPOSITORY / "examples/blender/mocap_gateway.py",
     )
-    typed = [BLENDER, child, addon, tmp_path / "datagrams.json", record(), command, answer]
+    path = record()
+    typed = [BLENDER, child, addon, tmp_path / "datagrams.json", path, command, answer]
     told = subprocess.run(typed, capture_output=True, text=True, check=False, timeout=500, cwd=REPOSITORY)
     assert answer.exists(), told.stderr
     found = json.loads(answer.read_text())
@@ -75,5 +90,7 @@ def test_the_armature_is_the_body_live_and_recorded(tmp_path, record):
     for frame, bones in zip(frames, found["live"], strict=True):
         assert_is(frame, bones)
     assert_is(frames[0], found["keyed"])
-    assert len(found["recording"]["bones"]) == 4
-    assert found["recording"]["frames"] > 10
+    recorded = take_of(open_recording(path).skeleton_arrays(), "walk", Axes.Z_UP)
+    assert found["recording"]["frames"] == len(recorded.q_wb)
+    assert found["recording"]["fps"] == round(recorded.rate_hz)
+    assert_shows(recorded, 10, found["recording"]["bones"])

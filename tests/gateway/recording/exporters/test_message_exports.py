@@ -226,6 +226,8 @@ def test_foxglove_shows_the_same_poses_bones_and_angles(tmp_path, person):
             decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
             data = json.loads(message.data) if decode is None else decode(message.data)
             found.setdefault(channel.topic, []).append((schema.name, message.log_time, data))
+            if schema.encoding == "jsonschema":
+                angles_schema = json.loads(schema.data)
     assert {topic: messages[0][0] for topic, messages in found.items()} == {
         "/tf": "foxglove.FrameTransforms",
         "/body": "foxglove.SceneUpdate",
@@ -255,9 +257,10 @@ def test_foxglove_shows_the_same_poses_bones_and_angles(tmp_path, person):
     expected = np.degrees(joint_angles(person.skeleton, ARRAYS.q_wb))
     for j, joint in enumerate(person.skeleton.joints):
         for a, angle in enumerate(joint.angles):
-            values = [message[2][joint.name][angle.name] for message in found["/joint_angles"]]
-            plain = [float("nan") if value is None else value for value in values]
-            np.testing.assert_allclose(plain, expected[:, j, a], atol=1e-9, equal_nan=True)
+            messages = [message for _, _, message in found["/joint_angles"]]
+            values = [message[joint.name].get(angle.name, float("nan")) for message in messages]
+            np.testing.assert_allclose(values, expected[:, j, a], atol=1e-9, equal_nan=True)
+            assert angles_schema["properties"][joint.name]["properties"][angle.name]["type"] == "number"
 
 
 @pytest.mark.parametrize("kind", ["ros2", "foxglove"])
