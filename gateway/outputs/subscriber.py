@@ -37,14 +37,18 @@ from gateway.outputs.connection import (
     broker_connection,
     end_tasks,
     explain,
+    first_to_end,
     unique_identifier,
 )
+from gateway.outputs.failover import ClusterConnection
 from gateway.outputs.settings import MqttSettings
 
 logger = logging.getLogger(__name__)
 
 _LONGEST_BACKLOG = 256
 """Poses kept for a reader that is slower than the stream; then the oldest is dropped."""
+_AGAIN_S = 1.0
+"""Before what is retained is asked for again."""
 
 
 class BrokerUnreachableError(GatewayError, ConnectionError):
@@ -95,6 +99,10 @@ class PoseSubscriber:
         self._with_markers = with_markers
         self._settings = settings
         self._topics = Topics(settings.base_topic, gateway)
+        self._kept = (self._topics.bridge_state, self._topics.bridge_info, self._topics.body)
+        self._passing = [self._topics.bridge_health, self._topics.pose]
+        if with_markers:
+            self._passing.append(self._topics.markers)
         self._backlog: deque[ReceivedPose] = deque()
         self._arrival = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
@@ -130,6 +138,9 @@ class PoseSubscriber:
             self._task = None
 
     async def _receive_for_ever(self, subscribed: asyncio.Future[None]) -> None:
+        if self._settings.failover:
+            await self._receive_from_cluster(subscribed)
+            return
         back_off = broker_back_off()
         port = self._settings.port
         while True:
@@ -152,12 +163,43 @@ class PoseSubscriber:
             self.is_connected = False
             await asyncio.sleep(back_off.next_delay())
 
+    async def _receive_from_cluster(self, subscribed: asyncio.Future[None]) -> None:
+        connection = ClusterConnection(self._settings, self._settings.port, "subscriber")
+        refused = 0
+
+        async def use(client: aiomqtt.Client) -> None:
+            await client.subscribe([(topic, 0) for topic in self._passing])
+            self.is_connected = True
+            if not subscribed.done():
+                subscribed.set_result(None)
+            await first_to_end(self._receive(client), self._subscribe_to_kept(client))
+
+        def lost(error: Exception) -> None:
+            nonlocal refused
+            refused += 1
+            settings = connection.settings
+            reason = explain(error, settings, settings.port)
+            if not subscribed.done() and refused > len(self._settings.failover):
+                subscribed.set_exception(BrokerUnreachableError(reason))
+            elif self.is_connected:
+                logger.warning("%s; going on with another node", reason)
+            self.is_connected = False
+
+        await connection.run(use, None, lost, asyncio.Event())
+
+    async def _subscribe_to_kept(self, client: aiomqtt.Client) -> None:
+        """Subscribe to what is retained, which a cluster may not tell for seconds after it lost a node."""
+        while True:
+            try:
+                await client.subscribe([(topic, 0) for topic in self._kept])
+            except aiomqtt.MqttError as error:
+                logger.debug("what is retained: %s", error)
+                await asyncio.sleep(_AGAIN_S)
+            else:
+                await asyncio.Event().wait()
+
     async def _subscribe(self, client: aiomqtt.Client) -> None:
-        kept = (self._topics.bridge_state, self._topics.bridge_info, self._topics.body)
-        passing = [self._topics.bridge_health, self._topics.pose]
-        if self._with_markers:
-            passing.append(self._topics.markers)
-        await client.subscribe([(topic, 1) for topic in kept] + [(topic, 0) for topic in passing])
+        await client.subscribe([(topic, 1) for topic in self._kept] + [(topic, 0) for topic in self._passing])
         self.is_connected = True
 
     async def _receive(self, client: aiomqtt.Client) -> None:
