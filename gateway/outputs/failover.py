@@ -172,6 +172,8 @@ class ClusterConnection:
     async def _keep_one_ready(self) -> None:
         """Keep a connection to the next address, for ever; cancelled, it leaves it as it is."""
         back_off = broker_back_off()
+        if not self._turns.others():
+            await asyncio.Event().wait()
         for settings in itertools.cycle(self._turns.others()):
             try:
                 self._ready = await self._connected(settings)
