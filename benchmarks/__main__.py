@@ -27,6 +27,7 @@ SUITES = (
     "walking",
     "record",
     "batch",
+    "fleet",
     "joints",
     "sensors",
     "calibration",

@@ -8,6 +8,7 @@ import json
 import tempfile
 import time
 from collections.abc import AsyncIterator
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,6 +24,7 @@ from gateway.support.credentials import token_for
 from gateway.viewer.printable import printable
 
 if TYPE_CHECKING:
+    from gateway.fleet.collecting import Collector
     from gateway.fleet.overview import Fleet, Row
 
 fleet_app = typer.Typer(
@@ -269,3 +271,184 @@ def table_of(rows: list[Row]) -> Table:
             style="bold red" if row.alerts else "",
         )
     return table
+
+
+archive_app = typer.Typer(
+    help="What a fleet has measured, as Parquet files by site, day and wearer.",
+    no_args_is_help=True,
+    add_completion=False,
+)
+fleet_app.add_typer(archive_app, name="archive")
+
+ArchiveFolder = Annotated[Path, typer.Option("--archive", help="Folder of the archive.")]
+Site = Annotated[str, typer.Option(help="Name of the place.")]
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive collect --archive clinic --site ward2 --wearers w.yaml"
+)
+@with_broker
+def collect(
+    broker: BrokerChoice,
+    archive: ArchiveFolder,
+    site: Site,
+    failover: Failover = None,
+    wearers: Wearers = None,
+    seconds: Annotated[float | None, typer.Option(min=1, help="End after so long; else on Ctrl-C.")] = None,
+    flush: Annotated[float, typer.Option(min=1, max=3600, help="Write what waits so often, s.")] = 60,
+) -> None:
+    """Keep the poses that all gateways publish, live and late ones, none twice."""
+    from gateway.fleet.archive import Archive
+    from gateway.fleet.collecting import Collector
+
+    settings = _at_cluster(broker, failover)
+    kept = Archive(archive, is_new=True)
+    collector = Collector(kept, site, settings.base_topic, read_wearers(wearers))
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(_for_a_while(_collect(settings, collector, flush), seconds))
+    collector.flush()
+    files = kept.renew_catalogue()
+    typer.echo(
+        f"{collector.rows} poses kept, {collector.repeated} were there already, "
+        f"{collector.undecodable} not readable; {files} files"
+    )
+
+
+async def _collect(settings: MqttSettings, collector: Collector, flush_s: float) -> None:
+    from gateway.fleet.overview import listen
+
+    async def write() -> None:
+        while True:
+            await asyncio.sleep(flush_s)
+            collector.flush()
+
+    writing = asyncio.ensure_future(write())
+    try:
+        await listen(settings, collector.take, asyncio.Event(), with_late=True)
+    finally:
+        writing.cancel()
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive add walk.mcap --archive clinic --site ward2 --wearer anna"
+)
+def add(
+    recordings: Annotated[list[Path], typer.Argument(help="Finished recordings.")],
+    archive: ArchiveFolder,
+    site: Site,
+    wearer: Annotated[str, typer.Option(help="Name of who wore the suit; a pseudonym is kept of it.")],
+) -> None:
+    """Take in finished recordings: their bytes, and the poses that they hold."""
+    from gateway.fleet.archive import Archive
+    from gateway.recording import open_recording
+
+    kept = Archive(archive, is_new=True)
+    for path in recordings:
+        _, rows = kept.add(open_recording(path), path, site, wearer)
+        typer.echo(f"{path}: {f'{rows} poses' if rows else 'no new poses'}, wearer {kept.pseudonym(wearer)}")
+    kept.renew_catalogue()
+
+
+@archive_app.command("list", epilog="Example: mocap-gateway fleet archive list --archive clinic")
+def list_archive(archive: ArchiveFolder) -> None:
+    """Show the catalogue, by method, site, day and wearer."""
+    _ask(
+        archive,
+        "SELECT method, site, day, wearer, count(*) AS files, sum(rows)::BIGINT AS rows, "
+        "round(sum(bytes) / 1e6, 2) AS mb FROM catalogue GROUP BY ALL ORDER BY ALL",
+    )
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive query --archive clinic "
+    "\"SELECT wearer, max(right_knee_flexion_deg) FROM poses WHERE dayname(day) = 'Tuesday' GROUP BY wearer\""
+)
+def query(
+    sql: Annotated[str, typer.Argument(help="SQL of DuckDB; the tables are poses and catalogue.")],
+    archive: ArchiveFolder,
+) -> None:
+    """Ask the archive in SQL, and print the answer as CSV."""
+    _ask(archive, sql)
+
+
+def _ask(folder: Path, sql: str) -> None:
+    from gateway.fleet.archive import Archive
+
+    names, rows = Archive(folder).query(sql)
+    if names:
+        typer.echo(",".join(names))
+    for row in rows:
+        typer.echo(",".join("" if value is None else printable(str(value)) for value in row))
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive solve --archive clinic --method independent --workers 2"
+)
+def solve(
+    archive: ArchiveFolder,
+    method: Annotated[str, typer.Option(help="Method that makes the poses anew.")],
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 1,
+    dask: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler, instead of processes here.")
+    ] = None,
+) -> None:
+    """Solve all recordings again with another method, beside what is there. Begun anew, it goes on."""
+    from gateway.cli.terminal import progress_bar
+    from gateway.fleet.archive import Archive
+    from gateway.fleet.solving import Solved, jobs_of, run
+    from gateway.settings import check_method
+
+    check_method(method)
+    kept = Archive(archive)
+    jobs, outcomes = jobs_of(kept, method), list[Solved]()
+    with progress_bar("solving") as tell:
+
+        def done(outcome: Solved) -> None:
+            outcomes.append(outcome)
+            tell(len(outcomes), len(jobs))
+
+        run(jobs, done, workers, dask)
+    kept.renew_catalogue()
+    failed = [outcome for outcome in outcomes if outcome.error is not None]
+    typer.echo(
+        f"{sum(outcome.rows > 0 for outcome in outcomes)} recordings solved, "
+        f"{sum(outcome.was_there for outcome in outcomes)} were there, {len(failed)} failed"
+    )
+    for outcome in failed:
+        typer.echo(f"{outcome.recording}: {outcome.error}", err=True)
+    if failed:
+        raise typer.Exit(1)
+
+
+@archive_app.command(epilog="Example: mocap-gateway fleet archive forget anna --archive clinic --yes")
+def forget(
+    wearer: Annotated[str, typer.Argument(help="Name of the wearer.")],
+    archive: ArchiveFolder,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+) -> None:
+    """Delete all that is kept of one wearer, and look whether a file still names them. Ends with 1 if so."""
+    from gateway.fleet.archive import Archive
+
+    kept = Archive(archive)
+    if not yes:
+        typer.confirm(f"Delete all that {archive} keeps of {wearer} ({kept.pseudonym(wearer)})?", abort=True)
+    files, left = kept.forget(wearer)
+    typer.echo(f"{files} files deleted; {left} files still hold the name or the pseudonym")
+    for path in kept.traces(wearer) if left else ():
+        typer.echo(f"  {path}", err=True)
+    if left:
+        raise typer.Exit(1)
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive expire --archive clinic --before 2026-01-01"
+)
+def expire(
+    archive: ArchiveFolder,
+    before: Annotated[datetime, typer.Option(formats=["%Y-%m-%d"], help="First day that is kept.")],
+) -> None:
+    """Delete all of the days before one: retention, to be called once a day."""
+    from gateway.fleet.archive import Archive
+
+    files = Archive(archive).expire(before.strftime("%Y-%m-%d"))
+    typer.echo(f"{files} files deleted")
