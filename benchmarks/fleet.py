@@ -318,10 +318,10 @@ def _arithmetic(report: Report, load: _Load) -> None:
     ]
     report.tables.append(
         "### What more suits need\n\n"
-        f"poses/s = suits × {SUIT_HZ:g}; Mbit/s = poses/s × {SUIT_BYTES} B × 8 / 10⁶, and as much again for each "
-        "reader of all; cores = poses/s × processor time of all brokers a pose as measured above "
-        f"({load.broker_s * 1e6:.0f} µs, one reader); connections = suits × 4 (state, requests, poses, standing "
-        "by). On paper: not more than the rate above was run.\n\n" + table(heads, rows)
+        f"poses/s = suits × {SUIT_HZ:g}; Mbit/s = poses/s × {SUIT_BYTES} B × 8 / 10⁶, and as much again for "
+        "each reader of all; cores = poses/s × processor time of all brokers a pose as measured above "
+        f"({load.broker_s * 1e6:.0f} µs, one reader); connections = suits × 4 (state, requests, poses, "
+        "standing by). On paper: not more than the rate above was run.\n\n" + table(heads, rows)
     )
 
 
@@ -334,15 +334,15 @@ def _archive(report: Report) -> None:
         for number, path in enumerate(sorted((folder / "sessions").glob("*.mcap"))):
             archive.add(open_recording(path), path, "bench", f"wearer{number % 4}")
         rows, results = [], []
-        for what, workers, killed_after_s in (
-            ("kernels compiled", 1, None),
-            ("1 worker", 1, None),
-            ("2 workers", 2, None),
-            ("2 workers, one killed", 2, 4.0),
+        for what, workers, kills in (
+            ("kernels compiled", 1, False),
+            ("1 worker", 1, False),
+            ("2 workers", 2, False),
+            ("2 workers, one killed", 2, True),
         ):
             for path in archive.poses.rglob("*.parquet"):
                 path.unlink()
-            seconds, errors, killed = _solved(archive, workers, killed_after_s)
+            seconds, errors, killed = _solved(archive, workers, kills)
             results.append(tuple(path.read_bytes() for path in sorted(archive.poses.rglob("*.parquet"))))
             rows.append([what, f"{seconds:.1f}", str(errors), str(killed)])
         heads = ["on Dask", "seconds", "recordings failed", "workers killed"]
@@ -356,27 +356,22 @@ def _archive(report: Report) -> None:
         )
 
 
-def _solved(archive: Archive, workers: int, killed_after_s: float | None) -> tuple[float, int, int]:
+def _solved(archive: Archive, workers: int, kills: bool) -> tuple[float, int, int]:
+    """Solve all; return seconds, recordings that failed, and workers killed after the first one."""
     outcomes: list[solving.Solved] = []
     killed: list[int] = []
 
-    def kill() -> None:
-        time.sleep(killed_after_s or 0)
-        children = psutil.Process().children(recursive=True)
-        workers_ = [each for each in children if "spawn_main" in " ".join(each.cmdline())]
-        if workers_:
-            workers_[0].kill()
-            killed.append(workers_[0].pid)
+    def done(outcome: solving.Solved) -> None:
+        outcomes.append(outcome)
+        if kills and not killed:
+            children = psutil.Process().children(recursive=True)
+            worker = next(each for each in children if "spawn_main" in " ".join(each.cmdline()))
+            worker.kill()
+            killed.append(worker.pid)
 
-    thread = threading.Thread(target=kill) if killed_after_s is not None else None
     begun = time.monotonic()
-    if thread is not None:
-        thread.start()
-    solving.run(solving.jobs_of(archive, "independent"), outcomes.append, workers)
-    seconds = time.monotonic() - begun
-    if thread is not None:
-        thread.join()
-    return seconds, sum(outcome.error is not None for outcome in outcomes), len(killed)
+    solving.run(solving.jobs_of(archive, "independent"), done, workers)
+    return time.monotonic() - begun, sum(each.error is not None for each in outcomes), len(killed)
 
 
 def _rows_in_and_out(archive: Archive) -> list[Figure]:

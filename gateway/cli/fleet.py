@@ -93,9 +93,7 @@ def watch(
         asyncio.run(_watch(settings, names, page_port, page_host, token_file))
 
 
-@fleet_app.command(
-    epilog="Examples: mocap-gateway fleet demo --gateways 20; mocap-gateway fleet demo --seconds 10"
-)
+@fleet_app.command(epilog="Example: mocap-gateway fleet demo --gateways 20 --seconds 60")
 def demo(
     gateways: Annotated[int, typer.Option(min=1, max=200, help="Light gateways.")] = 20,
     rate: Annotated[float, typer.Option(min=1, max=100, help="Poses a second of each.")] = 20,
@@ -110,6 +108,26 @@ def demo(
     """Start three brokers, light gateways and the overview on this machine. Needs the extra `fleet`."""
     with contextlib.suppress(KeyboardInterrupt):
         _demonstrate(gateways, rate, recording, page_port, seconds)
+
+
+@fleet_app.command(epilog="Example: mocap-gateway fleet users gw001 gw002 -o docker/fleet")
+def users(
+    gateways: Annotated[list[str], typer.Argument(help="Names of the gateways.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the brokers' configuration.")],
+    site: Annotated[
+        list[str] | None, typer.Option(help="A site with a node of its own, which gets a user; repeatable.")
+    ] = None,
+    base_topic: Annotated[str, typer.Option(help="First part of the topics.")] = "mocap",
+) -> None:
+    """Write the users of a NATS cluster: each gateway may publish its own topics and nobody else's.
+
+    users.conf is for the brokers, passwords/NAME for the gateway of that name (mqtt.password_file); overview is
+    the user of `fleet watch`. Users that have a password keep it.
+    """
+    from gateway.fleet.cluster import write_users
+
+    names = write_users(output, gateways, base_topic, site or ())
+    typer.echo(f"{output / 'users.conf'}: {len(names)} users, passwords in {output / 'passwords'}")
 
 
 def _demonstrate(

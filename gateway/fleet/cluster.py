@@ -25,6 +25,8 @@ from gateway.errors import GatewayError
 NODES = 3
 READER = "overview"
 """User that may listen to all gateways, and ask them."""
+LEAF = "leaf-"
+"""Beginning of the users as which nodes at sites connect; gateways there have rights at that node."""
 _START_S = 20.0
 _STOP_S = 3.0
 _POLL_S = 0.05
@@ -38,14 +40,17 @@ def subject_of(topic: str) -> str:
 def users_config(passwords: Mapping[str, str], base_topic: str = "mocap") -> str:
     """Return the users of a cluster as its configuration wants them.
 
-    passwords: by name of the gateway, or ``READER``. A gateway may publish below its own name alone, and read
-    what is told there of it and asked. Raises ``ValueError`` for a name that cannot stand in a topic.
+    passwords: by name of the gateway, ``READER``, or ``LEAF`` and the name of a site. A gateway may publish
+    below its own name alone, and read what is told there of it and asked. Raises ``ValueError`` for a name that
+    cannot stand in a topic.
     """
     users = [_user(name, password, base_topic) for name, password in passwords.items()]
     return "authorization {\n  users: [\n" + "".join(f"    {user}\n" for user in users) + "  ]\n}\n"
 
 
 def _user(name: str, password: str, base_topic: str) -> str:
+    if name.startswith(LEAF):
+        return f"{{user: {json.dumps(name)}, password: {json.dumps(password)}}}"
     if name == READER:
         # It asks and is answered; poses it cannot make.
         publish = [subject_of(f"{base_topic}/*/bridge/request/>")]
@@ -74,6 +79,40 @@ def _is_ready(node: Node) -> bool:
 def new_passwords(gateways: Iterable[str]) -> dict[str, str]:
     """Return a password for each gateway and for ``READER``."""
     return {name: secrets.token_urlsafe(18) for name in (READER, *gateways)}
+
+
+def write_users(
+    folder: Path, gateways: Sequence[str], base_topic: str = "mocap", sites: Sequence[str] = ()
+) -> list[str]:
+    """Write ``users.conf`` and a file with the password of each user, for the eyes of their owner alone.
+
+    sites: names of those with a node of their own. A user that has a password already keeps it, named here or
+    not. Returns the names of all users. Raises
+    ``GatewayError`` for a name that cannot stand in a topic.
+    """
+    taken = [name for name in gateways if name == READER or name.startswith(LEAF)]
+    if taken:
+        raise GatewayError(
+            f"a gateway cannot be named '{taken[0]}': {READER} and {LEAF}… are users of their own"
+        )
+    gateways = [*gateways, *(f"{LEAF}{site}" for site in sites)]
+    secrets_folder = folder / "passwords"
+    secrets_folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    kept = {path.name: path.read_text().strip() for path in sorted(secrets_folder.iterdir())}
+    passwords = new_passwords(gateways) | kept
+    try:
+        text = users_config(passwords, base_topic)
+    except ValueError as error:
+        raise GatewayError(str(error)) from None
+    for name, password in passwords.items():
+        _write_secret(secrets_folder / name, password + "\n")
+    _write_secret(folder / "users.conf", text)
+    return sorted(passwords)
+
+
+def _write_secret(path: Path, text: str) -> None:
+    path.touch(mode=0o600)
+    path.write_text(text)
 
 
 def program() -> str:
