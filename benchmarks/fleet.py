@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import os
 import signal
@@ -10,7 +11,7 @@ import statistics
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -108,6 +109,7 @@ def _held_rate(report: Report) -> tuple[float, _Load]:
     """Measure each rate; return the highest that was held, and what a pose cost at it."""
     rows, best, load = [], float(RATES_HZ[0]), _Load(0, 0, 0)
     for rate_hz in RATES_HZ:
+        load_before = os.getloadavg()[0]
         with (
             tempfile.TemporaryDirectory() as folder,
             DemoFleet(Path(folder), Wanted(GATEWAYS, rate_hz)) as fleet,
@@ -122,6 +124,7 @@ def _held_rate(report: Report) -> tuple[float, _Load]:
         rows.append(
             [
                 str(rate_hz),
+                f"{load_before:.1f}",
                 f"{reached:.1f}",
                 "yes" if is_held else "no",
                 str(missing),
@@ -133,7 +136,7 @@ def _held_rate(report: Report) -> tuple[float, _Load]:
         )
         if not is_held:
             break
-    heads = ["Hz asked for", "Hz reached", "held", "lost", "median delay, ms"]
+    heads = ["Hz asked for", "load before", "Hz reached", "held", "lost", "median delay, ms"]
     heads += ["brokers, µs a pose", "light gateway, µs a pose", "a broker, MB"]
     report.tables.append(f"### {GATEWAYS} light gateways, three brokers, one reader\n\n" + table(heads, rows))
     report.figures.append(Figure("fleet_rate_held", best, "Hz", "", f"each of {GATEWAYS} gateways"))
@@ -166,26 +169,22 @@ def _processor_s(pids: list[int]) -> float:
     return sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pids)
 
 
-class _listening:  # noqa: N801 - a context manager
-    """Has a reader hear all, for as long as the block lasts."""
-
-    def __init__(self, fleet: DemoFleet, heard: Heard) -> None:
-        self._task = None
-        self._fleet, self._heard = fleet, heard
-
-    async def __aenter__(self) -> None:
-        ready = asyncio.Event()
-        settings = self._fleet.settings(READER, first=1)
-        self._task = asyncio.create_task(listen(settings, self._heard.take, ready, with_late=True))
-        await ready.wait()
-
-    async def __aexit__(self, *_: object) -> None:
-        self._task.cancel()
-        await asyncio.gather(self._task, return_exceptions=True)
+@contextlib.asynccontextmanager
+async def _listening(fleet: DemoFleet, heard: Heard) -> AsyncIterator[None]:
+    """Have a reader hear all, for as long as the block lasts."""
+    ready = asyncio.Event()
+    task = asyncio.create_task(listen(fleet.settings(READER, 1), heard.take, ready, with_late=True))
+    await ready.wait()
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
 
 
 def _failures(report: Report, rate_hz: float) -> None:
     rows: list[list[str]] = []
+    load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as folder, DemoFleet(Path(folder), Wanted(GATEWAYS, rate_hz)) as fleet:
         worst, heard, right = asyncio.run(_broken(fleet, rows))
         died = asyncio.run(_a_process_dies(fleet))
@@ -199,7 +198,7 @@ def _failures(report: Report, rate_hz: float) -> None:
         "missing live",
         "and not late",
     ]
-    note = f"{GATEWAYS} gateways at {rate_hz:g} Hz; the node is the reader's own"
+    note = f"{GATEWAYS} gateways at {rate_hz:g} Hz; the node is the reader's own; load before {load:.1f}"
     report.tables.append(f"### A node fails\n\n{note}.\n\n" + table(heads, rows))
     total = sum(len(numbers) for numbers in heard.live.values())
     report.figures += [
@@ -272,13 +271,12 @@ async def _retained(fleet: DemoFleet, first: int) -> dict[str, str]:
     settings, kept = fleet.settings(READER, first), dict[str, str]()
     async with broker_connection(settings, settings.port, unique_identifier("bench")) as client:
         await client.subscribe([(f"mocap/+/{topic}", 0) for topic in (topics.BRIDGE_STATE, topics.BODY)])
-        try:
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(4):
                 async for message in client.messages:
                     told = orjson.loads(message.payload)
                     kept[message.topic.value.partition("/")[2]] = str(told.get("state"))
-        except TimeoutError:
-            return kept
+    return kept
 
 
 async def _a_process_dies(fleet: DemoFleet) -> int:

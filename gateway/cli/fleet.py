@@ -121,8 +121,8 @@ def users(
 ) -> None:
     """Write the users of a NATS cluster: each gateway may publish its own topics and nobody else's.
 
-    users.conf is for the brokers, passwords/NAME for the gateway of that name (mqtt.password_file); overview is
-    the user of `fleet watch`. Users that have a password keep it.
+    users.conf is for the brokers, passwords/NAME for the gateway of that name (mqtt.password_file). User
+    overview is for `fleet watch`. Users that have a password keep it.
     """
     from gateway.fleet.cluster import write_users
 

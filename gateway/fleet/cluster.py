@@ -41,8 +41,8 @@ def users_config(passwords: Mapping[str, str], base_topic: str = "mocap") -> str
     """Return the users of a cluster as its configuration wants them.
 
     passwords: by name of the gateway, ``READER``, or ``LEAF`` and the name of a site. A gateway may publish
-    below its own name alone, and read what is told there of it and asked. Raises ``ValueError`` for a name that
-    cannot stand in a topic.
+    below its own name alone, and read what is told there of it and asked.
+    Raises ``ValueError`` for a name that cannot stand in a topic.
     """
     users = [_user(name, password, base_topic) for name, password in passwords.items()]
     return "authorization {\n  users: [\n" + "".join(f"    {user}\n" for user in users) + "  ]\n}\n"
