@@ -23,7 +23,7 @@ from gateway.contract.messages import BodyMessage, BridgeHealth, BridgeInfo
 from gateway.contract.topics import ANY_GATEWAY, Topics
 from gateway.errors import GatewayError
 from gateway.outputs.connection import explain
-from gateway.outputs.failover import ClusterConnection
+from gateway.outputs.failover import ClusterConnection, follow_kept
 from gateway.outputs.settings import MqttSettings
 
 WINDOW_S = 5.0
@@ -33,7 +33,6 @@ SILENT_S = 3.0
 MOST_LOSS = 0.01
 MOST_DELAY_S = 0.25
 MOST_GATEWAYS = 10_000
-_AGAIN_S = 1.0
 _HEAD = re.compile(rb'\{"t_ns":(-?\d{1,19}),"seq":(-?\d{1,19})[,}]')
 _MODULE = re.compile(r"module/(\d{1,3})/state")
 
@@ -234,14 +233,10 @@ async def listen(
     async def use(client: aiomqtt.Client) -> None:
         await client.subscribe([(topic, 0) for topic in passing])
         ready.set()
-        asking = asyncio.ensure_future(_ask_for_kept(client, kept))
-        try:
-            async for message in client.messages:
-                take(message)
-                while not client._queue.empty():  # aiomqtt takes several turns for each
-                    take(client._queue.get_nowait())
-        finally:
-            asking.cancel()
+        async for message in client.messages:
+            take(message)
+            while not client._queue.empty():  # aiomqtt takes several turns for each
+                take(client._queue.get_nowait())
 
     def lost(error: Exception) -> None:
         failures.append(explain(error, connection.settings, connection.settings.port))
@@ -249,6 +244,7 @@ async def listen(
             given_up.set_exception(FleetUnreachableError(failures[0]))
 
     running = asyncio.ensure_future(connection.run(use, None, lost, asyncio.Event()))
+    following = asyncio.ensure_future(follow_kept(settings, "fleet", kept, take))
     try:
         await asyncio.wait({running, given_up}, return_when=asyncio.FIRST_COMPLETED)
         if given_up.done():
@@ -256,18 +252,8 @@ async def listen(
         running.result()
     finally:
         running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
-
-
-async def _ask_for_kept(client: aiomqtt.Client, kept: list[str]) -> None:
-    """Subscribe to what is retained, which a cluster may not tell for seconds after it lost a node."""
-    while True:
-        try:
-            await client.subscribe([(topic, 0) for topic in kept])
-        except aiomqtt.MqttError:
-            await asyncio.sleep(_AGAIN_S)
-        else:
-            return
+        following.cancel()
+        await asyncio.gather(running, following, return_exceptions=True)
 
 
 def take_into(fleet: Fleet) -> Take:

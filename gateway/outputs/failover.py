@@ -13,8 +13,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import logging
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import AsyncExitStack
 from typing import Any, NamedTuple
 
@@ -23,11 +24,14 @@ import aiomqtt
 from gateway.outputs.connection import (
     broker_back_off,
     broker_connection,
+    explain,
     first_to_end,
     nap,
     unique_identifier,
 )
 from gateway.outputs.settings import MqttSettings
+
+_log = logging.getLogger(__name__)
 
 
 class BrokerTurns:
@@ -190,3 +194,27 @@ async def _hung_up(stack: AsyncExitStack, reason: Exception) -> None:
     """Close a connection that is of no use any more, at once."""
     with contextlib.suppress(Exception):
         await stack.__aexit__(type(reason), reason, reason.__traceback__)
+
+
+async def follow_kept(
+    settings: MqttSettings, role: str, filters: Sequence[str], take: Callable[[aiomqtt.Message], None]
+) -> None:
+    """Give what is retained, and what replaces it, to ``take``, for ever, over whichever node lets us in.
+
+    On a connection of its own: a cluster that has lost a node may not tell what it retains for some seconds,
+    and answers nothing else on that connection meanwhile.
+    """
+    back_off, turns = broker_back_off(), BrokerTurns(settings, settings.port)
+    while True:
+        door = turns.settings
+        try:
+            async with broker_connection(door, door.port, unique_identifier(role)) as client:
+                await client.subscribe([(topic, 0) for topic in filters])
+                back_off.reset()
+                turns.succeeded()
+                async for message in client.messages:
+                    take(message)
+        except Exception as error:
+            _log.debug("what is retained: %s", explain(error, door, door.port))
+            turns.failed()
+        await asyncio.sleep(back_off.next_delay())

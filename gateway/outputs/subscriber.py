@@ -40,15 +40,13 @@ from gateway.outputs.connection import (
     first_to_end,
     unique_identifier,
 )
-from gateway.outputs.failover import ClusterConnection
+from gateway.outputs.failover import ClusterConnection, follow_kept
 from gateway.outputs.settings import MqttSettings
 
 logger = logging.getLogger(__name__)
 
 _LONGEST_BACKLOG = 256
 """Poses kept for a reader that is slower than the stream; then the oldest is dropped."""
-_AGAIN_S = 1.0
-"""Before what is retained is asked for again."""
 
 
 class BrokerUnreachableError(GatewayError, ConnectionError):
@@ -172,7 +170,7 @@ class PoseSubscriber:
             self.is_connected = True
             if not subscribed.done():
                 subscribed.set_result(None)
-            await first_to_end(self._receive(client), self._subscribe_to_kept(client))
+            await self._receive(client)
 
         def lost(error: Exception) -> None:
             nonlocal refused
@@ -185,18 +183,10 @@ class PoseSubscriber:
                 logger.warning("%s; going on with another node", reason)
             self.is_connected = False
 
-        await connection.run(use, None, lost, asyncio.Event())
-
-    async def _subscribe_to_kept(self, client: aiomqtt.Client) -> None:
-        """Subscribe to what is retained, which a cluster may not tell for seconds after it lost a node."""
-        while True:
-            try:
-                await client.subscribe([(topic, 0) for topic in self._kept])
-            except aiomqtt.MqttError as error:
-                logger.debug("what is retained: %s", error)
-                await asyncio.sleep(_AGAIN_S)
-            else:
-                await asyncio.Event().wait()
+        await first_to_end(
+            connection.run(use, None, lost, asyncio.Event()),
+            follow_kept(self._settings, "subscriber", self._kept, self._read),
+        )
 
     async def _subscribe(self, client: aiomqtt.Client) -> None:
         await client.subscribe([(topic, 1) for topic in self._kept] + [(topic, 0) for topic in self._passing])
