@@ -38,7 +38,7 @@ HELD = 0.97
 _LONGEST_START_S = 90.0
 SETTLE_S = 4.0
 STEADY_S = 8.0
-AWAY_S = 12.0
+AWAY_S = 10.0
 SUIT_HZ = 100.0
 SUIT_BYTES = 1600
 ROWS = 20_000
@@ -213,8 +213,8 @@ def _failures(report: Report, rate_hz: float) -> None:
     ]
     note = f"{GATEWAYS} gateways at {rate_hz:g} Hz; load before {load:.1f}"
     report.tables.append(
-        f"### A node fails\n\n{note}. A reader whose own node dies misses what was on its way to it: that comes "
-        "by QoS 0, and its gateways know nothing of it.\n\n" + table(heads, rows)
+        f"### A node fails\n\n{note}. A reader whose own node dies misses what was on its way to it: it "
+        "comes by QoS 0, and its gateways know nothing of it.\n\n" + table(heads, rows)
     )
     total = sum(len(numbers) for numbers in heard.live.values())
     report.figures += [
