@@ -28,6 +28,7 @@ SUITES = (
     "record",
     "batch",
     "fleet",
+    "fleet_archive",
     "joints",
     "sensors",
     "calibration",
