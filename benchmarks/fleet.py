@@ -214,6 +214,9 @@ def _failures(report: Report, rate_hz: float) -> None:
     report.figures += [
         Figure("fleet_recover_kill", worst["killed"], "s", "<=2", "longest gap of any gateway, node killed"),
         Figure(
+            "fleet_recover_reader", worst["the reader's own killed"], "s", "<=2", "the reader's node killed"
+        ),
+        Figure(
             "fleet_recover_frozen", worst["frozen"], "s", "<=2", "the same, node silent, connections open"
         ),
         Figure("fleet_missing_live", float(live), "poses", "", f"of {total}, all failures together"),
