@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import signal
 import tempfile
 import time
 from collections.abc import AsyncIterator
@@ -89,6 +90,7 @@ def watch(
 ) -> None:
     """Show every gateway, renewed twice a second, in the terminal and on a page with links to the bodies."""
     settings, names = _at_cluster(broker, failover), read_wearers(wearers)
+    _end_on_sigterm()
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(_watch(settings, names, page_port, page_host, token_file))
 
@@ -106,6 +108,7 @@ def demo(
     ] = None,
 ) -> None:
     """Start three brokers, light gateways and the overview on this machine. Needs the extra `fleet`."""
+    _end_on_sigterm()
     with contextlib.suppress(KeyboardInterrupt):
         _demonstrate(gateways, rate, recording, page_port, seconds)
 
@@ -128,6 +131,11 @@ def users(
 
     names = write_users(output, gateways, base_topic, site or ())
     typer.echo(f"{output / 'users.conf'}: {len(names)} users, passwords in {output / 'passwords'}")
+
+
+def _end_on_sigterm() -> None:
+    """Have SIGTERM end the command as Ctrl-C does: with all processes that it has started."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def _demonstrate(

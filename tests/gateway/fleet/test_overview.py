@@ -7,12 +7,14 @@ import urllib.request
 from typing import Any
 
 import orjson
+import psutil
 import pytest
 
 from gateway.contract.messages import BridgeHealth, BridgeInfo, OutputCounters, UtcAnchor
 from gateway.errors import GatewayError
 from gateway.fleet import cluster as clusters
 from gateway.fleet.overview import Fleet, Row
+from tests.patience import PATIENCE_S
 
 INFO = BridgeInfo(
     version="1.0",
@@ -157,9 +159,14 @@ def test_the_demonstration_shows_all_gateways_on_a_page_that_names_no_stranger(
     assert [row["gateway"] for row in rows()] == [f"gw{n:03d}" for n in range(1, 7)]
     with pytest.raises(urllib.error.HTTPError, match="404"):
         urllib.request.urlopen(f"{where}/body?gateway=gw999", timeout=10)
+    started = psutil.Process(running.pid).children(recursive=True)
+    assert len(started) >= 4
     request = urllib.request.Request(where, headers={"Host": "evil.example"})
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(request, timeout=10)
+    running.terminate()
+    running.wait()
+    assert psutil.wait_procs(started, timeout=PATIENCE_S)[1] == []
 
 
 @pytest.mark.system
