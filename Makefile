@@ -187,7 +187,7 @@ audit: $(VENV)/pyvenv.cfg
 
 lock:
 	$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -q uv
-	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev --extra viewer --extra export --extra optical --extra video --extra biomech --extra foxglove --extra ros2 --extra robot -o requirements/dev.lock
+	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra dev --extra viewer --extra export --extra optical --extra video --extra biomech --extra foxglove --extra ros2 --extra robot --extra fleet -o requirements/dev.lock
 	build/lock/bin/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url pyproject.toml --extra viewer -c requirements/dev.lock -o requirements/runtime.lock
 	echo 'hatchling>=1.27' | build/lock/bin/uv pip compile -q --universal --only-binary :all: --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url - -c requirements/dev.lock -o requirements/build.lock
 	printf 'cython>=3\nnumpy\nsetuptools\nwheel\n' | build/lock/bin/uv pip compile -q --universal --only-binary :all: --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url - -c requirements/dev.lock -o requirements/source.lock

@@ -27,6 +27,8 @@ SUITES = (
     "walking",
     "record",
     "batch",
+    "fleet",
+    "fleet_archive",
     "joints",
     "sensors",
     "calibration",

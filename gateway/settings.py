@@ -236,6 +236,10 @@ class RecordingSettings(_Strict):
     at_start: bool = Field(
         default=False, description="record from the start of the service; else when asked to"
     )
+    when_cut_off: bool = Field(
+        default=False,
+        description="record for as long as no MQTT broker takes poses, where nothing is recorded already",
+    )
     folder: str = Field(default="recordings", min_length=1, description="where the files go; made if absent")
     name: str | None = Field(
         default=None,

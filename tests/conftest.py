@@ -15,6 +15,7 @@ pytest_plugins = (
     "tests.fixtures.kernels",
     "tests.fixtures.slow_marks",
     "tests.fixtures.brokers",
+    "tests.fixtures.clusters",
     "tests.fixtures.poses",
     "tests.fixtures.recordings",
     "tests.fixtures.suits",

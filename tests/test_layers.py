@@ -15,7 +15,7 @@ ROOMS = [
     *("errors", "frames", "support", "geometry", "body", "clocks", "contract"),
     *("reconstruction", "sources", "stages", "outputs", "settings", "pipeline"),
     *("modules", "calibration", "recording", "imports", "agreement", "report", "analysis", "batch"),
-    *("cameras", "service", "emulation", "doctor", "viewer", "cli", "__main__"),
+    *("cameras", "service", "emulation", "doctor", "viewer", "fleet", "cli", "__main__"),
 ]
 """Folders and modules directly in ``gateway/``: each may import those before it."""
 

@@ -130,6 +130,10 @@ class _Commands(LazyGroup):
             "gateway.cli.calibrate:calibrate_app", "Measure what has to be known before a capture."
         ),
         "body": LazyCommand("gateway.cli.body:body_app", "Bodies: segments, joints, lengths."),
+        "fleet": LazyCommand(
+            "gateway.cli.fleet:fleet_app",
+            "Many gateways: brokers to try, an overview of all, an archive of what they sent.",
+        ),
         "kernels": LazyCommand(
             "gateway.cli.kernels:kernels_app",
             "Numerical kernels: compile them beforehand, show how far they are.",

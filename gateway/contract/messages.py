@@ -117,6 +117,7 @@ class OutputCounters(Message):
     )
     thinned: int = Field(ge=0, description="Poses left out on purpose, to keep to the rate asked for.")
     queued: int = Field(ge=0, description="Poses waiting now.")
+    late: int = Field(default=0, ge=0, description="Poses kept while the broker was away, to be sent later.")
     connections: int = Field(
         default=0, ge=0, description="Connections made to the broker since the start; 0: has none."
     )
@@ -318,6 +319,16 @@ class PredictedPoseMessage(PoseMessage):
     predicted_from_ns: int = Field(description="Gateway time of the pose that it was extrapolated from, ns.")
 
 
+class LatePoseMessage(PoseMessage):
+    """A pose from while no broker took any, published after the fact: never for a live display.
+
+    It has the ``seq`` that the live one had. A few may have arrived live as well: of two with the same
+    ``instance`` and ``seq`` one is left out."""
+
+    instance: str = Field(description="Id of the running gateway that made it: see bridge/info.")
+    sent_ns: int = Field(description="Gateway time at which it was published, ns.")
+
+
 class RobotBase(Message):
     """Where the base link of a robot is that is not bolted down."""
 
@@ -434,6 +445,7 @@ PUBLICATIONS: tuple[Publication, ...] = (
     Publication(
         topics.PREDICTED_POSE_MSGPACK, PredictedPoseMessage, qos=0, retain=False, content_type=MSGPACK
     ),
+    Publication(topics.LATE_POSE, LatePoseMessage, qos=1, retain=False),
     Publication(topics.ROBOT, RobotMessage, qos=0, retain=False),
     Publication(topics.SEGMENT, SegmentMessage, qos=0, retain=False),
     Publication(topics.MARKERS, MarkersMessage, qos=0, retain=False),

@@ -14,6 +14,7 @@ POSE = "pose"
 POSE_MSGPACK = "pose/msgpack"
 PREDICTED_POSE = "pose/predicted"
 PREDICTED_POSE_MSGPACK = "pose/predicted/msgpack"
+LATE_POSE = "pose/late"
 ROBOT = "robot/joint_states"
 SEGMENT = "segment/{name}"
 MARKERS = "markers"
@@ -84,6 +85,11 @@ class Topics:
     def predicted_pose_msgpack(self) -> str:
         """The same in MessagePack."""
         return f"{self.root}/{PREDICTED_POSE_MSGPACK}"
+
+    @property
+    def late_pose(self) -> str:
+        """Poses from while the broker was away, where configured."""
+        return f"{self.root}/{LATE_POSE}"
 
     @property
     def robot(self) -> str:

@@ -52,12 +52,14 @@ from gateway.outputs.connection import (
     unique_identifier,
 )
 from gateway.outputs.direct_publishing import DirectPublisher
+from gateway.outputs.failover import BrokerTurns, ClusterConnection, keep_asking
 from gateway.outputs.home_assistant import discovery
+from gateway.outputs.late_poses import LatePoses
 from gateway.outputs.output import Thinning
 from gateway.outputs.own_topics import PublishRights, TwinWatch
 from gateway.outputs.pose_encoding import Outgoing, PosePublications
 from gateway.outputs.queues import PoseQueue, RetainedMessages
-from gateway.outputs.settings import MqttSettings
+from gateway.outputs.settings import LateSettings, MqttSettings
 
 logger = logging.getLogger(__name__)
 
@@ -76,6 +78,8 @@ _RETAINED_S = 0.5
 """Time for what a broker keeps to come after a subscription."""
 _POSES_A_TURN = 8
 """Of a burst; links are read in between."""
+_LATE_TOGETHER = 10
+"""Late poses whose acknowledgements are waited for at once."""
 
 
 class _NameTaken(OutputError):
@@ -84,7 +88,7 @@ class _NameTaken(OutputError):
 
 def _door(settings: MqttSettings) -> dict[str, object]:
     """Settings that decide whether a broker lets us in."""
-    names = {"host", "port", "username", "password_file", "tls", "protocol"}
+    names = {"host", "port", "failover", "username", "password_file", "tls", "protocol"}
     return {"broker": settings.broker, **settings.model_dump(include=names)}
 
 
@@ -136,7 +140,11 @@ class MqttOutput:
         self._thinning = Thinning(settings.pose_rate)
         self._relief = Thinning(None)
         self._queue = PoseQueue(settings.queue_length)
-        self._published = self._dropped = self._thinned = self._connections = 0
+        self._late: LatePoses | None = None
+        self._turns = BrokerTurns(settings, settings.port)
+        self._poses: ClusterConnection | None = None  # where there is a cluster
+        self._is_announced = asyncio.Event()
+        self._published = self._dropped = self._thinned = self._connections = self._kept_late = 0
         self._in_hand = 0  # 1 while a pose is on its way to the broker
         self._direct: DirectPublisher | None = None  # while poses may go out
         self._direct_in_turn = 0  # poses published at once since the event loop last had its turn
@@ -156,6 +164,7 @@ class MqttOutput:
             dropped=self._dropped + self._queue.dropped,
             thinned=self._thinned,
             queued=len(self._queue) + self._in_hand,
+            late=self._kept_late,
             connections=self._connections,
         )
 
@@ -181,6 +190,8 @@ class MqttOutput:
         """Take a frame for publishing. Never waits; where too many wait the oldest gives way."""
         if not (self._thinning.admits(frame.time_ns) and self._relief.admits(frame.time_ns)):
             self._thinned += 1
+        elif self._late is not None and not self.is_connected:
+            self._keep_late(frame, self._late)
         elif not self._published_at_once(frame):
             self._queue.put(frame)
             self._wake.set()
@@ -200,6 +211,7 @@ class MqttOutput:
         outgoing = self._encoded(frame)
         if outgoing is None:
             return True
+        self._hold(outgoing)
         try:
             is_taken = direct.publish(outgoing)
         except aiomqtt.MqttError:
@@ -212,6 +224,20 @@ class MqttOutput:
             self._in_hand = 1
             self._wake.set()
         return True
+
+    def _keep_late(self, frame: SkeletonFrame, late: LatePoses) -> None:
+        """Keep a pose to be sent later."""
+        for outgoing in self._encoded(frame) or ():
+            if outgoing.topic == self.topics.pose:
+                late.keep(outgoing.payload)
+                self._kept_late += 1
+
+    def _hold(self, outgoing: list[Outgoing]) -> None:
+        """Hold what is about to be published, for the case that the connection is dead already."""
+        if self._late is not None:
+            for each in outgoing:
+                if each.topic == self.topics.pose:
+                    self._late.published(each.payload)
 
     def publish_beside(self, topic: str, payload: bytes) -> bool:
         """Publish a message beside the poses, below the gateway's topics, if the broker's socket takes it at
@@ -302,13 +328,19 @@ class MqttOutput:
     async def start(self) -> None:
         """Begin to publish; returns before the broker is reached.
 
-        Raises ``EmbeddedBrokerError`` when the embedded broker is asked for and cannot start.
+        Raises ``EmbeddedBrokerError`` when the embedded broker is asked for and cannot start, ``OutputError``
+        when late poses cannot be kept.
         """
         if self._settings.broker == "embedded":
             if self._broker is None:
                 self._broker = _broker_of(self._settings)
                 await self._broker.start()
             self.port = self._broker.port
+        if self._settings.late is not None:
+            late = self._settings.late
+            path = late.folder / f"{self._info.gateway}.late.jsonl"
+            self._late = LatePoses(path, self.instance, late.most_mb)
+        self._turns = BrokerTurns(self._settings, self.port)
         self._started = time.monotonic()
         self._name_taken = asyncio.get_running_loop().create_future()
         self._task = asyncio.create_task(self._run(), name="mqtt output")
@@ -322,6 +354,9 @@ class MqttOutput:
                 await asyncio.wait({self._task}, timeout=_FAREWELL_S)
             await end_tasks(self._task)
             self._task = None
+        if self._late is not None:
+            self._late.close()
+            self._late = None
         if self._successor is not None:
             self._successor._broker, self._broker = self._broker, None
         await self._end_broker()
@@ -342,27 +377,111 @@ class MqttOutput:
 
     async def _run(self) -> None:
         """Connect and publish, for ever: nothing that goes wrong with a broker ends the output."""
+        if not self._settings.failover:
+            await self._run_main()
+            return
+        self._poses = ClusterConnection(
+            self._settings, self.port, self._info.gateway, on_answer=self.rights.answered
+        )
+        poses = asyncio.create_task(self._run_poses(self._poses), name="poses to the cluster")
+        try:
+            await self._run_main()
+        finally:
+            await asyncio.wait({poses}, timeout=_DRAIN_S if self._stopping.is_set() else 0)
+            await end_tasks(poses)
+
+    async def _run_poses(self, connection: ClusterConnection) -> None:
+        """Publish poses alone, over connections on which nothing has to wait for the cluster to agree."""
+        await self._is_announced.wait()  # or others would hear poses of a gateway that they do not know
+        confirmed = None if self._late is None else self._late.confirmed
+        await connection.run(
+            self._publish_poses_alone, confirmed, self._lost_poses_connection, self._stopping
+        )
+
+    async def _publish_poses_alone(self, client: aiomqtt.Client) -> None:
+        self._note_connection()
+        direct = DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
+        self._direct = direct
+        try:
+            while not self._stopping.is_set():
+                self._wake.clear()
+                await self._publish_queue(client, direct)
+                await self._wake.wait()
+            await self._publish_queue(client, direct)
+        finally:
+            self._direct = None
+            self._dropped += self._in_hand
+            self._in_hand = 0
+
+    def _lost_poses_connection(self, error: Exception) -> None:
+        self._report_outage(error)
+        self.is_connected = self._queue.has_broker = False
+        self._keep_unsent()
+
+    async def _run_main(self) -> None:
         back_off = broker_back_off()
         will = aiomqtt.Will(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
         while not self._stopping.is_set():
+            settings, is_all_away = self._turns.settings, True
             try:
                 async with broker_connection(
-                    self._settings, self.port, self._identifier, will, on_answer=self.rights.answered
+                    settings, settings.port, self._identifier, will, on_answer=self.rights.answered
                 ) as client:
                     back_off.reset()
+                    self._turns.succeeded()
                     self.rights.begin_again()
                     self._probe_due = 0.0
                     await self._watch_own_topics(client)
                     # A publication may go on waiting for a connection that is lost already.
-                    await first_to_end(self._listen(client), self._serve(client))
+                    await first_to_end(self._listen(client), self._serve(client), *self._watch(client))
             except _NameTaken as error:
                 assert self._name_taken is not None
                 self._name_taken.set_exception(error)
                 return
             except Exception as error:
-                self._report_outage(error)
-            self.is_connected = self._queue.has_broker = False
-            await nap(back_off.next_delay(), self._stopping)
+                if self._poses is None:
+                    self._report_outage(error)
+                else:
+                    logger.debug("%s: what is retained waits: %s", self._turns.settings.port, error)
+                is_all_away = self._turns.failed()
+            if self._poses is None:
+                self.is_connected = self._queue.has_broker = False
+                self._keep_unsent()
+            if is_all_away:
+                await nap(back_off.next_delay(), self._stopping)
+
+    def _watch(self, client: aiomqtt.Client) -> list[Coroutine[Any, Any, None]]:
+        """Return what goes on beside publishing where a silent broker is to be noticed soon."""
+        parts: list[Coroutine[Any, Any, None]] = []
+        if self._late is not None:
+            parts.append(self._send_late(client, self._late, self._settings.late))
+            if self._poses is None:
+                parts.append(keep_asking(client, self._settings.answer_within, self._late.confirmed))
+        return parts
+
+    def _keep_unsent(self) -> None:
+        """Have what waits, or may not have arrived, sent later, where that is asked for."""
+        if self._late is None or self._stopping.is_set():
+            return
+        self._late.connection_lost()
+        while self._queue:
+            self._keep_late(self._queue.take(), self._late)
+
+    async def _send_late(self, client: aiomqtt.Client, late: LatePoses, wanted: LateSettings | None) -> None:
+        """Publish what was kept, at its own rate beside the live poses, for as long as there is a broker."""
+        assert wanted is not None
+        while True:
+            poses = (
+                late.next(_LATE_TOGETHER, gateway_time_ns()) if self.is_connected and late.has_some else []
+            )
+            if poses or late.has_some:
+                publishing = (
+                    client.publish(self.topics.late_pose, pose, qos=1, properties=self._properties)
+                    for pose in poses
+                )
+                await asyncio.gather(*publishing)
+                late.done(len(poses))
+            await asyncio.sleep(_LATE_TOGETHER / wanted.rate)
 
     async def _watch_own_topics(self, client: aiomqtt.Client) -> None:
         """Subscribe to what tells of another gateway of our name.
@@ -387,7 +506,7 @@ class MqttOutput:
         if self.twin is not None:
             raise _NameTaken(
                 f"another gateway named '{self._info.gateway}' publishes at "
-                f"{self._settings.host}:{self.port} (instance {self.twin}): give one of them another name "
+                f"{self._where} (instance {self.twin}): give one of them another name "
                 "(gateway: …), or stop it"
             )
 
@@ -414,6 +533,9 @@ class MqttOutput:
 
     async def _serve(self, client: aiomqtt.Client) -> None:
         """Announce the gateway, then publish until stopped."""
+        if self._poses is not None:
+            await self._serve_beside_poses(client)
+            return
         await self._announce(client)
         direct = DirectPublisher(client, has_properties=self._settings.spoken_protocol == "5")
         try:
@@ -422,6 +544,23 @@ class MqttOutput:
         finally:
             self._dropped += self._in_hand
             self._in_hand = 0
+
+    async def _serve_beside_poses(self, client: aiomqtt.Client) -> None:
+        """Announce the gateway and tell how it fares, until stopped; poses have connections of their own."""
+        self._retained.begin_again()
+        await self._retained.publish(client)
+        self._is_announced.set()
+        await first_to_end(self._retained.publish_for_ever(client), self._tell_health(client))
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_DRAIN_S):
+                await self._retained.publish(client)
+        await client.publish(self.topics.bridge_state, _OFFLINE, qos=1, retain=True)
+
+    async def _tell_health(self, client: aiomqtt.Client) -> None:
+        """Until stopped."""
+        while not self._stopping.is_set():
+            await self._publish_health(client)
+            await nap(self._settings.health_interval, self._stopping)
 
     async def _publish_poses(self, client: aiomqtt.Client, direct: DirectPublisher) -> None:
         """And health, until stopped."""
@@ -437,14 +576,17 @@ class MqttOutput:
     async def _announce(self, client: aiomqtt.Client) -> None:
         self._retained.begin_again()
         await self._retained.publish(client)
+        self._note_connection()
+
+    def _note_connection(self) -> None:
+        """Note that poses can go out from now on."""
         # Poses from before the connection are of no use to anybody, but for the last one.
         self._queue.keep_newest()
         self._connections += 1
         self.is_connected = self._queue.has_broker = True
         self._complaints.clear()
         again = "connected" if self._connections == 1 else "connected again"
-        where = f"{self._settings.host}:{self.port}"
-        logger.info("%s to the MQTT broker at %s, publishing on %s", again, where, self.topics.root)
+        logger.info("%s to the MQTT broker at %s, publishing on %s", again, self._where, self.topics.root)
 
     async def _publish_waiting(self, client: aiomqtt.Client, direct: DirectPublisher) -> None:
         if time.monotonic() >= self._health_due:
@@ -454,6 +596,10 @@ class MqttOutput:
                 # A client that subscribes to the embedded broker just while the birth message is on its
                 # way has been seen to miss it.
                 await client.publish(self.topics.bridge_state, _ONLINE, qos=1, retain=True)
+        await self._publish_queue(client, direct)
+
+    async def _publish_queue(self, client: aiomqtt.Client, direct: DirectPublisher) -> None:
+        """Publish the poses that wait."""
         count = 0
         if self._in_hand:
             await self._published_in_the_end(direct.drained())
@@ -495,6 +641,7 @@ class MqttOutput:
         Only QoS 1 is answered: now and then a pose goes out so, and while topics are refused no other does.
         The answer is waited for unless the one before was good.
         """
+        self._hold(outgoing)
         is_probe = self.rights.are_told and time.monotonic() >= self._probe_due
         if not is_probe:
             direct.publish([each for each in outgoing if each.topic not in self.rights.refused])
@@ -528,12 +675,22 @@ class MqttOutput:
     def _report_outage(self, error: Exception) -> None:
         """One warning for a broker that is away, one more if it then refuses us."""
         if self.is_connected:
-            where = f"{self._settings.host}:{self.port}"
+            where = self._where
             reason = error.__cause__ or error  # aiomqtt's own says only that it was lost
             self._complain("away", f"lost the MQTT broker at {where} ({reason}): trying to get it back")
         else:
             kind = "refusing" if isinstance(error, MqttConnectError) else "away"
-            self._complain(kind, explain(error, self._settings, self.port))
+            self._complain(kind, explain(error, self._door, self._door.port))
+
+    @property
+    def _where(self) -> str:
+        """Address of the broker in use."""
+        return f"{self._door.host}:{self._door.port}"
+
+    @property
+    def _door(self) -> MqttSettings:
+        """Settings of the broker that poses go to."""
+        return self._turns.settings if self._poses is None else self._poses.settings
 
     def _complain(self, kind: str, complaint: str) -> None:
         """A warning, once a kind until the next connection."""

@@ -37,8 +37,10 @@ from gateway.outputs.connection import (
     broker_connection,
     end_tasks,
     explain,
+    first_to_end,
     unique_identifier,
 )
+from gateway.outputs.failover import BrokerTurns, keep_asking
 from gateway.outputs.settings import MqttSettings
 
 _log = logging.getLogger(__name__)
@@ -113,23 +115,32 @@ class RequestResponder:
         self._tasks = []
 
     async def _listen_for_ever(self, port: int) -> None:
-        back_off = broker_back_off()
+        back_off, turns = broker_back_off(), BrokerTurns(self._settings, port)
         while True:
+            settings, is_all_away = turns.settings, True
             try:
                 identifier = unique_identifier("requests")
                 async with broker_connection(
-                    self._settings, port, identifier, on_full=self._note_dropped
+                    settings, settings.port, identifier, on_full=self._note_dropped
                 ) as client:
                     await client.subscribe(self._topics.request("#"), qos=1)
                     self._client, self.is_connected = client, True
                     back_off.reset()
-                    async for message in client.messages:
-                        await self._take(message)
+                    turns.succeeded()
+                    watching = [keep_asking(client, settings.answer_within)] if settings.is_watched else []
+                    await first_to_end(self._take_all(client), *watching)
             except Exception as error:
                 # The output for poses says so too, as a warning.
-                _log.debug("requests: %s", explain(error, self._settings, port))
+                _log.debug("requests: %s", explain(error, settings, settings.port))
+                is_all_away = turns.failed()
             self._client, self.is_connected = None, False
-            await asyncio.sleep(back_off.next_delay())
+            if is_all_away:
+                await asyncio.sleep(back_off.next_delay())
+
+    async def _take_all(self, client: aiomqtt.Client) -> None:
+        """Until the connection ends; raises ``aiomqtt.MqttError`` when it was lost."""
+        async for message in client.messages:
+            await self._take(message)
 
     async def _take(self, message: aiomqtt.Message) -> None:
         verb = self._verb_of(message)

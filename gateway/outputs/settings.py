@@ -66,6 +66,27 @@ class TlsSettings(BaseModel):
         return self
 
 
+class LateSettings(BaseModel):
+    """Poses that no broker took, published later on topic ``pose/late``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    folder: Path = Field(description="Where they are kept meanwhile, in a file of the gateway's name.")
+    most_mb: float = Field(
+        default=500, gt=0, le=1e6, allow_inf_nan=False, description="Largest size of that file, MB."
+    )
+    rate: float = Field(
+        default=200,
+        ge=1,
+        le=5000,
+        allow_inf_nan=False,
+        description="Most late poses a second, Hz, beside the live ones.",
+    )
+
+
+BrokerAddress = Annotated[str, Field(pattern=r"^[^\s/:]+:[1-9]\d{0,4}$")]
+
+
 class MqttSettings(BaseModel):
     """Connection to the broker, topics and payload. The password is never part of it."""
 
@@ -82,6 +103,24 @@ class MqttSettings(BaseModel):
         ge=0,
         le=65535,
         description="TCP port of the broker. 0 with the embedded broker: any free port.",
+    )
+    failover: tuple[BrokerAddress, ...] = Field(
+        default=(),
+        description="Further addresses of the same cluster of brokers, HOST:PORT: tried in turn when the one "
+        "in use is away or silent, with the same user and TLS files.",
+    )
+    answer_within: float = Field(
+        default=1.0,
+        ge=0.2,
+        le=60,
+        allow_inf_nan=False,
+        description="With failover or late: a broker that leaves a question unanswered for so long is given "
+        "up, s.",
+    )
+    late: LateSettings | None = Field(
+        default=None,
+        description="Keeps poses while no broker takes them, and publishes them later on topic pose/late. "
+        "None: they are dropped and counted.",
     )
     websocket_port: int | None = Field(
         default=None,
@@ -216,7 +255,11 @@ class MqttSettings(BaseModel):
 
     @model_validator(mode="after")
     def _combination_makes_sense(self) -> Self:
+        if self.late is not None and PoseFormat.JSON not in self.pose_formats:
+            raise ValueError("late poses are JSON: pose_formats must hold json (found: msgpack alone)")
         if self.broker == "embedded":
+            if self.failover:
+                raise ValueError("failover is for a cluster of brokers: it needs broker: external")
             if self.host not in LOOPBACK_HOSTS:
                 raise ValueError(
                     f"the embedded broker serves this machine only: host '{self.host}' needs "
@@ -241,6 +284,16 @@ class MqttSettings(BaseModel):
         ``CredentialError``."""
         text = read_secret(self.websocket_token_file, WEBSOCKET_TOKEN_VARIABLE, "websocket_token_file")
         return None if text is None else AccessToken(text)
+
+    def at(self, address: str) -> MqttSettings:
+        """Return the same at another address, HOST:PORT."""
+        host, _, port = address.rpartition(":")
+        return self.model_copy(update={"host": host, "port": int(port)})
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether the broker is asked for answers, so that a silent one is noticed soon."""
+        return bool(self.failover) or self.late is not None
 
     @property
     def spoken_protocol(self) -> Literal["3.1.1", "5"]:

@@ -37,8 +37,10 @@ from gateway.outputs.connection import (
     broker_connection,
     end_tasks,
     explain,
+    first_to_end,
     unique_identifier,
 )
+from gateway.outputs.failover import ClusterConnection, follow_kept
 from gateway.outputs.settings import MqttSettings
 
 logger = logging.getLogger(__name__)
@@ -95,6 +97,10 @@ class PoseSubscriber:
         self._with_markers = with_markers
         self._settings = settings
         self._topics = Topics(settings.base_topic, gateway)
+        self._kept = (self._topics.bridge_state, self._topics.bridge_info, self._topics.body)
+        self._passing = [self._topics.bridge_health, self._topics.pose]
+        if with_markers:
+            self._passing.append(self._topics.markers)
         self._backlog: deque[ReceivedPose] = deque()
         self._arrival = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
@@ -130,6 +136,9 @@ class PoseSubscriber:
             self._task = None
 
     async def _receive_for_ever(self, subscribed: asyncio.Future[None]) -> None:
+        if self._settings.failover:
+            await self._receive_from_cluster(subscribed)
+            return
         back_off = broker_back_off()
         port = self._settings.port
         while True:
@@ -152,12 +161,35 @@ class PoseSubscriber:
             self.is_connected = False
             await asyncio.sleep(back_off.next_delay())
 
+    async def _receive_from_cluster(self, subscribed: asyncio.Future[None]) -> None:
+        connection = ClusterConnection(self._settings, self._settings.port, "subscriber")
+        refused = 0
+
+        async def use(client: aiomqtt.Client) -> None:
+            await client.subscribe([(topic, 0) for topic in self._passing])
+            self.is_connected = True
+            if not subscribed.done():
+                subscribed.set_result(None)
+            await self._receive(client)
+
+        def lost(error: Exception) -> None:
+            nonlocal refused
+            refused += 1
+            settings = connection.settings
+            reason = explain(error, settings, settings.port)
+            if not subscribed.done() and refused > len(self._settings.failover):
+                subscribed.set_exception(BrokerUnreachableError(reason))
+            elif self.is_connected:
+                logger.warning("%s; going on with another node", reason)
+            self.is_connected = False
+
+        await first_to_end(
+            connection.run(use, None, lost, asyncio.Event()),
+            follow_kept(self._settings, "subscriber", self._kept, self._read),
+        )
+
     async def _subscribe(self, client: aiomqtt.Client) -> None:
-        kept = (self._topics.bridge_state, self._topics.bridge_info, self._topics.body)
-        passing = [self._topics.bridge_health, self._topics.pose]
-        if self._with_markers:
-            passing.append(self._topics.markers)
-        await client.subscribe([(topic, 1) for topic in kept] + [(topic, 0) for topic in passing])
+        await client.subscribe([(topic, 1) for topic in self._kept] + [(topic, 0) for topic in self._passing])
         self.is_connected = True
 
     async def _receive(self, client: aiomqtt.Client) -> None:

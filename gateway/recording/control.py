@@ -26,6 +26,8 @@ STATISTICS_INTERVAL_S = 5.0
 WATCH_INTERVAL_S = 0.5
 """How soon a restart of a module becomes an event."""
 _LONGEST_CLOSE_S = 10.0
+_CUT_OFF_S = 2.0
+"""Without a broker, before that is worth a recording: longer than another node of a cluster takes."""
 _LONGEST_MARK = 200
 _MB = 1e6
 
@@ -116,6 +118,23 @@ class RecordingControl:
         closed = await asyncio.to_thread(recorder.join, _LONGEST_CLOSE_S)
         if not closed:
             log.error("the disk did not take the end of the recording within %g s", _LONGEST_CLOSE_S)
+
+    async def record_while(self, is_cut_off: Callable[[], bool]) -> None:
+        """Record, for ever, for as long as nobody takes poses; what was begun otherwise is left alone."""
+        is_ours, since = False, time.monotonic()
+        while True:
+            await asyncio.sleep(WATCH_INTERVAL_S)
+            if not is_cut_off():
+                since = time.monotonic()
+                if is_ours and self.is_recording:
+                    await self.stop()
+                is_ours = False
+            elif not is_ours and not self.is_recording and time.monotonic() - since > _CUT_OFF_S:
+                is_ours = True
+                try:
+                    self.start("cut_off")
+                except RecordingError as error:
+                    log.error("no broker takes poses, and they cannot be recorded: %s", error)
 
     # What the service hands over, at once and in order.
 

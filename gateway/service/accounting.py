@@ -7,7 +7,7 @@
     instants of the grid                 =  frames + instants left out in silence
     frames assembled                     =  poses reconstructed + left out in overload
                                             + instants of cameras before the first smoothed pose
-    poses offered to an output           =  published + dropped + thinned + queued
+    poses offered to an output           =  published + dropped + thinned + queued + kept to be sent later
     chunks handed to the recorder        =  written + lost + waiting for the disk
 
 Every part of the pipeline gives its share, and all of it belongs to one event loop: between two chunks
@@ -36,7 +36,9 @@ def balances_of(
     """All balances of a pipeline, its outputs and links (by name) and the recording, if there is one."""
     balances = pipeline.balances()
     for name, counters in (outputs or {}).items():
-        parts = {part: getattr(counters, part) for part in ("published", "dropped", "thinned", "queued")}
+        parts = {
+            part: getattr(counters, part) for part in ("published", "dropped", "thinned", "queued", "late")
+        }
         balances.append(Balance(f"output_{name}", pipeline.skeleton_frames, parts))
     for name, counts in (links or {}).items():
         parts = {"handed": counts.handed, "behind": counts.behind, "waiting": counts.waiting}

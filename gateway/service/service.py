@@ -258,6 +258,11 @@ class Service:
                 asyncio.create_task(kept_running("giving memory back", give_back), name="memory"),
                 asyncio.create_task(kept_running("the talk with modules", self._makers.talk), name="talk"),
             ]
+            if self.settings.recording.when_cut_off:
+                watch = functools.partial(self.recording.record_while, lambda: not self.mqtt.is_connected)
+                companions.append(
+                    asyncio.create_task(kept_running("the recorder's watch", watch), name="cut off")
+                )
             companions += [
                 asyncio.create_task(kept_running(f"the {asker.name}", asker.run), name=asker.name)
                 for asker in self._askers

@@ -19,6 +19,7 @@ from devices.link import Chunk, Framing
 from devices.recording_file import RecordingError, RecordingFile
 from devices.recording_writer import RecordingWriter, session_record
 from gateway.body.rig import load_rig
+from gateway.recording import control as control_module
 from gateway.recording import open_recording, recorder
 from gateway.recording.control import RecordingControl
 from gateway.recording.files import Contents, SessionFiles
@@ -306,3 +307,30 @@ async def test_what_comes_after_an_orderly_end_is_not_lost(tmp_path):
     control.event("link", {})
     assert control.balance == (1, 1, 0, 0)
     assert control.status()["lost"] == {}
+
+
+async def test_it_records_for_as_long_as_nobody_takes_poses(tmp_path, monkeypatch):
+    monkeypatch.setattr(control_module, "WATCH_INTERVAL_S", 0.02)
+    monkeypatch.setattr(control_module, "_CUT_OFF_S", 0.1)
+    settings = GatewaySettings(
+        links=[LinkSettings(name="suit", url="/dev/null")], rig="arm_3", recording=settings_in(tmp_path)
+    )
+    control = RecordingControl(settings, load_rig("arm_3"), {"suit": Framing.BYTE_STREAM}, dict, dict)
+    is_cut_off = False
+    watching = asyncio.create_task(control.record_while(lambda: is_cut_off))
+    await asyncio.sleep(0.2)
+    assert not control.is_recording
+    is_cut_off = True
+    async with asyncio.timeout(30):
+        while not control.is_recording:
+            await asyncio.sleep(0.01)
+        is_cut_off = False
+        while control.is_recording:
+            await asyncio.sleep(0.01)
+    (file,) = tmp_path.glob("*.mcap")
+    assert "cut_off" in file.name
+    control.start("mine")
+    await asyncio.sleep(0.2)
+    assert control.is_recording, "what was begun by somebody goes on"
+    watching.cancel()
+    await control.stop()

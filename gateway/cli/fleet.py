@@ -1,0 +1,480 @@
+"""``mocap-gateway fleet``: many gateways at once."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import tempfile
+import time
+from collections.abc import AsyncIterator
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.live import Live
+from rich.table import Table
+
+from gateway.cli.options import BrokerChoice, with_broker
+from gateway.cli.terminal import wide_console
+from gateway.errors import GatewayError
+from gateway.outputs.settings import MqttSettings
+from gateway.support.credentials import token_for
+from gateway.viewer.printable import printable
+
+if TYPE_CHECKING:
+    from gateway.fleet.collecting import Collector
+    from gateway.fleet.overview import Fleet, Row
+
+fleet_app = typer.Typer(
+    help="Many gateways: brokers to try, an overview of all, an archive of what they sent.",
+    no_args_is_help=True,
+    add_completion=False,
+)
+
+LOOPBACK = "127.0.0.1"
+TOKEN_VARIABLE = "MOCAP_PAGE_TOKEN"
+_REFRESH_S = 0.5
+
+Failover = Annotated[
+    list[str] | None, typer.Option(metavar="HOST:PORT", help="A further node of the cluster; repeatable.")
+]
+Wearers = Annotated[
+    Path | None, typer.Option(help="YAML file that names the wearer of each gateway: {gw001: anna, …}.")
+]
+PagePort = Annotated[int | None, typer.Option(min=1, max=65535, help="Serve the overview as a page, too.")]
+PageHost = Annotated[
+    str, typer.Option(help="Address that the page listens on; elsewhere than here it needs a token.")
+]
+TokenFile = Annotated[
+    Path | None, typer.Option(help="File with the token that opens the page; else MOCAP_PAGE_TOKEN is taken.")
+]
+
+
+@fleet_app.command("list", epilog="Example: mocap-gateway fleet list --host broker1 --failover broker2:1883")
+@with_broker
+def list_gateways(
+    broker: BrokerChoice,
+    failover: Failover = None,
+    wearers: Wearers = None,
+    seconds: Annotated[
+        float, typer.Option(min=1, max=600, help="How long rates and losses are measured.")
+    ] = 5,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for a script.")] = False,
+) -> None:
+    """Show every gateway once: wearer, state, rate, loss, delay, disk, versions. Ends with 1 on an alert."""
+    rows = asyncio.run(_measured(_at_cluster(broker, failover), read_wearers(wearers), seconds))
+    if as_json:
+        from gateway.fleet.overview import as_plain
+
+        typer.echo(json.dumps(as_plain(rows)))
+    else:
+        wide_console().print(table_of(rows))
+    if not rows:
+        raise GatewayError("no gateway was heard: do they publish at this broker, below this base topic?")
+    if any(row.alerts for row in rows):
+        raise typer.Exit(1)
+
+
+@fleet_app.command(epilog="Example: mocap-gateway fleet watch --host broker1 --page-port 8090")
+@with_broker
+def watch(
+    broker: BrokerChoice,
+    failover: Failover = None,
+    wearers: Wearers = None,
+    page_port: PagePort = None,
+    page_host: PageHost = LOOPBACK,
+    token_file: TokenFile = None,
+) -> None:
+    """Show every gateway, renewed twice a second, in the terminal and on a page with links to the bodies."""
+    settings, names = _at_cluster(broker, failover), read_wearers(wearers)
+    _end_on_sigterm()
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(_watch(settings, names, page_port, page_host, token_file))
+
+
+@fleet_app.command(epilog="Example: mocap-gateway fleet demo --gateways 20 --seconds 60")
+def demo(
+    gateways: Annotated[int, typer.Option(min=1, max=200, help="Light gateways.")] = 20,
+    rate: Annotated[float, typer.Option(min=1, max=100, help="Poses a second of each.")] = 20,
+    recording: Annotated[
+        Path | None, typer.Option(help="A recording whose poses they publish; else a simulated person's.")
+    ] = None,
+    page_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the overview's page.")] = 8090,
+    seconds: Annotated[
+        float | None, typer.Option(min=1, help="End after so long; else it runs until Ctrl-C.")
+    ] = None,
+) -> None:
+    """Start three brokers, light gateways and the overview on this machine. Needs the extra `fleet`."""
+    _end_on_sigterm()
+    with contextlib.suppress(KeyboardInterrupt):
+        _demonstrate(gateways, rate, recording, page_port, seconds)
+
+
+@fleet_app.command(epilog="Example: mocap-gateway fleet users gw001 gw002 -o docker/fleet")
+def users(
+    gateways: Annotated[list[str], typer.Argument(help="Names of the gateways.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the brokers' configuration.")],
+    site: Annotated[
+        list[str] | None, typer.Option(help="A site with a node of its own, which gets a user; repeatable.")
+    ] = None,
+    base_topic: Annotated[str, typer.Option(help="First part of the topics.")] = "mocap",
+) -> None:
+    """Write the users of a NATS cluster: each gateway may publish its own topics and nobody else's.
+
+    users.conf is for the brokers, passwords/NAME for the gateway of that name (mqtt.password_file). User
+    overview is for `fleet watch`. Users that have a password keep it.
+    """
+    from gateway.fleet.cluster import write_users
+
+    names = write_users(output, gateways, base_topic, site or ())
+    typer.echo(f"{output / 'users.conf'}: {len(names)} users, passwords in {output / 'passwords'}")
+
+
+def _end_on_sigterm() -> None:
+    """Have SIGTERM end the command as Ctrl-C does: with all processes that it has started."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+def _demonstrate(
+    gateways: int, rate: float, recording: Path | None, page_port: int, seconds: float | None
+) -> None:
+    from gateway.fleet.demonstration import DemoFleet, Wanted
+
+    recording = None if recording is None else recording.resolve(strict=True)
+    with (
+        tempfile.TemporaryDirectory(prefix="mocap_fleet_") as folder,
+        DemoFleet(Path(folder), Wanted(gateways, rate, recording)) as fleet,
+    ):
+        typer.echo(f"three brokers at {', '.join(fleet.cluster.addresses())}; {gateways} light gateways")
+        wearers = {name: f"wearer {number}" for number, name in enumerate(fleet.names, 1)}
+        watching = _watch(fleet.settings(), wearers, page_port, LOOPBACK, None)
+        try:
+            asyncio.run(_for_a_while(watching, seconds))
+        finally:
+            trouble = fleet.trouble()
+        if trouble is not None:
+            raise GatewayError(f"light gateways ended by themselves: {trouble}")
+
+
+async def _for_a_while(watching: object, seconds: float | None) -> None:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            await watching  # type: ignore[misc]
+
+
+def _at_cluster(broker: BrokerChoice, failover: list[str] | None) -> MqttSettings:
+    settings = broker.settings()
+    if not failover:
+        return settings
+    from pydantic import ValidationError
+
+    try:
+        return MqttSettings.model_validate(settings.model_dump() | {"failover": tuple(failover)})
+    except ValidationError:
+        raise GatewayError(
+            f"--failover {' '.join(failover)}: HOST:PORT is wanted, such as broker2:1883"
+        ) from None
+
+
+def read_wearers(path: Path | None) -> dict[str, str]:
+    """Return the wearer of each gateway by a YAML file. Raises ``GatewayError`` for one that is none."""
+    if path is None:
+        return {}
+    import yaml
+
+    try:
+        told = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise GatewayError(f"{path} is no YAML: {str(error).splitlines()[0]}") from None
+    if not isinstance(told, dict) or not all(isinstance(text, str) for pair in told.items() for text in pair):
+        raise GatewayError(f"{path}: a wearer's name by gateway is wanted, such as gw001: anna")
+    return told
+
+
+@contextlib.asynccontextmanager
+async def _listening(settings: MqttSettings, wearers: dict[str, str]) -> AsyncIterator[Fleet]:
+    from gateway.fleet.overview import Fleet, listen, take_into
+
+    fleet, ready = Fleet(settings.base_topic, wearers), asyncio.Event()
+    listening = asyncio.ensure_future(listen(settings, take_into(fleet), ready))
+    waiting = asyncio.ensure_future(ready.wait())
+    try:
+        await asyncio.wait({listening, waiting}, return_when=asyncio.FIRST_COMPLETED)
+        if listening.done():
+            listening.result()
+        yield fleet
+    finally:
+        for task in (listening, waiting):
+            task.cancel()
+        await asyncio.gather(listening, waiting, return_exceptions=True)
+
+
+async def _measured(settings: MqttSettings, wearers: dict[str, str], seconds: float) -> list[Row]:
+    async with _listening(settings, wearers) as fleet:
+        await asyncio.sleep(seconds)
+        return fleet.rows(time.monotonic())
+
+
+async def _watch(
+    settings: MqttSettings,
+    wearers: dict[str, str],
+    page_port: int | None,
+    page_host: str,
+    token_file: Path | None,
+) -> None:
+    console = wide_console()
+    async with contextlib.AsyncExitStack() as stack:
+        fleet = await stack.enter_async_context(_listening(settings, wearers))
+        if page_port is not None:
+            await stack.enter_async_context(_page(settings, fleet, page_host, page_port, token_file))
+        if not console.is_terminal:
+            await _lines(fleet)
+        live = stack.enter_context(Live(console=console, auto_refresh=False))
+        while True:
+            live.update(table_of(fleet.rows(time.monotonic())), refresh=True)
+            await asyncio.sleep(_REFRESH_S)
+
+
+async def _lines(fleet: Fleet) -> None:
+    """Print a line now and then, where nobody looks at a table."""
+    while True:
+        await asyncio.sleep(5)
+        rows = fleet.rows(time.monotonic())
+        online = sum(row.state == "online" for row in rows)
+        rate = sum(row.rate_hz for row in rows)
+        alerts = [f"{row.gateway}: {'; '.join(row.alerts)}" for row in rows if row.alerts]
+        typer.echo(
+            f"{len(rows)} gateways, {online} online, {rate:.0f} poses/s, "
+            f"{sum(row.lost for row in rows)} lost, {len(alerts)} with alerts"
+        )
+        for alert in alerts[:10]:
+            typer.echo(f"  {printable(alert)}")
+
+
+@contextlib.asynccontextmanager
+async def _page(
+    settings: MqttSettings, fleet: Fleet, host: str, port: int, token_file: Path | None
+) -> AsyncIterator[None]:
+    from gateway.fleet.overview import as_plain
+    from gateway.fleet.page import Bodies, OverviewServer
+    from gateway.viewer.gate import Door, Gate
+
+    token = token_for("the page", host, token_file, TOKEN_VARIABLE, "--token-file")
+    server = OverviewServer(lambda: as_plain(fleet.rows(time.monotonic())), Bodies(settings))
+    async with server, Gate(host, port, server.port, Door(token)):
+        typer.echo(f"overview: http://{host}:{port}{'/?token=…' if token is not None else ''}")
+        yield
+
+
+def table_of(rows: list[Row]) -> Table:
+    """The overview for the terminal."""
+    bad = sum(bool(row.alerts) for row in rows)
+    online = sum(row.state == "online" for row in rows)
+    table = Table(title=f"{len(rows)} gateways, {online} online, {bad} with alerts", title_justify="left")
+    for name in ("gateway", "wearer", "state"):
+        table.add_column(name)
+    for name in ("poses/s", "loss", "delay ms", "lost", "late", "free GB"):
+        table.add_column(name, justify="right")
+    for name in ("version", "firmware", "alerts"):
+        table.add_column(name)
+    for row in rows:
+        table.add_row(
+            printable(row.gateway),
+            printable(row.wearer or "–"),
+            row.state,
+            f"{row.rate_hz:.1f}",
+            f"{row.loss:.1%}",
+            "–" if row.delay_ms is None else f"{row.delay_ms:.0f}",
+            str(row.lost),
+            str(row.late),
+            "–" if row.free_gb is None else f"{row.free_gb:.0f}",
+            printable(row.version or "–"),
+            printable(", ".join(row.firmware) or "–"),
+            printable("; ".join(row.alerts)),
+            style="bold red" if row.alerts else "",
+        )
+    return table
+
+
+archive_app = typer.Typer(
+    help="What a fleet has measured, as Parquet files by site, day and wearer.",
+    no_args_is_help=True,
+    add_completion=False,
+)
+fleet_app.add_typer(archive_app, name="archive")
+
+ArchiveFolder = Annotated[Path, typer.Option("--archive", help="Folder of the archive.")]
+Site = Annotated[str, typer.Option(help="Name of the place.")]
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive collect --archive clinic --site ward2 --wearers w.yaml"
+)
+@with_broker
+def collect(
+    broker: BrokerChoice,
+    archive: ArchiveFolder,
+    site: Site,
+    failover: Failover = None,
+    wearers: Wearers = None,
+    seconds: Annotated[float | None, typer.Option(min=1, help="End after so long; else on Ctrl-C.")] = None,
+    flush: Annotated[float, typer.Option(min=1, max=3600, help="Write what waits so often, s.")] = 60,
+) -> None:
+    """Keep the poses that all gateways publish, live and late ones, none twice."""
+    from gateway.fleet.archive import Archive
+    from gateway.fleet.collecting import Collector
+
+    settings = _at_cluster(broker, failover)
+    kept = Archive(archive, is_new=True)
+    collector = Collector(kept, site, settings.base_topic, read_wearers(wearers))
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(_for_a_while(_collect(settings, collector, flush), seconds))
+    collector.flush()
+    files = kept.renew_catalogue()
+    typer.echo(
+        f"{collector.rows} poses kept, {collector.repeated} were there already, "
+        f"{collector.undecodable} not readable; {files} files"
+    )
+
+
+async def _collect(settings: MqttSettings, collector: Collector, flush_s: float) -> None:
+    from gateway.fleet.overview import listen
+
+    async def write() -> None:
+        while True:
+            await asyncio.sleep(flush_s)
+            collector.flush()
+
+    writing = asyncio.ensure_future(write())
+    try:
+        await listen(settings, collector.take, asyncio.Event(), with_late=True)
+    finally:
+        writing.cancel()
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive add walk.mcap --archive clinic --site ward2 --wearer anna"
+)
+def add(
+    recordings: Annotated[list[Path], typer.Argument(help="Finished recordings.")],
+    archive: ArchiveFolder,
+    site: Site,
+    wearer: Annotated[str, typer.Option(help="Name of who wore the suit; a pseudonym is kept of it.")],
+) -> None:
+    """Take in finished recordings: their bytes, and the poses that they hold."""
+    from gateway.fleet.archive import Archive
+    from gateway.recording import open_recording
+
+    kept = Archive(archive, is_new=True)
+    for path in recordings:
+        _, rows = kept.add(open_recording(path), path, site, wearer)
+        typer.echo(f"{path}: {f'{rows} poses' if rows else 'no new poses'}, wearer {kept.pseudonym(wearer)}")
+    kept.renew_catalogue()
+
+
+@archive_app.command("list", epilog="Example: mocap-gateway fleet archive list --archive clinic")
+def list_archive(archive: ArchiveFolder) -> None:
+    """Show the catalogue, by method, site, day and wearer."""
+    _ask(
+        archive,
+        "SELECT method, site, day, wearer, count(*) AS files, sum(rows)::BIGINT AS rows, "
+        "round(sum(bytes) / 1e6, 2) AS mb FROM catalogue GROUP BY ALL ORDER BY ALL",
+    )
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive query --archive clinic "
+    "\"SELECT wearer, max(right_knee_flexion_deg) FROM poses WHERE dayname(day) = 'Tuesday' GROUP BY wearer\""
+)
+def query(
+    sql: Annotated[str, typer.Argument(help="SQL of DuckDB; the tables are poses and catalogue.")],
+    archive: ArchiveFolder,
+) -> None:
+    """Ask the archive in SQL, and print the answer as CSV."""
+    _ask(archive, sql)
+
+
+def _ask(folder: Path, sql: str) -> None:
+    from gateway.fleet.archive import Archive
+
+    names, rows = Archive(folder).query(sql)
+    if names:
+        typer.echo(",".join(names))
+    for row in rows:
+        typer.echo(",".join("" if value is None else printable(str(value)) for value in row))
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive solve --archive clinic --method independent --workers 2"
+)
+def solve(
+    archive: ArchiveFolder,
+    method: Annotated[str, typer.Option(help="Method that makes the poses anew.")],
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 1,
+    dask: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler, instead of processes here.")
+    ] = None,
+) -> None:
+    """Solve all recordings again with another method, beside what is there. Begun anew, it goes on."""
+    from gateway.cli.terminal import progress_bar
+    from gateway.fleet.archive import Archive
+    from gateway.fleet.solving import Solved, jobs_of, run
+    from gateway.settings import check_method
+
+    check_method(method)
+    kept = Archive(archive)
+    jobs, outcomes = jobs_of(kept, method), list[Solved]()
+    with progress_bar("solving") as tell:
+
+        def done(outcome: Solved) -> None:
+            outcomes.append(outcome)
+            tell(len(outcomes), len(jobs))
+
+        run(jobs, done, workers, dask)
+    kept.renew_catalogue()
+    failed = [outcome for outcome in outcomes if outcome.error is not None]
+    typer.echo(
+        f"{sum(outcome.rows > 0 for outcome in outcomes)} recordings solved, "
+        f"{sum(outcome.was_there for outcome in outcomes)} were there, {len(failed)} failed"
+    )
+    for outcome in failed:
+        typer.echo(f"{outcome.recording}: {outcome.error}", err=True)
+    if failed:
+        raise typer.Exit(1)
+
+
+@archive_app.command(epilog="Example: mocap-gateway fleet archive forget anna --archive clinic --yes")
+def forget(
+    wearer: Annotated[str, typer.Argument(help="Name of the wearer.")],
+    archive: ArchiveFolder,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+) -> None:
+    """Delete all that is kept of one wearer, and look whether a file still names them. Ends with 1 if so."""
+    from gateway.fleet.archive import Archive
+
+    kept = Archive(archive)
+    if not yes:
+        typer.confirm(f"Delete all that {archive} keeps of {wearer} ({kept.pseudonym(wearer)})?", abort=True)
+    files, left = kept.forget(wearer)
+    typer.echo(f"{files} files deleted; {left} files still hold the name or the pseudonym")
+    for path in kept.traces(wearer) if left else ():
+        typer.echo(f"  {path}", err=True)
+    if left:
+        raise typer.Exit(1)
+
+
+@archive_app.command(
+    epilog="Example: mocap-gateway fleet archive expire --archive clinic --before 2026-01-01"
+)
+def expire(
+    archive: ArchiveFolder,
+    before: Annotated[datetime, typer.Option(formats=["%Y-%m-%d"], help="First day that is kept.")],
+) -> None:
+    """Delete all of the days before one: retention, to be called once a day."""
+    from gateway.fleet.archive import Archive
+
+    files = Archive(archive).expire(before.strftime("%Y-%m-%d"))
+    typer.echo(f"{files} files deleted")

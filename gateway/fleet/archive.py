@@ -1,0 +1,316 @@
+"""What a fleet has measured, as Parquet files by method, site, day and wearer, for DuckDB and anything else.
+
+::
+
+    .key                                                   what pseudonyms are made with; for its owner alone
+    recordings/site=…/day=…/wearer=…/<digest>.mcap         raw bytes: what can be solved again
+    poses/method=…/site=…/day=…/wearer=…/<name>.parquet    a row a pose; the file tells where it came from
+    catalogue.parquet                                      a row a file, made of all these
+
+A wearer is a pseudonym everywhere: a keyed digest of the name, which is stored nowhere. The files are the
+truth: the catalogue is made of them anew after every change.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import itertools
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import gateway
+from devices.extras import how_to_add
+from gateway.body.joint_angles import joint_angles
+from gateway.errors import GatewayError
+from gateway.recording import Recording
+from gateway.recording.arrays import SkeletonArrays, arrays_of
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+PROVENANCE = b"mocap"
+"""Key of what a file tells of itself: a JSON object."""
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_DIGITS = 16
+_ROWS = 1000
+"""Of an answer, fetched at a time."""
+
+
+class ArchiveError(GatewayError):
+    """An archive that cannot be used as asked."""
+
+
+@dataclass(frozen=True)
+class Partition:
+    """Which folder rows belong to."""
+
+    method: str
+    site: str
+    day: str
+    """YYYY-MM-DD, UTC."""
+    wearer: str
+    """Pseudonym."""
+
+    @property
+    def folder(self) -> Path:
+        """Below ``poses``."""
+        return Path(f"method={self.method}", *_folders(self.site, self.day, self.wearer))
+
+
+def _folders(site: str, day: str, wearer: str) -> tuple[str, str, str]:
+    return f"site={site}", f"day={day}", f"wearer={wearer}"
+
+
+def day_of(utc_ns: int) -> str:
+    """The day of an instant, UTC."""
+    return datetime.fromtimestamp(utc_ns * 1e-9, UTC).strftime("%Y-%m-%d")
+
+
+def checked_name(what: str, name: str) -> str:
+    """Return a name that can stand in a path. Raises ``ArchiveError``."""
+    if not _NAME.fullmatch(name) or name.startswith("."):
+        raise ArchiveError(f"{what} '{name}': letters, digits, _ . and - are possible, 64 at most")
+    return name
+
+
+def parquet() -> Any:
+    """The Parquet library. Raises ``ArchiveError`` with the command that installs it."""
+    try:
+        import pyarrow.parquet  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise ArchiveError(f"an archive needs the extra 'fleet': {how_to_add('fleet')}") from None
+    return pyarrow.parquet
+
+
+class Archive:
+    """An archive in a folder."""
+
+    def __init__(self, folder: Path, *, is_new: bool = False) -> None:
+        """is_new: make it where there is none. Raises ``ArchiveError``."""
+        parquet()
+        self.folder = folder
+        self.poses = folder / "poses"
+        self.recordings = folder / "recordings"
+        self._key_file = folder / ".key"
+        if not self._key_file.exists():
+            if not is_new:
+                raise ArchiveError(f"{folder} is no archive: make one with `fleet archive add` or `collect`")
+            folder.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(descriptor, "w") as file:
+                file.write(secrets.token_hex(32))
+            self.renew_catalogue()
+        self._key = bytes.fromhex(self._key_file.read_text().strip())
+
+    def pseudonym(self, wearer: str) -> str:
+        """Return the id of a wearer: always the same in this archive, and in no other."""
+        return hmac.new(self._key, wearer.encode(), hashlib.sha256).hexdigest()[:_DIGITS]
+
+    def part(self, partition: Partition, name: str) -> Path:
+        """Where a file of rows lies, or would."""
+        return self.poses / partition.folder / f"{name}.parquet"
+
+    def write(self, path: Path, columns: Mapping[str, Any], provenance: Mapping[str, object]) -> None:
+        """Write a file of rows: it is there whole, or not at all. The same rows give the same bytes."""
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+
+        told = json.dumps({**provenance, "software": gateway.__version__}, sort_keys=True)
+        table = pa.table(dict(columns)).replace_schema_metadata({PROVENANCE: told.encode()})
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            parquet().write_table(table, partial, compression="zstd")
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+    def add(self, recording: Recording, source: Path, site: str, wearer: str) -> tuple[Path, int]:
+        """Take in a finished recording: its bytes, and the poses that it holds, if any.
+
+        Returns the kept file and how many rows were written; one that is there already is left as it is.
+        Raises ``ArchiveError``.
+        """
+        site, who = checked_name("site", site), self.pseudonym(wearer)
+        digest = digest_of(source)
+        day = day_of(recording.meta.begun_utc_ns)
+        kept = self.recordings.joinpath(*_folders(site, day, who)) / f"{digest[:_DIGITS]}.mcap"
+        if not kept.exists():
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            partial = kept.with_name(f".{kept.name}.{os.getpid()}")
+            shutil.copyfile(source, partial)
+            partial.replace(kept)
+        method = recording.meta.settings.reconstructor
+        part = self.part(Partition(method, site, day, who), digest[:_DIGITS])
+        if part.exists():
+            return kept, 0
+        arrays = arrays_of(recording.skeleton_frames(), recording.meta.skeleton)
+        if arrays is None:
+            return kept, 0
+        self.write(part, columns_of(arrays, recording), {"recording": digest, "solved": "as recorded"})
+        return kept, len(arrays.time_ns)
+
+    def entries(self) -> Iterator[dict[str, object]]:
+        """Yield what every file of rows says of itself."""
+        pq = parquet()
+        for path in sorted(self.poses.rglob("*.parquet")):
+            if path.name.startswith("."):
+                continue
+            told = pq.read_metadata(path)
+            provenance = json.loads((told.metadata or {}).get(PROVENANCE, b"{}"))
+            folders = path.relative_to(self.poses).parts[:-1]
+            yield {
+                "file": str(path.relative_to(self.folder)),
+                **dict(folder.split("=", 1) for folder in folders),
+                "rows": told.num_rows,
+                "bytes": path.stat().st_size,
+                "recording": str(provenance.get("recording", "")),
+                "solved": str(provenance.get("solved", "")),
+                "software": str(provenance.get("software", "")),
+            }
+
+    def renew_catalogue(self) -> int:
+        """Write ``catalogue.parquet`` anew. Returns how many files there are."""
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+
+        entries = list(self.entries())
+        target = self.folder / "catalogue.parquet"
+        partial = target.with_name(f".{target.name}.{os.getpid()}")
+        names = (
+            "file",
+            "method",
+            "site",
+            "day",
+            "wearer",
+            "rows",
+            "bytes",
+            "recording",
+            "solved",
+            "software",
+        )
+        types = [pa.int64() if name in ("rows", "bytes") else pa.string() for name in names]
+        schema = pa.schema(list(zip(names, types, strict=True)))
+        parquet().write_table(pa.Table.from_pylist(entries, schema), partial)
+        partial.replace(target)
+        return len(entries)
+
+    def forget(self, wearer: str) -> tuple[int, int]:
+        """Delete all that is kept of a wearer, by name. Returns how many files, and how many still name them.
+
+        The second is 0, unless a file that belongs to somebody else holds the name or the pseudonym.
+        """
+        who = self.pseudonym(wearer)
+        files = 0
+        for folder in sorted(self.folder.rglob(f"wearer={who}")):
+            files += sum(path.is_file() for path in folder.rglob("*"))
+            shutil.rmtree(folder)
+        self._remove_empty_folders()
+        self.renew_catalogue()
+        return files, sum(1 for _ in self.traces(wearer))
+
+    def expire(self, before: str) -> int:
+        """Delete all of the days before one (YYYY-MM-DD). Returns how many files."""
+        files = 0
+        for folder in sorted(self.folder.rglob("day=*")):
+            if folder.name.removeprefix("day=") < before:
+                files += sum(path.is_file() for path in folder.rglob("*"))
+                shutil.rmtree(folder)
+        self._remove_empty_folders()
+        self.renew_catalogue()
+        return files
+
+    def traces(self, wearer: str) -> Iterator[Path]:
+        """Yield every file of the archive whose path or bytes hold the name of a wearer, or the pseudonym."""
+        sought = [wearer.encode(), self.pseudonym(wearer).encode()]
+        for path in sorted(self.folder.rglob("*")):
+            if not path.is_file() or path == self._key_file:
+                continue
+            name, content = str(path.relative_to(self.folder)).encode(), path.read_bytes()
+            if any(text in name or text in content for text in sought):
+                yield path
+
+    def _remove_empty_folders(self) -> None:
+        for folder in sorted((path for path in self.folder.rglob("*") if path.is_dir()), reverse=True):
+            if not any(folder.iterdir()):
+                folder.rmdir()
+
+    def seen(self, gateway_name: str, instance: str) -> set[int]:
+        """Return the numbers of the poses of a running gateway that are kept already."""
+        pq, found = parquet(), set[int]()
+        for path in self.poses.rglob("stream_*.parquet"):
+            told = json.loads((pq.read_metadata(path).metadata or {}).get(PROVENANCE, b"{}"))
+            if told.get("gateway") == gateway_name and instance in told.get("instances", []):
+                table = pq.read_table(path, columns=["instance", "seq"], partitioning=None)
+                pairs = zip(table["instance"].to_pylist(), table["seq"].to_pylist(), strict=True)
+                found.update(seq for one, seq in pairs if one == instance)
+        return found
+
+    def query(self, sql: str) -> tuple[list[str], Iterator[tuple[object, ...]]]:
+        """Ask DuckDB, for which ``poses`` and ``catalogue`` are tables. Returns names of columns, and rows.
+
+        Raises ``ArchiveError`` without the extra, or for what it cannot answer.
+        """
+        try:
+            import duckdb  # noqa: PLC0415 - an extra
+        except ImportError:
+            raise ArchiveError(f"a query needs the extra 'fleet': {how_to_add('fleet')}") from None
+        connection = duckdb.connect()
+        files = str(self.poses / "**" / "*.parquet").replace("'", "''")
+        catalogue = str(self.folder / "catalogue.parquet").replace("'", "''")
+        types = "{'day': DATE, 'wearer': VARCHAR, 'site': VARCHAR, 'method': VARCHAR}"
+        try:
+            if any(self.poses.rglob("*.parquet")):
+                connection.execute(
+                    f"CREATE VIEW poses AS SELECT * FROM read_parquet('{files}', union_by_name=true, "
+                    f"hive_partitioning=true, hive_types={types})"
+                )
+            connection.execute(f"CREATE VIEW catalogue AS SELECT * FROM read_parquet('{catalogue}')")
+            connection.execute(sql)
+            names = [column[0] for column in connection.description or ()]
+            return names, itertools.chain.from_iterable(iter(lambda: connection.fetchmany(_ROWS), []))
+        except duckdb.Error as error:
+            raise ArchiveError(f"DuckDB: {str(error).splitlines()[0]}") from None
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def columns_of(arrays: SkeletonArrays, recording: Recording) -> dict[str, pa.Array]:
+    """Return the rows of poses as columns: instants, orientations and joint angles (degrees)."""
+    utc_ns = recording.meta.begun_utc_ns - recording.meta.begun_ns
+    skeleton = arrays.skeleton
+    columns: dict[str, Any] = {
+        "utc_ns": arrays.time_ns + utc_ns,
+        "seq": arrays.sequence,
+        "late": np.zeros(len(arrays.time_ns), np.bool_),
+    }
+    columns |= orientation_columns(skeleton.segment_names, arrays.q_wb)
+    if skeleton.joints:
+        degrees = np.degrees(joint_angles(skeleton, arrays.q_wb)).astype(np.float32)
+        for j, joint in enumerate(skeleton.joints):
+            for a, angle in enumerate(joint.angles):
+                columns[f"{joint.name}_{angle.name}_deg"] = degrees[:, j, a]
+    return columns
+
+
+def orientation_columns(names: Sequence[str], q_wb: Any) -> dict[str, Any]:
+    """Return orientations (rows, segments, 4) as columns of single precision; NaN where not known."""
+    single = np.asarray(q_wb, np.float32)
+    return {
+        f"{name}_orientation_{axis}": np.ascontiguousarray(single[:, s, i])
+        for s, name in enumerate(names)
+        for i, axis in enumerate("wxyz")
+    }

@@ -1,0 +1,133 @@
+"""Poses of all gateways from the brokers into an archive: live ones, and those that come late, none twice."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import aiomqtt
+import numpy as np
+import orjson
+from pydantic import ValidationError
+
+from gateway.contract import topics
+from gateway.contract.messages import BridgeInfo
+from gateway.contract.topics import ANY_GATEWAY, Topics
+from gateway.fleet.archive import Archive, Partition, checked_name, day_of, orientation_columns
+
+MOST_ROWS = 20_000
+"""Of one file; then the next begins."""
+_NAMES = itertools.count()
+
+
+@dataclass
+class _Rows:
+    """Poses that wait to be written, of one gateway, day and body."""
+
+    utc_ns: list[int] = field(default_factory=list)
+    seq: list[int] = field(default_factory=list)
+    late: list[bool] = field(default_factory=list)
+    instance: list[str] = field(default_factory=list)
+    q_wb: list[list[Any]] = field(default_factory=list)
+    angles: list[dict[str, float]] = field(default_factory=list)
+
+
+class Collector:
+    """Takes messages, and writes files of rows. No network.
+
+    wearers: by gateway; one that is not named wears the gateway's own name.
+    """
+
+    def __init__(self, archive: Archive, site: str, base_topic: str, wearers: Mapping[str, str]) -> None:
+        """Raises ``ArchiveError`` for a site that cannot stand in a path."""
+        self.rows = 0
+        """Taken so far."""
+        self.repeated = 0
+        """Poses left out because they were there already."""
+        self.undecodable = 0
+        self._archive = archive
+        self._site = checked_name("site", site)
+        self._wearers = dict(wearers)
+        self._topics = Topics(base_topic, ANY_GATEWAY)
+        self._infos: dict[str, BridgeInfo] = {}
+        self._seen: dict[tuple[str, str], set[int]] = {}
+        self._waiting: dict[tuple[str, str, tuple[str, ...]], _Rows] = {}
+
+    def take(self, message: aiomqtt.Message) -> None:
+        """Take a message of any topic."""
+        address = self._topics.split(message.topic.value)
+        if address is None or not isinstance(message.payload, bytes):
+            return
+        gateway, below = address
+        try:
+            if below == topics.BRIDGE_INFO:
+                self._infos[gateway] = BridgeInfo.model_validate_json(message.payload)
+            elif below in (topics.POSE, topics.LATE_POSE) and not message.retain:
+                self._take_pose(gateway, orjson.loads(message.payload), is_late=below == topics.LATE_POSE)
+        except (ValidationError, ValueError, TypeError, KeyError, AttributeError):
+            self.undecodable += 1
+
+    def _take_pose(self, gateway: str, told: dict[str, Any], *, is_late: bool) -> None:
+        info = self._infos.get(gateway)
+        if info is None:
+            return  # it is told at once after the subscription; without it the day is not known
+        instance = str(told["instance"] if is_late else info.instance)
+        seen = self._seen.get((gateway, instance))
+        if seen is None:
+            seen = self._seen[gateway, instance] = self._archive.seen(gateway, instance)
+        seq = int(told["seq"])
+        if seq in seen:
+            self.repeated += 1
+            return
+        utc_ns = int(told["t_ns"]) + (0 if info.utc is None else info.utc.offset_ns)
+        names = tuple(told["segments"])
+        rows = self._waiting.setdefault((gateway, day_of(utc_ns), names), _Rows())
+        rows.q_wb.append([each or _UNKNOWN for each in told["segments"].values()])
+        rows.utc_ns.append(utc_ns)
+        rows.seq.append(seq)
+        rows.late.append(is_late)
+        rows.instance.append(instance)
+        rows.angles.append(_angles(told))
+        seen.add(seq)
+        self.rows += 1
+        if len(rows.seq) >= MOST_ROWS:
+            self._write(gateway, day_of(utc_ns), names)
+
+    def flush(self) -> None:
+        """Write all that waits."""
+        for key in list(self._waiting):
+            self._write(*key)
+
+    def _write(self, gateway: str, day: str, names: tuple[str, ...]) -> None:
+        rows = self._waiting.pop((gateway, day, names))
+        columns: dict[str, Any] = {
+            "utc_ns": np.array(rows.utc_ns, np.int64),
+            "seq": np.array(rows.seq, np.int64),
+            "late": np.array(rows.late, np.bool_),
+            "gateway": [gateway] * len(rows.seq),
+            "instance": rows.instance,
+        }
+        columns |= orientation_columns(names, np.array(rows.q_wb, np.float32))
+        for angle in dict.fromkeys(itertools.chain.from_iterable(rows.angles)):
+            columns[angle] = np.array([row.get(angle, np.nan) for row in rows.angles], np.float32)
+        wearer = self._archive.pseudonym(self._wearers.get(gateway, gateway))
+        partition = Partition(self._infos[gateway].reconstructor, self._site, day, wearer)
+        name = f"stream_{time.time_ns()}_{next(_NAMES)}"
+        provenance = {"gateway": gateway, "instances": sorted(set(rows.instance)), "solved": "live"}
+        self._archive.write(self._archive.part(partition, name), columns, provenance)
+
+
+_UNKNOWN = [np.nan] * 4
+
+
+def _angles(told: dict[str, Any]) -> dict[str, float]:
+    """Return the joint angles that a pose carries, by the names of columns."""
+    joints = told.get("joint_angles") or {}
+    return {
+        f"{joint}_{name}_deg": value
+        for joint, angles in joints.items()
+        for name, value in (angles or {}).items()
+    }

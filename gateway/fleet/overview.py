@@ -1,0 +1,277 @@
+"""What is known of every gateway of a fleet by what it publishes: state, rate, loss, delay, disk, versions.
+
+``Fleet`` is sans-I/O; ``listen`` feeds it from a broker, or from a cluster. Of a pose only its head is read
+(the instant and the number), so that one process follows a hundred gateways.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import aiomqtt
+import orjson
+from pydantic import ValidationError
+
+from gateway.contract import topics
+from gateway.contract.messages import BodyMessage, BridgeHealth, BridgeInfo
+from gateway.contract.topics import ANY_GATEWAY, Topics
+from gateway.errors import GatewayError
+from gateway.outputs.connection import explain
+from gateway.outputs.failover import ClusterConnection, follow_kept
+from gateway.outputs.settings import MqttSettings
+
+WINDOW_S = 5.0
+"""Over which rates, losses and delays are told."""
+SILENT_S = 3.0
+"""A gateway that says it is online and sends no pose for so long raises an alert."""
+MOST_LOSS = 0.01
+MOST_DELAY_S = 0.25
+MOST_GATEWAYS = 10_000
+_HEAD = re.compile(rb'\{"t_ns":(-?\d{1,19}),"seq":(-?\d{1,19})[,}]')
+_MODULE = re.compile(r"module/(\d{1,3})/state")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One gateway as the overview shows it. None: not known."""
+
+    gateway: str
+    wearer: str | None
+    state: str
+    rate_hz: float
+    loss: float
+    """Share of the poses of the last seconds that did not arrive, by their numbers."""
+    delay_ms: float | None
+    """From the instant of a pose to its arrival here, median; true where both computers have the same UTC."""
+    lost: int
+    """Poses that did not arrive since this overview began."""
+    late: int
+    """Poses that came later, on pose/late."""
+    free_gb: float | None
+    version: str | None
+    firmware: tuple[str, ...]
+    alerts: tuple[str, ...]
+
+
+@dataclass
+class Seen:
+    """What was heard of one gateway."""
+
+    state: str = "unknown"
+    info: BridgeInfo | None = None
+    health: BridgeHealth | None = None
+    body: BodyMessage | None = None
+    firmware: dict[int, str] = field(default_factory=dict)
+    last_s: float | None = None
+    seq: int | None = None
+    received: int = 0
+    lost: int = 0
+    repeated: int = 0
+    """Poses whose number had been there already."""
+    late: int = 0
+    longest_gap_s: float = 0.0
+    window: list[tuple[float, int, int, float | None]] = field(default_factory=list)
+    """(second, received, lost, delay) of each of the last seconds."""
+
+    def pose(self, t_ns: int, seq: int, now_s: float, utc_ns: int) -> None:
+        """Count a live pose."""
+        lost = 0
+        if self.seq is not None:
+            if seq - self.seq > 0:
+                lost = seq - self.seq - 1
+            elif self.seq - seq < _BEGUN_ANEW:
+                self.repeated += 1
+                return
+        if self.last_s is not None:
+            self.longest_gap_s = max(self.longest_gap_s, now_s - self.last_s)
+        self.seq, self.last_s = seq, now_s
+        self.received += 1
+        self.lost += lost
+        delay_s = None
+        if self.info is not None and self.info.utc is not None:
+            delay_s = (utc_ns - t_ns - self.info.utc.offset_ns) * 1e-9
+        if self.window and now_s - self.window[-1][0] < 1.0:
+            begun, received, before, delay = self.window[-1]
+            self.window[-1] = begun, received + 1, before + lost, delay
+        else:
+            self.window.append((now_s, 1, lost, delay_s))
+            self.window = [each for each in self.window if now_s - each[0] < WINDOW_S + 1]
+
+
+_BEGUN_ANEW = 10_000
+"""A number so much below the last one is of a gateway that was started again."""
+
+
+class Fleet:
+    """All gateways that were heard."""
+
+    def __init__(self, base_topic: str = "mocap", wearers: Mapping[str, str] | None = None) -> None:
+        """wearers: who wears the suit of a gateway, by its name."""
+        self.gateways: dict[str, Seen] = {}
+        self._topics = Topics(base_topic, ANY_GATEWAY)
+        self._wearers = dict(wearers or {})
+
+    def take(self, topic: str, payload: bytes, *, is_retained: bool, now_s: float, utc_ns: int) -> None:
+        """Take a message; what is not what its topic promises is left out. now_s: monotonic."""
+        address = self._topics.split(topic)
+        if address is None or (address[0] not in self.gateways and len(self.gateways) >= MOST_GATEWAYS):
+            return
+        name, below = address
+        if below == topics.POSE:
+            head = _HEAD.match(payload)
+            if head is not None and not is_retained:
+                self.gateways.setdefault(name, Seen()).pose(int(head[1]), int(head[2]), now_s, utc_ns)
+            return
+        try:
+            self._take_other(self.gateways.setdefault(name, Seen()), below, payload)
+        except (ValidationError, orjson.JSONDecodeError):
+            return
+
+    def _take_other(self, seen: Seen, below: str, payload: bytes) -> None:
+        match below:
+            case topics.LATE_POSE:
+                seen.late += 1
+            case topics.BRIDGE_STATE:
+                state = orjson.loads(payload)
+                seen.state = "online" if state == {"state": "online"} else "offline"
+            case topics.BRIDGE_INFO:
+                seen.info = BridgeInfo.model_validate_json(payload)
+            case topics.BRIDGE_HEALTH:
+                seen.health = BridgeHealth.model_validate_json(payload)
+            case topics.BODY:
+                seen.body = BodyMessage.model_validate_json(payload)
+            case _ if module := _MODULE.fullmatch(below):
+                told = orjson.loads(payload)
+                firmware = told.get("firmware") if isinstance(told, dict) else None
+                if isinstance(firmware, str):
+                    seen.firmware[int(module[1])] = firmware[:40]
+
+    def rows(self, now_s: float) -> list[Row]:
+        """Return a row for each gateway, by name."""
+        versions = Counter(seen.info.version for seen in self.gateways.values() if seen.info is not None)
+        usual = versions.most_common(1)[0][0] if versions else None
+        return [self._row(name, self.gateways[name], now_s, usual) for name in sorted(self.gateways)]
+
+    def _row(self, name: str, seen: Seen, now_s: float, usual: str | None) -> Row:
+        window = [each for each in seen.window if now_s - each[0] < WINDOW_S]
+        received, lost = sum(each[1] for each in window), sum(each[2] for each in window)
+        delays = sorted(each[3] for each in window if each[3] is not None)
+        span_s = now_s - window[0][0] if window else 0.0
+        recording = seen.health.statistics.get("recording") if seen.health is not None else None
+        free_mb = recording.get("free_mb") if isinstance(recording, dict) else None
+        row = Row(
+            gateway=name,
+            wearer=self._wearers.get(name),
+            state=seen.state,
+            rate_hz=round(received / span_s, 1) if span_s > 0 else 0.0,
+            loss=round(lost / (received + lost), 4) if received else 0.0,
+            delay_ms=round(delays[len(delays) // 2] * 1e3, 1) if delays else None,
+            lost=seen.lost,
+            late=seen.late,
+            free_gb=round(free_mb / 1e3, 1) if isinstance(free_mb, int | float) else None,
+            version=None if seen.info is None else seen.info.version,
+            firmware=tuple(sorted(set(seen.firmware.values()))),
+            alerts=(),
+        )
+        return Row(**{**asdict(row), "alerts": tuple(_alerts(row, seen, now_s, usual))})
+
+
+def _alerts(row: Row, seen: Seen, now_s: float, usual: str | None) -> list[str]:
+    """Return what somebody should look at, in words."""
+    found = []
+    if row.state == "offline":
+        found.append("offline")
+    elif row.state == "online" and (seen.last_s is None or now_s - seen.last_s > SILENT_S):
+        found.append("online, but no poses come")
+    if row.loss > MOST_LOSS:
+        found.append(f"{row.loss:.1%} of the poses are lost")
+    if row.delay_ms is not None and row.delay_ms > MOST_DELAY_S * 1e3:
+        found.append(f"poses are {row.delay_ms:.0f} ms late")
+    if row.version not in (None, usual):
+        found.append(f"version {row.version}, others have {usual}")
+    if len(row.firmware) > 1:
+        found.append(f"modules with different firmware: {', '.join(row.firmware)}")
+    health = seen.health
+    if health is not None:
+        if health.same_name is not None:
+            found.append("another gateway has the same name")
+        if health.refused_topics:
+            found.append(f"the broker refuses {health.refused_topics[0]}")
+        recording = health.statistics.get("recording")
+        if isinstance(recording, dict) and recording.get("is_low"):
+            found.append("the disk is nearly full")
+    return found
+
+
+class FleetUnreachableError(GatewayError, ConnectionError):
+    """No broker there, or it refuses us."""
+
+
+Take = Callable[[aiomqtt.Message], None]
+
+
+async def listen(
+    settings: MqttSettings, take: Take, ready: asyncio.Event, *, with_late: bool = False
+) -> None:
+    """Give every message of all gateways to ``take``, for ever, over another node when one is lost.
+
+    ready: set when poses come in. Raises ``FleetUnreachableError`` when no address lets us in at first.
+    """
+    own = Topics(settings.base_topic, ANY_GATEWAY)
+    passing = [own.pose, own.bridge_health, *([own.late_pose] if with_late else [])]
+    kept = [own.bridge_state, own.bridge_info, own.body, f"{own.root}/module/+/state"]
+    connection = ClusterConnection(settings, settings.port, "fleet")
+    failures: list[str] = []
+    given_up = asyncio.get_running_loop().create_future()
+
+    async def use(client: aiomqtt.Client) -> None:
+        await client.subscribe([(topic, 0) for topic in passing])
+        ready.set()
+        async for message in client.messages:
+            take(message)
+            while not client._queue.empty():  # aiomqtt takes several turns for each
+                take(client._queue.get_nowait())
+
+    def lost(error: Exception) -> None:
+        failures.append(explain(error, connection.settings, connection.settings.port))
+        if not ready.is_set() and len(failures) > len(settings.failover) and not given_up.done():
+            given_up.set_exception(FleetUnreachableError(failures[0]))
+
+    running = asyncio.ensure_future(connection.run(use, None, lost, asyncio.Event()))
+    following = asyncio.ensure_future(follow_kept(settings, "fleet", kept, take))
+    try:
+        await asyncio.wait({running, given_up}, return_when=asyncio.FIRST_COMPLETED)
+        if given_up.done():
+            given_up.result()
+        running.result()
+    finally:
+        running.cancel()
+        following.cancel()
+        await asyncio.gather(running, following, return_exceptions=True)
+
+
+def take_into(fleet: Fleet) -> Take:
+    """Return what ``listen`` is to call for a fleet."""
+
+    def take(message: aiomqtt.Message) -> None:
+        if isinstance(message.payload, bytes):
+            fleet.take(
+                message.topic.value,
+                message.payload,
+                is_retained=message.retain,
+                now_s=time.monotonic(),
+                utc_ns=time.time_ns(),
+            )
+
+    return take
+
+
+def as_plain(rows: list[Row]) -> list[dict[str, Any]]:
+    """Rows as JSON values."""
+    return [asdict(row) for row in rows]

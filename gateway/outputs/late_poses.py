@@ -1,0 +1,125 @@
+"""Poses that no broker took: kept in a file, and published later on a topic of their own.
+
+A pose is handed to a connection long before anybody knows that it is dead. So poses are held in memory until
+the broker has answered a question that came after them; when the connection is lost, those that are not
+confirmed go to the file, and all that come while there is none. Some of them may have arrived after all: a
+late pose has the ``instance`` and ``seq`` of the live one, so that whoever joins the two counts none twice.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections import deque
+from pathlib import Path
+from typing import BinaryIO
+
+from gateway.errors import OutputError
+
+CONFIRMED_S = 0.5
+"""An answer confirms what was published so long before: the broker has passed that on to its cluster too."""
+LONGEST_UNCONFIRMED = 5000
+"""Poses held in memory."""
+_MB = 1_000_000
+_log = logging.getLogger(__name__)
+
+
+class LatePoses:
+    """The poses of one gateway that are to be sent later, oldest first. Belongs to one event loop.
+
+    What an earlier run of the gateway has left is sent too.
+    """
+
+    def __init__(self, path: Path, instance: str, most_mb: float) -> None:
+        """Open or make the file. Raises ``OutputError`` with what stands against it."""
+        self.kept = 0
+        """Poses written to the file."""
+        self.sent = 0
+        self.left_out = 0
+        """Poses for which there was no room."""
+        self._path = path
+        self._mark = b',"instance":"%b"' % instance.encode()
+        self._most_bytes = round(most_mb * _MB)
+        self._unconfirmed: deque[tuple[float, bytes]] = deque(maxlen=LONGEST_UNCONFIRMED)
+        self._taken = self._given = 0
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: BinaryIO = path.open("a+b", buffering=0)
+        except OSError as error:
+            raise OutputError(
+                f"mqtt.late.folder: {path} cannot be written ({error.strerror}): name a folder of your own"
+            ) from error
+        self._size = self._file.seek(0, os.SEEK_END)
+
+    @property
+    def has_some(self) -> bool:
+        """Whether poses wait in the file."""
+        return self._taken < self._size
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Of the poses that wait in the file."""
+        return self._size - self._taken
+
+    def published(self, payload: bytes) -> None:
+        """Hold a pose (a JSON object) that was handed to a connection, until it is confirmed."""
+        self._unconfirmed.append((time.monotonic(), payload))
+
+    def confirmed(self, asked_s: float) -> None:
+        """Let go of what was published well before an instant (``time.monotonic()``, s)."""
+        while self._unconfirmed and self._unconfirmed[0][0] < asked_s - CONFIRMED_S:
+            self._unconfirmed.popleft()
+
+    def connection_lost(self) -> None:
+        """Keep what is not confirmed."""
+        for _, payload in self._unconfirmed:
+            self.keep(payload)
+        self._unconfirmed.clear()
+
+    def keep(self, payload: bytes) -> None:
+        """Write a pose (a JSON object) to the file; one for which there is no room is counted."""
+        line = payload[:-1] + self._mark + b"}\n"
+        if self._size + len(line) > self._most_bytes:
+            self._leave_out("mqtt.late.most_mb is reached")
+            return
+        try:
+            self._file.write(line)
+        except OSError as error:
+            self._file.truncate(self._size)
+            self._leave_out(str(error.strerror))
+            return
+        self._size += len(line)
+        self.kept += 1
+
+    def _leave_out(self, reason: str) -> None:
+        self.left_out += 1
+        if self.left_out == 1:
+            _log.warning("%s: poses are not kept to be sent later: %s", self._path, reason)
+
+    def next(self, most: int, sent_ns: int) -> list[bytes]:
+        """Return the next poses as they are published, ``sent_ns`` in each; ``done`` says they are out."""
+        self._file.seek(self._taken)
+        lines = [self._file.readline() for _ in range(most)]
+        self._given = sum(map(len, lines))
+        mark = b',"sent_ns":%d}' % sent_ns
+        # A line that a power cut has torn is no object, and is left out.
+        return [line[:-2] + mark for line in lines if line.startswith(b"{") and line.endswith(b"}\n")]
+
+    def done(self, number: int) -> None:
+        """Note that the broker has taken those of ``next``; the file is emptied when all are out."""
+        self._taken += self._given
+        self.sent += number
+        if not self.has_some:
+            self._file.truncate(0)
+            self._size = self._taken = 0
+
+    def close(self) -> None:
+        """Keep what is not confirmed no longer; the file loses what was sent."""
+        if self._taken:
+            self._file.seek(self._taken)
+            rest = self._file.read()
+            other = self._path.with_suffix(".rest")
+            other.write_bytes(rest)
+            other.replace(self._path)
+        self._file.close()
