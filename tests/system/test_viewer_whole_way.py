@@ -178,7 +178,7 @@ async def a_module_upside_down_is_seen(way):
 async def does(way, movement, step):
     """One movement of the check."""
     await choose(way.page, 0, movement)
-    await press(way.page, "This one again")
+    await press(way.page, "This movement alone")
     await way.obeys(step)
     await way.sees("segments follow")
 
