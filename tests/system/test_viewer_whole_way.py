@@ -171,7 +171,7 @@ async def modules_are_assigned(way):
     await press(page, "Give them ids of their own")
     await way.sees("modules that have ids of their own now")
     await choose(page, 0, "63 · ")
-    await choose(page, 1, "right_foot")
+    await choose(page, 1, "right foot")
     await way.look("3_assign")
     await press(page, "Assign")
     await way.sees("written: right foot: module 63 becomes 16")
