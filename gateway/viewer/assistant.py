@@ -90,6 +90,7 @@ class Assistant(StepTab):
         self._tell(self._say("examining"))
         self._examined = await self._ask("gateway", "examine", {})
         self._findings.content = findings(self._examined, self._language)
+        self._findings.visible = True
         self._offer_ports()
         verdicts = [one["verdict"] for one in self._examined["findings"]]
         bad, warnings = verdicts.count("bad"), verdicts.count("warning")
@@ -129,6 +130,7 @@ class Assistant(StepTab):
             part.visible = listed is not None
         if listed is None:
             return
+        self._findings.visible = False  # whoever has gone on would have to scroll past them
         self._found.content = found_table(listed, self._language)
         self._separate.visible = bool(listed["conflicts"])
         devices = devices_of(listed, self._language)

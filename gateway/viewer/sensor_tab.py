@@ -99,7 +99,7 @@ class SensorTab(StepTab):
         self._show(found=found)
         self._offer(self._is_begun, True)
         good = sum(all(one["quality"] == "good" for one in each.values()) for each in found.values())
-        return self._say("scored", good=good, count=len(found))
+        return self._say("sensors_scored", good=good, count=len(found))
 
     async def _keep_in_file(self) -> str:
         kept = await self._ask("sensors", "accept", {})

@@ -90,8 +90,11 @@ class Way:
         self.grave = []
         """What breaks a rule gravely, a line each."""
 
-    async def look(self, name):
-        """See that this step is accessible; keep its picture where pictures are wanted."""
+    async def look(self, name, text=None):
+        """See that this step is accessible; where pictures are wanted, keep one, with the text in it."""
+        if text is not None:
+            shown = self.page.get_by_text(text).filter(visible=True).last
+            await shown.evaluate("element => element.scrollIntoView({block: 'center'})")
         self.grave += await grave_findings(self.page, name)
         if PICTURES is not None and (self._kind == "desktop" or name in ON_A_PHONE):
             await asyncio.sleep(1.0)
@@ -166,7 +169,7 @@ async def modules_are_assigned(way):
     await way.sees("free for recordings in")
     await press(page, "2 · Look for modules")
     await way.sees("2 modules have id 15")
-    await way.look("2_modules")
+    await way.look("2_modules", "2 modules have id 15")
     await page.get_by_role("checkbox", name="Write to the modules").click()
     await press(page, "Give them ids of their own")
     await way.sees("modules that have ids of their own now")
@@ -183,7 +186,7 @@ async def a_module_upside_down_is_seen(way):
     await open_tab(way.page, "6 Check")
     await does(way, "left leg", "left_leg")
     await way.page.get_by_role("row", name="left leg left shank goes the other way").wait_for()
-    await way.look("6_wrong_way_round")
+    await way.look("6_wrong_way_round", "goes the other way")
 
 
 async def does(way, movement, step):
@@ -220,7 +223,7 @@ async def the_body_is_calibrated(way, mosquitto):
             await page.get_by_text("done: ").filter(has_text="N pose, T pose").wait_for()
     await press(page, "Work out how modules sit")
     await way.sees("of 17 modules are good")
-    await way.look("5_score")
+    await way.look("5_score", "of 17 modules are good")
     await press(page, "Use it")
     await way.sees("in use and kept")
 
@@ -235,7 +238,7 @@ async def all_but_the_dead_module_follow(way):
         await page.get_by_role("row", name=f"left leg {segment} follows", exact=True).wait_for()
     await page.get_by_role("row", name="right leg right foot follows", exact=True).wait_for()
     await page.get_by_role("row", name="left arm left hand nothing is heard").wait_for()
-    await way.look("6_check")
+    await way.look("6_check", "nothing is heard")
     await press(page, "Take the red away")
 
 
@@ -255,7 +258,7 @@ async def a_take_becomes_a_file(way, folder):
     exported = folder / "fetched.bvh"
     shutil.copy(await (await downloading.value).path(), exported)
     await way.sees("kept in line with what they hang from: left hand")
-    await way.look("7_takes")
+    await way.look("7_takes", "kept in line with")
     text = exported.read_text()
     assert text.startswith("HIERARCHY")
     frames = int(text.partition("Frames:")[2].split()[0])
