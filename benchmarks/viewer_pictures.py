@@ -80,7 +80,7 @@ async def _live(url: str, broker_port: int) -> None:
             await _come_to(poses, 8.0)
             await _shot(page, "viewer_walking")
             await page.get_by_role("tab", name="Plot").click()
-            await _choose(page, "angles of left_knee")
+            await _choose(page, "angles of left knee")
             await _come_to(poses, UNPLUGGED_S[0] - 2)
             await _shot(page, "viewer_plot")
             await page.get_by_role("tab", name="View").click()

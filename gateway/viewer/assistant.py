@@ -15,7 +15,7 @@ import viser
 
 from gateway.errors import GatewayError
 from gateway.modules.assignment import Proposal, Wardrobe
-from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, table
+from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, set_options, table
 from gateway.viewer.texts import say, segment_name
 
 LISTEN_S, BLINK_S, SHAKEN_S = 2.0, 5, 20.0
@@ -29,11 +29,11 @@ class Assistant(StepTab):
         server: viser.ViserServer,
         tabs: viser.GuiTabGroupHandle,
         ask: Ask,
-        chosen: Callable[[str], None],
+        marks: Callable[[str], None],
     ) -> None:
-        """chosen: told which segment is meant, to be shown on the body."""
+        """marks: told which segment is meant, to be shown on the body."""
         super().__init__(server, tabs, "tab", ask, asyncio.get_running_loop())
-        self._chosen = chosen
+        self._mark = marks
         self._listed: Mapping[str, Any] | None = None
         self._examined: Mapping[str, Any] | None = None
         self._others: list[StepTab] = []
@@ -45,14 +45,15 @@ class Assistant(StepTab):
 
     def choose_segment(self, segment: str) -> None:
         """A limb was clicked."""
-        if segment in self._segment.options:
+        if segment in (self._listed or NONE_HEARD)["segments"]:
             # the library's property has a setter, which the type checker does not see
-            self._segment.value = segment  # type: ignore[misc]
+            self._segment.value = segment_name(self._language, segment)  # type: ignore[misc]
 
     def speak(self, language: str) -> None:
         """Say everything in that language from now on, on all tabs of the set-up."""
+        chosen = self._chosen_device(), self._chosen_segment()
         super().speak(language)
-        self._show_listed()
+        self._show_listed(*chosen)
         for other in self._others:
             other.speak(language)
 
@@ -74,19 +75,22 @@ class Assistant(StepTab):
         identify = self._button("identify", self._blink)
         hint = gui.add_html(line(self._say("hint")))
         self._segment = gui.add_dropdown(self._say("segment"), (NOTHING,))
-        self._segment.on_update(lambda _: self._chosen(self._segment.value))
+        self._segment.on_update(lambda _: self._mark(self._chosen_segment()))
         shake = self._button("shake", self._await_shake)
         assign, undo = self._button("assign", self._assign), self._button("undo", self._undo)
+        self._heard = [self._found, self._write, self._device, identify, hint]
+        self._heard += [self._segment, shake, assign, undo]
+        self._show_listed("", "")
         return [
             *(examine, self._findings, self._down, self._port, self._connect),
-            *(look, self._found, self._write, self._separate, self._device, identify, hint),
-            *(self._segment, shake, assign, undo),
+            *(look, self._separate, *self._heard),
         ]
 
     async def _examine(self) -> str:
         self._tell(self._say("examining"))
         self._examined = await self._ask("gateway", "examine", {})
         self._findings.content = findings(self._examined, self._language)
+        self._findings.visible = True
         self._offer_ports()
         verdicts = [one["verdict"] for one in self._examined["findings"]]
         bad, warnings = verdicts.count("bad"), verdicts.count("warning")
@@ -109,24 +113,45 @@ class Assistant(StepTab):
 
     async def _look(self) -> str:
         self._tell(self._say("looking"))
-        self._listed = await self._ask("modules", "list", {"listen_s": LISTEN_S})
-        self._show_listed()
+        listed = await self._ask("modules", "list", {"listen_s": LISTEN_S})
+        chosen = self._chosen_device(), self._chosen_segment()
+        self._listed = listed
+        self._show_listed(*chosen)
         count = len(self._listed["modules"])
         return self._say("heard", count=count) if count else self._say("nobody")
 
-    def _show_listed(self) -> None:
+    def _show_listed(self, device: str, segment: str) -> None:
+        """Show what is heard, and what can be done with it: nothing before it is looked for.
+
+        device, segment: to be chosen, by unique id and by the body's name of it; empty: none.
+        """
         listed = self._listed
+        for part in self._heard:
+            part.visible = listed is not None
         if listed is None:
             return
+        self._findings.visible = False  # whoever has gone on would have to scroll past them
         self._found.content = found_table(listed, self._language)
         self._separate.visible = bool(listed["conflicts"])
-        self._device.options = (NOTHING, *devices_of(listed))
-        self._segment.options = (NOTHING, *listed["segments"])
+        devices = devices_of(listed, self._language)
+        label = next((label for label, unique_id in devices.items() if unique_id == device), None)
+        set_options(self._device, (NOTHING, *devices), label)
+        names = tuple(segment_name(self._language, name) for name in listed["segments"])
+        set_options(self._segment, (NOTHING, *names), segment_name(self._language, segment))
+
+    def _chosen_device(self) -> str:
+        """Unique id of the module that is chosen; empty: none is."""
+        return devices_of(self._listed or NONE_HEARD, self._language).get(self._device.value, "")
+
+    def _chosen_segment(self) -> str:
+        """The segment that is chosen, as its body names it; empty: none is."""
+        segments = (self._listed or NONE_HEARD)["segments"]
+        named: dict[str, str] = {segment_name(self._language, name): name for name in segments}
+        return named.get(self._segment.value, "")
 
     async def _blink(self) -> str:
-        device = devices_of(self._needed()).get(self._device.value)
-        if device is None:
-            return self._say("first_look")
+        if not (device := self._chosen_device()):
+            return self._say("first_choose")
         answer = await self._ask("modules", "identify", {"device": device, "seconds": BLINK_S})
         return self._say("blinks", id=answer["module"])
 
@@ -135,21 +160,20 @@ class Assistant(StepTab):
         answer = await self._ask("modules", "motion", {"seconds": SHAKEN_S})
         if answer["module"] is None:
             return self._say("none_moved")
-        if answer["unique_id"] not in devices_of(self._listed or {"modules": ()}).values():
+        device = str(answer["unique_id"])
+        if device not in devices_of(self._needed(), self._language).values():
             await self._look()
-        for label, unique_id in devices_of(self._needed()).items():
-            if unique_id == answer["unique_id"]:
-                self._device.value = label  # type: ignore[misc]
+        self._show_listed(device, self._chosen_segment())
         return self._say("moved", id=answer["module"])
 
     async def _assign(self) -> str:
         listed = self._needed()
-        unique_id = devices_of(listed).get(self._device.value)
-        if unique_id is None or self._segment.value not in listed["segments"]:
-            return self._say("hint")
+        device, segment = self._chosen_device(), self._chosen_segment()
+        if not (device and segment):
+            return self._say("first_choose_both")
         if listed["conflicts"]:
             return self._conflicts()[0]
-        proposal = Wardrobe(listed).propose(self._segment.value, unique_id)
+        proposal = Wardrobe(listed).propose(segment, device)
         what = told(proposal, self._language)
         if proposal.is_right_already:
             return what
@@ -157,6 +181,7 @@ class Assistant(StepTab):
             return refused
         await self._ask("modules", "assign", {"ids": proposal.ids})
         await self._look()
+        self._show_listed("", "")  # the next one is chosen from scratch, and no name stays on the body
         return self._say("written", what=what)
 
     async def _give_own_ids(self) -> str:
@@ -195,10 +220,16 @@ class Assistant(StepTab):
         return self._listed
 
 
-def devices_of(listed: Mapping[str, Any]) -> dict[str, str]:
+NONE_HEARD: Mapping[str, Any] = {"modules": (), "segments": {}}
+"""What is known of modules before they are looked for."""
+
+
+def devices_of(listed: Mapping[str, Any], language: str) -> dict[str, str]:
     """Devices that can be asked, by what they are called here: id, segment, end of the unique id."""
     return {
-        f"{one['module']} · {one['segment'] or NOTHING} · …{one['unique_id'][-6:]}": one["unique_id"]
+        f"{one['module']} · {segment_name(language, one['segment'] or NOTHING)} · …{one['unique_id'][-6:]}": (
+            one["unique_id"]
+        )
         for one in listed["modules"]
         if one["answers"] and one["unique_id"]
     }

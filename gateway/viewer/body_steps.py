@@ -14,7 +14,7 @@ import viser
 
 from gateway.errors import GatewayError
 from gateway.viewer.step_pictures import step_picture
-from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, table
+from gateway.viewer.step_tab import COLOURS, NOTHING, Ask, StepTab, line, set_options, table
 from gateway.viewer.texts import say, segment_name, step_name, texts
 
 COUNTDOWN_S, LOOK_S = 3.0, 0.4
@@ -53,7 +53,7 @@ class BodySteps(StepTab):
         height_m = self._measures["subject"].get("height_m", USUAL_HEIGHT_M)
         why = gui.add_html(line(self._say("measures_why")))
         self._height = gui.add_number(self._say("height"), height_m, min=0.5, max=2.5, step=0.01)
-        self._length = gui.add_dropdown(self._say("length"), (NOTHING, *self._measures["lengths"]))
+        self._length = gui.add_dropdown(self._say("length"), (NOTHING, *self._limbs()))
         self._metres = gui.add_number(self._say("metres"), 0.0, min=0.0, max=1.99, step=0.005)
         self._length.on_update(lambda _: self._show_length())
         measure = self._button("measure", self._measure)
@@ -93,8 +93,12 @@ class BodySteps(StepTab):
         told = instruction_of(step, self._steps.get(step, ""), self._language)
         self._picture.content = step_picture(step, told) + (line(told) if told else "")
 
+    def _limbs(self) -> dict[str, str]:
+        """Limbs whose lengths can be told, by their names here."""
+        return {segment_name(self._language, limb): limb for limb in self._measures["lengths"]}
+
     def _show_length(self) -> None:
-        metres = self._measures["lengths"].get(self._length.value, 0.0)
+        metres = self._measures["lengths"].get(self._limbs().get(self._length.value), 0.0)
         self._metres.value = metres  # type: ignore[misc]  # as in Playback
 
     async def _take_measures(self) -> str:
@@ -108,17 +112,14 @@ class BodySteps(StepTab):
     def _show_measures(self) -> None:
         height_m = self._measures["subject"].get("height_m", USUAL_HEIGHT_M)
         self._height.value = height_m  # type: ignore[misc]  # as in Playback
-        chosen = self._length.value
-        self._length.options = (NOTHING, *self._measures["lengths"])
-        if chosen in self._measures["lengths"]:
-            self._length.value = chosen  # type: ignore[misc]  # as in Playback
+        set_options(self._length, (NOTHING, *self._limbs()), self._length.value)
         self._show_length()
 
     async def _measure(self) -> str:
         """Keep the height, and the length that is chosen if it was changed."""
-        name, metres = self._length.value, float(self._metres.value)
-        is_changed = metres > 0.0 and metres != self._measures["lengths"].get(name, metres)
-        data = {"height_m": float(self._height.value), "lengths": {name: metres} if is_changed else {}}
+        limb, metres = self._limbs().get(self._length.value), float(self._metres.value)
+        is_changed = metres > 0.0 and metres != self._measures["lengths"].get(limb, metres)
+        data = {"height_m": float(self._height.value), "lengths": {limb: metres} if is_changed else {}}
         self._tell(self._say("measuring"))
         kept = await self._ask("calibration", "measure", data)
         self._measures = kept

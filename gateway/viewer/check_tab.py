@@ -68,7 +68,8 @@ class CheckTab(StepTab):
         again = self._button("check_one", self._do_one)
         parts = [all_of_them, self._movement, self._picture, again]
         self._table = gui.add_html(self._told())
-        return [*parts, self._table, self._button("check_clear", self._clear)]
+        self._clear_button = self._button("check_clear", self._clear, visible=bool(self._found))
+        return [*parts, self._table, self._clear_button]
 
     def _chosen(self) -> Movement:
         return MOVEMENTS[self._movement.options.index(self._movement.value)]
@@ -109,7 +110,7 @@ class CheckTab(StepTab):
 
     async def _clear(self) -> str:
         self._found.clear()
-        self._table.content = ""
+        self._table.content, self._clear_button.visible = "", False
         return self._say("check_cleared")
 
     async def _do(self, movement: Movement) -> None:
@@ -133,7 +134,7 @@ class CheckTab(StepTab):
         finally:
             self._watching, self._is_busy = None, False
         self._found[movement.name] = check.seen()
-        self._table.content = self._told()
+        self._table.content, self._clear_button.visible = self._told(), True
 
     def _summary(self) -> str:
         every = [seen for found in self._found.values() for seen in found]

@@ -52,6 +52,8 @@ RECORDED_AFTER_S = 10.0
 MOST_UNDRAWN = 256
 """Poses between two pictures that muscles are told of."""
 RESETS = ("heading", "full", "mounting", "position")
+REMOUNTING = ("full", "mounting")
+"""Resets that put right how modules sit."""
 COUNTED_DOWN = {"heading": "countdown_heading", "full": "countdown", "mounting": "countdown"}
 """Resets that want the wearer to stand somehow, who has to get there first; what is told meanwhile."""
 COUNTDOWN_S = 3
@@ -293,11 +295,18 @@ class LiveViewer:
         panel, say, now_ns = self._panel, self._panel.say, gateway_time_ns()
         name = self._name(poses)
         age = self._view.age_s(now_ns)
+        comes = age is not None and age <= STALE_AFTER_S
+        info = poses.infos.get(self._gateway)
+        awaited = None if info is None or info.kernels is None else info.kernels.awaited
+        is_compiling = awaited is not None and poses.states.get(self._gateway) == "online"
         if self._replayed is not None:
             told = self._replayed.told(self._loop.time(), panel.language)
             panel.show_status(say("replay_of", name=self._replayed.name), told, is_alarm=False)
         elif not poses.is_connected:
             panel.show_status(say("no_broker"), say("gets_it_back"), is_alarm=True)
+        elif is_compiling:
+            lines = self._pose_texts() if comes else ()
+            panel.show_status(name, say("compiling", name=awaited), *lines, is_alarm=False, is_busy=True)
         elif age is None:
             begin = () if self._assistant is None else (say("begin_here", tab=say("tab")),)
             panel.show_status(say("no_data"), say("no_pose", name=name), *begin, is_alarm=True)
@@ -305,10 +314,7 @@ class LiveViewer:
             headline = say("no_data_for", seconds=f"{age:.0f}")
             panel.show_status(headline, say("last_pose", name=name), is_alarm=True)
         else:
-            info = poses.infos.get(self._gateway)
-            awaited = None if info is None or info.kernels is None else info.kernels.awaited
-            waits = () if awaited is None else (say("compiling", name=awaited),)
-            panel.show_status(name, *waits, *self._pose_texts(), is_alarm=False, is_busy=bool(waits))
+            panel.show_status(name, *self._pose_texts(), is_alarm=False)
 
     def _name(self, poses: PoseSubscriber) -> str:
         """The gateway's name, and whether it runs."""
@@ -386,17 +392,22 @@ class LiveViewer:
         except GatewayError as error:
             show(say("went_wrong", wish=wish, error=error))
             return
-        show(say("is_done", wish=wish, told=self._told(family, answer)))
+        show(say("is_done", wish=wish, told=self._told(family, verb, answer)))
 
-    def _told(self, family: str, answer: Mapping[str, Any]) -> str:
+    def _told(self, family: str, verb: str, answer: Mapping[str, Any]) -> str:
         """What came of a request, in short."""
         if family == "recording":
             file = str(answer.get("file", "")).rpartition("/")[2]
             clock = clock_of(answer.get("seconds"))
             return self._panel.say("told_recording", file=file, clock=clock, marks=answer.get("marks", 0))
-        turned, moved = answer.get("turned_deg", 0.0), answer.get("moved_m", 0.0)
-        count = len(answer.get("remounted_deg", ()))
-        return self._panel.say("told_reset", turned=f"{turned:g}", moved=f"{moved:g}", count=count)
+        told = ""
+        if turned := answer.get("turned_deg"):
+            told += self._panel.say("told_turned", turned=f"{turned:g}")
+        if moved := answer.get("moved_m"):
+            told += self._panel.say("told_moved", moved=f"{moved:g}")
+        if verb in REMOUNTING:
+            told += self._panel.say("told_remounted", count=len(answer.get("remounted_deg", ())))
+        return told
 
 
 def _instant(received: ReceivedPose | None) -> str:

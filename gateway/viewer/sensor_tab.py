@@ -25,7 +25,9 @@ class SensorTab(StepTab):
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         super().__init__(server, tabs, "sensors", ask, loop)
-        self._shown = ""
+        self._status: Mapping[str, Any] | None = None
+        self._found: Mapping[str, Mapping[str, Mapping[str, Any]]] | None = None
+        """What is shown: how far modules are, or what was found of them."""
         self._is_watched = False
         self._is_begun = self._is_found = False
         self.build()
@@ -33,7 +35,7 @@ class SensorTab(StepTab):
     def _add_parts(self) -> list[Any]:
         why = self._server.gui.add_html(line(self._say("sensors_why")))
         begin, resume = self._button("sensors_begin", self._begin), self._button("resume", self._watch)
-        self._table = self._server.gui.add_html(self._shown)
+        self._table = self._server.gui.add_html(self._told())
         enough = self._button("sensors_result", self._find)
         in_file = self._button("sensors_accept", self._keep_in_file)
         in_modules = self._button("sensors_flash", self._keep_in_modules)
@@ -50,8 +52,18 @@ class SensorTab(StepTab):
         for part in self._afterwards:
             part.visible = is_found
 
-    def _show(self, content: str) -> None:
-        self._shown = self._table.content = content
+    def _show(
+        self,
+        status: Mapping[str, Any] | None = None,
+        found: Mapping[str, Mapping[str, Mapping[str, Any]]] | None = None,
+    ) -> None:
+        self._status, self._found = status, found
+        self._table.content = self._told()
+
+    def _told(self) -> str:
+        if self._found is not None:
+            return result_table(self._found, self._language)
+        return "" if self._status is None else progress_table(self._status, self._language)
 
     async def _begin(self) -> str:
         await self._ask("sensors", "begin", {})
@@ -66,7 +78,7 @@ class SensorTab(StepTab):
         try:
             while (status := await self._ask("sensors", "status", {}))["phase"] == "watching":
                 self._offer(True, self._is_found)
-                self._show(progress_table(status, self._language))
+                self._show(status=status)
                 self._tell(self._advice(status))
                 if status["enough"]:
                     return self._advice(status)
@@ -84,10 +96,10 @@ class SensorTab(StepTab):
     async def _find(self) -> str:
         self._tell(self._say("works"))
         found = (await self._ask("sensors", "result", {}))["modules"]
-        self._show(result_table(found, self._language))
+        self._show(found=found)
         self._offer(self._is_begun, True)
         good = sum(all(one["quality"] == "good" for one in each.values()) for each in found.values())
-        return self._say("scored", good=good, count=len(found))
+        return self._say("sensors_scored", good=good, count=len(found))
 
     async def _keep_in_file(self) -> str:
         kept = await self._ask("sensors", "accept", {})
@@ -103,7 +115,7 @@ class SensorTab(StepTab):
     async def _cancel(self) -> str:
         await self._ask("sensors", "cancel", {})
         self._offer(False, False)
-        self._show("")
+        self._show()
         return self._say("sensors_given_up")
 
 

@@ -51,10 +51,19 @@ def table(head: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str
     )
 
 
+def set_options(chooser: viser.GuiDropdownHandle[str], options: Sequence[str], chosen: str | None) -> None:
+    """Have a list offer these, with one of them chosen; the first where it does not offer that one."""
+    chooser.options = tuple(options)
+    # the library's property has a setter, which the type checker does not see
+    chooser.value = options[0] if chosen is None or chosen not in options else chosen  # type: ignore[misc]
+
+
 class Errands:
     """What buttons ask for, done in the loop while threads of the page's server go on."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.language = ENGLISH
+        """Of what is told where something goes wrong that nobody has foreseen."""
         self._loop = loop
         self._work: set[concurrent.futures.Future[None]] = set()
 
@@ -68,7 +77,7 @@ class Errands:
                 said = str(error)
             except Exception as error:  # a button that says nothing would be pressed again and again
                 _log.exception("a button of the page")
-                said = say(ENGLISH, "unexpected", error=repr(error))
+                said = say(self.language, "unexpected", error=repr(error))
             tell(said)
 
         future = asyncio.run_coroutine_threadsafe(work(), self._loop)
@@ -109,7 +118,7 @@ class StepTab(ABC):
     def speak(self, language: str) -> None:
         """Say everything in that language from now on."""
         if language != self._language:
-            self._language = language
+            self._language = self._errands.language = language
             rename(self._tabs, self._tab, self._say(self._name))
             self.build()
 

@@ -16,7 +16,7 @@ import viser
 from gateway.errors import GatewayError
 from gateway.recording import SkeletonArrays, open_recording
 from gateway.viewer.module_table import clock_of
-from gateway.viewer.step_tab import NOTHING, POOR, Ask, StepTab
+from gateway.viewer.step_tab import NOTHING, POOR, Ask, StepTab, set_options
 from gateway.viewer.texts import say, segment_name
 
 LARGEST_DOWNLOAD = 1 << 30
@@ -42,21 +42,34 @@ class TakesTab(StepTab):
         super().__init__(server, tabs, "takes", ask, loop)
         self._replay = replay
         self._listed: Mapping[str, Any] | None = None
+        self._is_replaying = False
         self.build()
 
     def _add_parts(self) -> list[Any]:
-        return [
+        chosen = None if self._listed is None else self._take.value
+        always = [
             self._button("record", self._record),
             self._button("record_stop", self._stop),
             self._button("takes_list", self._look),
             self._add_list(),
+        ]
+        self._of_takes = [
             self._add_choice(),
             self._button("replay", self._show),
-            self._button("live", self._show_live),
             self._add_formats(),
             self._button_for_page("export", self._export),
             self._button_for_page("download", self._download),
         ]
+        self._live = self._button("live", self._show_live)
+        self._offer(chosen)
+        return [*always, *self._of_takes, self._live]
+
+    def _offer(self, chosen: str | None) -> None:
+        """Show what can be done now, with that recording chosen if it is there, else the first."""
+        for part in self._of_takes:
+            part.visible = bool(self._files())
+        self._live.visible = self._is_replaying
+        set_options(self._take, tuple(self._files()) or (NOTHING,), chosen)
 
     def _add_list(self) -> Any:
         told = "" if self._listed is None else takes_list(self._listed, self._language)
@@ -89,7 +102,7 @@ class TakesTab(StepTab):
     async def _look(self) -> str:
         self._listed = await self._ask("recording", "list", {})
         self._list.content = takes_list(self._listed, self._language)
-        self._take.options = tuple(self._files()) or (NOTHING,)
+        self._offer(self._take.value)
         self._format.options = tuple(self._listed["formats"])
         return self._say("takes_found", count=len(self._files()), folder=self._listed["folder"])
 
@@ -106,10 +119,14 @@ class TakesTab(StepTab):
                 (Path(folder) / name).write_bytes(await self._read(name))
             arrays = await asyncio.to_thread(_arrays_of, Path(folder) / take["file"])
         self._replay(arrays, take["file"])
+        self._is_replaying = True
+        self._offer(take["file"])
         return self._say("replays", file=take["file"], live=self._say("live"))
 
     async def _show_live(self) -> str:
         self._replay(None, "")
+        self._is_replaying = False
+        self._offer(self._take.value)
         return self._say("is_live")
 
     async def _export(self, client: viser.ClientHandle | None) -> str:

@@ -116,7 +116,7 @@ async def test_modules_that_share_an_id_are_set_up_on_the_page(
         await page.get_by_text("modules that have ids of their own now").wait_for()
         await page.get_by_text("2 modules have id").wait_for(state="detached")
         await choose(page, 0, "63 · ")
-        await choose(page, 1, "right_forearm")
+        await choose(page, 1, "right forearm")
         assign = page.get_by_role("button", name="Assign", exact=True)
         await assign.click()
         await page.get_by_text("written: right forearm: module 63 becomes 9").wait_for()

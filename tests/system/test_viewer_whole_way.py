@@ -1,4 +1,5 @@
-"""From nothing configured to a BVH file on the page alone, with what goes wrong on the way.
+"""From nothing configured to a BVH file on the page alone, with what goes wrong on the way; a desktop's page
+is dark, a phone's light. Each step is held against the rules of axe-core.
 
 The suit has two modules of one id, a dead one and one that is worn upside down; the broker is restarted in
 the middle. The emulated wearer does what the page says, when it says so.
@@ -30,8 +31,9 @@ from gateway.emulation.rig import dress, worn_wrong
 from gateway.outputs.settings import MqttSettings
 from gateway.settings import load_gateway_settings
 from gateway.viewer.texts import ENGLISH, step_name
+from tests.accessible_page import grave_findings
 from tests.shown_page import SIZES, choose, open_tab, page_of, press
-from tests.suit_service import GATEWAY, suit_config
+from tests.suit_service import GATEWAY, started, suit_config
 
 pytestmark = [
     pytest.mark.system,
@@ -40,12 +42,14 @@ pytestmark = [
 ]
 PICTURES = os.environ.get("MOCAP_PICTURES")
 """Folder that pictures of the steps go to, such as docs/pictures; none: none are made."""
-ON_A_PHONE = {"3_assign", "6_check"}
+ON_A_PHONE = {"3_assign", "4_sensors", "6_check"}
 """Pictures that are made of the phone's page too."""
 UPSIDE_DOWN, DEAD = 12, 6
 """Left shank, left hand."""
 STANDING_S, AFTER_S = 0.5, 2.0
 """Of the script: upright and still; so long a movement goes on after its step has ended."""
+TUMBLING_MS = 240_000.0
+"""For the emulated box to have lain and turned enough."""
 LONGEST_S = 300.0
 """That it may take a person."""
 
@@ -83,8 +87,15 @@ class Way:
 
     def __init__(self, page, kind, motion, suit):
         self.page, self._kind, self._motion, self._suit = page, kind, motion, suit
+        self.grave = []
+        """What breaks a rule gravely, a line each."""
 
-    async def picture(self, name):
+    async def look(self, name, text=None):
+        """See that this step is accessible; where pictures are wanted, keep one, with the text in it."""
+        if text is not None:
+            shown = self.page.get_by_text(text).filter(visible=True).last
+            await shown.evaluate("element => element.scrollIntoView({block: 'center'})")
+        self.grave += await grave_findings(self.page, name)
         if PICTURES is not None and (self._kind == "desktop" or name in ON_A_PHONE):
             await asyncio.sleep(1.0)
             path = Path(PICTURES) / f"setup_{name}_{self._kind}.jpg"
@@ -132,6 +143,8 @@ async def test_a_suit_is_set_up_checked_and_captured_without_a_terminal(
     async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, size) as (page, _):
         way, begun_s = Way(page, kind, motion, suit), time.monotonic()
         await way.sees("poses/s")
+        if kind == "phone":
+            await page.get_by_role("checkbox", name="Light").click()
         await modules_are_assigned(way)
         await a_module_upside_down_is_seen(way)
         await the_body_is_calibrated(way, mosquitto)
@@ -139,6 +152,7 @@ async def test_a_suit_is_set_up_checked_and_captured_without_a_terminal(
         await a_take_becomes_a_file(way, tmp_path)
         assert load_gateway_settings(tmp_path / "gateway.yaml").rig == "suit_17.worn.yaml"
         took_s = time.monotonic() - begun_s
+    assert not way.grave, "\n".join(way.grave)
     print(f"{kind}: {took_s:.0f} s")
     if PICTURES is not None:  # of a machine that does little else
         assert took_s < LONGEST_S
@@ -150,18 +164,18 @@ async def modules_are_assigned(way):
     await open_tab(page, "1–3 Suit")
     await press(page, "1 · Ports and devices")
     await way.sees("things that are well")
-    await way.picture("1_ports")
+    await way.look("1_ports")
     await page.get_by_text("things that are well").click()
     await way.sees("free for recordings in")
     await press(page, "2 · Look for modules")
     await way.sees("2 modules have id 15")
-    await way.picture("2_modules")
+    await way.look("2_modules", "2 modules have id 15")
     await page.get_by_role("checkbox", name="Write to the modules").click()
     await press(page, "Give them ids of their own")
     await way.sees("modules that have ids of their own now")
     await choose(page, 0, "63 · ")
-    await choose(page, 1, "right_foot")
-    await way.picture("3_assign")
+    await choose(page, 1, "right foot")
+    await way.look("3_assign")
     await press(page, "Assign")
     await way.sees("written: right foot: module 63 becomes 16")
     await page.get_by_text("not heard: left hand", exact=True).wait_for()
@@ -172,13 +186,13 @@ async def a_module_upside_down_is_seen(way):
     await open_tab(way.page, "6 Check")
     await does(way, "left leg", "left_leg")
     await way.page.get_by_role("row", name="left leg left shank goes the other way").wait_for()
-    await way.picture("6_wrong_way_round")
+    await way.look("6_wrong_way_round", "goes the other way")
 
 
 async def does(way, movement, step):
     """One movement of the check."""
     await choose(way.page, 0, movement)
-    await press(way.page, "This one again")
+    await press(way.page, "This movement alone")
     await way.obeys(step)
     await way.sees("segments follow")
 
@@ -198,7 +212,7 @@ async def the_body_is_calibrated(way, mosquitto):
         await press(page, "Do this step")
         await way.obeys(step)
         if step == "squat":
-            await way.picture("5_countdown")
+            await way.look("5_countdown")
         await page.get_by_text("done: ").filter(has_text=step_name(ENGLISH, step)).wait_for()
         if step == "t_pose":
             await asyncio.to_thread(mosquitto.stop)
@@ -209,7 +223,7 @@ async def the_body_is_calibrated(way, mosquitto):
             await page.get_by_text("done: ").filter(has_text="N pose, T pose").wait_for()
     await press(page, "Work out how modules sit")
     await way.sees("of 17 modules are good")
-    await way.picture("5_score")
+    await way.look("5_score", "of 17 modules are good")
     await press(page, "Use it")
     await way.sees("in use and kept")
 
@@ -224,7 +238,7 @@ async def all_but_the_dead_module_follow(way):
         await page.get_by_role("row", name=f"left leg {segment} follows", exact=True).wait_for()
     await page.get_by_role("row", name="right leg right foot follows", exact=True).wait_for()
     await page.get_by_role("row", name="left arm left hand nothing is heard").wait_for()
-    await way.picture("6_check")
+    await way.look("6_check", "nothing is heard")
     await press(page, "Take the red away")
 
 
@@ -234,7 +248,7 @@ async def a_take_becomes_a_file(way, folder):
     await open_tab(page, "7 Takes")
     await press(page, "Record")
     await way.sees(re.compile("REC 0:(0[5-9]|[1-5])"))
-    await way.picture("7_recording")
+    await way.look("7_recording")
     await press(page, "Stop")
     await way.sees("recorded 0:")
     (file,) = (folder / "recordings").glob("*.mcap")
@@ -244,9 +258,35 @@ async def a_take_becomes_a_file(way, folder):
     exported = folder / "fetched.bvh"
     shutil.copy(await (await downloading.value).path(), exported)
     await way.sees("kept in line with what they hang from: left hand")
-    await way.picture("7_takes")
+    await way.look("7_takes", "kept in line with")
     text = exported.read_text()
     assert text.startswith("HIERARCHY")
     frames = int(text.partition("Frames:")[2].split()[0])
     assert frames > 150
     assert len(text.partition("Frame Time:")[2].splitlines()) > frames
+
+
+@pytest.mark.parametrize("size", SIZES, ids=["desktop", "phone"])
+async def test_sensors_are_calibrated_without_a_terminal(
+    mosquitto, unused_port, chromium, command, tmp_path, monkeypatch, size
+):
+    """Step 4: the modules lie in a box that is put down and turned, and it is told what to do with it."""
+    monkeypatch.chdir(tmp_path)
+    words = ["--tumbling", "--imperfections", "uncalibrated"]
+    await started(command, tmp_path, mosquitto.port, "arm_3", *words, allow_device_writes=True)
+    kind = "phone" if size == SIZES[1] else "desktop"
+    async with page_of(MqttSettings(port=mosquitto.port), unused_port, chromium, size) as (page, _):
+        way = Way(page, kind, None, None)
+        await way.sees("poses/s")
+        await open_tab(page, "4 Sensors")
+        await press(page, "Begin with the sensors")
+        await way.sees("Put it on another side, or askew, and let it lie there")
+        await way.look("4_sensors")
+        await page.get_by_text("That is enough: press").wait_for(timeout=TUMBLING_MS)
+        await press(page, "That is enough")
+        await way.sees("of 3 modules are good")
+        await way.look("4_result")
+        await press(page, "Keep it in the rig file")
+        await way.sees("kept for 3 modules, in")
+        assert not way.grave, "\n".join(way.grave)
+    assert set(load_rig(str(tmp_path / "arm_3.worn.yaml")).calibrations) == {1, 8, 9}

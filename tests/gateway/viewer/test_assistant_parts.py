@@ -16,6 +16,7 @@ from gateway.modules.assignment import Wardrobe
 from gateway.viewer.assistant import conflict_lines, devices_of, findings, found_table, told
 from gateway.viewer.body_steps import instruction_of, progress, result_table
 from gateway.viewer.module_table import RecordingStatus
+from gateway.viewer.sensor_tab import result_table as sensor_table
 from gateway.viewer.step_pictures import step_picture
 from gateway.viewer.step_tab import Errands
 from gateway.viewer.takes import takes_list
@@ -66,8 +67,13 @@ def test_languages_differ():
 
 
 def test_only_devices_that_answer_can_be_chosen():
-    assert list(devices_of(LISTED).values()) == [FIRST, SECOND]
-    assert next(iter(devices_of(LISTED))) == "0 · upper_arm · …aaaaaa"
+    assert list(devices_of(LISTED, "en").values()) == [FIRST, SECOND]
+    assert next(iter(devices_of(LISTED, "en"))) == "0 · upper arm · …aaaaaa"
+
+
+def test_a_device_is_called_by_its_segment_in_every_language():
+    listed = LISTED | {"modules": [device(5, FIRST, "left_forearm")]}
+    assert list(devices_of(listed, "de")) == ["5 · linker Unterarm · …aaaaaa"]
 
 
 @pytest.mark.parametrize("language", LANGUAGES.values())
@@ -206,3 +212,12 @@ def test_there_is_a_picture_of_every_step_and_movement():
         assert picture.count("<line") > 30
         assert 'aria-label="&lt;what to do&gt;"' in picture
     assert step_picture("unknown", "") == ""
+
+
+@pytest.mark.parametrize("language", LANGUAGES.values())
+def test_whatever_was_found_of_a_sensor_is_told(language):
+    """``none``: too little was heard to find anything."""
+    for quality in ("good", "fair", "poor", "none"):
+        table = sensor_table({"5": {"gyroscope": {"quality": quality, "reasons": ["no rest"]}}}, language)
+        assert say(language, quality) in table
+        assert "no rest" in table

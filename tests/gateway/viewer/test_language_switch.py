@@ -8,8 +8,11 @@ import pytest
 
 viser = pytest.importorskip("viser", reason="the extra 'viewer' is not installed")
 
-from gateway.viewer.body_steps import BodySteps  # noqa: E402 - needs the extra
+from gateway.viewer.assistant import Assistant  # noqa: E402 - needs the extra
+from gateway.viewer.body_steps import BodySteps  # noqa: E402
 from gateway.viewer.check_tab import CheckTab  # noqa: E402
+from gateway.viewer.sensor_tab import SensorTab  # noqa: E402
+from gateway.viewer.step_tab import _PLACE, Errands  # noqa: E402
 
 
 @pytest.fixture
@@ -38,3 +41,124 @@ async def test_a_movement_stays_chosen(place):
     tab._movement.value = "bow"
     tab.speak("de")
     assert tab._movement.value == "Verbeugung"
+
+
+def answering(place, **answers):
+    """The same place, with a gateway that answers by verb."""
+    server, tabs, _, loop = place
+
+    async def ask(_family, verb, _data):
+        return answers[verb]
+
+    return server, tabs, ask, loop
+
+
+LISTED = {
+    "modules": [
+        {
+            "module": module,
+            "unique_id": unique_id,
+            "segment": segment,
+            "answers": True,
+            "battery_percent": 80,
+            "rate_hz": 100.0,
+            "loss_percent": 0.0,
+            "clock": None,
+        }
+        for module, unique_id, segment in ((4, "a" * 24, "left_upper_arm"), (5, "b" * 24, "left_forearm"))
+    ],
+    "conflicts": [],
+    "segments": {"left_upper_arm": 4, "left_forearm": 5},
+}
+
+
+async def test_a_module_and_a_segment_stay_chosen(place):
+    server, tabs, ask, _ = answering(place, list=LISTED)
+    marked = []
+    tab = Assistant(server, tabs, ask, marked.append)
+    assert not tab._segment.visible, "what cannot be done yet is not shown"
+    await pressed(tab._look)
+    assert tab._segment.visible
+    tab._device.value = "5 · left forearm · …bbbbbb"
+    tab.choose_segment("left_upper_arm")
+    assert tab._segment.value == "left upper arm"
+    tab.speak("de")
+    assert tab._device.value == "5 · linker Unterarm · …bbbbbb"
+    assert tab._segment.value == "linker Oberarm"
+    assert "linker Unterarm" in tab._found.content
+    assert (tab._chosen_device(), tab._chosen_segment()) == ("b" * 24, "left_upper_arm")
+
+
+async def test_a_module_stays_chosen_that_has_another_id_now(place):
+    server, tabs, ask, _ = answering(place, list=LISTED)
+    tab = Assistant(server, tabs, ask, lambda _segment: None)
+    await pressed(tab._look)
+    tab._device.value = "5 · left forearm · …bbbbbb"
+    second = LISTED["modules"][1] | {"module": 4, "segment": "left_upper_arm"}
+    tab._ask = answering(place, list=LISTED | {"modules": [second]})[2]
+    await pressed(tab._look)
+    assert tab._device.value == "4 · left upper arm · …bbbbbb"
+
+
+STATUS = {
+    "phase": "watching",
+    "enough": True,
+    "advice": "enough",
+    "waited_for": [],
+    "modules": [
+        {
+            "module": 5,
+            "segment": "left_forearm",
+            "enough": True,
+            "heard": True,
+            "rest_s": 3.0,
+            "positions": 2,
+            "wanted_positions": 9,
+            "coverage": 0.5,
+        }
+    ],
+}
+FOUND = {"modules": {"5": {"gyroscope": {"quality": "good", "reasons": []}}}}
+
+
+async def test_tables_of_the_sensors_speak_the_language_that_is_chosen(place):
+    server, tabs, ask, loop = answering(place, begin={}, status=STATUS, result=FOUND)
+    tab = SensorTab(server, tabs, ask, loop)
+    await pressed(tab._begin)
+    assert "left forearm" in tab._table.content
+    tab.speak("de")
+    assert "linker Unterarm" in tab._table.content
+    await pressed(tab._find)
+    assert "Drehratensensor" in tab._table.content
+    tab.speak("en")
+    assert "gyroscope" in tab._table.content
+
+
+async def test_limbs_that_can_be_measured_have_names(place):
+    measures = {"subject": {"height_m": 1.8}, "lengths": {"left_forearm": 0.25}}
+    server, tabs, ask, loop = answering(place, measure=measures)
+    tab = BodySteps(server, tabs, ask, loop)
+    tab.speak("de")
+    await tab._take_measures()
+    assert tab._length.options[1:] == ("linker Unterarm",)
+    tab._length.value = "linker Unterarm"
+    tab._show_length()
+    assert tab._metres.value == 0.25
+
+
+async def test_what_nobody_has_foreseen_is_told_in_the_language_that_is_chosen(place):
+    told = asyncio.Queue()
+    errands = Errands(place[3])
+    errands.language = "de"
+
+    async def fails():
+        raise KeyError("x")
+
+    errands.start(fails, told.put_nowait)
+    assert "bitte melden" in await told.get()
+
+
+async def pressed(deed):
+    """Do what a button does, as if another one had been pressed since."""
+    _PLACE.set("nowhere")
+    return await deed()
