@@ -298,7 +298,8 @@ def test_a_trial_with_two_of_the_subjects_markers_is_refused(tmp_path: Path) -> 
 
 LANDMARKS = {
     "ASIS": "@_IAS", "Sacral": "SACR", "Sternum": "SJN", "Temple": "@_HEAD", "Acromium": "@_SAE",
-    "Bicep": "@_HUM", "Elbow": "@_HLE", "Wrist.Med": "@_USP", "Wrist.Lat": "@_RSP", "Thigh.Upper": "@_TH1", "Knee.Lat": "@_FLE",
+    "Bicep": "@_HUM", "Elbow": "@_HLE", "Wrist.Med": "@_USP", "Wrist.Lat": "@_RSP",
+    "Thigh.Upper": "@_TH1", "Knee.Lat": "@_FLE",
     "Knee.Med": "@_FME", "Shank.Upper": "@_SK1", "Ankle.Lat": "@_FAL", "Ankle.Med": "@_TAM", "Heel": "@_FCC",
     "Toe.Tip": "@_FM2", "Toe.Lat": "@_FM5",
 }  # fmt: skip
