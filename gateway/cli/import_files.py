@@ -134,7 +134,7 @@ def _suit(
     notes = list(found.notes)
     if found.unknown:
         notes.append(f"on no segment of the body, so kept but not used: {', '.join(found.unknown)}")
-    return dressed(worn, wanted.body, mvn_axes=FORMATS[name].axes == "mvn"), notes
+    return dressed(worn, wanted.body, mvn_axes=FORMATS[name].axes == "mvnx"), notes
 
 
 def _aligned(

@@ -47,7 +47,7 @@ class Format:
 
     meaning: str
     read: Callable[[Sequence[Path], ReadOptions], Recording]
-    axes: Literal["modules", "mvn", "segments"] = "modules"
+    axes: Literal["modules", "mvnx", "segments"] = "modules"
     """What has the orientations: modules that sit somehow on segments, segments in MVN's axes, or in ours."""
 
 
@@ -92,7 +92,7 @@ FORMATS: dict[str, Format] = {
         "MT Manager and MTw text, also for OpenSense: one .txt or .csv a module",
         lambda paths, o: _read_xsens_text(_files_in(paths), o.rate_hz, partial=o.partial),
     ),
-    "mvnx": Format("Xsens MVN: orientations and path of a whole body", _read_mvnx, axes="mvn"),
+    "mvnx": Format("Xsens MVN: orientations and path of a whole body", _read_mvnx, axes="mvnx"),
     "bvh": Format("BVH of animation programs: a whole body", _read_bvh, axes="segments"),
     "ximu3": Format(
         "x-IMU3: a folder a module, or the folder of all",
