@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.figures import replace_section, table
 from devices.marker_files import MarkerTrial, read_markers
 from devices.vendor_formats.sheets import FormatError
+from gateway.cli.optical import fit_doubts
 from gateway.errors import GatewayError
 from gateway.reconstruction.optical.fitting import Fit, FitOptions, by_lacking, fit_body
 from gateway.reconstruction.optical.worn_markers import fitting_set
@@ -86,6 +87,38 @@ def turned(trial: MarkerTrial) -> MarkerTrial:
     return replace(trial, positions=trial.positions[..., [1, 2, 0]])
 
 
+def mirrored(trial: MarkerTrial) -> MarkerTrial:
+    """Y to the other side."""
+    return replace(trial, positions=trial.positions * [1.0, -1.0, 1.0])
+
+
+def with_ghosts(trial: MarkerTrial) -> MarkerTrial:
+    """One point in fifty lies ten metres away."""
+    is_ghost = np.random.default_rng(2).random(trial.positions.shape[:2]) < 0.02
+    return replace(trial, positions=trial.positions + 10.0 * is_ghost[..., None])
+
+
+def with_sentinels(trial: MarkerTrial) -> MarkerTrial:
+    """One point in twenty not seen, and written as a number that no room has."""
+    is_unseen = np.random.default_rng(2).random(trial.positions.shape[:2]) < 0.05
+    return replace(trial, positions=np.where(is_unseen[..., None], 9999.999, trial.positions))
+
+
+def in_centimetres(trial: MarkerTrial) -> MarkerTrial:
+    """A tenth of every number."""
+    return replace(trial, positions=0.1 * trial.positions)
+
+
+def unseen(trial: MarkerTrial) -> MarkerTrial:
+    """Names alone."""
+    return replace(trial, positions=np.full_like(trial.positions, np.nan))
+
+
+def numbered(trial: MarkerTrial) -> MarkerTrial:
+    """Markers 1, 2, 3, …"""
+    return replace(trial, labels=tuple(str(m + 1) for m in range(len(trial.labels))))
+
+
 def same(trial: MarkerTrial) -> MarkerTrial:
     """As it is."""
     return trial
@@ -94,6 +127,13 @@ def same(trial: MarkerTrial) -> MarkerTrial:
 def head_changed(old: str, new: str) -> Edit:
     """Return what changes the third line, which holds the numbers of the head."""
     return lambda lines: [*lines[:2], lines[2].replace(old, new, 1), *lines[3:]]
+
+
+def quoted(lines: list[str]) -> list[str]:
+    """As some spreadsheets write it."""
+    rows = [line.split("\t") for line in lines[5:]]
+    fields = [[f'"{field}"' if field else "n/a" for field in row] for row in rows]
+    return [*lines[:5], *("\t".join(row) for row in fields)]
 
 
 CASES: dict[str, tuple[Change, Edit]] = {
@@ -105,6 +145,14 @@ CASES: dict[str, tuple[Change, Edit]] = {
     "two people": (beside_another, list),
     "noise of 3 mm, a tenth not seen": (noisy, list),
     "y up": (turned, list),
+    "a mirrored world": (mirrored, list),
+    "something before and behind the names": (called(lambda label: f"Anna Lee_trial_{label}-1"), list),
+    "two points of one name": (called(lambda label: {"LBHD": "LFHD"}.get(label, label)), list),
+    "a ghost far away now and then": (with_ghosts, list),
+    "9999999 where not seen": (with_sentinels, list),
+    "centimetres called mm": (in_centimetres, list),
+    "nothing ever seen": (unseen, list),
+    "numbers for names": (numbered, list),
     "no heel on one foot": (without("RHEE"), list),
     "no toe on one foot": (without("LTOE"), list),
     "two markers on the head": (without("LBHD", "RBHD"), list),
@@ -118,6 +166,9 @@ CASES: dict[str, tuple[Change, Edit]] = {
     "ends in the middle of a line": (same, lambda lines: [*lines[:-1], lines[-1][: len(lines[-1]) // 2]]),
     "text after the frames": (same, lambda lines: [*lines, "# exported by a program"]),
     "miscounted markers": (same, head_changed("\t39\t", "\t41\t")),
+    "n/a where not seen, quotes": (noisy, quoted),
+    "times that contradict the rate": (same, head_changed("24\t", "120\t")),
+    "frames left out": (same, lambda lines: [*lines[:15], *lines[30:]]),
     "decimal commas": (same, lambda lines: [*lines[:5], *(line.replace(".", ",") for line in lines[5:])]),
     "wrong unit": (same, head_changed("mm", "m")),
     "blanks in the place of tabs": (same, lambda lines: [line.replace("\t", " ") for line in lines]),
@@ -163,9 +214,10 @@ def outcome(paths: Sequence[Path]) -> tuple[str, str]:
 
 
 def _left_out(fit: Fit) -> list[str]:
+    doubts = fit_doubts(fit)
     bare = [f"no markers on {', '.join(fit.left_out)}"] if fit.left_out else []
     few = [f"too few on {', '.join(on)} (no {lacking})" for lacking, on in by_lacking(fit.too_few).items()]
-    return bare + few
+    return doubts + bare + few
 
 
 def _without_folder(text: str, folder: Path) -> str:

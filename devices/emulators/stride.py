@@ -2,15 +2,13 @@
 
 Phases are parts of the stride from the right foot's heel strike on. The foot rolls over heel, sole and ball
 without slipping; hip, knee and ankle follow by inverse kinematics (``legs``). Constants of ``STRIDE`` are
-a least-squares fit of the three angles to the means of ``normal_gait.csv``, in units of their standard
+a least-squares fit of the three angles to the means of ``devices.normal_gait``, in units of their standard
 deviations; a test holds them within one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -19,21 +17,6 @@ from devices.emulators.bodies import FloatArray
 
 FITTED_LEG_M = 0.860
 """Thigh and shank of the body that the stride was fitted for: others' lengths are in proportion."""
-NORMAL_GAIT_FILE = Path(__file__).with_name("normal_gait.csv")
-
-
-@cache
-def normal_gait() -> dict[str, FloatArray]:
-    """Published angles by name: (51, 3) percent of the stride, mean and standard deviation, degrees."""
-    lines = [line for line in NORMAL_GAIT_FILE.read_text().splitlines() if not line.startswith("#")]
-    columns = dict(
-        zip(lines[0].split(","), np.array([line.split(",") for line in lines[1:]], float).T, strict=True)
-    )
-    names = [name.removesuffix("_mean") for name in columns if name.endswith("_mean")]
-    return {
-        name: np.stack([columns["percent"], columns[f"{name}_mean"], columns[f"{name}_sd"]], axis=1)
-        for name in names
-    }
 
 
 @dataclass(frozen=True)
@@ -133,4 +116,4 @@ STRIDE = Stride(
     surge=(0.0328, -0.0135, -0.0004, 0.0029),
     tilt=0.2226,
 )
-"""Fitted to ``normal_gait.csv``."""
+"""Fitted to ``devices.normal_gait``."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from devices.marker_files.c3d_parameters import BLOCK, MIPS, Parameter, floats, read_parameters
 from devices.marker_files.naming import without_prefixes
-from devices.marker_files.trial import METRES, FloatArray, MarkerTrial
+from devices.marker_files.trial import METRES, FloatArray, MarkerTrial, label_notes, seen_points
 from devices.vendor_formats.sheets import FormatError
 
 _MAGIC = 0x50
@@ -92,15 +92,16 @@ def read_c3d(path: Path) -> MarkerTrial:
     """
     file = open_c3d(path)
     factor = metres_per_unit(file.parameters, path)
+    labels = _labels(file.parameters, file.layout.n_points)
     return MarkerTrial(
         name=path.stem,
-        labels=_labels(file.parameters, file.layout.n_points),
+        labels=labels,
         rate_hz=file.rate_hz,
-        positions=_points(file.rows(), file.layout) * factor,
+        positions=seen_points(_points(file.rows(), file.layout) * factor),
         parameters=_scalars(file.parameters),
         metres_per_unit=factor,
         begins_s=file.begins_s,
-        notes=file.notes,
+        notes=(*file.notes, *label_notes(labels, path)),
     )
 
 
@@ -173,8 +174,7 @@ def _points(rows: FloatArray, layout: C3DLayout) -> FloatArray:
     """(F, M, 3) in the file's unit."""
     points = rows[:, : 4 * layout.n_points].reshape(len(rows), layout.n_points, 4)
     places: FloatArray = points[:, :, :3] * (1.0 if layout.scale < 0 else layout.scale)
-    unseen = (points[:, :, 3] < 0) | (places == 0).all(axis=2) | ~np.isfinite(places).all(axis=2)
-    places[unseen] = np.nan
+    places[points[:, :, 3] < 0] = np.nan
     return places
 
 

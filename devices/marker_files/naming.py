@@ -57,9 +57,15 @@ def spellings(
     own = tuple(wanted)
     owner = person or _owner(own)
     meant = {plain(name): label for name, label in (others or {}).items()}
+    meant |= {plain(bare): label for bare, label in zip(_bare(own), own, strict=True)}
     meant |= {plain(label.rpartition(":")[2]): label for label in own}
     meant |= {plain(_without(label, _owner(own))): label for label in own}
     meant |= {plain(label): label for label in own}
+    bare = dict(zip(labels, _bare(labels), strict=True))
+    if person is None and _known(bare.values(), meant) > _known(labels, meant) + _ONE_MORE:
+        return _first_of_each(
+            {label: meant[plain(name)] for label, name in bare.items() if plain(name) in meant}
+        )
     taken = set(own) & set(labels) if person is None else set()
     found = {label: label for label in taken}
     prefix = _prefix_of(labels, meant, taken, person, owner, source)
@@ -71,6 +77,38 @@ def spellings(
             found[label] = name
             taken.add(name)
     return found
+
+
+def _bare(labels: Sequence[str]) -> list[str]:
+    """Labels without what stands before and behind all that are names (``Anna_Lee_LASI``, ``LASI-1``)."""
+    named = [label for label in labels if label and not label.startswith("*")]
+    if len(named) <= _ONE_MORE:
+        return list(labels)
+    first = _shared_mark(named)
+    last = _shared_mark([label[::-1] for label in named])
+    return [label[first : len(label) - last] if label in named else label for label in labels]
+
+
+def _shared_mark(texts: Sequence[str]) -> int:
+    """How many characters all texts begin with, up to the last that is no letter and no digit."""
+    first, last = min(texts), max(texts)
+    shared = next(
+        (n for n, pair in enumerate(zip(first, last, strict=False)) if len({*pair}) > 1), len(first)
+    )
+    return max((n for n in range(1, shared + 1) if not first[n - 1].isalnum()), default=0)
+
+
+def _known(labels: Iterable[str], meant: Mapping[str, str]) -> int:
+    """How many of the wanted labels some labels stand for."""
+    return len({meant[name] for name in map(plain, labels) if name in meant})
+
+
+def _first_of_each(found: Mapping[str, str]) -> dict[str, str]:
+    """Only the first label that stands for a wanted one."""
+    firsts: dict[str, str] = {}
+    for label, name in found.items():
+        firsts.setdefault(name, label)
+    return {label: name for name, label in firsts.items()}
 
 
 def _owner(labels: Sequence[str]) -> str | None:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from devices.marker_files.naming import without_prefixes
-from devices.marker_files.trial import METRES, FloatArray, MarkerTrial
+from devices.marker_files.trial import METRES, FloatArray, MarkerTrial, label_notes, seen_points
 from devices.vendor_formats.sheets import FormatError, read_lines
 
+_FRAME_NUMBER = re.compile(r"\"?\d+([.,]0*)?\"?")
 _HEAD_LINES = 5
 _LEADING = 2  # frame number, time
 _LATEST_S = 1e6
+_SAME_RATE = 0.02
+_NOT_SEEN = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "missing"})
+"""Small letters, of fields that hold no number."""
 
 
 def read_trc(path: Path) -> MarkerTrial:
@@ -45,9 +50,12 @@ def read_trc(path: Path) -> MarkerTrial:
         )
     factor = _metres_per_unit(head, path)
     places: FloatArray = np.array(rows).reshape(len(rows), len(labels), 3) * factor
-    places[(places == 0).all(axis=2) | ~np.isfinite(places).all(axis=2)] = np.nan
     rate_hz = _positive(head, "DataRate", path)
-    return MarkerTrial(path.stem, labels, rate_hz, places, {}, factor, _time_of(lines[begin:]), tuple(notes))
+    notes += label_notes(labels, path)
+    times = _times(lines[begin:])
+    notes += _time_notes(times, rate_hz, path)
+    begins_s = times[0] if times else 0.0
+    return MarkerTrial(path.stem, labels, rate_hz, seen_points(places), {}, factor, begins_s, tuple(notes))
 
 
 def _rows(lines: list[str], begin: int, n_values: int, path: Path) -> tuple[list[list[float]], list[str]]:
@@ -57,7 +65,7 @@ def _rows(lines: list[str], begin: int, n_values: int, path: Path) -> tuple[list
     """
     own = [(number, line) for number, line in enumerate(lines[begin:], begin + 1) if line.strip()]
     notes = []
-    while own and not own[-1][1].split("\t")[0].strip().isdigit():
+    while own and not _FRAME_NUMBER.fullmatch(own[-1][1].split("\t")[0].strip()):
         number, line = own.pop()
         notes = [f"{path}: from line {number} on text and no frames: left out"]
     rows = []
@@ -73,14 +81,35 @@ def _rows(lines: list[str], begin: int, n_values: int, path: Path) -> tuple[list
     return rows, notes
 
 
-def _time_of(rows: list[str]) -> float:
-    """s, of the first frame; 0 where its field is no time."""
-    fields = next((row for row in rows if row.strip()), "").split("\t")
-    try:
-        time_s = _number(fields[1])
-    except (IndexError, ValueError):
-        return 0.0
-    return time_s if abs(time_s) < _LATEST_S else 0.0
+def _times(rows: list[str]) -> list[float]:
+    """s, of all frames; none where the first one's field is no time."""
+    times = []
+    for row in rows:
+        fields = row.split("\t")
+        try:
+            times.append(_number(fields[1]))
+        except (IndexError, ValueError):
+            if not times and row.strip():
+                return []
+    return times if times and abs(times[0]) < _LATEST_S else []
+
+
+def _time_notes(times: list[float], rate_hz: float, path: Path) -> list[str]:
+    """Return where the column of times contradicts the rate of the header."""
+    steps = np.diff(times)
+    if not len(steps):
+        return []
+    usual = float(np.median(steps))
+    if not 1.0 - _SAME_RATE < usual * rate_hz < 1.0 + _SAME_RATE:
+        told = f"{1.0 / usual:.4g} frames a second" if usual > 0 else "no rate"
+        return [f"{path}: its times tell {told}, DataRate in line 3 {rate_hz:g}: DataRate counts"]
+    odd = np.flatnonzero(np.abs(steps - usual) > 0.5 * usual)
+    if len(odd):
+        return [
+            f"{path}: times jump behind frame {odd[0] + 1}, by {steps[odd[0]]:.4g} s (places: {len(odd)}): "
+            "frames are missing or out of order; they are taken one after the other"
+        ]
+    return []
 
 
 def _head(lines: list[str], path: Path) -> dict[str, str]:
@@ -117,11 +146,12 @@ def _row(line: str, number: int, n_values: int, path: Path) -> list[float]:
     if len(fields) != n_values:
         raise FormatError(f"{path}: line {number}: {len(fields)} coordinates where {n_values} are wanted")
     try:
-        return [_number(field) if field.strip() else np.nan for field in fields]
+        return [_number(field) for field in fields]
     except ValueError as error:
         raise FormatError(f"{path}: line {number}: {error}") from error
 
 
 def _number(field: str) -> float:
-    """With a decimal point, or a comma as many countries have it. Raises ``ValueError``."""
-    return float(field.replace(",", "."))
+    """With a decimal point, or a comma as many countries have it; NaN for none. Raises ``ValueError``."""
+    text = field.strip().strip("\"'")
+    return np.nan if text.lower() in _NOT_SEEN else float(text.replace(",", "."))

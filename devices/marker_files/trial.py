@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -53,6 +54,27 @@ class MarkerTrial:
         """(F, U, 3) m of the points that the system could not name."""
         chosen = [i for i, label in enumerate(self.labels) if not label or label.startswith("*")]
         return self.positions[:, chosen]
+
+
+FARTHEST_M = 1000.0
+"""From the origin. Some programs write 9999999 where a marker was not seen."""
+
+
+def seen_points(points: FloatArray) -> FloatArray:
+    """Return points (F, M, 3) m, NaN where all coordinates are zero, one is no number, or one is farther away
+    than ``FARTHEST_M``."""
+    with np.errstate(invalid="ignore"):
+        is_seen = (points != 0).any(axis=2) & (np.abs(points) <= FARTHEST_M).all(axis=2)
+    return np.where(is_seen[..., None], points, np.nan)
+
+
+def label_notes(labels: Sequence[str], source: object) -> tuple[str, ...]:
+    """Return what is odd about the labels of a file: names that several points have."""
+    counts = Counter(label for label in labels if label and not label.startswith("*"))
+    twice = [label for label, count in counts.items() if count > 1]
+    if not twice:
+        return ()
+    return (f"{source}: several markers are called {', '.join(twice)}: the first of each counts",)
 
 
 METRES = {"m": 1.0, "meters": 1.0, "metres": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from devices.deferred import make_interp_spline
 from devices.marker_files.force_plates import ForcePlates
 from gateway.analysis.contact import estimated_floor, with_unknown
+from gateway.analysis.cycles import Stride, strides
 from gateway.analysis.floor import FloorForces, feet
 from gateway.analysis.inverse_dynamics import Dynamics, inverse_dynamics
 from gateway.analysis.joint_torques import angle_axes, joint_torques
@@ -82,6 +83,11 @@ class Analysis:
     def known_power(self) -> FloatArray:
         """``power``, likewise."""
         return np.where(self.is_known, self.power, np.nan)
+
+    @property
+    def strides(self) -> tuple[Stride, ...]:
+        """Strides of every foot, in the order of time."""
+        return strides(self.skeleton, self.floor, self.time_s, self.dynamics.p_w)
 
     @property
     def weight_n(self) -> float:

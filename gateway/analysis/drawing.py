@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.body_model import EXTRA
+from gateway.analysis.cycles import Stride
 from gateway.analysis.floor import Source
 from gateway.analysis.muscles import MuscleResult
 from gateway.errors import GatewayError
@@ -38,6 +39,7 @@ class Scene:
     right: FloatArray  # (3,)
     pixels_per_m: float
     floor_m: float
+    strides: tuple[Stride, ...] = ()
 
 
 def require_opencv() -> Any:
@@ -62,6 +64,7 @@ def scene_of(found: Analysis) -> Scene:
         np.cross(forward, [0.0, 0.0, 1.0]),
         0.88 * HEIGHT / max(tall, 0.5),
         float(found.floor.height_m.min()),
+        found.strides,
     )
 
 
@@ -78,13 +81,23 @@ def draw(found: Analysis, muscles: MuscleResult | None, frame: int, scene: Scene
         _forces(view, found, frame)
     _write(picture, f"{found.time_s[frame]:.2f} s", (10, 22), 0.5)
     for k, (side, colour) in enumerate(_SIDES.items()):
-        _write(picture, side, (100 + 50 * k, 22), 0.45, colour)
+        _write(picture, _side_told(side, float(found.time_s[frame]), scene), (90 + 120 * k, 22), 0.45, colour)
     for k, c in enumerate(np.flatnonzero(found.floor.source[frame] == Source.UNKNOWN).tolist()):
         name = found.skeleton.segment_names[int(found.floor.segments[c])].replace("_", " ")
         _write(picture, f"{name} stands on an unknown force", (10, 44 + 18 * k), 0.42)
     if muscles is not None:
         _scale(cv2, picture)
     return picture
+
+
+def _side_told(side: str, time_s: float, scene: Scene) -> str:
+    """A side's name, with where in its stride the foot is, as far as that is known."""
+    own = (each for each in scene.strides if each.foot.startswith(side))
+    stride = next((each for each in own if each.start_s <= time_s <= each.end_s), None)
+    if stride is None:
+        return side
+    phase = "stance" if time_s < stride.off_s else "swing"
+    return f"{side} {stride.percent_at(time_s):.0f} % {phase}"
 
 
 def png(picture: Picture) -> bytes:

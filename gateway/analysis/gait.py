@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.analysis.floor import LEAST_FORCE_N, FloorForces, Source
 from gateway.body.skeleton import Skeleton
@@ -12,6 +13,7 @@ from gateway.frames import FloatArray
 
 _SHORTEST_STANCE_S = 0.1
 _SHORTEST_SWING_S = 0.1
+_LEAST_SHARE = 0.08
 """What lasts less is noise about the threshold."""
 
 
@@ -32,7 +34,7 @@ def gait_events(skeleton: Skeleton, floor: FloorForces, time_s: FloatArray) -> l
     found = []
     for c, segment in enumerate(floor.segments.tolist()):
         name = skeleton.segment_names[segment]
-        for first, last in _stances(floor.force[:, c, 2], time_s):
+        for first, last in _stances(_loads(floor, c), time_s):
             source = Source(int(floor.source[first, c])).name.lower()
             for frame, beside, event in ((first, first - 1, "strike"), (last, last + 1, "off")):
                 is_inside = 0 <= beside < len(time_s)
@@ -41,9 +43,22 @@ def gait_events(skeleton: Skeleton, floor: FloorForces, time_s: FloatArray) -> l
     return sorted(found)
 
 
-def _stances(up_n: FloatArray, time_s: FloatArray) -> list[tuple[int, int]]:
+def _loads(floor: FloorForces, foot: int) -> NDArray[np.bool_]:
+    """(F,) whether a foot bears a load.
+
+    An estimated force is the motion's need less what plates measured: a wrong mass leaves a little of it on a
+    foot in the air, so it has to be a share of the largest.
+    """
+    up_n = floor.force[:, foot, 2]
+    least = np.full(len(up_n), LEAST_FORCE_N)
+    is_estimated = floor.source[:, foot] == Source.ESTIMATED
+    least[is_estimated] = max(LEAST_FORCE_N, _LEAST_SHARE * float(up_n.max(initial=0.0)))
+    loaded: NDArray[np.bool_] = up_n > least
+    return loaded
+
+
+def _stances(stands: NDArray[np.bool_], time_s: FloatArray) -> list[tuple[int, int]]:
     """First and last frame of every load (F,), short breaks closed and short loads left out."""
-    stands = up_n > LEAST_FORCE_N
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
     for value, shortest in ((False, _SHORTEST_SWING_S), (True, _SHORTEST_STANCE_S)):
         for first, last in _runs(stands == value):

@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.analysis.analysing import Analysis
+from gateway.analysis.cycles import PERCENT, foot_of, stance_spans
+from gateway.analysis.gait_curves import GaitCurve, gait_curves
 from gateway.analysis.muscles import MuscleResult
 from gateway.frames import FloatArray
 from gateway.report.elements import LINES, panels, png, small_multiples
 
 _MOST_MUSCLES = 24
+GAIT_COLUMNS = 3
+SIDE_COLOURS = {"left": "#a03c96", "right": "#00789b"}
+"""Those of the film."""
 
 
 def angles(found: Analysis) -> bytes:
@@ -33,7 +38,47 @@ def powers(found: Analysis) -> bytes:
     return small_multiples(
         found.time_s,
         [(joint.name, power[:, j : j + 1], ("power",)) for j, joint in enumerate(found.skeleton.joints)],
+        _stances(found),
     )
+
+
+def gait(found: Analysis, unit: str) -> bytes | None:
+    """Curves of a unit (``deg``, ``n_m_per_kg``, ``w_per_kg``) by percent of the stride, left and right over
+    the published band; None where no stride tells any."""
+    curves = [curve for curve in gait_curves(found) if curve.unit == unit]
+    titles = list(dict.fromkeys(curve.title for curve in curves))
+    if not titles:
+        return None
+    figure, axes = panels(len(titles), 2.2 * -(-len(titles) // GAIT_COLUMNS) + 0.5, GAIT_COLUMNS)
+    for curve in curves:
+        _gait_panel(axes[titles.index(curve.title)], curve)
+    for side, colour in SIDE_COLOURS.items():
+        off = [each.stance_percent for each in found.strides if each.foot.startswith(side)]
+        for panel in axes[: len(titles)] if off else []:
+            panel.axvline(float(np.mean(off)), color=colour, lw=0.8, ls="--", label=f"{side} foot lifts off")
+    for panel, title in zip(axes, titles, strict=False):
+        panel.set_title(title, fontsize=8)
+        panel.set_xlim(0, 100)
+        panel.set_xlabel("% of the stride", fontsize=7)
+    entries: dict[str, object] = {}
+    for panel in axes:
+        handles, labels = panel.get_legend_handles_labels()
+        entries |= dict(zip(labels, handles, strict=True))
+    figure.legend(entries.values(), entries.keys(), loc="outside right upper", fontsize=6)
+    return png(figure)
+
+
+def _gait_panel(panel: object, curve: GaitCurve) -> None:
+    """Every stride thin, their mean thick, the published band below."""
+    side = "left" if curve.is_left else "right"
+    if curve.band is not None and not panel.collections:  # type: ignore[attr-defined]
+        percent, mean, deviation = curve.band.T
+        panel.fill_between(  # type: ignore[attr-defined]
+            percent, mean - deviation, mean + deviation, color="#d5d5d5", lw=0, label="published, ±1 SD"
+        )
+    for own in curve.cycles.curves:
+        panel.plot(PERCENT, own, lw=0.4, alpha=0.6, color=SIDE_COLOURS[side])  # type: ignore[attr-defined]
+    panel.plot(PERCENT, curve.cycles.mean, lw=1.6, color=SIDE_COLOURS[side], label=side)  # type: ignore[attr-defined]
 
 
 def floor(found: Analysis) -> bytes:
@@ -100,7 +145,14 @@ def _by_joint(found: Analysis, values: FloatArray) -> bytes:
         (joint.name, values[:, j, : len(joint.angles)], tuple(angle.name for angle in joint.angles))
         for j, joint in enumerate(found.skeleton.joints)
     ]
-    return small_multiples(found.time_s, shown)
+    return small_multiples(found.time_s, shown, _stances(found))
+
+
+def _stances(found: Analysis) -> dict[str, list[tuple[float, float]]]:
+    """From when until when the foot of a joint's side stands, by the joint's name."""
+    spans = stance_spans(found.skeleton, found.floor, found.time_s)
+    feet = {joint.name: foot_of(found.skeleton, j) for j, joint in enumerate(found.skeleton.joints)}
+    return {name: spans[foot] for name, foot in feet.items() if foot in spans}
 
 
 def _lines(axes: object, time_s: FloatArray, values: FloatArray) -> None:

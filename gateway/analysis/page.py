@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from devices.normal_gait import SOURCE
 from gateway.analysis import graphs
 from gateway.analysis.analysing import Analysis
 from gateway.analysis.drawing import draw, scene_of
@@ -19,6 +20,7 @@ from gateway.report.elements import document, picture, require_matplotlib, table
 from gateway.support.whole_files import writing
 
 _PICTURES = 3
+_GAIT_HEADINGS = {"deg": "Angles, °", "n_m_per_kg": "Torques, N m/kg", "w_per_kg": "Powers, W/kg"}
 _FULL = 0.99
 """Activity from which a muscle is at its largest."""
 
@@ -41,7 +43,9 @@ def _sections(found: Analysis, muscles: MuscleResult | None, film: Path | None) 
     yield _tiles(found)
     yield "".join(f"<p>{html.escape(note)}</p>" for note in found.notes)
     yield from _pictures(found, muscles, film)
+    yield from _gait(found)
     if found.skeleton.joints:
+        yield _stance_note(found)
         yield "<h2>Joint angles, °</h2>" + picture(graphs.angles(found), "joint angles over time")
         yield "<h2>Torques, N m/kg</h2>" + _torque_table(found)
         yield picture(graphs.torques(found), "torques of every joint over time")
@@ -69,6 +73,53 @@ def _pictures(found: Analysis, muscles: MuscleResult | None, film: Path | None) 
         frames = np.linspace(0, len(found.time_s) - 1, 2 * _PICTURES + 1)[1::2].astype(int)
         drawn = np.hstack([draw(found, muscles, frame, scene) for frame in frames.tolist()])
         yield "<h2>Motion</h2>" + picture(drawn_png(drawn), "body and muscles at three instants")
+
+
+def _gait(found: Analysis) -> Iterator[str]:
+    """Strides as figures, and curves by percent of them; nothing where nobody walks."""
+    if not found.strides:
+        return
+    yield "<h2>Gait</h2>" + _stride_table(found)
+    for unit, heading in _GAIT_HEADINGS.items():
+        curves = graphs.gait(found, unit)
+        if curves is not None:
+            yield f"<h3>{heading}, by percent of the stride</h3>"
+            yield picture(curves, f"{heading} by percent of the stride")
+    yield (
+        f"<p>Thin: single strides, from strike to strike; thick: their mean. Grey: {html.escape(SOURCE)}, "
+        "mean and one standard deviation. Its hips are told against a pelvis of markers; where the neutral "
+        "posture set the axes they show about 10° less.</p>"
+    )
+
+
+def _stance_note(found: Analysis) -> str:
+    return "<p>Shaded: the foot of that side stands.</p>" if found.strides else ""
+
+
+def _stride_table(found: Analysis) -> str:
+    rows = []
+    for foot in dict.fromkeys(stride.foot for stride in found.strides):
+        own = [stride for stride in found.strides if stride.foot == foot]
+        rows.append(
+            [
+                foot.replace("_", " "),
+                str(len(own)),
+                _spread([stride.duration_s for stride in own], 2),
+                _spread([120.0 / stride.duration_s for stride in own], 0),
+                _spread([stride.stance_percent for stride in own], 0),
+                _spread([stride.length_m for stride in own], 2),
+                _spread([stride.speed_m_per_s for stride in own], 2),
+                ", ".join(sorted({stride.source for stride in own})),
+            ]
+        )
+    heads = ("foot", "strides", "duration s", "steps a minute", "stance %", "length m", "speed m/s", "force")
+    return table(heads, rows)
+
+
+def _spread(values: list[float], digits: int) -> str:
+    """Mean, and standard deviation where there are several."""
+    deviation = f" ± {np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else ""
+    return f"{np.mean(values):.{digits}f}{deviation}"
 
 
 def _extremes(torque: FloatArray, kg: float) -> tuple[str, str, str]:

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.analysis.analysing import Analysis
+from gateway.analysis.cycles import PERCENT, Stride
 from gateway.analysis.floor import Source
 from gateway.analysis.gait import GaitEvent, gait_events
+from gateway.analysis.gait_curves import gait_curves
 from gateway.analysis.muscles import MuscleResult
 from gateway.recording.exporters.tables import write_csv_columns, write_parquet_columns
 
@@ -31,6 +33,7 @@ def write_tables(found: Analysis, muscles: MuscleResult | None, folder: Path, ki
             name: np.array(values)
             for name, values in zip(GaitEvent._fields, zip(*events, strict=True), strict=True)
         }
+    made |= _gait(found)
     for name, columns in made.items():
         path = folder / f"{name}.{kind}"
         WRITERS[kind](columns, path)
@@ -49,6 +52,26 @@ def tables(found: Analysis, muscles: MuscleResult | None = None) -> dict[str, Co
     if muscles is not None:
         made["muscles"] = _muscles(found, muscles)
     return {name: {"time_s": found.time_s} | columns for name, columns in made.items()}
+
+
+def _gait(found: Analysis) -> dict[str, Columns]:
+    """Strides, a row each, and curves by percent of them; nothing where nobody walks."""
+    own = found.strides
+    if not own:
+        return {}
+    made: Columns = {name: np.array([stride[i] for stride in own]) for i, name in enumerate(Stride._fields)}
+    made["duration_s"] = np.array([stride.duration_s for stride in own])
+    made["stance_percent"] = np.array([stride.stance_percent for stride in own])
+    made["speed_m_per_s"] = np.array([stride.speed_m_per_s for stride in own])
+    curves: Columns = {"percent": PERCENT}
+    for shown in gait_curves(found):
+        curves[f"{shown.name}_mean"] = shown.cycles.mean
+        curves[f"{shown.name}_sd"] = shown.cycles.deviation
+        if shown.band is not None:
+            percent, mean, deviation = shown.band.T
+            curves[f"{shown.name}_published_mean"] = np.interp(PERCENT, percent, mean)
+            curves[f"{shown.name}_published_sd"] = np.interp(PERCENT, percent, deviation)
+    return {"strides": made, "gait_cycles": curves}
 
 
 def _joints(found: Analysis) -> Columns:

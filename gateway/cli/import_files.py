@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -76,28 +77,30 @@ def import_files(
         list[Path], typer.Argument(help="Files, one a module where the maker has it so; or folders.")
     ],
 ) -> None:
-    """Make a recording of other makers' files: Xsens, MVNX, x-IMU3, Movella DOT, OpenSense, any CSV.
+    """Make a recording of other makers' files: Xsens, MVNX, BVH, x-IMU3, Movella DOT, OpenSense, CSV.
 
     The samples become packets of our own modules, so all that works with a recording works with it: replay,
     re-solving, export, report. docs/imports.md has every format.
     """
     from gateway.imports.formats import ReadOptions, detected, read
+    from gateway.imports.segment_names import read_maps
     from gateway.imports.writing import is_fused, settings_of, write_imported
 
-    options = ReadOptions(wanted.rate, wanted.align, wanted.partial, wanted.columns)
+    maps = read_maps(wanted.maps or [])
+    options = ReadOptions(wanted.rate, wanted.align, wanted.partial, wanted.columns, maps, wanted.body)
     name = detected(files, options) if wanted.format_name == _AUTO else str(wanted.format_name)
     target = wanted.output or Path(f"{files[0].stem}.mcap")
     with progress_bar(f"reading {name}", is_shown=not wanted.as_json):
         recording = read(files, name, options)
     if wanted.reconstructor is not None:
         check_method(wanted.reconstructor)
-    suit, notes = _suit(recording, name, wanted)
+    suit, notes = _suit(recording, name, {} if name == "bvh" else maps, wanted)
     settings = settings_of(recording, wanted.rig or suit.skeleton.name, wanted.reconstructor)
     if is_fused(settings) and not recording.fused:
         raise GatewayError(f"--reconstructor {wanted.reconstructor}: the files hold no orientations")
     if wanted.neutral is not None:
         suit = _aligned(recording, suit, settings, wanted.neutral, wanted.forward)
-    elif wanted.rig is None and name != "mvnx":
+    elif wanted.rig is None and FORMATS[name].axes == "modules":
         notes.append("modules are taken to lie along their segments; --neutral FROM:TO finds how they sit")
     with progress_bar(f"importing {recording.name}", is_shown=not wanted.as_json) as tell, writing(target):
         done = write_imported(recording, suit, settings, files, target, tell)
@@ -110,13 +113,14 @@ def import_files(
     _tell(outcome, wanted.as_json)
 
 
-def _suit(recording: Recording, name: str, wanted: Import) -> tuple[WornSuit, list[str]]:
-    """The suit, and what the user should know of it."""
+def _suit(
+    recording: Recording, name: str, maps: Mapping[str, str], wanted: Import
+) -> tuple[WornSuit, list[str]]:
+    """The suit, and what the user should know of it. maps: module to segment."""
     from gateway.body.rig import load_body, load_rig
-    from gateway.imports.segment_names import mapped_segments, read_maps
+    from gateway.imports.segment_names import mapped_segments
     from gateway.imports.suits import Worn, dressed
 
-    maps = read_maps(wanted.maps or [])
     if wanted.rig is not None:
         return load_rig(wanted.rig), []
     segments = load_body(wanted.body or BODY).segment_names
@@ -130,7 +134,7 @@ def _suit(recording: Recording, name: str, wanted: Import) -> tuple[WornSuit, li
     notes = list(found.notes)
     if found.unknown:
         notes.append(f"on no segment of the body, so kept but not used: {', '.join(found.unknown)}")
-    return dressed(worn, wanted.body, mvn_axes=name == "mvnx"), notes
+    return dressed(worn, wanted.body, mvn_axes=FORMATS[name].axes == "mvnx"), notes
 
 
 def _aligned(

@@ -55,7 +55,7 @@ class _Commands(LazyGroup):
         ),
         "import": LazyCommand(
             "gateway.cli.import_files:import_files",
-            "Make a recording of other makers' files: Xsens, MVNX, x-IMU3, Movella DOT, OpenSense, any CSV.",
+            "Make a recording of other makers' files: Xsens, MVNX, BVH, x-IMU3, Movella DOT, OpenSense, CSV.",
             "Examples: mocap-gateway import femur.csv tibia.csv -o knee.mcap; "
             "mocap-gateway import IMUData/ --map myIMUMappings.xml --neutral 0:1 --forward z -o gait.mcap",
         ),

@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from gateway.recording.optical import SolvedTrial
 
 
+MOST_REST_MM = 20.0
+"""RMS: skin leaves 3 to 10."""
+LEAST_USED = 0.5
+"""Of the points seen, that had a say in a pose."""
 MOST_UNEVEN = 1.15
 """Longer over shorter, of the two segments of one name: beyond it a marker may sit elsewhere."""
 
@@ -199,6 +203,8 @@ def _fit_outcome(found: Fit, files: list[Path], target: Path) -> dict[str, objec
         "angles_deg": {name: round(math.degrees(a), 2) for name, a in found.angles.items() if a},
         "left_out": list(found.left_out),
         "functional": found.is_functional,
+        "ghosts": dict(found.ghosts),
+        "backwards": list(found.backwards),
         "too_few": {name: list(labels) for name, labels in found.too_few.items()},
         "lengths_mm": lengths_mm,
         "uneven": uneven_sides(lengths_mm),
@@ -228,6 +234,26 @@ def _worn(found: Fit, name: str) -> str:
     return " ".join(label for label, where in on if where == segment)
 
 
+def fit_doubts(found: Fit) -> list[str]:
+    """What speaks against the files, a sentence each."""
+    doubts = []
+    if found.ghosts:
+        by_marker = ", ".join(f"{label} {count}" for label, count in found.ghosts.items())
+        doubts.append(f"points far from the markers beside them were left out ({by_marker})")
+    if found.backwards:
+        doubts.append(
+            f"{' and '.join(found.backwards)} bend backwards: left and right are exchanged in the markers' "
+            "names, or an axis of the file points the other way (a mirrored world)"
+        )
+    if 1e3 * found.rmse > MOST_REST_MM:
+        worst = np.argsort(found.markers.sigmas)[::-1][:4].tolist()
+        doubts.append(
+            f"the body meets its markers within {1e3 * found.rmse:.0f} mm, where skin leaves 3 to 10: look "
+            f"for exchanged names and ghosts, first at {', '.join(found.markers.labels[m] for m in worst)}"
+        )
+    return doubts
+
+
 def _print_fit(found: Fit, outcome: dict[str, object], *, functional: bool) -> None:
     from gateway.reconstruction.optical.fitting import by_lacking
 
@@ -251,6 +277,8 @@ def _print_fit(found: Fit, outcome: dict[str, object], *, functional: bool) -> N
             "better so than where rules have them (--rules-only keeps to those)",
             err=True,
         )
+    for note in fit_doubts(found):
+        typer.echo(f"note: {note}", err=True)
     if found.left_out:
         typer.echo(f"note: no markers on {', '.join(found.left_out)}: the body goes without them", err=True)
     for lacking, names in by_lacking(found.too_few).items():
@@ -463,6 +491,14 @@ def _print_solved(done: SolvedTrial) -> None:
         f"{done.ms_per_frame:.2f} ms a frame; {len(done.renamed)} names put right, "
         f"{done.counts.get('rejected', 0)} points left out"
     )
+    seen = np.isfinite(done.residuals)
+    share = float(done.used[seen].mean()) if seen.any() else 0.0
+    if share < LEAST_USED or 1e3 * done.rmse > MOST_REST_MM:
+        typer.echo(
+            f"note: {100 * share:.0f} % of the points seen had a say, rest {1e3 * done.rmse:.0f} mm: is this "
+            "the subject's own trial, in the unit that the file tells? If not, `optical fit` it first",
+            err=True,
+        )
 
 
 def serve(

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from devices.deferred import Deferred
 from devices.vendor_formats.sheets import FormatError
+from gateway.body.rig import load_body
 from gateway.errors import GatewayError
+from gateway.imports.segment_names import BODY
 from gateway.support.settings_files import load_settings
 
 if TYPE_CHECKING:
@@ -31,6 +35,10 @@ class ReadOptions:
     partial: bool = False
     columns: Path | None = None
     """Map file of ``csv``."""
+    maps: Mapping[str, str] = field(default_factory=dict)
+    """Joint to segment, for ``bvh``."""
+    body: str | None = None
+    """Name or file of the body, for ``bvh``; None: a person."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,8 @@ class Format:
 
     meaning: str
     read: Callable[[Sequence[Path], ReadOptions], Recording]
+    axes: Literal["modules", "mvnx", "segments"] = "modules"
+    """What has the orientations: modules that sit somehow on segments, segments in MVN's axes, or in ours."""
 
 
 def _read_mvnx(paths: Sequence[Path], options: ReadOptions) -> Recording:
@@ -47,6 +57,21 @@ def _read_mvnx(paths: Sequence[Path], options: ReadOptions) -> Recording:
     if len(paths) > 1:
         raise GatewayError(f"an MVNX file holds a whole body: import {len(paths)} files one by one")
     return read_mvnx(paths[0], partial=options.partial)
+
+
+def _read_bvh(paths: Sequence[Path], options: ReadOptions) -> Recording:
+    from devices.vendor_formats.bvh import read_bvh  # noqa: PLC0415
+
+    if len(paths) > 1:
+        raise GatewayError(f"a BVH file holds a whole body: import {len(paths)} files one by one")
+    body = load_body(options.body or BODY)
+    known = {
+        name: float(np.linalg.norm(tip)) for name, tip in zip(body.segment_names, body.tips, strict=True)
+    }
+    if not {"left_thigh", "left_shank"} <= known.keys():
+        raise GatewayError(f"--body {options.body}: a BVH file is read for a body with legs")
+    leg_m = known["left_thigh"] + known["left_shank"]
+    return read_bvh(paths[0], leg_m, options.maps, partial=options.partial)
 
 
 def _read_csv(paths: Sequence[Path], options: ReadOptions) -> Recording:
@@ -67,7 +92,8 @@ FORMATS: dict[str, Format] = {
         "MT Manager and MTw text, also for OpenSense: one .txt or .csv a module",
         lambda paths, o: _read_xsens_text(_files_in(paths), o.rate_hz, partial=o.partial),
     ),
-    "mvnx": Format("Xsens MVN: orientations and path of a whole body", _read_mvnx),
+    "mvnx": Format("Xsens MVN: orientations and path of a whole body", _read_mvnx, axes="mvnx"),
+    "bvh": Format("BVH of animation programs: a whole body", _read_bvh, axes="segments"),
     "ximu3": Format(
         "x-IMU3: a folder a module, or the folder of all",
         lambda paths, o: _read_ximu3(paths, align=o.align, partial=o.partial),
@@ -117,6 +143,7 @@ def detected(paths: Sequence[Path], options: ReadOptions) -> str:
 
 _MARKS = {
     "mvnx": (b"<mvnx",),
+    "bvh": (b"HIERARCHY",),
     "movella-dot": (b"Movella", b"SyncStatus:", b"DeviceTag:"),
     "xsens": (b"PacketCounter", b"Counter\tAcc_X"),
 }

@@ -38,6 +38,7 @@ LINK = "markers"
 CARRIES = "markers"
 _BEGUN_NS = 10**9
 """Gateway time of 0 s of a trial's own time."""
+_FASTEST_HZ = 4000.0
 _FEWEST_MARKERS = 3
 """Fewer show no pose of anything. Names that two marker sets share by chance are as few."""
 
@@ -188,6 +189,11 @@ def _called(
     suit: WornSuit, subject: str, trial: MarkerTrial, source: Path, person: str | None
 ) -> tuple[BodyMarkers, MarkerTrial]:
     """The subject's markers, and the trial that has some of them, called as the subject has them."""
+    if not trial.rate_hz <= _FASTEST_HZ:
+        raise GatewayError(
+            f"{source}: {trial.rate_hz:g} frames a second, of which {_FASTEST_HZ:g} are solved at the most: "
+            "correct the rate in the file (POINT:RATE, or DataRate), or leave frames out"
+        )
     markers = suit.markers
     if markers is None:
         raise GatewayError(f"{subject} is no fitted subject: make one with `mocap-gateway optical fit`")
@@ -198,6 +204,12 @@ def _called(
             f"{source} has {'only ' + ', '.join(shared) if shared else 'none'} of the markers of {subject} "
             f"({', '.join(markers.labels[:6])}, …); it has "
             + (", ".join([label for label in trial.labels if label][:6]) or "no named ones")
+        )
+    seen = np.isfinite(called.columns(markers.labels)).all(axis=2).sum(axis=1)
+    if not (seen >= _FEWEST_MARKERS).any():
+        raise GatewayError(
+            f"{source}: no frame shows {_FEWEST_MARKERS} of the markers of {subject}: "
+            "its points are empty, zero or farther than 1 km from the origin; export the trial again"
         )
     return markers, called
 

@@ -6,7 +6,7 @@ import base64
 import html
 import importlib.util
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from devices.extras import how_to_add
@@ -86,14 +86,28 @@ def require_matplotlib() -> None:
         raise GatewayError(f"a report needs the extra 'plot': {how_to_add('plot')}")
 
 
-def small_multiples(times: FloatArray, shown: Sequence[tuple[str, FloatArray, tuple[str, ...]]]) -> bytes:
+def small_multiples(
+    times: FloatArray,
+    shown: Sequence[tuple[str, FloatArray, tuple[str, ...]]],
+    shaded: Mapping[str, Sequence[tuple[float, float]]] | None = None,
+) -> bytes:
+    """A panel for each of ``shown`` (title, values (F, n), names of their lines), as PNG.
+
+    shaded: spans of time set off behind the panel of a title, from when until when, s.
+    """
     rows = -(-len(shown) // _COLUMNS)
     figure, axes = panels(len(shown), 1.55 * rows + 0.3, _COLUMNS)
     for panel, (title, values, names) in zip(axes, shown, strict=False):
+        for first, last in (shaded or {}).get(title, ()):
+            panel.axvspan(first, last, color="#e8edf2", lw=0)
         for line, name in enumerate(names):
             panel.plot(times, values[:, line], lw=0.8, color=LINES[line], label=name.replace("_", " "))
         panel.set_title(title.replace("_", " "), fontsize=8)
-        panel.legend(fontsize=5, loc="upper right", handlelength=1, borderpad=0.2, framealpha=0.6)
+        if len(names) > 1:
+            panel.legend(
+                fontsize=5, loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1, borderpad=0.2,
+                frameon=False,
+            )  # fmt: skip
     for panel in axes[-_COLUMNS:]:
         panel.set_xlabel("s", fontsize=7)
     return png(figure)

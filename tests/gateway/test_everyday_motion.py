@@ -7,7 +7,8 @@ import pytest
 
 from devices.emulators.everyday import GRID_HZ, STRIDE_HZ, Lap
 from devices.emulators.motions import everyday_motion
-from devices.emulators.stride import STRIDE, normal_gait
+from devices.emulators.stride import STRIDE
+from devices.normal_gait import normal_gait
 from gateway.body.joint_angles import joint_angles
 from gateway.body.rig import load_rig
 from gateway.emulation.rig import dress, perform

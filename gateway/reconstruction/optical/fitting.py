@@ -29,7 +29,7 @@ from gateway.reconstruction.optical.bundle import (
     weighted_rmse,
     with_sigmas,
 )
-from gateway.reconstruction.optical.joint_ranges import shown_joints
+from gateway.reconstruction.optical.joint_ranges import bent_backwards, shown_joints
 from gateway.reconstruction.optical.landmarks import (
     Measured,
     SegmentPlaces,
@@ -117,6 +117,10 @@ class Fit:
     """Segments that carry too few for their axes, and those beyond them: with the markers that lack."""
     is_functional: bool = False
     """Whether joints are where the motion has them, whatever rules say."""
+    ghosts: Mapping[str, int] = field(default_factory=dict)
+    """Points far from all that sits beside their marker, by its name in the files: they had no say."""
+    backwards: tuple[str, ...] = ()
+    """Joints that bend only to the side to which they cannot."""
 
 
 def by_lacking(too_few: Mapping[str, tuple[str, ...]]) -> dict[str, list[str]]:
@@ -192,6 +196,8 @@ def fit_body(
         left_out=dressed.left_out,
         too_few=too_few,
         is_functional=is_functional,
+        ghosts=dressed.ghosts,
+        backwards=bent_backwards(marker_set.body, final, done.poses),
     )
 
 

@@ -19,6 +19,9 @@ from gateway.reconstruction.optical.pose_solver import FIXED_SIGMA, BodyModel, P
 
 MARGIN = np.radians(10.0)
 """Beyond what the calibration shows."""
+_HARDLY = np.radians(15.0)
+_BACKWARDS = np.radians(35.0)
+_FEWEST_POSES = 5
 _OUTLIERS = 2.0
 """Percent of the frames at either end that do not count."""
 
@@ -43,6 +46,31 @@ def shown_joints(
             continue
         joints.append(_widened(joint, _angles(model, row, poses), only_free=joint.distal in bending))
     return tuple(joints)
+
+
+def bent_backwards(skeleton: Skeleton, model: BodyModel, poses: Sequence[Pose]) -> tuple[str, ...]:
+    """Return the joints, left and right, that by the body file hardly bend to one side, and in the poses bend
+    to that side only: left and right are exchanged, or the world is a mirror's."""
+    rows = {int(distal): row for row, distal in enumerate(model.distals)}
+    found = []
+    for joint in skeleton.joints:
+        row = rows.get(joint.distal)
+        if (
+            row is None
+            or not joint.angles
+            or -joint.angles[0].limits[0] > _HARDLY < joint.angles[0].limits[1]
+        ):
+            continue
+        shown = _angles(model, row, poses)[:, 0]
+        if len(shown) < _FEWEST_POSES:
+            continue
+        low, high = np.percentile(shown, [_OUTLIERS, 100.0 - _OUTLIERS])
+        is_forward = -joint.angles[0].limits[0] <= _HARDLY
+        bent, other = (-low, high) if is_forward else (high, -low)
+        if bent > _BACKWARDS and other < _HARDLY:
+            found.append(joint.name)
+    both = {name.replace("left_", "right_") for name in found if name.startswith("left_")}
+    return tuple(name for name in found if name.replace("left_", "right_") in both.intersection(found))
 
 
 def _angles(model: BodyModel, row: int, poses: Sequence[Pose]) -> FloatArray:

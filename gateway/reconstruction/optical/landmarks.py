@@ -38,6 +38,8 @@ _UP = {
 """From the axes of the optical system to the world, Z up, by the axis that points up there."""
 
 
+_SHORTEST_M, _LONGEST_M = 0.001, 2.0
+"""Of a person's measurement: a number of a file that is none of these is in another unit than its points."""
 MOST_ANGLE = np.pi / 2
 """rad: a wand further from its joint's axis than that is none."""
 
@@ -107,7 +109,7 @@ def measurements(
             trial.parameters[parameter] * trial.metres_per_unit
             for trial in trials
             for parameter in entry.parameters
-            if trial.parameters.get(parameter, 0.0) > 0
+            if _SHORTEST_M < trial.parameters.get(parameter, 0.0) * trial.metres_per_unit < _LONGEST_M
         ]
         if name in lengths:
             continue

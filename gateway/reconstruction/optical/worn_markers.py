@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from devices.marker_files import MarkerTrial
-from devices.marker_files.naming import spelt
+from devices.marker_files.naming import spellings, spelt
+from devices.marker_files.trial import METRES
 from gateway.body.part import reduced
 from gateway.errors import GatewayError
+from gateway.reconstruction.optical.ghosts import without_ghosts
 from gateway.reconstruction.optical.marker_set import MarkerSet, PointRule, load_marker_set, names_in
 from gateway.support.settings_files import shipped_folder
 
 _ENOUGH = 6
 """Markers of a set that trials must have for the set to be taken unasked."""
-_SMALLEST_M, _LARGEST_M = 0.02, 20.0
+_SIZES_M = 0.02, 20.0
 """Between them lies the size of whatever wears markers."""
+_USUAL_M = 1.5
+_PERSON_M = 0.25, 4.0
+"""Likewise of a person, or of a part of one that carries ``_ENOUGH`` markers."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +36,8 @@ class Dressed:
     """Marker of the set to its name in the files."""
     left_out: tuple[str, ...]
     """Segments of the set's body that carry none of the markers."""
+    ghosts: Mapping[str, int] = field(default_factory=dict)
+    """Points that were left out since they lie far from the markers beside them, by name in the files."""
 
 
 def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str | None = None) -> Dressed:
@@ -38,20 +46,24 @@ def dressed_in(marker_set: MarkerSet, trials: Sequence[MarkerTrial], person: str
     person: as in ``spelt``. Raises ``FormatError`` as that does, ``GatewayError`` for a trial without any
     marker of the set.
     """
-    called = [spelt(trial, marker_set.labels, marker_set.other_names, person) for trial in trials]
     names: dict[str, str] = {}
-    for trial, own in zip(called, trials, strict=True):
+    called: list[MarkerTrial] = []
+    ghosts: Counter[str] = Counter()
+    for own in trials:
+        trial = spelt(own, marker_set.labels, marker_set.other_names, person)
         seen = _seen(trial, marker_set.labels)
         if not seen:
             raise GatewayError(_stranger(marker_set, own))
-        _refuse_wrong_unit(trial, marker_set.labels)
-        names |= {
-            label: first for label, first in zip(trial.labels, own.labels, strict=True)
-            if label in seen and label not in names
-        }  # fmt: skip
+        meant = spellings(own.labels, marker_set.labels, marker_set.other_names, person, own.name)
+        names = {name: label for label, name in meant.items() if name in seen} | names
+        trial, found = without_ghosts(marker_set, trial)
+        ghosts.update({names[name]: count for name, count in found.items()})
+        _refuse_wrong_unit(trial, marker_set)
+        called.append(trial)
+    _refuse_bare_root(marker_set, names, trials[0])
     worn = worn_part(marker_set, names)
     left_out = tuple(name for name in marker_set.body.segment_names if name not in worn.body.segment_names)
-    return Dressed(worn, tuple(called), names, left_out)
+    return Dressed(worn, tuple(called), names, left_out, dict(ghosts))
 
 
 def worn_part(marker_set: MarkerSet, labels: Collection[str], without: Collection[str] = ()) -> MarkerSet:
@@ -98,14 +110,20 @@ def fitting_set(trials: Sequence[MarkerTrial], person: str | None = None) -> Mar
     Raises ``GatewayError`` that names the shipped ones where the trials have hardly a marker of any.
     """
     names = sorted(path.stem for path in (shipped_folder() / "marker_sets").glob("*.yaml"))
-    best, most = None, (0, 0)
+    best, most, named = None, (0, 0), 0
     for marker_set in map(load_marker_set, names):
         known = set()
         for trial in trials:
             called = spelt(trial, marker_set.labels, marker_set.other_names, person)
             known |= _seen(called, marker_set.labels)
+            named = max(named, len({*marker_set.labels} & {*called.labels}))
         if (score := (len(known), -len(marker_set.labels))) > most:
             best, most = marker_set, score
+    if most[0] < _ENOUGH <= named:
+        raise GatewayError(
+            f"{trials[0].name}: {named} markers by their names, of which {most[0]} are seen: its "
+            "points are empty, zero or farther than 1 km from the origin; export the trial again"
+        )
     if best is None or most[0] < _ENOUGH:
         raise GatewayError(
             f"{trials[0].name}: its markers are those of no shipped set ({', '.join(names)}): it has "
@@ -119,21 +137,37 @@ def _seen(trial: MarkerTrial, labels: Sequence[str]) -> set[str]:
     return {label for m, label in enumerate(labels) if np.isfinite(places[:, m]).all(axis=1).any()}
 
 
+def _refuse_bare_root(marker_set: MarkerSet, worn: Collection[str], trial: MarkerTrial) -> None:
+    root = marker_set.body.segment_names[0]
+    own = marker_set.file.markers.get(root, [])
+    if own and not {*own} & {*worn}:
+        raise GatewayError(
+            f"{trial.name}: {len(worn)} markers of '{marker_set.file.name}', the nearest set, and none of "
+            f"its {root} ({', '.join(own)}), from which the body hangs; it has {_some_labels(trial)}: "
+            "describe them in a file and name it with --set"
+        )
+
+
 def _stranger(marker_set: MarkerSet, trial: MarkerTrial) -> str:
     name, known = marker_set.file.name, _some_labels(trial)
     return f"{trial.name}: none of the markers of '{name}' is in it; it has {known}"
 
 
-def _refuse_wrong_unit(trial: MarkerTrial, labels: Sequence[str]) -> None:
-    places = trial.columns(tuple(labels))
+def _refuse_wrong_unit(trial: MarkerTrial, marker_set: MarkerSet) -> None:
+    places = trial.columns(tuple(marker_set.labels))
     places = places[:, np.isfinite(places).all(axis=(0, 2))]
     if places.shape[1] < _ENOUGH:
         return
     extent = float(np.median(np.ptp(places, axis=1).max(axis=1)))
-    if not _SMALLEST_M < extent < _LARGEST_M:
+    smallest, largest = _SIZES_M if marker_set.body.stature_m is None else _PERSON_M
+    if not smallest < extent < largest:
+        units = {name: extent / trial.metres_per_unit * metres for name, metres in METRES.items()}
+        likely = min(units, key=lambda name: abs(np.log(units[name] / _USUAL_M)) if extent > 0 else 0.0)
+        is_likely = 0.5 * _USUAL_M < units[likely] < 2.0 * _USUAL_M
+        better = f"; {likely} would make it {units[likely]:.2f} m" if is_likely else ""
         raise GatewayError(
             f"{trial.name}: its markers reach over {extent:.4g} m, in a unit of {trial.metres_per_unit:g} m: "
-            "correct the unit in the file (POINT:UNITS, or Units)"
+            f"correct the unit in the file (POINT:UNITS, or Units{better})"
         )
 
 

@@ -80,7 +80,7 @@ def test_hips_beside_their_regression_are_found_from_exact_markers(monkeypatch: 
     monkeypatch.setattr(optical_truth, "NOISE", 1e-6)
     monkeypatch.setattr(optical_truth, "MISPLACED", 0.0)
     whole = load_marker_set("plug_in_gait")
-    marker_set = worn_part(whole, {*whole.labels} - {"SACR"})
+    marker_set = worn_part(whole, optical_truth.simulated_labels(whole))
     generator = np.random.default_rng(3)
     places, segments = placed_markers(marker_set, marker_set.body, generator)
     seen = simulated(marker_set, marker_set.body, places, segments, 6.0, generator, faults=False)

@@ -315,6 +315,6 @@ def test_marker_set_errors_name_what_is_wrong(tmp_path: Path, old: str, new: str
 
 
 def test_shipped_marker_sets_load() -> None:
-    sets = {"plug_in_gait": 40, "opensim_41": 49, "helen_hayes": 19, "ior_cast": 42}
+    sets = {"plug_in_gait": 58, "opensim_41": 49, "helen_hayes": 19, "ior_cast": 76}
     for name, n_markers in sets.items():
         assert len(load_marker_set(name).labels) == n_markers

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from devices.marker_files import MarkerTrial, read_markers
-from devices.marker_files.naming import spellings, spelt, without_prefixes
+from devices.marker_files.naming import plain, spellings, spelt, without_prefixes
 from devices.vendor_formats.sheets import FormatError
 from gateway.body.markers import BodyMarkers
 from gateway.body.rig import WorldSettings, load_body, worn_without_modules
@@ -294,3 +294,68 @@ def test_a_trial_with_two_of_the_subjects_markers_is_refused(tmp_path: Path) -> 
     with pytest.raises(GatewayError, match=r"t\.c3d has only LTOE, RTOE of the markers of me\.yaml .*HEAD"):
         write_solved_trial(trial, tmp_path / "t.c3d", suit, "me.yaml", target)
     assert not target.exists()
+
+
+LANDMARKS = {
+    "ASIS": "@_IAS", "Sacral": "SACR", "Sternum": "SJN", "Temple": "@_HEAD", "Acromium": "@_SAE",
+    "Bicep": "@_HUM", "Elbow": "@_HLE", "Wrist.Med": "@_USP", "Wrist.Lat": "@_RSP",
+    "Thigh.Upper": "@_TH1", "Knee.Lat": "@_FLE",
+    "Knee.Med": "@_FME", "Shank.Upper": "@_SK1", "Ankle.Lat": "@_FAL", "Ankle.Med": "@_TAM", "Heel": "@_FCC",
+    "Toe.Tip": "@_FM2", "Toe.Lat": "@_FM5",
+}  # fmt: skip
+QUALISYS = {
+    "ASIS": "Q_Waist@Front", "Sacral": "Q_WaistBack", "Sternum": "Q_Chest", "Temple": "Q_Head@",
+    "Acromium": "Q_@ShoulderTop", "Bicep": "Q_@Arm", "Elbow": "Q_@ElbowOut", "Wrist.Med": "Q_@WristOut",
+    "Wrist.Lat": "Q_@WristIn", "Thigh.Front": "Q_@ThighFrontLow", "Knee.Lat": "Q_@KneeOut",
+    "Knee.Med": "Q_@KneeIn", "Shank.Upper": "Q_@ShinFrontHigh", "Ankle.Lat": "Q_@AnkleOut",
+    "Heel": "Q_@HeelBack", "Toe.Tip": "Q_@Forefoot2", "Toe.Lat": "Q_@Forefoot5",
+}  # fmt: skip
+
+
+@needs_data
+@pytest.mark.parametrize("names", [LANDMARKS, QUALISYS], ids=["landmarks", "qualisys"])
+def test_whole_bodies_by_landmarks_have_the_arms_and_legs_of_the_same_markers_by_other_names(opensim, names):
+    renamed = called(
+        opensim, lambda label: names.get(label.partition(".")[2] or label, "").replace("@", label[0])
+    )
+    found = fit_body(fitting_set(renamed), renamed)
+    same = fit_body(load_marker_set("opensim_41"), opensim)
+    assert found.marker_set == "ior_cast"
+    assert found.left_out == ("left_hand", "right_hand")
+    assert not found.too_few
+    assert found.rmse < 0.004
+    for name in ("upper_arm", "forearm", "thigh", "foot"):
+        for side in ("left", "right"):
+            tips = [
+                np.linalg.norm(fit.skeleton.tips[fit.skeleton.index(f"{side}_{name}")])
+                for fit in (found, same)
+            ]
+            assert abs(tips[0] - tips[1]) < 0.006, (side, name)
+
+
+@needs_data
+def test_medial_markers_of_cgm2_say_where_knees_are(opensim):
+    names = {
+        "ASIS": "@ASI", "Sacral": "SACR", "Thigh.Front": "@THI", "Thigh.Upper": "@THAP",
+        "Thigh.Rear": "@THAD", "Knee.Lat": "@KNE", "Knee.Med": "@KNM", "Shank.Front": "@TIB",
+        "Shank.Upper": "@TIAP", "Ankle.Lat": "@ANK",
+        "Ankle.Med": "@MED", "Heel": "@HEE", "Toe.Tip": "@TOE", "Toe.Med": "@FMH", "Toe.Lat": "@VMH",
+    }  # fmt: skip
+    renamed = called(
+        opensim, lambda label: names.get(label.partition(".")[2] or label, "").replace("@", label[0])
+    )
+    found = fit_body(fitting_set(renamed), renamed)
+    same = fit_body(load_marker_set("opensim_41"), opensim)
+    assert found.marker_set == "plug_in_gait"
+    for name in ("left_thigh", "right_thigh"):
+        lengths = [np.linalg.norm(fit.skeleton.tips[fit.skeleton.index(name)]) for fit in (found, same)]
+        assert abs(lengths[0] - lengths[1]) < 0.008
+
+
+@pytest.mark.parametrize("name", ["helen_hayes", "ior_cast", "opensim_41", "plug_in_gait"])
+def test_every_further_name_means_one_marker(name):
+    marker_set = load_marker_set(name)
+    meant: dict[str, set[str]] = {}
+    for spelling, label in [*((own, own) for own in marker_set.labels), *marker_set.other_names.items()]:
+        meant.setdefault(plain(spelling), set()).add(label)
+    assert {spelling: labels for spelling, labels in meant.items() if len(labels) > 1} == {}

@@ -1,0 +1,93 @@
+"""Points and units of trials that would lead a fit astray: left out, refused or doubted, and said so."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.marker_files import MarkerTrial, read_markers
+from gateway.body.rig import load_rig
+from gateway.cli.optical import fit_doubts
+from gateway.errors import GatewayError
+from gateway.reconstruction.optical.fitting import fit_body
+from gateway.reconstruction.optical.ghosts import without_ghosts
+from gateway.reconstruction.optical.worn_markers import fitting_set
+from gateway.recording.optical import write_solved_trial
+from tests.marked_person import subject_file
+
+DATA = Path(os.environ.get("MOCAP_DATA", Path(__file__).parents[5] / "shared" / "data"))
+needs_data = pytest.mark.skipif(not (DATA / "c3d_pycgm").is_dir(), reason="recordings are not here")
+
+
+@pytest.fixture(scope="module")
+def walk() -> MarkerTrial:
+    trial = read_markers(DATA / "c3d_pycgm" / "Movement_trial.c3d")
+    return replace(trial, positions=trial.positions[::12])
+
+
+@needs_data
+def test_points_ten_metres_away_are_left_out_and_told(walk):
+    labels = fitting_set([walk]).labels
+    columns = [walk.labels.index(label) for label in labels if label in walk.labels]
+    positions = walk.positions.copy()
+    is_ghost = np.random.default_rng(2).random((len(positions), len(columns))) < 0.02
+    positions[:, columns] += 10.0 * is_ghost[..., None]
+    found = fit_body(fitting_set([walk]), [replace(walk, positions=positions)])
+    assert sum(found.ghosts.values()) == is_ghost.sum()
+    assert found.rmse < 0.005
+    assert any("left out" in doubt for doubt in fit_doubts(found))
+
+
+@needs_data
+def test_a_trial_as_it_is_has_no_ghosts_and_raises_no_doubts(walk):
+    marker_set = fitting_set([walk])
+    assert without_ghosts(marker_set, walk) == (walk, {})
+    assert fit_doubts(fit_body(marker_set, [walk])) == []
+
+
+@needs_data
+@pytest.mark.parametrize("change", ["mirrored", "sides"])
+def test_knees_that_bend_backwards_are_doubted(walk, change):
+    if change == "mirrored":
+        odd = replace(walk, positions=walk.positions * [1.0, -1.0, 1.0])
+    else:
+        other = {"L": "R", "R": "L"}
+        odd = replace(
+            walk, labels=tuple(other.get(label[:1], label[:1]) + label[1:] for label in walk.labels)
+        )
+    found = fit_body(fitting_set([odd]), [odd])
+    assert found.backwards == ("left_knee", "right_knee")
+    assert "left and right are exchanged" in fit_doubts(found)[0]
+
+
+@needs_data
+def test_a_person_of_fifteen_centimetres_is_refused_with_the_unit_that_fits(walk):
+    small = replace(walk, positions=0.1 * walk.positions)
+    with pytest.raises(
+        GatewayError, match=r"0\.1\d* m, in a unit of 0\.001 m: correct the unit.* cm would make it 1\."
+    ):
+        fit_body(fitting_set([small]), [small])
+
+
+@needs_data
+def test_names_without_points_are_told_as_such(walk):
+    empty = replace(walk, positions=np.full_like(walk.positions, np.nan))
+    with pytest.raises(GatewayError, match="39 markers by their names, of which 0 are seen"):
+        fitting_set([empty])
+
+
+def test_a_trial_that_shows_nothing_or_is_too_fast_is_not_solved(tmp_path):
+    path, _, markers = subject_file(tmp_path, "z")
+
+    suit = load_rig(str(path))
+    empty = MarkerTrial("t", markers.labels, 100.0, np.full((5, len(markers.labels), 3), np.nan))
+    source = tmp_path / "t.trc"
+    source.write_text("")
+    with pytest.raises(GatewayError, match="no frame shows 3 of the markers"):
+        write_solved_trial(empty, source, suit, str(path), tmp_path / "a.mcap")
+    with pytest.raises(GatewayError, match="9999 frames a second, of which 4000"):
+        write_solved_trial(replace(empty, rate_hz=9999.0), source, suit, str(path), tmp_path / "b.mcap")
