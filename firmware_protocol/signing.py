@@ -61,7 +61,7 @@ class SignedFrames:
 
     def __init__(self, key: bytes, signer: int = HOST_SIGNER, count: int = 0) -> None:
         """
-        signer: who this end is; ``HOST_SIGNER`` hears all others, others hear it alone.
+        signer: who this end is; ``HOST_SIGNER`` accepts all others, others accept it alone.
         count: what comes must be above it, and what is sent goes on from it. The host gives the time; a
         module the newest count that it has stored.
 

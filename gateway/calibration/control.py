@@ -110,7 +110,7 @@ class CalibrationControl:
         self._session = BodySession(self._pipeline.suit, request.field)
         self._pipeline.module_stage.on_frame = self._session.add
         self._phase = "ready"
-        return {"steps": _told(self._session)}
+        return {"steps": _steps_message(self._session)}
 
     def _needed(self) -> BodySession:
         if self._session is None:
@@ -153,7 +153,7 @@ class CalibrationControl:
             "phase": self._phase,
             "left_s": round(left, 1),
             "done": self._session.done,
-            "steps": _told(self._session),
+            "steps": _steps_message(self._session),
             "modules": [
                 {
                     "segment": names[m],
@@ -211,7 +211,7 @@ class CalibrationControl:
         return {"file": str(target), "version": version.stem}
 
 
-def _told(session: BodySession) -> list[dict[str, Any]]:
+def _steps_message(session: BodySession) -> list[dict[str, Any]]:
     """Its steps, for whoever begins it or goes on with it."""
     return [
         {"step": s.name, "kind": s.kind.value, "seconds": s.seconds, "instruction": s.instruction}

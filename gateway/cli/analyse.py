@@ -106,8 +106,8 @@ def analyse_file(
     if folder.exists() and not force:
         raise GatewayError(f"{folder} exists: name another folder with --output, or add to it with --force")
     with progress_bar(f"reading {file.name}", is_shown=not as_json) as tell_read:
-        arrays, suit, told_kg = _motion(file, subject, person, tell_read)
-    weighed = _inertia(arrays.skeleton, mass or told_kg, sex, inertia, file)
+        arrays, suit, recorded_kg = _motion(file, subject, person, tell_read)
+    weighed = _inertia(arrays.skeleton, mass or recorded_kg, sex, inertia, file)
     measured = _measured(file, forces, suit)
     with progress_bar("torques", is_shown=not as_json) as tell:
         found = analyse(arrays, file.stem, weighed, suit.gravity, cutoff or None, measured, lambda _: tell)

@@ -24,7 +24,7 @@ from rich.table import Table
 from devices.extras import how_to_add
 from devices.link import gateway_time_ns
 from gateway.body.skeleton import WornSuit
-from gateway.cli.preparing import stand_in, told_when_compiling
+from gateway.cli.preparing import report_compiling, stand_in
 from gateway.errors import GatewayError
 from gateway.frames import FloatArray
 from gateway.geometry.comparison import orientation_error, rmse_deg
@@ -158,7 +158,7 @@ def demo(
         usual = settings.reconstructor
         if reconstructor is None:
             settings = _startable(settings, tell)
-        with told_when_compiling(tell):
+        with report_compiling(tell):
             awaited = usual if settings.reconstructor != usual else None
             service = Service(settings, suit, awaited=awaited)
         service.own_requests.on_examine = partial(examined, service)

@@ -501,7 +501,7 @@ async def _serve(
         raise GatewayError(f"{host}:{port} cannot be served: {error.strerror or error}") from error
     typer.echo(
         f"{file}: {trial.n_frames} frames at {trial.rate_hz:g} Hz as QTM streams them; "
-        f"a gateway hears them with the link qtm://{host}:{stand_in.port}; Ctrl-C ends",
+        f"a gateway receives them with the link qtm://{host}:{stand_in.port}; Ctrl-C ends",
         err=True,
     )
     loop = asyncio.get_running_loop()

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from gateway.cli.preparing import make_ready, stand_in, told_when_compiling
+from gateway.cli.preparing import make_ready, report_compiling, stand_in
 from gateway.errors import GatewayError
 from gateway.service.systemd import feed_watchdog, notify
 from gateway.settings import GatewaySettings, fitting_suit, load_gateway_settings
@@ -68,7 +68,7 @@ def _load(config: Path, awaited: str | None = None) -> Service:
     others = further_bodies(settings, config)
     if awaited is not None:
         settings = stand_in(settings, log.info)
-    with told_when_compiling(log.info):
+    with report_compiling(log.info):
         return Service(settings, suit, awaited=awaited, others=others, config=config)
 
 
@@ -264,7 +264,7 @@ def record(
     suit = load_rig(settings.rig, config)
     set_up_logging(settings.log.level, settings.log.format)
     make_ready(fitting_suit(settings, suit).reconstructor)
-    with told_when_compiling(partial(typer.echo, err=True)):
+    with report_compiling(partial(typer.echo, err=True)):
         service = Service(settings, suit, others=further_bodies(settings, config))
     service.own_requests.on_examine = partial(examined, service)
     asyncio.run(_record(service, settings, seconds, None if quiet else Console(stderr=True)))

@@ -30,7 +30,7 @@ SHARPNESS_US = 10.0
 TRUST = 0.5
 """Weight of a packet: delays of neighbouring packets are not independent."""
 OUTAGE = 6.0
-"""A packet later than so many mean delays was held up: it says hardly anything of the floor."""
+"""A packet later than so many mean delays was delayed: it says hardly anything of the floor."""
 OUTAGE_WEIGHT = 0.02
 OUTAGE_SCORE = 0.5
 """Nor of the mean delay, unless such packets are many."""

@@ -199,7 +199,7 @@ def outcome(run: Run, calm: Run, segments: list[int]) -> Outcome:
     return Outcome(worst, recovery_s)
 
 
-def told_after_s(run: Run, segments: list[int]) -> float:
+def reported_after_s(run: Run, segments: list[int]) -> float:
     """From the beginning until the status of all the segments is another than measured or interpolated."""
     told = (run.status[:, segments] > Status.INTERPOLATED).all(axis=1) & (run.times_s >= run.case.begins_s)
     return float(run.times_s[told][0] - run.case.begins_s) if told.any() else np.nan

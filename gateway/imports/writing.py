@@ -29,7 +29,7 @@ LINK = "imported"
 _FIRST_NS = 10**9
 """Gateway time at the beginning of a recording whose date is not known."""
 _STATISTICS_NS = 5 * 10**9
-_CHUNKS_A_TELLING = 256
+_CHUNKS_A_REPORT = 256
 _LONGEST_WAIT_MS = 500.0
 
 
@@ -106,7 +106,7 @@ def write_imported(
             if chunk.arrived_ns - counted_ns >= _STATISTICS_NS:
                 counted_ns = chunk.arrived_ns
                 _add_statistics(writer, pipeline, counted_ns)
-            if progress is not None and chunks % _CHUNKS_A_TELLING == 0:
+            if progress is not None and chunks % _CHUNKS_A_REPORT == 0:
                 writer.flush()
                 progress(chunk.arrived_ns - begun_ns, end_ns - begun_ns)
         _add_statistics(writer, pipeline, end_ns)

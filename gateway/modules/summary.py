@@ -1,4 +1,4 @@
-"""What is told of each module: in a list, and published from time to time.
+"""State of each module, as listed and as published from time to time.
 
 Whether a module is heard is judged by packets coming in from one look to the next, not by their arrival
 times: a recording's are those of the day it was made.
@@ -297,7 +297,7 @@ class ModuleStates:
         """The figures of one module. Raises ``KeyError`` for one that is neither in the rig nor heard."""
         watched, record = self._watched[module], self._stream.modules.get(module)
         last_ns = None if record is None else record.last_arrival_ns
-        told = _told(record)
+        told = _reported(record)
         return ModuleState(
             t_ns=now_ns,
             module=module,
@@ -337,7 +337,7 @@ class ModuleStates:
         yield MODULE_STATE.format(id=watched.module), state
 
 
-def _told(record: ModuleRecord | None) -> dict[str, Any]:
+def _reported(record: ModuleRecord | None) -> dict[str, Any]:
     """What was counted of a module, and what it says of itself."""
     health = None if record is None else record.health
     info = None if record is None else record.info

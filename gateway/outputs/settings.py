@@ -137,7 +137,7 @@ class MqttSettings(BaseModel):
         ge=1,
         le=10_000,
         description="Poses kept while the broker is slow or away: then the oldest is dropped and counted. A "
-        "burst after the machine was held up is published whole.",
+        "burst after the machine paused is published whole.",
     )
     decimals: int | None = Field(
         default=6,

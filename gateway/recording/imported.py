@@ -21,7 +21,7 @@ from gateway.recording.reading import Progress
 from gateway.settings import AssemblySettings, GatewaySettings
 from gateway.sources.link_settings import LinkSettings
 
-_CHUNKS_A_TELLING = 16
+_CHUNKS_A_REPORT = 16
 
 
 def imported_session(
@@ -89,7 +89,7 @@ def solve_into(
         add_solved(writer, chunk, content, made)
         frames += len(made)
         solved(index)
-        if progress is not None and index % _CHUNKS_A_TELLING == 0:
+        if progress is not None and index % _CHUNKS_A_REPORT == 0:
             progress(index, len(chunks))
     return frames, spent
 

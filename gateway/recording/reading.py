@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
 Progress = Callable[[int, int], None]
 """Told bytes read and bytes in all, now and then."""
 
-_MESSAGES_A_TELLING = 512
+_MESSAGES_A_REPORT = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +243,7 @@ class Recording:
         """Messages whose topic begins so, decoded. One that cannot be is left out, as damaged ones are."""
         total = self.parts.size
         for count, message in enumerate(self.parts.messages()):
-            if progress is not None and count % _MESSAGES_A_TELLING == 0:
+            if progress is not None and count % _MESSAGES_A_REPORT == 0:
                 progress(self.parts.position, total)
             if message.topic.startswith(prefix):
                 item = decode_message(message)

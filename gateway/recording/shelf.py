@@ -87,7 +87,7 @@ class Shelf:
         unnamed = [r for r in recordings if not _can_be_asked_for(r)]
         recordings = [r for r in recordings if _can_be_asked_for(r)]
         recordings.sort(key=lambda each: each.meta.begun_utc_ns, reverse=True)
-        answer["recordings"] = [self._told(recording) for recording in islice(recordings, most)]
+        answer["recordings"] = [self._summary(recording) for recording in islice(recordings, most)]
         answer["problems"] = [str(each) for each in found if isinstance(each, RecordingError)]
         answer["problems"] += [
             _UNNAMED.format(name=each.parts.path.name[:_LONGEST_QUOTED]) for each in unnamed
@@ -95,7 +95,7 @@ class Shelf:
         answer["free_mb"] = round(free_bytes(self._folder) / _MB)
         return answer
 
-    def _told(self, recording: Recording) -> dict[str, Any]:
+    def _summary(self, recording: Recording) -> dict[str, Any]:
         summary, path = summarise(recording), recording.parts.path
         beside = (path.with_suffix(each.suffix) for each in FORMATS.values())
         return {

@@ -35,7 +35,7 @@ from gateway.recording.smoothing import SmoothedPoses
 from gateway.recording.snapshot import attachments_of
 from gateway.settings import GatewaySettings
 
-_MESSAGES_A_TELLING = 512
+_MESSAGES_A_REPORT = 512
 
 _MOST_WAITING = 4096
 _MADE_ANEW = (fmt.SKELETON, fmt.MARKERS, fmt.TRANSFORMS)
@@ -125,7 +125,7 @@ def verify(recording: Recording, progress: Progress | None = None) -> Verificati
     markers: deque[bytes] = deque(maxlen=_MOST_WAITING)  # nobody takes them where none were recorded
     compared = 0
     with _poses_by_message(recording, recorded_source(recording), progress) as (poses_of, tell):
-        for message in _told(recording, tell):
+        for message in _with_progress(recording, tell):
             if message.topic == fmt.SKELETON:
                 made = recomputed.popleft() if recomputed else None
                 if made != message.data:
@@ -173,7 +173,7 @@ def write_solved(
         _poses_by_message(recording, source, progress) as (poses_of, tell),
         DerivedRecordingWriter(target, session, attachments, meta.begun_ns) as writer,
     ):
-        for count, message in enumerate(_told(recording, tell)):
+        for count, message in enumerate(_with_progress(recording, tell)):
             if message.topic not in _MADE_ANEW:
                 writer.add(message.topic, message.time_ns, message.data, _metadata(recording, message.topic))
             for frame in poses_of(message):
@@ -186,7 +186,7 @@ def write_solved(
                         transforms.encode(frame.time_ns, frame.q_wb, frame.p_w),
                     )
                 frames += 1
-            if count % _MESSAGES_A_TELLING == 0:
+            if count % _MESSAGES_A_REPORT == 0:
                 writer.flush()
     return frames
 
@@ -208,7 +208,7 @@ def _poses_by_message(
         yield partial(_fed, pipeline), progress
         return
     with SmoothedPoses(pipeline) as smoothing:
-        for message in _told(recording, _half(progress, 0)):
+        for message in _with_progress(recording, _half(progress, 0)):
             if _is_input(message):
                 item = decode_message(message)
                 smoothing.take(item if isinstance(item, Chunk | SentChunk | InputEvent) else None)
@@ -233,11 +233,11 @@ def _fed(pipeline: Pipeline, message: RecordedMessage) -> list[SkeletonFrame]:
     return pipeline.take(item) if isinstance(item, Chunk | SentChunk | InputEvent) else []
 
 
-def _told(recording: Recording, progress: Progress | None) -> Iterator[RecordedMessage]:
+def _with_progress(recording: Recording, progress: Progress | None) -> Iterator[RecordedMessage]:
     """All messages of known topics; tells how far it is."""
     total = recording.parts.size
     for count, message in enumerate(recording.parts.messages()):
-        if progress is not None and count % _MESSAGES_A_TELLING == 0:
+        if progress is not None and count % _MESSAGES_A_REPORT == 0:
             progress(recording.parts.position, total)
         if fmt.is_known(message.topic):
             yield message

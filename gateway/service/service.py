@@ -74,7 +74,7 @@ _POSES_A_TURN = 8
 _LAST_POSES_S = 0.1
 """After the last chunk, for further people's poses to go out."""
 _MOST_STRANGERS_NAMED = 32
-_TOLD_FAILURES = frozenset(10**power for power in range(7))
+_LOGGED_FAILURES = frozenset(10**power for power in range(7))
 """The first, the tenth … one is logged."""
 
 
@@ -366,7 +366,7 @@ class Service:
             return self.pipeline.feed(chunk)
         except Exception:
             self.failed_chunks += 1
-            if self.failed_chunks in _TOLD_FAILURES:
+            if self.failed_chunks in _LOGGED_FAILURES:
                 log.exception(
                     "chunk %d that could not be handled (%d bytes of %s at %d ns): the gateway goes on; "
                     "please report this with the recording",

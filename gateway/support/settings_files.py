@@ -133,11 +133,11 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
         if fields:
             current = _models_within(fields[0].annotation)
         else:  # which of a union it is, by the word that tells them apart
-            current = [one for one in current if _is_told_by(one, part)]
+            current = [one for one in current if _is_named(one, part)]
     return [field.alias or name for one in current[:1] for name, field in one.model_fields.items()]
 
 
-def _is_told_by(model: type[BaseModel], word: str) -> bool:
+def _is_named(model: type[BaseModel], word: str) -> bool:
     return any(word in typing.get_args(field.annotation) for field in model.model_fields.values())
 
 

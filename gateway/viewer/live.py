@@ -53,7 +53,7 @@ MOST_UNDRAWN = 256
 """Poses between two pictures that muscles are told of."""
 RESETS = ("heading", "full", "mounting", "position")
 COUNTED_DOWN = {"heading": "countdown_heading", "full": "countdown", "mounting": "countdown"}
-"""Resets that want the wearer to stand somehow, who has to get there first; what is told meanwhile."""
+"""Resets that want the wearer to stand somehow, who has to get there first; the text shown meanwhile."""
 COUNTDOWN_S = 3
 TEXTS_EVERY = 10
 """Texts and plots are brought up to date with every so manyeth picture."""
@@ -294,7 +294,7 @@ class LiveViewer:
         name = self._name(poses)
         age = self._view.age_s(now_ns)
         if self._replayed is not None:
-            told = self._replayed.told(self._loop.time(), panel.language)
+            told = self._replayed.text(self._loop.time(), panel.language)
             panel.show_status(say("replay_of", name=self._replayed.name), told, is_alarm=False)
         elif not poses.is_connected:
             panel.show_status(say("no_broker"), say("gets_it_back"), is_alarm=True)
@@ -386,17 +386,17 @@ class LiveViewer:
         except GatewayError as error:
             show(say("went_wrong", wish=wish, error=error))
             return
-        show(say("is_done", wish=wish, told=self._told(family, answer)))
+        show(say("is_done", wish=wish, told=self._answer_text(family, answer)))
 
-    def _told(self, family: str, answer: Mapping[str, Any]) -> str:
+    def _answer_text(self, family: str, answer: Mapping[str, Any]) -> str:
         """What came of a request, in short."""
         if family == "recording":
             file = str(answer.get("file", "")).rpartition("/")[2]
             clock = clock_of(answer.get("seconds"))
-            return self._panel.say("told_recording", file=file, clock=clock, marks=answer.get("marks", 0))
+            return self._panel.say("answer_recording", file=file, clock=clock, marks=answer.get("marks", 0))
         turned, moved = answer.get("turned_deg", 0.0), answer.get("moved_m", 0.0)
         count = len(answer.get("remounted_deg", ()))
-        return self._panel.say("told_reset", turned=f"{turned:g}", moved=f"{moved:g}", count=count)
+        return self._panel.say("answer_reset", turned=f"{turned:g}", moved=f"{moved:g}", count=count)
 
 
 def _instant(received: ReceivedPose | None) -> str:

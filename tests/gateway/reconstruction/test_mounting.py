@@ -160,7 +160,7 @@ def test_the_best_explanation_is_that_of_trying_all_one_by_one(suit, walk, worn_
     asked, n = mounting._told(joints, agreement, worn), suit.skeleton.n_segments
     now = Arrangement(np.arange(n), np.tile(np.eye(3), (n, 1, 1)))
     best = Found(0.0, mounting.NOBODY, mounting.NOBODY, 0)
-    for s, o in itertools.combinations_with_replacement(np.flatnonzero(worn.is_told).tolist(), 2):
+    for s, o in itertools.combinations_with_replacement(np.flatnonzero(worn.is_known).tolist(), 2):
         for turn in range(len(worn.turns) if s == o else 1):
             other = Arrangement(now.place.copy(), now.turn.copy())
             mounting._apply(worn, other, Found(0.0, s, o, turn))

@@ -6,20 +6,20 @@ import signal
 import numba
 import pytest
 
-from gateway.cli.preparing import told_when_compiling
+from gateway.cli.preparing import report_compiling
 
 
 def test_compiling_is_told_once_and_calling_again_is_not():
     doubled = numba.njit(lambda x: 2.0 * x)  # not kept on disk: compiled in every run of this test
     said = []
-    with told_when_compiling(said.append):
+    with report_compiling(said.append):
         assert doubled(3.0) == 6.0
         assert doubled(3) == 6.0
     assert len(said) == 2
     assert said[0].startswith("compiling the reconstruction once")
     assert said[1].startswith("compiled (")
     said.clear()
-    with told_when_compiling(said.append):
+    with report_compiling(said.append):
         assert doubled(4.0) == 8.0
     assert said == []
 
@@ -28,7 +28,7 @@ def test_ctrl_c_that_the_compiler_lost_ends_the_work_all_the_same():
     before = signal.getsignal(signal.SIGINT)
 
     def compile_interrupted() -> None:
-        with told_when_compiling(lambda _: None):
+        with report_compiling(lambda _: None):
             with contextlib.suppress(KeyboardInterrupt):  # as within a callback
                 signal.raise_signal(signal.SIGINT)
             raise RuntimeError("no compiled object yet")
@@ -39,5 +39,5 @@ def test_ctrl_c_that_the_compiler_lost_ends_the_work_all_the_same():
 
 
 def test_other_errors_are_told_as_they_are():
-    with pytest.raises(RuntimeError, match="other"), told_when_compiling(lambda _: None):
+    with pytest.raises(RuntimeError, match="other"), report_compiling(lambda _: None):
         raise RuntimeError("other")
